@@ -9,7 +9,7 @@ RUN if [ -n "$TORCH_INDEX" ]; then \
         python -m pip install --no-cache-dir -c /source/constraints.txt \
             --no-deps --index-url "$TORCH_INDEX" torch; \
     fi \
-    && python -m pip install --no-cache-dir -c /source/constraints.txt /source \
+    && python -m pip install --no-cache-dir -c /source/constraints.txt '/source[paper]' \
     && rm -rf /source \
     && install -d -o 1000 -g 1000 /work
 # Any user may run it; what is cached goes where all can write.

@@ -55,7 +55,7 @@ $(BIN)/python:
 
 # The stamps prevent rebuilding the environment while its description is unchanged.
 $(VENV)/.env-run: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP_INSTALL) --editable .
+	$(PIP_INSTALL) --editable '.[paper]'
 	@touch $@
 
 $(VENV)/.env-test: pyproject.toml constraints.txt | $(BIN)/python
@@ -133,8 +133,8 @@ paper: env ## run every experiment of the paper, hours; resumes if interrupted (
 paper-quick: env ## run every experiment of the paper with small samples, minutes
 	$(BIN)/irlos paper --output $(RUNS)/paper-quick --quick $(ARGS)
 
-paper-tables: env ## after make paper: renew docs/paper_results.json and the tables of docs/results.md (ARGS=--beside)
-	$(BIN)/python -m irlos_pipe.paper.run.results_page --take $(RUNS)/paper/paper_results.json $(ARGS)
+paper-tables: env ## after make paper: renew docs/paper/ and the tables of docs/results.md (ARGS=--beside)
+	$(BIN)/python -m irlos_pipe.paper.run.results_page --take $(RUNS)/paper/tables $(ARGS)
 
 simulate: env ## make recordings with a known truth (SPEC=on_sky, OUT=...)
 	$(BIN)/irlos simulate $(SPEC) --output $(OUT) $(ARGS)

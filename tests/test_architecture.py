@@ -40,7 +40,7 @@ MAY_IMPORT = {
         "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
         "control", "simulate", "product", "stages", "report",
     },
-    "paper.run": {"conventions", "files", "product", "recipe", "stages", "report", "pipeline"},
+    "paper.run": {"conventions", "files", "product", "recipe", "stages", "report", "paper", "pipeline"},
     "night": {
         "conventions", "files", "frames", "readers", "instrument", "product", "recipe", "stages", "report",
         "pipeline",

@@ -18,7 +18,7 @@ from benchmarks.focus_loop.ageing import Ageing
 from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.files.atomic import atomic_file
-from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
+from irlos_pipe.paper.common.focus_loop import FrameTable, frame_table
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.recordings.scenes import base_scene

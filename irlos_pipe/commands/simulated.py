@@ -150,9 +150,9 @@ def paper(
 
     \b
     DIR will hold:
-      report.html         every figure and table, in the order of the paper
-      paper_results.json  all numbers with seeds and sizes, for scripts
-      <experiment>/       the run of each: report.html, results.json, products (irlos show)
+      report.html      every figure and table, in the order of the paper
+      tables/          all numbers for scripts: <experiment>.csv; checks.csv; runs.csv (seeds, sizes)
+      <experiment>/    the run of each: report.html, results.json, products (irlos show)
     """
     from irlos_pipe.files.shipped import PAPER, shipped_folder
     from irlos_pipe.paper.run.recipes import find_experiments

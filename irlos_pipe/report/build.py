@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
-from importlib import import_module
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from irlos_pipe.report.section_origin import finished, origin_section, warnings
 from irlos_pipe.report.section_prior import prior_section
 from irlos_pipe.report.section_quality import quality_section
 from irlos_pipe.report.section_sensitivity import sensitivity_section
-from irlos_pipe.stages import EXPERIMENTS
+from irlos_pipe.stages import EXPERIMENTS, STAGES
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 
 # Results first, in the order in which they build on one another; what went in comes behind.
@@ -83,7 +83,8 @@ def _section(stage: str, run: RunData) -> Section:
     if stage in SECTIONS:
         return SECTIONS[stage](run)
     if stage in EXPERIMENTS:
-        return import_module(f"irlos_pipe.paper.{stage}.section").section(run)
+        experiment: Any = STAGES[stage]
+        return cast(Section, experiment.section(run))
     return _plain_section(stage, run)
 
 

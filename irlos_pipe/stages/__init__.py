@@ -1,7 +1,8 @@
 """The stages a recipe can name, in the order of the light path.
 
 A module `stage` declares a stage: settings, results, what it needs. The module `work` beside it does the work
-and is imported when the stage runs; so recipes are checked, planned and explained without PyTorch.
+and is imported when the stage runs; so recipes are checked, planned and explained without PyTorch. An
+experiment of the paper is one module, whose `EXPERIMENT` is the stage.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class StageRegistry(Mapping[str, "Stage"]):
         self._modules = dict(modules)
 
     def __getitem__(self, name: str) -> Stage:
-        return cast("Stage", import_module(self._modules[name]))
+        module = import_module(self._modules[name])
+        return cast("Stage", getattr(module, "EXPERIMENT", module))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._modules)
@@ -62,5 +64,5 @@ class StageRegistry(Mapping[str, "Stage"]):
 
 
 STAGES: Mapping[str, Stage] = StageRegistry(
-    LIGHT_PATH | {name: f"irlos_pipe.paper.{name}.stage" for name in EXPERIMENTS}
+    LIGHT_PATH | {name: f"irlos_pipe.paper.{name}" for name in EXPERIMENTS}
 )

@@ -35,7 +35,7 @@ class Draw:
     folder: str
 
 
-def draw(sample: Draw) -> dict:
+def draw(sample: Draw) -> list[dict]:
     """Numbers whose last bits depend on the order of the sums, and so on the number of threads."""
     folder = Path(sample.folder)
     if (folder / f"{sample.name}.hold").exists():
@@ -44,33 +44,33 @@ def draw(sample: Draw) -> dict:
         time.sleep(0.02)
     matrix = np.random.default_rng(sample.seed).normal(size=(300, 300))
     (folder / f"{sample.name}.done").touch()
-    return {"product": matrix @ matrix, "trace": np.trace(matrix), "name": sample.name}
+    return [{"product": matrix @ matrix, "trace": np.trace(matrix), "name": sample.name}]
 
 
-def refuse(sample: dict) -> dict:
+def refuse(sample: dict) -> list[dict]:
     """Fail on some samples."""
     if sample["seed"] == 2:
         raise InputDataError("no star in the window")
-    return {"seed": sample["seed"]}
+    return [{"seed": sample["seed"]}]
 
 
-def die(sample: dict) -> dict:
+def die(sample: dict) -> list[dict]:
     """End the worker as the kernel does when memory runs out."""
     if sample["seed"] == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-    return {"seed": sample["seed"]}
+    return [{"seed": sample["seed"]}]
 
 
-def threads(sample: int) -> dict:
+def threads(sample: int) -> list[dict]:
     """The numbers of threads that the numerical libraries would use."""
     import torch
 
-    return {"torch": torch.get_num_threads(), "omp": os.environ["OMP_NUM_THREADS"], "process": os.getpid()}
+    return [{"torch": torch.get_num_threads(), "omp": os.environ["OMP_NUM_THREADS"], "process": os.getpid()}]
 
 
-def object_array(sample: int) -> dict:
+def object_array(sample: int) -> list[dict]:
     """Something that cannot be stored."""
-    return {"answer": object()}
+    return [{"answer": object()}]
 
 
 def draws(folder: Path, names=NAMES) -> list[Draw]:
@@ -101,7 +101,7 @@ def context(scratch: Path, jobs: int = 2) -> StageContext:
 def lift(ctx: StageContext) -> StageOutput:
     """A stage that draws samples; its marks lie beside the input."""
     found = run_samples(draw, draws(ctx.inputs["cube"][0].parent / "marks"), ctx, "draws")
-    traces = np.array([one["trace"] for one in found])
+    traces = np.array([one["trace"] for (one,) in found])
     return StageOutput({"traces": Quantity(traces, "")}, fake_stages.FreeResults(traces=traces.tolist()))
 
 

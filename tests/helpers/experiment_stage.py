@@ -6,7 +6,10 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
+from helpers import optics_cases as cases
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.paper import experiment
+from irlos_pipe.paper.experiment import Sample
 from irlos_pipe.pipeline.resources import silent_progress
 from irlos_pipe.product.product import Product
 from irlos_pipe.report.content import Section
@@ -31,12 +34,29 @@ def context(config, seed: int = 5) -> StageContext:
     )
 
 
-def run_stage(monkeypatch, stage, config, found_of: Callable) -> StageOutput:
-    """Return the output of a stage whose samples give ``found_of(sample)``."""
+def sample(module, seed: tuple[int, ...] = (31, 0), facility=cases.FACILITY, sizes=None, **of) -> Sample:
+    """Return a sample of an experiment's module, its sizes and what it has of its own as given."""
+    return Sample("test", seed, facility, module.Sizes(**(sizes or {})), of)
+
+
+def run_on(monkeypatch, module, rows_of: Callable, seed: int = 5, **sizes) -> StageOutput:
+    """Return the output of an experiment whose samples give the rows ``rows_of(sample)``."""
     monkeypatch.setattr(
-        stage, "run_samples", lambda function, samples, ctx, desc: [found_of(sample) for sample in samples]
+        experiment,
+        "run_samples",
+        lambda function, samples, ctx, desc: [list(rows_of(one)) for one in samples],
     )
-    return stage.run(context(config))
+    return module.EXPERIMENT.run(context(module.Sizes(**sizes), seed))
+
+
+def tables_of(output: StageOutput) -> dict:
+    """Return the tables of an experiment's output."""
+    return output.results.frames()
+
+
+def missed(output: StageOutput) -> list[str]:
+    """Return the names of the checks that were missed."""
+    return [check.name for check in output.checks if not check.passed]
 
 
 def section_of(output: StageOutput, name: str, build: Callable[[RunData], Section], config=None) -> Section:

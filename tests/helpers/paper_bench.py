@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pydantic import Field
 import irlos_pipe.report.figures  # noqa: F401 - before a stand-in takes the place of what it imports
 from helpers import fake_stages
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.paper.common.table import read_csv
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.report import build
 from irlos_pipe.report.content import Figure, Section, Table
@@ -48,8 +48,8 @@ def run(ctx: StageContext) -> StageOutput:
         raise InputDataError("the star is gone")
     draws = np.random.default_rng(ctx.seed).normal(size=ctx.config.samples)
     check = Check("mean", draws.mean(), "nm", None, ctx.config.limit, "the mean is small")
-    rows = [{"name": "a", "median_nm": float(np.median(draws)), "fit_seconds": 0.2}]
-    results = fake_stages.FreeResults(mean_nm=draws.mean(), seconds=0.5, rows=rows)
+    rows = [{"name": "a", "median_nm": float(np.median(draws))}]
+    results = fake_stages.FreeResults(mean_nm=draws.mean(), tables={"draws": rows})
     return StageOutput({"draws": Quantity(draws, "nm")}, results, [check], summary=["a few draws"])
 
 
@@ -79,8 +79,13 @@ class PaperBench:
             "paper", "--output", str(self.output), "--recipes", str(self.recipes), "--jobs", "1", *options
         )
 
-    def numbers(self) -> dict:
-        return json.loads((self.output / "paper_results.json").read_text())
+    def numbers(self) -> dict[str, str]:
+        """Files of numbers by name, but for the one that changes from run to run."""
+        files = sorted((self.output / "tables").glob("*.csv"))
+        return {file.stem: file.read_text() for file in files if file.stem != "runs"}
+
+    def runs(self) -> list[dict[str, str]]:
+        return read_csv(self.output / "tables/runs.csv")
 
     def page(self) -> str:
         return (self.output / "report.html").read_text()

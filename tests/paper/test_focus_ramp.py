@@ -3,51 +3,35 @@
 Truth: the simulator, which shares no optics with LIFT's model; analysis of made-up estimates.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import optics_cases as cases
-from helpers.experiment_stage import run_stage, section_of
+from helpers.experiment_stage import run_on, sample, section_of, tables_of
 
-from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, true_modes_nm
-from irlos_pipe.paper.focus_ramp import stage
-from irlos_pipe.paper.focus_ramp.experiment import (
-    RampSample,
-    estimate,
-    ramp_errors,
-    scenes_of,
-)
-from irlos_pipe.paper.focus_ramp.section import section as focus_ramp_section
+from irlos_pipe.paper import focus_ramp
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, ramp_scene, true_modes_nm
 from irlos_pipe.simulate.exposure import expose
 
-SAMPLE = RampSample(
-    "test", (31, 0), cases.FACILITY, (-200.0, 0.0, 200.0), 1, 40, ("none_3", "default_3"), 0.35, 7.0, 12.0
-)
+OFFSETS_NM = (-200.0, 0.0, 200.0)
+SIZES = {"reach_nm": 200.0, "offsets": 3, "frames_per_offset": 1, "cube_frames": 40}
+STAR = sample(focus_ramp, sizes=SIZES | {"ways": ("none_3", "default_3", "default_9")})
 
 
 @pytest.fixture(scope="module")
 def found():
-    return estimate(SAMPLE)
+    return list(focus_ramp.rows(STAR))
 
 
 @pytest.mark.slow
 def test_calibrated_ncpas_bring_the_error_down_to_a_few_nanometres(found):
-    assert ramp_errors(found, "default_3").true_rms_nm < 10
-    assert ramp_errors(found, "default_3").true_rms_nm < 0.5 * ramp_errors(found, "none_3").true_rms_nm
-
-
-@pytest.mark.slow
-def test_the_ncpas_given_to_lift_count_as_estimated(found):
-    given = found["default_3/modes_nm"][:, 2] - found["default_3/defocus_nm"]
-    assert given == pytest.approx(np.full(3, scenes_of(SAMPLE)[0].ncpa_nm[4]), abs=15)
-    assert np.array_equal(found["none_3/modes_nm"][:, 2], found["none_3/defocus_nm"])
+    none, default, _ = found
+    assert default["true_rms_nm"] < min(10, 0.5 * none["true_rms_nm"])
 
 
 def test_cube_and_ramp_share_their_ncpas_and_nothing_else():
-    cube, ramp = scenes_of(SAMPLE)
+    cube = STAR.cube(0.35, 40, 7.0)
+    ramp = ramp_scene(cube, 12.0, OFFSETS_NM)
     assert cube.ncpa_nm == ramp.ncpa_nm
     assert cube.seed != ramp.seed
     assert (len(cube.bands), len(ramp.bands)) == (1, 2)
@@ -55,28 +39,21 @@ def test_cube_and_ramp_share_their_ncpas_and_nothing_else():
 
 @pytest.mark.slow
 def test_the_true_modes_of_a_still_sky_are_ncpas_plus_introduced_defocus():
-    ramp = replace(scenes_of(SAMPLE)[1], sky=None, motion=None)
+    ramp = replace(ramp_scene(STAR.cube(0.35, 40, 7.0), 12.0, OFFSETS_NM), sky=None, motion=None)
     true = true_modes_nm(ramp, expose(ramp))
     ncpa = [ramp.ncpa_nm[noll] for noll in range(2, 12)]
-    expected = np.array(ncpa) + np.outer(SAMPLE.offsets_nm, np.arange(2, 12) == 4)
+    expected = np.array(ncpa) + np.outer(OFFSETS_NM, np.arange(2, 12) == 4)
     # Modes above Noll 31 leak a little into a least-squares fit over an obscured pupil.
     assert np.abs(true - expected).max() < 3
 
 
 def test_errors_are_against_the_introduced_and_against_the_true_defocus():
     introduced = np.array([-100.0, 0.0, 100.0])
-    made = {
-        "introduced_nm": introduced,
-        "true_nm": introduced[:, None] + np.full((3, 10), 20.0),
-        "default_3/defocus_nm": 1.1 * introduced + 5,
-        "default_3/modes_nm": np.tile((1.1 * introduced + 5 + 17)[:, None], 3),
-        "default_3/converged": np.array([True, True, False]),
-    }
-    errors = ramp_errors(made, "default_3")
-    assert (errors.slope, errors.offset_nm) == pytest.approx((1.1, 5.0))
-    assert errors.rms_nm == pytest.approx(np.sqrt((25 + 225 + 25) / 3))
-    assert errors.true_rms_nm == pytest.approx(np.sqrt((64 + 4 + 144) / 3))
-    assert errors.converged == pytest.approx(2 / 3)
+    true, estimated = introduced[:, None] + np.full((3, 10), 20.0), 1.1 * introduced + 5
+    errors = focus_ramp.ramp_errors(introduced, true, estimated, estimated + 17)
+    assert (errors["slope"], errors["offset_nm"]) == pytest.approx((1.1, 5.0))
+    assert errors["rms_nm"] == pytest.approx(np.sqrt((25 + 225 + 25) / 3))
+    assert errors["true_rms_nm"] == pytest.approx(np.sqrt((64 + 4 + 144) / 3))
 
 
 def test_the_published_variants_have_no_residual_in_their_model_and_the_default_has():
@@ -85,34 +62,10 @@ def test_the_published_variants_have_no_residual_in_their_model_and_the_default_
 
 
 @pytest.mark.slow
-def test_the_stage_reports_medians_over_samples_and_the_section_draws_the_first(found, monkeypatch):
-    config = stage.Config(samples=3, ways=SAMPLE.variants, offsets=3)
-    output = run_stage(monkeypatch, stage, config, lambda sample: found)
-    rows = {row.key: row for row in output.results.ways}
-    assert rows["default_3"].rms_nm.median == pytest.approx(ramp_errors(found, "default_3").rms_nm)
-    assert output.arrays["default_3/rms_nm"].value.shape == (3,)
-    errors, table = section_of(output, "focus_ramp", focus_ramp_section).blocks
-    assert errors.title == "Error of every ramp"
-    assert list(table.marks) == ["", "good"]
-
-
-@pytest.mark.slow
-def test_nine_modes_are_drawn_against_the_true_wavefront(found, monkeypatch):
-    nine = {"default_9/modes_nm": np.repeat(found["true_nm"][:, :1], 9, axis=1)} | {
-        f"default_9/{name}": found[f"default_3/{name}"] for name in ("defocus_nm", "converged")
-    }
-    config = stage.Config(samples=1, ways=("default_9",), offsets=3)
-    output = run_stage(monkeypatch, stage, config, lambda sample: found | nine)
-    modes, *_ = section_of(output, "focus_ramp", focus_ramp_section).blocks
-    assert "11 spherical" in modes.svg
-    assert "tilt" not in modes.svg
-
-
-def test_samples_differ_in_nothing_but_seed_and_name(monkeypatch):
-    seen = []
-    config = stage.Config(samples=2, ways=("none_3",), offsets=5, reach_nm=100.0)
-    with pytest.raises(KeyError):
-        run_stage(monkeypatch, stage, config, lambda sample: seen.append(sample) or {})
-    assert seen[0].offsets_nm == (-100.0, -50.0, 0.0, 50.0, 100.0)
-    assert replace(seen[0], seed=seen[1].seed, name=seen[1].name) == seen[1]
-    assert seen[0].seed != seen[1].seed
+def test_medians_are_over_the_ramps_and_nine_modes_are_drawn_against_the_true_wavefront(found, monkeypatch):
+    output = run_on(monkeypatch, focus_ramp, lambda star: found, samples=3, ways=STAR.sizes.ways)
+    ways = tables_of(output)["ways"].set_index("key")
+    assert ways.rms_nm["default_3"] == pytest.approx(found[1]["rms_nm"])
+    modes, errors, table = section_of(output, "focus_ramp", focus_ramp.EXPERIMENT.section).blocks
+    assert "11 spherical" in modes.svg and "tilt" not in modes.svg
+    assert errors.title == "Error of every ramp" and len(table.rows) == 3

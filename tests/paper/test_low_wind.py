@@ -3,47 +3,32 @@
 Truth: the simulator, whose petals are drawn by other code than the model's; arithmetic on made-up wavefronts.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers import optics_cases as cases
-from helpers.experiment_stage import run_stage, section_of
+from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
 
+from irlos_pipe.paper import low_wind
 from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.low_wind import stage
-from irlos_pipe.paper.low_wind.experiment import (
-    BROAD,
-    NARROW,
-    LowWindSample,
-    Recording,
-    estimate,
-    folded,
-    in_reported_modes,
-    left_of,
-    rms,
-)
-from irlos_pipe.paper.low_wind.section import section
+from irlos_pipe.paper.low_wind import BROAD, NARROW, folded, in_reported_modes, left_of, rms, scene
 
-SHORT = Recording(NARROW, 0.1)
-SAMPLE = LowWindSample("test", (31, 0), cases.FACILITY, (150.0,), (SHORT,), 4.0, 0.5, 7.0)
+STAR = sample(low_wind, sizes={"sizes_nm": (150.0,), "total_s": 4.0})
+PATTERN = low_wind.pattern(STAR.seed, STAR.facility)
 
 
 def test_a_pattern_has_no_mean_and_unit_rms_and_its_size_in_the_scene():
-    assert len(SAMPLE.pattern) == 4
-    assert (SAMPLE.pattern.mean(), SAMPLE.pattern.std()) == pytest.approx((0, 1), abs=1e-12)
-    made = SAMPLE.scene(SHORT, 150.0).effects["low_wind_effect"]["piston_nm"]
-    assert made == pytest.approx(150 * SAMPLE.pattern)
-    assert not SAMPLE.scene(SHORT, 0.0).effects
+    assert len(PATTERN) == 4
+    assert (PATTERN.mean(), PATTERN.std()) == pytest.approx((0, 1), abs=1e-12)
+    made = scene(STAR, NARROW, 0.1, 150 * PATTERN).effects["low_wind_effect"]["piston_nm"]
+    assert made == pytest.approx(150 * PATTERN)
+    assert not scene(STAR, NARROW, 0.1, 0 * PATTERN).effects
 
 
 def test_every_recording_has_the_same_light_through_its_own_optics():
-    short, long, broad = (
-        SAMPLE.scene(one, 0.0) for one in (SHORT, Recording(NARROW, 1.0), Recording(BROAD, 0.1))
-    )
+    kinds = ((NARROW, 0.1), (NARROW, 1.0), (BROAD, 0.1))
+    short, long, broad = (scene(STAR, *one, 0 * PATTERN) for one in kinds)
     assert (short.frames, long.frames, broad.frames) == (40, 4, 40)
     assert short.frames * short.photons == pytest.approx(long.frames * long.photons)
     assert (short.diversity_source, broad.diversity_source) == ("mirror", "lens")
@@ -62,13 +47,10 @@ def test_an_rms_is_about_the_weighted_mean():
 
 
 def test_nothing_is_left_where_modes_and_petals_are_those_of_the_scene():
-    scene = replace(SAMPLE.scene(SHORT, 150.0), sky=None, motion=None, frames=2)
-    cube = ObservedCube.of(scene)
-    table = {
-        f"{kind}_nm": [0.0] * 4 if kind != "piston" else (150.0 * SAMPLE.pattern).tolist()
-        for kind in ("piston", "tip", "tilt")
-    }
-    nolls, values = zip(*scene.ncpa_nm.items(), strict=True)
+    still = replace(scene(STAR, NARROW, 0.1, 150.0 * PATTERN), sky=None, motion=None, frames=2)
+    cube = ObservedCube.of(still)
+    table = {"piston_nm": (150.0 * PATTERN).tolist(), "tip_nm": [0.0] * 4, "tilt_nm": [0.0] * 4}
+    nolls, values = zip(*still.ncpa_nm.items(), strict=True)
     right = SimpleNamespace(nolls=nolls, fitted_modes_nm=np.array(values), effects={"low_wind_effect": table})
     left_nm, petal, weight = left_of(cube, right)
     assert rms(left_nm, weight) < 0.1
@@ -78,7 +60,8 @@ def test_nothing_is_left_where_modes_and_petals_are_those_of_the_scene():
 
 
 def test_what_is_left_in_the_reported_modes_does_not_grow_by_modes_beyond_them():
-    cube = ObservedCube.of(replace(SAMPLE.scene(SHORT, 0.0), sky=None, motion=None, frames=1))
+    still = replace(scene(STAR, NARROW, 0.1, 0 * PATTERN), sky=None, motion=None, frames=1)
+    cube = ObservedCube.of(still)
     lit, telescope = cube.exposed.transmission > 0, cube.exposed.telescope
     left_nm = (3.0 * telescope.mode(11) + 20.0 * telescope.mode(37))[lit]
     found_nm = in_reported_modes(cube, SimpleNamespace(nolls=range(2, 46)), left_nm)
@@ -87,39 +70,30 @@ def test_what_is_left_in_the_reported_modes_does_not_grow_by_modes_beyond_them()
 
 @pytest.mark.long
 def test_petals_in_the_model_take_them_out_of_the_wavefront():
-    found = estimate(SAMPLE)
-    key = f"{SHORT.name}/150"
-    assert found[f"{key}/without/folded_nm"] > 4 * found[f"{key}/with/folded_nm"]
-    assert found[f"{key}/with/chi2_nu"] < found[f"{key}/without/chi2_nu"]
-
-
-def numbers(sample: LowWindSample, left_nm: float) -> dict[str, float]:
-    return {
-        f"{recording.name}/{size:g}/{key}": value
-        for recording in sample.recordings
-        for size in sample.sizes_nm
-        for key, value in {
-            "introduced_nm": 150.0,
-            "without/pupil_nm": 99.0,
-            "without/folded_nm": 98.0,
-            "without/modes_nm": 97.0,
-            "without/chi2_nu": 9.0,
-            "with/pupil_nm": 700.0 if recording.band == NARROW else left_nm,
-            "with/folded_nm": left_nm,
-            "with/modes_nm": left_nm,
-            "with/chi2_nu": 0.5,
-        }.items()
-    }
+    without, with_petals, *_ = low_wind.rows(STAR)
+    assert without["folded_nm"] > 4 * with_petals["folded_nm"]
+    assert with_petals["chi2_nu"] < without["chi2_nu"]
 
 
 @pytest.mark.parametrize(("left_nm", "kept"), [(5.0, True), (12.0, False)])
-def test_one_band_is_asked_for_the_folded_wavefront_and_two_for_all_of_it(monkeypatch, left_nm, kept):
-    config = stage.Config(samples=2, sizes_nm=(0.0, 200.0))
-    output = run_stage(monkeypatch, stage, config, lambda sample: numbers(sample, left_nm))
-    assert [check.passed for check in output.checks] == [kept] * 6
-    rows = output.results.rows
-    assert len(rows) == 12
-    assert {row.pupil_nm.median for row in rows if row.model == "with"} == {700.0, left_nm}
-    figure, table = section_of(output, "low_wind", section).blocks
-    assert table.marks.count("good" if kept else "bad") == 6
+def test_the_worst_cube_with_petals_in_the_model_is_judged(monkeypatch, left_nm, kept):
+    def rows(star):
+        for recording in ("narrow H, 0.1 s", "J+H, 0.1 s"):
+            for model, judged_nm in (("without", 99.0), ("with", left_nm - star.seed[-1])):
+                names = (
+                    "largest_difference_nm",
+                    "introduced_nm",
+                    "pupil_nm",
+                    "folded_nm",
+                    "modes_nm",
+                    "chi2_nu",
+                )
+                of = {"recording": recording, "size_nm": 200.0, "model": model, "judged_nm": judged_nm}
+                yield of | dict.fromkeys(names, 7.0)
+
+    output = run_on(monkeypatch, low_wind, rows, samples=2)
+    assert (not missed(output)) is kept and len(output.checks) == 2
+    assert tables_of(output)["rows"].query("model == 'with'").worst_nm.tolist() == [left_nm] * 2
+    figure, table = section_of(output, "low_wind", low_wind.EXPERIMENT.section).blocks
+    assert list(table.marks) == ["", "good" if kept else "bad"] * 2
     assert "J+H" in figure.svg

@@ -1,12 +1,12 @@
 """Comparison of calibration methods on simulated cubes.
 
-Truth: the simulator, which shares no optics with the model; arithmetic for the floor; Monte Carlo for its
-noise.
+Truth: the simulator, which shares no optics with the model; arithmetic for the floor.
 """
 
 import numpy as np
 import pytest
 import torch
+from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
 
 from irlos_pipe.effects import SeeingHalo
 from irlos_pipe.estimate.cube import Frames
@@ -15,66 +15,50 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure_function import ResidualBand
+from irlos_pipe.paper import methods
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS, partial_halo, sharpest_half
-from irlos_pipe.paper.methods.experiment import Sample, compare, speckle_floor_nm
-from irlos_pipe.paper.methods.results import Distribution
+from irlos_pipe.paper.methods import METHODS, PARTS, speckle_floor_nm
 
 FACILITY = load_instrument("irlos").facility
 
 
-def cube(**changes) -> CubeSample:
-    return CubeSample(
-        **{
-            "name": "a",
-            "seed": (7, 0),
-            "facility": FACILITY,
-            "seeing_arcsec": 0.5,
-            "frames": 24,
-            "mag_j": 7.0,
-        }
-        | changes
-    )
+def star(*variants: str, dissected: bool = False):
+    of = {"shape": "power_law", "seeing_arcsec": 0.5, "dissected": dissected, "variants": variants}
+    return sample(methods, (7, 0), FACILITY, {"frames": 24, "fractions": (0.5,)}, **of)
 
 
 @pytest.fixture(scope="module")
-def numbers():
-    return compare(Sample(cube(), (DEFAULT, "lift_avg"), (0.5,)))
+def found():
+    return list(methods.rows(star(DEFAULT, "lift_avg", dissected=True)))
 
 
 @pytest.mark.slow
-def test_the_default_beats_the_mean_image_without_residual(numbers):
-    assert numbers[f"{DEFAULT}/modes_nm"] < 0.5 * numbers["lift_avg/modes_nm"]
+def test_the_default_beats_the_mean_image_and_all_leave_less_than_was_introduced(found):
+    default, lift, half = found
+    assert default["modes_nm"] < 0.5 * lift["modes_nm"]
+    for row in (default, lift):
+        assert row["modes_nm"] < row["pupil_nm"] < row["introduced_nm"]
+    assert 0 < half["modes_nm"] < default["introduced_nm"] and half["part"] == 0.5
 
 
 @pytest.mark.slow
-def test_estimates_leave_less_than_was_introduced(numbers):
-    assert all(numbers[f"{name}/pupil_nm"] < numbers["introduced_nm"] for name in (DEFAULT, "lift_avg"))
-
-
-@pytest.mark.slow
-def test_the_full_pupil_holds_what_the_modes_hold_and_more(numbers):
-    assert all(numbers[f"{name}/pupil_nm"] > numbers[f"{name}/modes_nm"] for name in (DEFAULT, "lift_avg"))
-
-
-@pytest.mark.slow
-def test_a_part_of_the_cube_is_compared_as_well(numbers):
-    assert 0 < numbers["fraction_0.5/modes_nm"] < numbers["introduced_nm"]
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_numbers_to_the_bit(numbers):
-    again = compare(Sample(cube(), (DEFAULT,)))
-    assert again[f"{DEFAULT}/modes_nm"] == numbers[f"{DEFAULT}/modes_nm"]
+def test_the_same_seed_gives_the_same_numbers_to_the_bit(found):
+    (again,) = methods.rows(star(DEFAULT))
+    assert again["modes_nm"] == found[0]["modes_nm"]
 
 
 def test_samples_of_one_index_share_their_ncpas_at_every_seeing():
-    assert cube().scene().ncpa_nm == cube(seeing_arcsec=1.0, shape="aliasing").scene().ncpa_nm
+    first, other = (
+        star().cube(seeing, 24, 7.0, shape) for seeing, shape in ((0.5, "power_law"), (1.0, "aliasing"))
+    )
+    assert first.ncpa_nm == other.ncpa_nm
 
 
 @pytest.mark.slow
 def test_introduced_ncpas_have_the_spread_of_the_paper():
-    totals = [np.linalg.norm(list(cube(seed=(1, k)).scene().ncpa_nm.values())) for k in range(400)]
+    cubes = [CubeSample("a", (1, k), FACILITY, 0.5, 24, 7.0).scene() for k in range(400)]
+    totals = [np.linalg.norm(list(cube.ncpa_nm.values())) for cube in cubes]
     assert np.mean(totals) == pytest.approx(142, abs=4 * 30 / 20)
     assert np.std(totals) == pytest.approx(30, rel=0.15)
 
@@ -83,23 +67,30 @@ def test_the_floor_is_the_part_of_the_error_that_more_frames_remove():
     # Mean squares 4 + 9 / part.
     errors = {part: [np.sqrt(4 + 9 / part)] * 5 for part in (0.25, 0.5, 1.0)}
     assert speckle_floor_nm(errors) == pytest.approx((3.0, 2.0))
+    assert speckle_floor_nm({0.5: [1.0], 1.0: [2.0]})[0] == 0.0  # never imaginary
 
 
-def test_the_floor_is_never_imaginary():
-    assert speckle_floor_nm({0.5: [1.0], 1.0: [2.0]})[0] == 0.0
+def test_conditions_methods_and_parts_stand_apart(monkeypatch):
+    def rows(one):
+        for name in one["variants"]:
+            error_nm = 2.0 if name == DEFAULT else 40.0
+            own = {"modes_nm": error_nm, "pupil_nm": 2 * error_nm, "chi2_nu": 1.0}
+            yield {"variant": name, "part": 1.0, "introduced_nm": 142.0, **own}
+        for part in one.sizes.fractions if one["dissected"] else ():
+            yield {"variant": DEFAULT, "part": part, "modes_nm": 2.0 / np.sqrt(part)}
 
-
-def test_a_distribution_quotes_the_normal_distributions_one_sigma():
-    values = np.random.default_rng(3).normal(50.0, 5.0, 40_000)
-    found = Distribution.of(values)
-    assert (found.p16_nm, found.median_nm, found.p84_nm) == pytest.approx((45, 50, 55), abs=0.2)
-
-
-def test_the_range_of_a_median_is_that_of_its_standard_error():
-    """Truth: the median of n normal values scatters by 1.2533 σ/√n; 90 % lie within ±1.645 of that."""
-    found = Distribution.of(np.random.default_rng(3).normal(50.0, 5.0, 400))
-    assert found.low_nm < found.median_nm < found.high_nm
-    assert found.high_nm - found.low_nm == pytest.approx(2 * 1.645 * 1.2533 * 5 / 20, rel=0.3)
+    output = run_on(
+        monkeypatch, methods, rows, samples=3, samples_of_parts=2, samples_of_shapes=1, samples_between=1
+    )
+    found = tables_of(output)
+    conditions = found["conditions"]
+    assert conditions.samples.tolist() == [3, 3, 1, 1] + [1] * 6
+    assert conditions.speckle_floor_nm[:2].tolist() == pytest.approx([2.0, 2.0]) and not missed(output)[2:]
+    assert conditions.ratio_to_dip_global.tolist() == [0.05] * 10
+    assert set(found["methods"].variant) == set(METHODS) and set(found["parts"].variant) == set(PARTS)
+    assert found["parts"].samples.tolist() == [2] * 2 * len(PARTS)
+    _, _, table, shapes, _ = section_of(output, "methods", methods.EXPERIMENT.section).blocks
+    assert table.rows[1][:2] == ["DIP global", "40.0 (40.0…40.0) (40.0–40.0)"] and len(shapes.rows) == 10
 
 
 def test_the_sharpest_half_is_the_half_with_less_blur():

@@ -1,69 +1,111 @@
-"""Experiments on the strength and the number of the modes. Truth: the simulator, and what it introduced."""
+"""Experiments on the strength and the number of the modes. Truth: the simulator, and what was made up."""
 
 import numpy as np
 import pytest
+from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
 
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.paper.common.cube import CubeSample
-from irlos_pipe.paper.mode_number.experiment import NumberSample, errors_by_number
-from irlos_pipe.paper.mode_statistics.experiment import (
-    INTRODUCED,
-    StatisticsSample,
-    beyond_nm,
-    estimate_modes,
-)
+from irlos_pipe.paper import mode_number, mode_statistics
+from irlos_pipe.paper.common.variants import frames_per_method
+from irlos_pipe.paper.mode_statistics import INTRODUCED, beyond_nm
 
-CUBE = CubeSample("a", (3, 0), load_instrument("irlos").facility, 0.5, 32, 7.0)
+FACILITY = load_instrument("irlos").facility
+NOLLS = np.arange(2, 62)
+ERROR_NM = {"long_exposure": 1.0, "dip_global": 20.0}
+
+
+@pytest.mark.slow
+def test_fifty_modes_are_introduced_and_the_default_hardly_sees_others():
+    sizes = {"frames": 32, "published_frames": 2, "highest_noll": 61}
+    default, published = mode_statistics.rows(sample(mode_statistics, (3, 0), FACILITY, sizes))
+    assert np.all((default["introduced_nm"] != 0) == (NOLLS <= INTRODUCED))
+    found, other = (beyond_nm(NOLLS, np.abs(row["zernike_nm"])) for row in (default, published))
+    assert found < min(3, 0.5 * other)
+
+
+def test_the_rms_beyond_counts_modes_not_introduced_only():
+    assert beyond_nm(NOLLS, np.where(NOLLS > INTRODUCED, 3.0, 100.0)) == pytest.approx(3.0)
+
+
+def test_the_published_method_gets_the_first_frames_only():
+    assert frames_per_method(200, 20) == {"long_exposure": 200, "dip_global": 20}
+    assert frames_per_method(50, 100) == {"long_exposure": 50, "dip_global": 50}
+
+
+def drawn_modes(star):
+    """Modes of the law, fifty of them introduced, with noise."""
+    rng, nolls = np.random.default_rng(star.seed), np.arange(2, star.sizes.highest_noll + 1)
+    law = 60 * np.exp(-0.15 * (nolls - 2)) + 8
+    introduced = np.where(nolls <= 51, law * rng.normal(size=len(nolls)), 0.0)
+    for method, error in ERROR_NM.items():
+        noise = error * rng.normal(size=len(nolls))
+        own = {"sigma_nm": np.full(len(nolls), error), "error_nm": np.linalg.norm(noise[2:]), "chi2_nu": 1.0}
+        yield {"method": method, "introduced_nm": introduced, "zernike_nm": introduced + noise, **own}
 
 
 @pytest.fixture(scope="module")
 def statistics():
-    return estimate_modes(StatisticsSample(CUBE, 61, {"long_exposure": 32, "dip_global": 2}))
+    with pytest.MonkeyPatch.context() as patch:
+        return run_on(patch, mode_statistics, drawn_modes, cubes=40)
 
 
-@pytest.fixture(scope="module")
-def numbers():
-    magnitudes = {"long_exposure": (7.0,), "lift_avg": (7.0, 16.0)}
-    frames = {"long_exposure": 32, "lift_avg": 32}
-    return errors_by_number(NumberSample(CUBE, (31, 51), magnitudes, frames))
+def test_the_law_of_the_introduced_modes_is_found_and_noise_makes_a_plateau(statistics):
+    laws = tables_of(statistics)["laws"].set_index(["modes", "name"])
+    law = laws.loc[("Noll 4–51", "introduced")]
+    assert abs(law.A_nm - 60) < 3 * law.A_sigma_nm
+    assert abs(law.B - 0.15) < 3 * law.B_sigma
+    assert abs(law.C_nm - 8) < 3 * law.C_sigma_nm
+    assert laws.C_nm[("all from Noll 4 on", "dip_global")] == pytest.approx(np.hypot(20, 5), rel=0.15)
 
 
-@pytest.mark.slow
-def test_fifty_modes_are_introduced_and_the_rest_is_zero(statistics):
-    nolls = np.arange(2, 62)
-    assert np.all(statistics["introduced_nm"][nolls <= INTRODUCED] != 0)
-    assert np.all(statistics["introduced_nm"][nolls > INTRODUCED] == 0)
-
-
-@pytest.mark.slow
-def test_the_default_hardly_sees_modes_that_are_not_there(statistics):
-    nolls = np.arange(2, 62)
-    found = {
-        name: beyond_nm(nolls, np.abs(statistics[f"{name}/zernike_nm"]))
-        for name in ("long_exposure", "dip_global")
-    }
-    assert found["long_exposure"] < 3
-    assert found["dip_global"] > 2 * found["long_exposure"]
-
-
-def test_the_rms_beyond_counts_modes_not_introduced_only():
-    nolls = np.arange(2, 62)
-    assert beyond_nm(nolls, np.where(nolls > INTRODUCED, 3.0, 100.0)) == pytest.approx(3.0)
+def test_modes_beyond_are_the_error_of_the_estimate(statistics):
+    methods = tables_of(statistics)["methods"].set_index("name")
+    assert methods.beyond_nm["introduced"] == 0
+    for method, error in ERROR_NM.items():
+        assert methods.beyond_nm[method] == pytest.approx(error, rel=0.05)
+        assert methods.error_nm[method] == pytest.approx(error * 98**0.5, rel=0.05)
+    figure, beyond, laws = section_of(
+        statistics, "mode_statistics", mode_statistics.EXPERIMENT.section
+    ).blocks
+    assert (figure.title, len(beyond.rows), len(laws.rows)) == ("Strength of the modes", 3, 5)
 
 
 @pytest.mark.long
-def test_the_introduced_number_beats_fewer(numbers):
-    few, right = numbers["long_exposure/error_nm"][0]
-    assert right < 0.5 * few
+def test_the_introduced_number_beats_fewer_and_unseen_frames_recommend_it():
+    sizes = {"frames": 32, "published_frames": 2, "numbers": (31, 51), "magnitudes": (7.0, 16.0)}
+    rows = list(mode_number.rows(sample(mode_number, (3, 0), FACILITY, sizes, read=None)))
+    error_nm = {(row["method"], row["mag_j"], row["highest_noll"]): row.get("error_nm") for row in rows}
+    assert error_nm["long_exposure", 7.0, 51] < 0.5 * error_nm["long_exposure", 7.0, 31]
+    assert error_nm["lift_avg", 16.0, 51] > error_nm["lift_avg", 7.0, 51]
+    few, right = (row for row in rows if row["method"] == mode_number.HELD_OUT)
+    assert right["recommended_noll"] == 51 and few["held_out_chi2_nu"] > right["held_out_chi2_nu"]
 
 
-@pytest.mark.long
-def test_lift_errs_more_on_a_faint_star(numbers):
-    bright, faint = numbers["lift_avg/error_nm"]
-    assert faint[1] > bright[1]
+def made_errors(star):
+    """Errors that are least at 51 for the bright star and at 21 for the others."""
+    for method, magnitudes in mode_number.magnitudes_of(star.sizes).items():
+        for mag_j in magnitudes:
+            for noll in star.sizes.numbers:
+                error_nm = 2.0 + abs(noll - (51 if mag_j == magnitudes[0] else 21))
+                yield {"method": method, "mag_j": mag_j, "highest_noll": noll, "error_nm": error_nm}
+    for noll in star.sizes.numbers:
+        found = {"held_out_chi2_nu": 1.0 + abs(noll - 51), "recommended_noll": 51}
+        yield {"method": mode_number.HELD_OUT, "mag_j": 7.0, "highest_noll": noll, **found}
 
 
-@pytest.mark.long
-def test_unseen_frames_recommend_no_fewer_than_the_introduced_modes(numbers):
-    assert numbers["recommended_noll"] == 51
-    assert numbers["held_out"][0] > numbers["held_out"][1]
+def test_the_best_number_is_found_for_every_method_and_magnitude(monkeypatch):
+    output = run_on(monkeypatch, mode_number, made_errors, cubes=2)
+    assert not missed(output)
+    curves = tables_of(output)["curves"]
+    best = curves.loc[curves.groupby(["method", "mag_j"]).median_nm.idxmin()]
+    assert best.query("method == 'lift_avg'").highest_noll.tolist() == [51, 21, 21, 21]
+    assert best.query("method == 'dip_global'").mag_j.tolist() == [7.0]
+    *figures, _, cubes = section_of(output, "mode_number", mode_number.EXPERIMENT.section).blocks
+    assert [figure.title for figure in figures] == ["Calibration", "LIFT avg."]
+    assert cubes.rows == [["cube 0", "Noll 2–51"], ["cube 1", "Noll 2–51"]]
+
+
+@pytest.mark.parametrize("numbers", [(21, 11), (3, 11), (11, 300), (11, 11)])
+def test_numbers_of_modes_rise(numbers):
+    with pytest.raises(ValueError, match="rising numbers"):
+        mode_number.Sizes(numbers=numbers)

@@ -1,4 +1,4 @@
-"""The tables of docs/results.md come from the committed numbers; expected Markdown is written by hand."""
+"""The tables of docs/results.md. Truth: pages and tables written by hand, and the recipes."""
 
 import json
 import subprocess
@@ -10,244 +10,147 @@ from helpers.paths import REPOSITORY
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
+from irlos_pipe.paper.common.table import csv_text, read_csv, read_tables
+from irlos_pipe.paper.run.collect import CHECKS, RUNS
 from irlos_pipe.paper.run.recipes import find_experiments
 from irlos_pipe.paper.run.results_page import (
+    NUMBERS,
     PAGE,
-    RESULTS,
-    read_layouts,
-    rendered,
     renewed,
+    table_of_checks,
+    table_of_states,
     take,
     with_tables,
 )
-from irlos_pipe.paper.run.states import states_of
-from irlos_pipe.paper.run.tables import TableLayout, cell, find, render_table
+from irlos_pipe.stages import EXPERIMENTS, STAGES
 
-EXPERIMENTS = {
-    "methods": {
-        "seed": 5,
-        "checks": {},
-        "sizes": {"methods": {"samples": 20}},
-        "results": {
-            "methods": {
-                "conditions": [
-                    {"seeing_arcsec": 0.35, "shape": "a", "median_nm": {"dip": 41.26, "own": 2.0}},
-                    {"seeing_arcsec": 1.0, "shape": "a", "median_nm": {"dip": 60.0, "own": None}},
-                    {"seeing_arcsec": 1.0, "shape": "b", "median_nm": {"dip": 70.0, "own": 3.0}},
-                ]
-            }
-        },
-    }
-}
-ROWS = TableLayout(
-    **{
-        "from": "methods/results/methods/conditions",
-        "columns": ["method", "0.35", "1.0"],
-        "rows": [
-            ["DIP", "{0/median_nm/dip:.1f}", "{1/median_nm/dip:.0f}"],
-            ["own", "**{0/median_nm/own:.1f}**", "{1/median_nm/own:.1f}"],
-        ],
-    }
-)
+COMMITTED = REPOSITORY / NUMBERS
 
 
-def layout(**changes) -> TableLayout:
-    return TableLayout(**{"columns": ["a"], **changes})
+def test_only_the_tables_of_a_page_are_replaced():
+    text = "a\n<!-- paper:one -->\nold\n<!-- /paper -->\nb\n"
+    assert with_tables(text, {"one": "| new |"}) == "a\n<!-- paper:one -->\n| new |\n<!-- /paper -->\nb\n"
+    with pytest.raises(ConfigurationError, match="<!-- paper:one -->: no such table; did you mean 'ones'"):
+        with_tables(text, {"ones": ""})
+    with pytest.raises(ConfigurationError, match="table 'two': no <!-- paper:two --> in the text"):
+        with_tables(text, {"one": "", "two": ""})
 
 
-def test_rows_show_numbers_in_their_format_and_null_as_a_dash():
-    assert render_table(ROWS, EXPERIMENTS) == (
-        "| method | 0.35 | 1.0 |\n| --- | ---: | ---: |\n| DIP | 41.3 | 60 |\n| own | **2.0** | – |"
-    )
-
-
-def test_a_list_gives_a_row_for_each_member_and_a_note_stands_below():
-    table = layout(
-        **{
-            "from": "methods",
-            "columns": ["seeing", "DIP"],
-            "each": "results/methods/conditions",
-            "row": ['{seeing_arcsec:.2f}"', "{median_nm/dip:.0f} nm"],
-            "note": "{sizes/methods/samples} cubes, seed {seed}.",
-        }
-    )
-    assert render_table(table, EXPERIMENTS).splitlines() == [
-        "| seeing | DIP |",
-        "| --- | ---: |",
-        '| 0.35" | 41 nm |',
-        '| 1.00" | 60 nm |',
-        '| 1.00" | 70 nm |',
-        "",
-        "20 cubes, seed 5.",
+def test_the_table_counts_the_checks_and_tells_those_that_were_missed():
+    limits = [
+        ("slope", "1.0", "", "0.97", "1.03"),
+        ("error", "4.56", "nm", "", "4"),
+        ("limit", "", "mag", "0", ""),
+    ]
+    names = ("name", "value", "unit", "low", "high")
+    rows = [{"experiment": "ramp", "message": "", **dict(zip(names, one, strict=True))} for one in limits]
+    assert table_of_checks(rows).splitlines()[2:] == [
+        "| `ramp` | 1 of 3 | error: 4.56 nm (≤ 4)<br>limit: nan mag (≥ 0) |"
     ]
 
 
-def test_a_member_is_found_by_its_values():
-    conditions = find(EXPERIMENTS, "methods/results/methods/conditions")
-    assert find(conditions, "seeing_arcsec=1.0") is conditions[1]
-    assert find(conditions, "seeing_arcsec=1.0,shape=b") is conditions[2]
-    assert cell("{shape=b/median_nm/dip:g}", conditions) == "70"
+def runs(day: str = "2026-11-22", quick: bool = False, **code: str) -> list[dict[str, str]]:
+    """Runs of the stages given, each with its state of the code."""
+    rest = {"quick": str(quick), "finished": f"{day}T03:00:00+00:00"}
+    return [{"experiment": name, "stage": name, "code": state, **rest} for name, state in code.items()]
 
 
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        (layout(rows=[["{method/seed}"]]), "no 'method' on the path 'method/seed'; there is methods"),
-        (layout(rows=[["{methods/results/methods/conditions/7}"]]), "no '7' .*; there is a list of 3"),
-        (layout(rows=[["{methods/results/methods/conditions/shape=c}"]]), "no 'shape=c' .* a list of 3"),
-        (layout(rows=[["{methods/seed/x}"]]), "no 'x' .*; there is 5"),
-        (layout(rows=[["1", "2"]]), "a row has 2 cells for 1 columns: 1, 2"),
-    ],
-)
-def test_a_layout_that_does_not_fit_says_why(table, message):
-    with pytest.raises(ConfigurationError, match=message):
-        render_table(table, EXPERIMENTS)
+ALL = dict.fromkeys(EXPERIMENTS, "1.0")
 
 
-def test_only_what_stands_between_the_marks_is_replaced():
-    text = (
-        "before\n<!-- paper:one -->\nold\nolder\n<!-- /paper -->\nafter\n"
-        "<!-- paper:two -->\n<!-- /paper -->\n"
+def numbers(folder: Path, found: list[dict[str, str]]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / RUNS).write_text(csv_text(found))
+    (folder / CHECKS).write_text(
+        csv_text([{"experiment": run["experiment"], "name": run["code"]} for run in found])
     )
-    tables = {"one": layout(rows=[["1"]]), "two": layout(rows=[["{methods/seed}"]])}
-    new = with_tables(text, rendered(tables, EXPERIMENTS))
-    assert new == (
-        "before\n<!-- paper:one -->\n| a |\n| --- |\n| 1 |\n<!-- /paper -->\nafter\n"
-        "<!-- paper:two -->\n| a |\n| --- |\n| 5 |\n<!-- /paper -->\n"
-    )
-    assert with_tables(new, rendered(tables, EXPERIMENTS)) == new
+    for run in found:
+        (folder / f"{run['experiment']}.csv").write_text(run["code"])
+    return folder
 
 
-@pytest.mark.parametrize(
-    ("text", "rows", "message"),
-    [
-        (
-            "<!-- paper:onne -->\n<!-- /paper -->",
-            [],
-            "<!-- paper:onne -->: no such table; did you mean 'one'",
-        ),
-        ("no mark", [], "table 'one': no <!-- paper:one --> in the text"),
-        ("<!-- paper:one -->\n<!-- /paper -->", [["{x}"]], "table 'one': no 'x' on the path 'x'"),
-    ],
-)
-def test_a_mark_without_table_or_a_table_without_mark_is_an_error(text, rows, message):
-    with pytest.raises(ConfigurationError, match=message):
-        with_tables(text, rendered({"one": layout(rows=rows)}, EXPERIMENTS))
-
-
-def test_a_mistake_in_the_layout_is_reported_with_its_line(tmp_path):
-    path = tmp_path / "tables.yaml"
-    path.write_text("one:\n  columns: [a]\n  rowws: []\n")
-    with pytest.raises(ConfigurationError, match=r"tables\.yaml:3: unknown key 'one\.rowws'; did you mean"):
-        read_layouts(path)
-
-
-def make_tree(root: Path, rows: str) -> None:
-    (root / "docs").mkdir()
-    blocks = "\n".join(f"<!-- paper:{name} -->\n<!-- /paper -->" for name in ("one", "code", "checks"))
-    (root / PAGE).write_text(f"# x\n{blocks}\n")
-    (root / RESULTS).write_text(json.dumps(results(methods="1.0")))
-    (root / "docs/paper_tables.yaml").write_text(f"one: {{columns: [a], rows: {rows}}}\n")
-
-
-def results(*, day: str = "2026-11-22", missing=(), quick: bool = False, **code: str) -> dict:
-    """Content of paper_results.json whose experiments were computed with the `code` given for each."""
-    runs = {
-        name: {"stage": {"software": {"irlos_pipe": state}, "finished": f"{day}T03:00:00+00:00"}}
-        for name, state in code.items()
-    }
-    experiments = dict.fromkeys(code, EXPERIMENTS["methods"])
-    return {"quick": quick, "missing": list(missing), "experiments": experiments, "runs": runs}
-
-
-def renew(root: Path, *options: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", "irlos_pipe.paper.run.results_page", str(root), *options],
-        capture_output=True,
-        text=True,
-        cwd=REPOSITORY,
-    )
-
-
-@pytest.mark.slow
-def test_the_command_renews_the_page_of_a_source_tree(tmp_path):
-    make_tree(tmp_path, "[['{methods/seed}']]")
-    assert renew(tmp_path).stdout.endswith("docs/results.md: renewed\n")
-    assert "| 5 |" in (tmp_path / PAGE).read_text()
-    assert "| 1.0 | 2026-11-22 | `methods` |" in (tmp_path / PAGE).read_text()
-    assert renew(tmp_path).stdout.endswith("docs/results.md: unchanged\n")
-
-
-def test_the_command_reports_a_mistake_in_one_line(tmp_path):
-    make_tree(tmp_path, "[['{seed}']]")
-    result = renew(tmp_path)
-    assert result.returncode == 1
-    assert result.stderr == "irlos: error: table 'one': no 'seed' on the path 'seed'; there is methods\n"
-
-
-# -- states of the code ------------------------------------------------------------------------------
-
-
-def written(tmp_path: Path, content: dict) -> Path:
-    path = tmp_path / "paper_results.json"
-    path.write_text(json.dumps(content))
-    return path
-
-
-def test_experiments_are_told_by_their_code():
-    content = results(methods="1.0", faint="1.1", capture="1.0")
-    assert states_of(content) == {"1.0": ["methods", "capture"], "1.1": ["faint"]}
+def test_states_of_the_code_are_told():
+    rows = table_of_states(runs(methods="1.0", faint="1.1", capture="1.0")).splitlines()[2:]
+    assert rows == ["| 1.0 | 2026-11-22 | `methods`, `capture` |", "| 1.1 | 2026-11-22 | `faint` |"]
 
 
 def test_a_run_of_one_state_of_the_code_is_taken_and_one_of_two_is_not(tmp_path):
-    make_tree(tmp_path, "[['1']]")
-    take(tmp_path, written(tmp_path, results(methods="1.1", faint="1.1")), others_stay=False)
-    assert [*json.loads((tmp_path / RESULTS).read_text())["experiments"]] == ["methods", "faint"]
-    with pytest.raises(ConfigurationError, match=r"2 states of the code \(1\.1: methods; 1\.2: faint\)"):
-        take(tmp_path, written(tmp_path, results(methods="1.1", faint="1.2")), others_stay=False)
+    root = numbers(tmp_path / NUMBERS, runs(**ALL)).parents[1]
+    take(root, numbers(tmp_path / "new", runs(**{**ALL, **dict.fromkeys(ALL, "1.1")})), others_stay=False)
+    assert {run["code"] for run in read_csv(root / NUMBERS / RUNS)} == {"1.1"}
+    assert (root / NUMBERS / "faint.csv").read_text() == "1.1"
+    with pytest.raises(ConfigurationError, match=r"2 states of the code \(1\.0: .*; 1\.2: faint\)"):
+        take(root, numbers(tmp_path / "two", runs(**{**ALL, "faint": "1.2"})), others_stay=False)
 
 
-def test_beside_others_only_its_own_experiments_are_replaced_and_the_page_tells_the_states(tmp_path):
-    make_tree(tmp_path, "[['1']]")
-    (tmp_path / RESULTS).write_text(json.dumps(results(methods="1.0", faint="1.0")))
-    new = written(tmp_path, results(day="2026-11-24", faint="1.2", missing=["methods"]))
-    take(tmp_path, new, others_stay=True)
-    assert states_of(json.loads((tmp_path / RESULTS).read_text())) == {"1.0": ["methods"], "1.2": ["faint"]}
-    assert "| 1.2 | 2026-11-24 | `faint` |" in renewed(tmp_path)
+def test_beside_others_only_its_own_experiments_are_replaced(tmp_path):
+    root = numbers(tmp_path / NUMBERS, runs(**ALL)).parents[1]
+    take(root, numbers(tmp_path / "new", runs(day="2026-11-24", faint="1.2")), others_stay=True)
+    found = read_csv(root / NUMBERS / RUNS)
+    assert [run["stage"] for run in found] == list(EXPERIMENTS)
+    assert {run["stage"]: run["code"] for run in found if run["code"] != "1.0"} == {"faint": "1.2"}
+    assert [check["name"] for check in read_csv(root / NUMBERS / CHECKS)].count("1.2") == 1
 
 
 @pytest.mark.parametrize(
-    ("content", "others_stay", "message"),
+    ("found", "others_stay", "message"),
     [
-        (results(methods="1.0", missing=["faint"]), False, "has no faint"),
-        (results(methods="1.0", quick=True), False, "has small samples"),
-        (results(methods="1.0", quick=True), True, "has small samples"),
+        (runs(methods="1.0"), False, "has no capture, "),
+        (runs(quick=True, **ALL), False, "has small samples"),
+        (runs(quick=True, faint="1.0"), True, "has small samples"),
     ],
 )
-def test_a_run_that_lacks_experiments_or_is_a_quick_look_is_not_taken(
-    tmp_path, content, others_stay, message
-):
-    make_tree(tmp_path, "[['1']]")
+def test_a_run_that_lacks_experiments_or_is_a_quick_look_is_not_taken(tmp_path, found, others_stay, message):
+    root = numbers(tmp_path / NUMBERS, runs(**ALL)).parents[1]
     with pytest.raises(ConfigurationError, match=message):
-        take(tmp_path, written(tmp_path, content), others_stay)
+        take(root, numbers(tmp_path / "new", found), others_stay)
 
 
-@pytest.fixture
-def committed() -> dict:
-    """Numbers that stand in the source tree."""
-    if not (REPOSITORY / RESULTS).is_file():
-        pytest.skip("docs/paper_results.json is not there: make paper, make paper-tables")
-    return json.loads((REPOSITORY / RESULTS).read_text(encoding="utf-8"))
+@pytest.mark.slow
+def test_the_command_renews_the_page_of_a_source_tree_and_reports_a_mistake_in_one_line(tmp_path):
+    def renew() -> subprocess.CompletedProcess:
+        command = [sys.executable, "-m", "irlos_pipe.paper.run.results_page", str(tmp_path)]
+        return subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY)
+
+    (tmp_path / "docs").mkdir()
+    (tmp_path / NUMBERS).symlink_to(COMMITTED)
+    text = (REPOSITORY / PAGE).read_text(encoding="utf-8")
+    (tmp_path / PAGE).write_text(text.replace("| `low_wind` | 12 of 12 |", "| old |"), encoding="utf-8")
+    assert renew().stdout.endswith("docs/results.md: renewed\n")
+    assert (tmp_path / PAGE).read_text(encoding="utf-8") == text
+    (tmp_path / PAGE).write_text(text.replace("paper:exposures", "paper:exposure"), encoding="utf-8")
+    failed = renew()
+    assert failed.returncode == 1 and failed.stderr.startswith("irlos: error: ")
+    assert len(failed.stderr.splitlines()) == 1
 
 
-def test_the_committed_numbers_are_those_of_the_full_recipes_as_they_are_now(committed):
-    assert (committed["schema"], committed["quick"], committed["missing"]) == ("irlos-paper", False, [])
+# -- the committed numbers ---------------------------------------------------------------------------
+
+
+def test_the_committed_numbers_are_those_of_the_full_recipes_as_they_are_now():
+    found = read_csv(COMMITTED / RUNS)
     known = find_experiments(REPOSITORY / "recipes/paper")
-    assert list(committed["experiments"]) == [one.name for one in known]
-    for one in known:
-        found = committed["experiments"][one.name]
-        assert (found["seed"], found["sizes"]) == (one.recipe.seed, jsonable(one.recipe.configs))
+    assert [run["experiment"] for run in found] == [one.name for one in known]
+    for run, one in zip(found, known, strict=True):
+        sizes = jsonable(one.recipe.configs[run["stage"]])
+        assert (run["quick"], int(run["seed"]), json.loads(run["sizes"])) == ("False", one.recipe.seed, sizes)
 
 
-def test_the_page_agrees_with_the_committed_numbers(committed):
+def test_the_page_agrees_with_the_committed_numbers():
     assert (REPOSITORY / PAGE).read_text(encoding="utf-8") == renewed(REPOSITORY), "run: make paper-tables"
+
+
+@pytest.mark.parametrize("run", read_csv(COMMITTED / RUNS), ids=lambda run: run["stage"])
+def test_the_committed_checks_are_those_of_the_numbers_and_listings_name_their_columns(run):
+    experiment, tables = STAGES[run["stage"]], read_tables(COMMITTED / f"{run['experiment']}.csv")
+    stored = [row for row in read_csv(COMMITTED / CHECKS) if row["experiment"] == run["experiment"]]
+    found = experiment.checks(tables)
+    assert [check.name for check in found] == [row["name"] for row in stored]
+    assert [check.value for check in found] == pytest.approx(
+        [float(row["value"]) for row in stored], rel=1e-12
+    )
+    for listing in experiment.listings:
+        patterns = [*listing.cells.values(), *listing.across, *listing.across.values(), listing.caption]
+        names = {part.split(":")[0].split("}")[0] for text in patterns for part in text.split("{")[1:]}
+        assert names <= set(tables[listing.of].columns)
+        assert listing.table(tables).rows

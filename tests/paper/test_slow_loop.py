@@ -6,26 +6,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import optics_cases as cases
-from helpers.experiment_stage import run_stage, section_of
+from helpers.experiment_stage import run_on, sample, section_of, tables_of
 
 from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.linear_theory import Integrator, best_gain
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.paper import slow_loop
 from irlos_pipe.paper.common.broad_band import in_four_images, star_scene
+from irlos_pipe.paper.common.focus_loop import (
+    TWO_BY_TWO,
+    FrameTable,
+    Loop,
+    close_loops,
+    frame_table,
+    outcome_of,
+    sensor_of,
+    two_by_two_sensors,
+)
 from irlos_pipe.paper.common.reads import Read, sky_e_per_s
-from irlos_pipe.paper.slow_loop import stage
-from irlos_pipe.paper.slow_loop.experiment import Conditions, LoopSample, noise_law, run_loops
-from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
-from irlos_pipe.paper.slow_loop.loops import Loop, close_loops
-from irlos_pipe.paper.slow_loop.outcome import outcome_of, sensor_of
-from irlos_pipe.paper.slow_loop.section import section as slow_loop_section
-from irlos_pipe.paper.slow_loop.two_by_two import TWO_BY_TWO, two_by_two_sensors, with_their_zero
+from irlos_pipe.paper.slow_loop import noise_law
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Sampling
 
 LAYER = SodiumLayer(1.95, 23.0, 89.4e3)
 DRIFT = LAYER.drift(8.0)
-CONDITIONS = Conditions(cases.FACILITY, DRIFT, 1, 0.5, 200)
+RECORDS = ("residual_nm", "measured_nm", "true_nm", "due")
 WALK = Drift(2.0, 5.0)  # a random walk of 5 nm per root second
 
 
@@ -211,10 +216,10 @@ def test_the_loop_leaves_what_theory_predicts_of_a_real_drift():
     frames, sub = 3000, 10
     drift = DRIFT.draw_nm(np.random.default_rng(4), frames * sub, 1 / sub).reshape(frames, sub).mean(1)
     record = closed([Loop("one", 12.0, 0.4)], drift, PerfectSensor())
-    outcome = outcome_of(*(v[None] for v in vars(record).values()), DRIFT, 30)
-    assert outcome.residual_nm == pytest.approx(Integrator(0.4).residual_nm(DRIFT, 0.0), rel=0.06)
-    assert outcome.slope == pytest.approx(1, abs=1e-3)
-    assert Integrator(0.4).gain_margin(outcome.slope) == pytest.approx(2.5, rel=2e-3)
+    outcome = outcome_of(*(getattr(record, name)[None] for name in RECORDS), DRIFT, 30)
+    assert outcome["residual_nm"] == pytest.approx(Integrator(0.4).residual_nm(DRIFT, 0.0), rel=0.06)
+    assert outcome["slope"] == pytest.approx(1, abs=1e-3)
+    assert Integrator(0.4).gain_margin(outcome["slope"]) == pytest.approx(2.5, rel=2e-3)
 
 
 def test_the_sensor_s_slope_and_noise_are_found_whatever_the_offset_of_each_sky():
@@ -250,14 +255,26 @@ def test_the_table_holds_the_defocus_of_the_sky():
 LOOPS = (Loop("uncalibrated", 12.0, 0.4), Loop("uncalibrated", 25.0, 0.1), Loop("uncalibrated", 12.0, 0.4, 2))
 
 
+def run(loops, frames, facility=cases.FACILITY) -> list[dict]:
+    star = sample(slow_loop, (3, 1), facility, {"frames": frames}, loops=loops, drift=DRIFT, read=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(slow_loop, "REACH_NM", 120.0)
+        patch.setattr(slow_loop, "NODES", 6)
+        return list(slow_loop.rows(star))
+
+
+def sky(facility=cases.FACILITY, read=None):
+    return sample(slow_loop, facility=facility, read=read)
+
+
 @pytest.fixture(scope="module")
 def found():
-    return run_loops(LoopSample("test", (3, 1), CONDITIONS, ("uncalibrated",), LOOPS, 10, 1, 120.0, 6))
+    return run(LOOPS, 10)
 
 
 @pytest.mark.slow
 def test_lift_measures_what_the_loop_leaves(found):
-    error = (found["measured_nm"] - found["true_nm"])[0, 0]
+    error = (found[0]["measured_nm"] - found[0]["true_nm"])[0]
     assert (
         np.abs(error - np.median(error)).max() < 25
     )  # the sky's own defocus; the NCPAs' bias is in the median
@@ -266,20 +283,20 @@ def test_lift_measures_what_the_loop_leaves(found):
 @pytest.mark.slow
 def test_the_residual_is_the_drift_less_the_measurements_so_far(found):
     """Drift less the sum of gain times measurement, one frame late."""
-    measured = np.nan_to_num(found["measured_nm"][0, 0])
+    measured = np.nan_to_num(found[0]["measured_nm"][0])
     command = 0.4 * np.concatenate([[0, 0], np.cumsum(measured)[:-2]])
-    assert found["residual_nm"][0, 0] == pytest.approx(found["drift_nm"][0] - command)
+    assert found[0]["residual_nm"][0] == pytest.approx(found[0]["drift_nm"][0] - command)
 
 
 @pytest.mark.slow
 def test_a_star_too_faint_to_measure_loses_measurements(found):
-    assert np.isnan(found["measured_nm"][0, 1]).mean() > 0.5
-    assert np.isfinite(found["measured_nm"][0, 0]).all()
+    assert np.isnan(found[1]["measured_nm"][0]).mean() > 0.5
+    assert np.isfinite(found[0]["measured_nm"][0]).all()
 
 
 @pytest.mark.slow
 def test_the_bound_follows_photons(found):
-    bright, faint, longer = found["bound_nm"]
+    bright, faint, longer = (row["bound_nm"] for row in found)
     assert longer == pytest.approx(bright / np.sqrt(2), rel=0.01)
     assert faint > 400 * bright  # 13 magnitudes are a factor 398 while photons rule, more with read noise
 
@@ -291,7 +308,7 @@ def test_with_all_reads_the_bound_is_that_of_a_noisier_detector_under_the_sky():
     dark_sky = replace(cases.FACILITY, sky_mag_per_arcsec2=())
     bright_sky = replace(cases.FACILITY, sky_mag_per_arcsec2=((1215, 16.5), (1625, 14.4)))
     law = {
-        name: noise_law(replace(CONDITIONS, facility=facility, read=one))(22.0, 1)
+        name: noise_law(sky(facility, one), "uncalibrated")(22.0, 1)
         for name, facility, one in (
             ("one read", dark_sky, None),
             ("noisier", dark_sky, Read(1.0, np.sqrt(200), 1.0, 0.0)),
@@ -305,22 +322,24 @@ def test_with_all_reads_the_bound_is_that_of_a_noisier_detector_under_the_sky():
 
 @pytest.mark.slow
 def test_the_expected_noise_is_near_the_bound_of_the_simulated_star(found):
-    noise = noise_law(CONDITIONS)
+    noise = noise_law(sky(), "uncalibrated")
     expected = np.sqrt(noise(25.0, 1) ** 2 - 5.0**2)
-    assert expected == pytest.approx(found["bound_nm"][1], rel=0.3)  # whose NCPAs change it a little
+    assert expected == pytest.approx(found[1]["bound_nm"], rel=0.3)  # whose NCPAs change it a little
 
 
 @pytest.mark.slow
-def test_stage_and_section_show_what_the_loops_left(found, monkeypatch):
+def test_tables_and_section_show_what_the_loops_left(found, monkeypatch):
     sizes = {"skies": 2, "settle": 4, "configurations": ("uncalibrated",), "half_rate": False}
-    stars = {"magnitudes": (12.0, 25.0), "scan_magnitudes": (12.0,), "scan_gains": (0.4,)}
-    output = run_stage(monkeypatch, stage, stage.Config(**sizes, **stars), lambda sample: found)
-    rows = output.results.loops
-    assert [(row.mag_j, row.runs) for row in rows] == [(12.0, 2), (25.0, 2), (12.0, 2)]
-    assert rows[0].gain_margin * rows[0].gain * rows[0].slope == pytest.approx(1)
-    section = section_of(output, "slow_loop", slow_loop_section)
-    table = section.blocks[-1]
-    assert table.title == "Uncalibrated" and [row[0] for row in table.rows] == ["12", "25"]
+    output = run_on(
+        monkeypatch, slow_loop, lambda one: found, **sizes, magnitudes=(12.0,), scan_magnitudes=()
+    )
+    rows = tables_of(output)["loops"]
+    assert [*zip(rows.mag_j, rows.exposures, rows.runs, strict=True)] == [(12, 1, 2), (25, 1, 2), (12, 2, 2)]
+    assert rows.gain_margin[0] * rows.gain[0] * rows.slope[0] == pytest.approx(1)
+    *_, table = section_of(output, "slow_loop", slow_loop.EXPERIMENT.section).blocks
+    assert [row[:3] for row in table.rows] == [
+        ["uncalibrated", *one] for one in (("12", "1"), ("25", "1"), ("12", "2"))
+    ]
 
 
 # -- the 2x2 mode ------------------------------------------------------------------------------------
@@ -353,7 +372,7 @@ def test_their_zero_is_that_of_the_star_without_defocus():
     table = frame_table(star, 120.0, 4)
     raw = two_by_two_sensors(star)
     noise, images_e = NoiseModel(1.0, 1.0), table.images_e(0, np.zeros(1))
-    for name, sensor in with_their_zero(raw, table).items():
+    for name, sensor in two_by_two_sensors(star, table).items():
         assert sensor.measure(images_e, noise) == pytest.approx(0.0, abs=0.5)
         assert abs(raw[name].measure(images_e, noise)[0]) > 10.0
 
@@ -383,18 +402,11 @@ def test_a_lenslet_has_its_quarter_of_the_sky():
 @pytest.mark.slow
 def test_loops_of_both_modes_run_on_one_drift_in_the_order_asked_for():
     """Of every loop: drift less the sum of gain times measurement, one frame late."""
-
-    def run(loops):
-        sensors = tuple(loop.sensor for loop in loops)
-        return run_loops(LoopSample("test", (3, 1), CONDITIONS, sensors, loops, 4, 1, 120.0, 4))
-
-    found = run(FOUR_LOOPS)
-    for loop, residual, measured in zip(
-        FOUR_LOOPS, found["residual_nm"][0], found["measured_nm"][0], strict=True
-    ):
-        command = loop.gain * np.concatenate([[0, 0], np.cumsum(measured)[:-2]])
-        assert residual == pytest.approx(found["drift_nm"][0] - command)
-    alone = run(FOUR_LOOPS[1:2])
+    found = sorted(run(FOUR_LOOPS, 10), key=lambda row: row["loop"])
+    for loop, row in zip(FOUR_LOOPS, found, strict=True):
+        command = loop.gain * np.concatenate([[0, 0], np.cumsum(row["measured_nm"][0])[:-2]])
+        assert row["residual_nm"][0] == pytest.approx(row["drift_nm"][0] - command)
+    (alone,) = run(FOUR_LOOPS[1:2], 10)
     for name in ("measured_nm", "residual_nm"):
-        assert found[name][0, 1] == pytest.approx(alone[name][0, 0])
-    assert found["photon_noise_nm"][2] > found["bound_nm"][2]
+        assert found[1][name] == pytest.approx(alone[name])
+    assert found[2]["photon_noise_nm"] > found[2]["bound_nm"]

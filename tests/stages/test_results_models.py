@@ -14,7 +14,11 @@ from irlos_pipe.stages.lift import stage as lift
 def models() -> dict[str, type[StageResults]]:
     """Return the results models of the package by the name of their stage."""
     assert [stage.NAME for stage in STAGES.values()] == list(STAGES)  # imports them all
-    own = (kind for kind in _derived(StageResults) if kind.__module__.startswith("irlos_pipe."))
+    own = (
+        kind
+        for kind in _derived(StageResults)
+        if kind.__module__.startswith("irlos_pipe.") and "stage" in vars(kind)
+    )
     return {kind.stage: kind for kind in own}
 
 

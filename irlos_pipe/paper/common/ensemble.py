@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -19,14 +20,18 @@ from irlos_pipe.files.json import canonical_json
 from irlos_pipe.files.processes import in_processes
 from irlos_pipe.stages.base import StageContext
 
-Arrays = dict[str, np.ndarray]
+Rows = list[dict[str, Any]]
+SCALARS = "rows"  # entry of a sample's file; the others are arrays, each by its row and its name
 LONGEST_NAME = 80
 
 
 def run_samples(
-    function: Callable[[Any], Mapping[str, Any]], samples: Sequence[Any], ctx: StageContext, desc: str
-) -> list[Arrays]:
-    """Return `function(sample)` for every sample, computed by `ctx.jobs` processes of one thread.
+    function: Callable[[Any], Iterable[Mapping[str, Any]]],
+    samples: Sequence[Any],
+    ctx: StageContext[Any],
+    desc: str,
+) -> list[Rows]:
+    """Return the rows `function(sample)` of every sample, computed by `ctx.jobs` processes of one thread.
 
     Every result is a file in `ctx.scratch` as soon as it is there, and is read from it when the
     same stage runs again after an interruption. Results are the same to the bit for any
@@ -35,7 +40,7 @@ def run_samples(
     Parameters
     ----------
     function : callable
-        Defined at the top level of a module; returns numbers, arrays or texts by name.
+        Defined at the top level of a module; returns or yields rows: numbers, arrays or texts by name.
     samples : sequence
         Frozen dataclasses or dicts of what JSON can hold, arrays included. An attribute or key
         ``name`` stands for the sample in messages. Equal samples are computed once.
@@ -46,7 +51,7 @@ def run_samples(
 
     Returns
     -------
-    list of dict of str to ndarray
+    list of list of dict
         In the order of `samples`.
 
     Raises
@@ -90,18 +95,29 @@ def _compute(
             report(1)
 
 
-def _work(function: Callable[[Any], Mapping[str, Any]], sample: Any, file: Path) -> None:
-    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in function(sample).items()}
-    for name, array in arrays.items():
-        if array.dtype.hasobject:
-            raise TypeError(f"{function.__qualname__}: '{name}' is neither numbers nor text")
+def _work(function: Callable[[Any], Iterable[Mapping[str, Any]]], sample: Any, file: Path) -> None:
+    scalars: Rows = []
+    arrays: dict[str, Any] = {}
+    for index, row in enumerate(function(sample)):
+        values = {name: np.asarray(value) for name, value in row.items()}
+        for name, value in values.items():
+            if value.dtype.hasobject:
+                raise TypeError(f"{function.__qualname__}: '{name}' is neither numbers nor text")
+        scalars.append({name: value.item() for name, value in values.items() if not value.ndim})
+        arrays |= {f"{index}/{name}": value for name, value in values.items() if value.ndim}
+    arrays[SCALARS] = np.array(json.dumps(scalars))
     with atomic_file(file) as stream:
         np.savez(stream, **arrays)
 
 
-def _read(file: Path) -> Arrays:
-    with np.load(file, allow_pickle=False) as arrays:
-        return dict(arrays)
+def _read(file: Path) -> Rows:
+    with np.load(file, allow_pickle=False) as found:
+        rows: Rows = json.loads(str(found[SCALARS]))
+        for key in found.files:
+            if key != SCALARS:
+                index, _, name = key.partition("/")
+                rows[int(index)][name] = found[key]
+    return rows
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Exposures as the detector of the profile makes them: many reads, with dark current and the sky's light.
+"""What the profile says of an observation: exposures of many reads, with dark current and sky; seeing.
 
 The published experiments idealise: one read per exposure, and no sky.
 """
@@ -16,6 +16,7 @@ from irlos_pipe.simulate.scene import Scene
 
 NoiseOf = Literal["reads", "one_read"]
 """Noise of exposures: of all their reads with sky and dark, or of one read without."""
+MONITOR = "mass_dimm"  # by which the paper states the seeing on sky
 
 
 @dataclass(frozen=True)
@@ -94,3 +95,8 @@ def sky_e_per_s(scene: Scene) -> float:
     spectrum = [(band.centre_nm, band.share) for band in scene.bands]
     of_pupil = scene.facility.sky_photons_per_s(spectrum, photons_per_s_m0, scene.pixel_scale_mas)
     return of_pupil / scene.lenslets**2
+
+
+def on_spartas_scale(instrument: Instrument, seeing_arcsec: float) -> float:
+    """Return a seeing by MASS-DIMM on SPARTA's scale, which the AO residual follows [arcsec]."""
+    return float(instrument.seeing_scales[MONITOR].to_sparta(seeing_arcsec))

@@ -1,18 +1,19 @@
-"""From the runs of all experiments to one report and one file of numbers, paper_results.json."""
+"""From the runs of all experiments to one report and a folder of numbers, one CSV file per experiment."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.files.atomic import write_if_changed
-from irlos_pipe.files.json import json_text
+from irlos_pipe.files.json import canonical_json
+from irlos_pipe.paper.common.table import csv_of_tables, csv_text, read_csv
 from irlos_pipe.paper.run.recipes import Experiment
 from irlos_pipe.pipeline import Selection, plan_run
 from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.report.chapter import Chapter, read_chapter
@@ -20,10 +21,9 @@ from irlos_pipe.report.collection import write_collection
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import judged
 
-RESULTS_NAME = "paper_results.json"
-SCHEMA = {"schema": "irlos-paper", "schema_version": 2}
-TIMING = "seconds"
-MADE_BY = ("finished", "seconds", "jobs", "device", "software")
+TABLES = "tables"  # folder of numbers; beside a file per experiment it holds how they were made, and judged
+RUNS, CHECKS = "runs.csv", "checks.csv"
+OWN = "irlos_pipe"
 TITLE = "The experiments of the paper"
 NOTES = {True: "Quick look: samples are small and numbers rough.", False: "Full samples."}
 
@@ -43,14 +43,17 @@ def require_size(folder: Path, quick: bool) -> None:
     ConfigurationError
         When the folder holds experiments of the other size.
     """
-    path = folder / RESULTS_NAME
-    if path.is_file() and json.loads(path.read_text())["quick"] != quick:
+    path = folder / TABLES / RUNS
+    if path.is_file() and any(run["quick"] != str(quick) for run in read_csv(path)):
         held = "full experiments, and --quick was" if quick else "--quick experiments, and --quick was not"
         raise ConfigurationError(f"--output {folder}: holds {held} given; choose another folder")
 
 
 def collect_numbers(known: Sequence[Experiment], folder: Path, quick: bool) -> Path:
-    """Write paper_results.json from all experiments that are up to date; return its path.
+    """Write the numbers of all experiments that are up to date; return their folder.
+
+    What changes from run to run (times, machine, software) stands in ``runs.csv``; all the rest is the same
+    for the same recipes and software.
 
     Parameters
     ----------
@@ -61,11 +64,45 @@ def collect_numbers(known: Sequence[Experiment], folder: Path, quick: bool) -> P
     quick : bool
         Whether their samples are small.
     """
-    current = {one.name: folder / one.name for one in known if _is_current(one, folder)}
-    missing = [one.name for one in known if one.name not in current]
-    path = folder / RESULTS_NAME
-    write_if_changed(path, json_text(_paper_results(current, quick, missing)).encode())
-    return path
+    tables = folder / TABLES
+    tables.mkdir(exist_ok=True)
+    runs, checks = [], []
+    for one in known:
+        path = tables / f"{one.name}.csv"
+        if not _is_current(one, folder):
+            path.unlink(missing_ok=True)
+            continue
+        for stage, file in existing_run(folder / one.name).products().items():
+            product = read_product(file, arrays=False)
+            runs.append(_run(one.name, quick, product))
+            checks += [
+                {"experiment": one.name, **check.as_dict()} for check in judged(STAGES[stage], product)
+            ]
+            if own := product.results.get("tables"):
+                write_if_changed(path, csv_of_tables(own).encode())
+    for name, rows in ((RUNS, runs), (CHECKS, checks)):
+        write_if_changed(tables / name, csv_text(rows).encode())
+    return tables
+
+
+def _run(experiment: str, quick: bool, product: Product) -> dict[str, Any]:
+    """How a product was made; the name of the host is left out."""
+    made = provenance_of(product)
+    others = [f"{name} {version}" for name, version in made.software.items() if name != OWN]
+    return {
+        "experiment": experiment,
+        "stage": product.stage,
+        "quick": quick,
+        "seed": made.seed,
+        "code": made.software.get(OWN, ""),
+        "finished": made.finished,
+        "seconds": made.seconds,
+        "jobs": made.jobs,
+        "device": made.device,
+        "platform": made.machine.platform,
+        "software": ", ".join(others),
+        "sizes": canonical_json(product.config),
+    }
 
 
 def collect_reports(
@@ -96,68 +133,3 @@ def _chapter(experiment: Experiment, folder: Path, problem: str) -> Chapter:
     except Exception as error:  # the others can be shown without it
         reason = problem or f"cannot be shown: {type(error).__name__}: {error}"
         return Chapter(experiment.name, experiment.title, problems=[reason])
-
-
-# -- numbers ---------------------------------------------------------------------------------------
-
-
-def _paper_results(folders: Mapping[str, Path], quick: bool, missing: Sequence[str]) -> dict[str, Any]:
-    """Return the content of paper_results.json.
-
-    What changes from run to run (times, machine, software) stands under ``runs``; all the rest is
-    the same for the same recipes and software.
-    """
-    experiments, runs = {}, {}
-    for name, folder in folders.items():
-        products = {
-            stage: read_product(path, arrays=False) for stage, path in existing_run(folder).products().items()
-        }
-        experiments[name] = _experiment(products)
-        runs[name] = {stage: _made(product) for stage, product in products.items()}
-    return {**SCHEMA, "quick": quick, "missing": list(missing), "experiments": experiments, "runs": runs}
-
-
-def _experiment(products: Mapping[str, Product]) -> dict[str, Any]:
-    last = list(products.values())[-1]
-    return {
-        "recipe": last.provenance["recipe"],
-        "seed": last.provenance["seed"],
-        "sizes": {stage: product.config for stage, product in products.items()},
-        "results": {stage: _without_timings(product.results) for stage, product in products.items()},
-        "checks": {
-            stage: [check.as_dict() for check in judged(STAGES[stage], product)]
-            for stage, product in products.items()
-        },
-    }
-
-
-def _without_timings(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _without_timings(inner) for key, inner in value.items() if not _is_timing(key)}
-    return [_without_timings(inner) for inner in value] if isinstance(value, list) else value
-
-
-def _timings(value: Any, above: str = "") -> dict[str, float]:
-    """Timings among the results, by their dotted path."""
-    found: dict[str, float] = {}
-    for key, inner in _members(value):
-        path = f"{above}.{key}" if above else str(key)
-        found |= {path: inner} if _is_timing(key) else _timings(inner, path)
-    return found
-
-
-def _members(value: Any) -> Iterable[tuple[Any, Any]]:
-    if isinstance(value, Mapping):
-        return value.items()
-    return enumerate(value) if isinstance(value, list) else ()
-
-
-def _is_timing(key: Any) -> bool:
-    return isinstance(key, str) and TIMING in key.split("_")
-
-
-def _made(product: Product) -> dict[str, Any]:
-    """How a product was made; the name of the host is left out."""
-    made = {key: product.provenance.get(key) for key in MADE_BY}
-    platform = product.provenance.get("machine", {}).get("platform")
-    return made | {"platform": platform, "timings": _timings(product.results)}

@@ -1,45 +1,37 @@
 """Renew the tables of docs/results.md: ``python -m irlos_pipe.paper.run.results_page``.
 
-The numbers are those of docs/paper_results.json. A table that docs/paper_tables.yaml lays out stands between
-``<!-- paper:NAME -->`` and ``<!-- /paper -->``, those of the states of the code and of the checks under the
-names ``code`` and ``checks``; the text around the tables is kept.
+The numbers are those of docs/paper, where ``--take`` puts those of a run. A table that an experiment lists
+with ``page`` stands between ``<!-- paper:NAME -->`` and ``<!-- /paper -->``, those of the states of the code
+and of the checks under the names ``code`` and ``checks``; the text around the tables is kept.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_if_changed
-from irlos_pipe.files.json import json_text
-from irlos_pipe.files.validation import Origins, ValidationErrors
-from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.paper.run.checks import table_of_checks
-from irlos_pipe.paper.run.states import beside, require_one_state, table_of_states
-from irlos_pipe.paper.run.tables import TableLayout, render_table
+from irlos_pipe.paper.common.table import csv_text, read_csv, read_tables
+from irlos_pipe.paper.run.collect import CHECKS, RUNS
+from irlos_pipe.product.product import Check
+from irlos_pipe.stages import EXPERIMENTS, STAGES
 
-PAGE, RESULTS, LAYOUT = (
-    Path("docs/results.md"),
-    Path("docs/paper_results.json"),
-    Path("docs/paper_tables.yaml"),
-)
-OF_ALL = {"code": table_of_states, "checks": table_of_checks}  # tables of all experiments, by name
+PAGE, NUMBERS = Path("docs/results.md"), Path("docs/paper")
 BLOCK = re.compile(r"(<!-- paper:(\S+) -->\n).*?(<!-- /paper -->)", re.DOTALL)
+CsvRows = Sequence[Mapping[str, str]]
 
 
 def with_tables(text: str, tables: Mapping[str, str]) -> str:
-    """Return the text with every table renewed.
+    """Return the `text` of a page with every table renewed.
 
     Parameters
     ----------
     text : str
-        The page, with the marks of the tables.
     tables : mapping of str to str
         In Markdown, by name.
 
@@ -56,52 +48,52 @@ def with_tables(text: str, tables: Mapping[str, str]) -> str:
     return BLOCK.sub(lambda found: f"{found[1]}{tables[found[2]]}\n{found[3]}", text)
 
 
-def rendered(layouts: Mapping[str, TableLayout], experiments: Mapping[str, Any]) -> dict[str, str]:
-    """Return all tables in Markdown, by name.
-
-    Parameters
-    ----------
-    layouts : mapping of str to TableLayout
-    experiments : mapping
-        Results of the experiments by name.
-
-    Raises
-    ------
-    ConfigurationError
-        If a table cannot be made.
-    """
-    return {name: _table(name, layout, experiments) for name, layout in layouts.items()}
-
-
-def _table(name: str, layout: TableLayout, experiments: Mapping[str, Any]) -> str:
-    try:
-        return render_table(layout, experiments)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"table '{name}': {error}") from None
-
-
-def read_layouts(path: Path) -> dict[str, TableLayout]:
-    """Read the layouts of all tables, by name.
-
-    Raises
-    ------
-    ConfigurationError
-        With one line ``file:line: problem`` for everything that is wrong.
-    """
-    written, lines = load_yaml(path)
-    errors = ValidationErrors(Origins(path, lines))
-    layouts = {name: errors.validated(content, TableLayout, (name,)) for name, content in written.items()}
-    errors.raise_if_any()
-    return {name: layout for name, layout in layouts.items() if layout}
-
-
 def renewed(root: Path) -> str:
-    """Return docs/results.md of a source tree with its tables made from the results there."""
-    results = json.loads((root / RESULTS).read_text(encoding="utf-8"))
-    text = (root / PAGE).read_text(encoding="utf-8")
-    tables = rendered(read_layouts(root / LAYOUT), results["experiments"])
-    of_all = {name: table(results) for name, table in OF_ALL.items()}
-    return with_tables(text, tables | of_all)
+    """Return docs/results.md of a source tree with its tables made from the numbers there."""
+    runs, checks = (read_csv(root / NUMBERS / name) for name in (RUNS, CHECKS))
+    tables = {"code": table_of_states(runs), "checks": table_of_checks(checks)}
+    for run in runs:
+        found = read_tables(root / NUMBERS / f"{run['experiment']}.csv")
+        for listing in getattr(STAGES[run["stage"]], "listings", ()):
+            if listing.page:
+                tables[listing.page] = listing.markdown(found)
+    return with_tables((root / PAGE).read_text(encoding="utf-8"), tables)
+
+
+def table_of_states(runs: CsvRows) -> str:
+    """Return a table of the states of the code, the days of their last experiments, and which these are."""
+    rows = [
+        (code, max(run["finished"][:10] for run in own), ", ".join(f"`{run['experiment']}`" for run in own))
+        for code, own in _by_code(runs).items()
+    ]
+    return _markdown(("code", "finished", "experiments"), rows)
+
+
+def table_of_checks(checks: CsvRows) -> str:
+    """Return a table of the experiments, how many of their checks were kept, which were missed."""
+    by_experiment: dict[str, list[Check]] = {}
+    for row in checks:
+        low, high = (float(row[end]) if row[end] else None for end in ("low", "high"))
+        value = float(row["value"] or math.nan)
+        one = Check(row["name"], value, row["unit"], low, high, row["message"])
+        by_experiment.setdefault(row["experiment"], []).append(one)
+    rows = []
+    for name, own in by_experiment.items():
+        missed = [one for one in own if not one.passed]
+        told = [f"{one.name}: {one.value:.3g} {one.unit}".rstrip() + f" ({one.limits})" for one in missed]
+        rows.append((f"`{name}`", f"{len(own) - len(missed)} of {len(own)}", "<br>".join(told) or "–"))
+    return _markdown(("experiment", "kept", "missed"), rows)
+
+
+def _by_code(runs: CsvRows) -> dict[str, list[Mapping[str, str]]]:
+    states: dict[str, list[Mapping[str, str]]] = {}
+    for run in runs:
+        states.setdefault(run["code"], []).append(run)
+    return states
+
+
+def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, ["---"] * len(columns), *rows))
 
 
 def take(root: Path, source: Path, others_stay: bool) -> None:
@@ -112,7 +104,7 @@ def take(root: Path, source: Path, others_stay: bool) -> None:
     root : Path
         The source tree.
     source : Path
-        Paper_results.json of the run.
+        Folder of the numbers of the run.
     others_stay : bool
         Put its experiments beside those that are there, which may be of other states of the code.
 
@@ -121,16 +113,44 @@ def take(root: Path, source: Path, others_stay: bool) -> None:
     ConfigurationError
         If samples are small, experiments are missing, or of several states of the code.
     """
-    results = json.loads(source.read_text(encoding="utf-8"))
-    if results["quick"]:
+    new = {name: read_csv(source / name) for name in (RUNS, CHECKS)}
+    taken = {run["experiment"] for run in new[RUNS]}
+    if any(run["quick"] != "False" for run in new[RUNS]):
         raise ConfigurationError(f"{source} has small samples (--quick)")
     if others_stay:
-        results = beside(json.loads((root / RESULTS).read_text(encoding="utf-8")), results)
+        old = {name: read_csv(root / NUMBERS / name) for name in new}
+        kept = {name: [row for row in rows if row["experiment"] not in taken] for name, rows in old.items()}
+        new = {
+            name: sorted([*rows, *kept[name]], key=_place(*old[RUNS], *new[RUNS]))
+            for name, rows in new.items()
+        }
     else:
-        require_one_state(results)
-    if results["missing"]:
-        raise ConfigurationError(f"{source} has no {', '.join(results['missing'])}")
-    write_if_changed(root / RESULTS, json_text(results).encode())
+        _require_one_state(new[RUNS])
+    missing = set(EXPERIMENTS) - {run["stage"] for run in new[RUNS]}
+    if missing:
+        raise ConfigurationError(f"{source} has no {', '.join(sorted(missing))}")
+    for name in taken:
+        write_if_changed(root / NUMBERS / f"{name}.csv", (source / f"{name}.csv").read_bytes())
+    for name, rows in new.items():
+        write_if_changed(root / NUMBERS / name, csv_text(rows).encode())
+
+
+def _place(*runs: Mapping[str, str]) -> Callable[[Mapping[str, str]], int]:
+    """Order of experiments: that of the paper."""
+    place = {run["experiment"]: EXPERIMENTS.index(run["stage"]) for run in runs}
+    return lambda row: place[row["experiment"]]
+
+
+def _require_one_state(runs: CsvRows) -> None:
+    states = _by_code(runs)
+    if len(states) > 1:
+        each = "; ".join(
+            f"{code}: {', '.join(one['experiment'] for one in own)}" for code, own in states.items()
+        )
+        raise ConfigurationError(
+            f"experiments of {len(states)} states of the code ({each}); repeat them with one, in a new "
+            "folder, or give --beside to put them beside those of other states, which the page then tells"
+        )
 
 
 def main() -> None:
@@ -139,8 +159,10 @@ def main() -> None:
         prog="python -m irlos_pipe.paper.run.results_page", description=main.__doc__
     )
     parser.add_argument("root", nargs="?", default=".", type=Path, help="the source tree (default: here)")
-    parser.add_argument("--take", type=Path, metavar="FILE", help="paper_results.json of a run, to be shown")
-    parser.add_argument("--beside", action="store_true", help="keep experiments that FILE does not have")
+    parser.add_argument(
+        "--take", type=Path, metavar="DIR", help="folder of the numbers of a run, to be shown"
+    )
+    parser.add_argument("--beside", action="store_true", help="keep experiments that DIR does not have")
     given = parser.parse_args()
     root = given.root
     try:

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
 from irlos_pipe.conventions.text import aligned
-from irlos_pipe.paper.run.collect import RESULTS_NAME, collect_numbers, collect_reports, require_size
+from irlos_pipe.paper.run.collect import TABLES, collect_numbers, collect_reports, require_size
 from irlos_pipe.paper.run.recipes import Experiment
 from irlos_pipe.pipeline import Outcome, Resources, run_recipe
 from irlos_pipe.pipeline.runlog import RUN
 from irlos_pipe.pipeline.terminal import quality_line
 from irlos_pipe.product.runfolder import owned_folder, require_free
 
-OF_THE_PAPER = (RESULTS_NAME, "*/recipe.resolved.yaml")
+OF_THE_PAPER = (TABLES, "*/recipe.resolved.yaml")
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,14 @@ class PaperRun:
         Of those that came to an end.
     problems : dict of str to str
         What stopped the others.
-    report, results : Path
-        The report and the numbers of all experiments.
+    report, numbers : Path
+        The report, and the folder of the numbers of all experiments.
     """
 
     outcomes: dict[str, Outcome]
     problems: dict[str, str]
     report: Path
-    results: Path
+    numbers: Path
 
     @property
     def exit_code(self) -> int:
@@ -94,7 +94,7 @@ def summary_text(ran: PaperRun) -> str:
     """Return the summary lines of every experiment and where the files are, for the terminal."""
     rows = [(name, line) for name, outcome in ran.outcomes.items() for line in _lines(outcome)]
     rows += [(name, f"failed: {problem}") for name, problem in ran.problems.items()]
-    rows += [("report", str(ran.report)), ("numbers", str(ran.results))]
+    rows += [("report", str(ran.report)), ("numbers", str(ran.numbers))]
     return aligned(rows)
 
 

@@ -1,1 +1,0 @@
-"""Experiment `capture`: its science, its stage and its section of the report."""

@@ -1,0 +1,125 @@
+"""Figures that several experiments draw of their tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
+
+from irlos_pipe.paper.common.table import Frame
+from irlos_pipe.report.drawing import BLUE, CYCLE, INK, ORANGE, svg
+
+MARKERS = ("o", "s", "^", "D", "v", "P")
+
+
+def lines(
+    name: str,
+    table: Frame,
+    x: str,
+    y: str,
+    *,
+    colour: str,
+    labels: tuple[str, str],
+    panels: str = "",
+    dashed: Mapping[str, str] | None = None,
+    ends: Sequence[str] = (),
+    levels: Sequence[float] = (),
+    marks: Sequence[float] = (),
+    size: tuple[float, float] = (5.2, 4.4),
+    **axes_: Any,
+) -> Markup:
+    """Draw the column `y` of a table against `x`, one line for every value of the column `colour`.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    labels : (str, str)
+        Of the axes.
+    panels : str
+        Column whose values have panels of their own, which they name.
+    dashed : mapping of str to str
+        Further columns, and how they are drawn.
+    ends : (str, str)
+        Endings of the columns between which error bars go.
+    levels, marks : sequence of float
+        Where dotted lines go across, and upright.
+    **axes_
+        Further properties of the axes.
+    """
+
+    def draw(figure: Canvas) -> None:
+        parts = list(table.groupby(panels, sort=False)) if panels else [("", table)]
+        looks = dict(zip(table[colour].unique(), cycle(zip(CYCLE, MARKERS, strict=True))))
+        all_axes = figure.subplots(1, len(parts), sharey=True, squeeze=False)[0]
+        for axes, (title, part) in zip(all_axes, parts, strict=True):
+            for key, line in part.groupby(colour, sort=False):
+                ink, marker = looks[key]
+                reach = [abs(line[f"{y}_{end}"] - line[y]) for end in ends] or None
+                axes.errorbar(line[x], line[y], reach, color=ink, fmt=f"{marker}-", markersize=4, label=key)
+                for column, style in (dashed or {}).items():
+                    axes.plot(line[x], line[column], style, color=ink, linewidth=0.9)
+            for level in levels:
+                axes.axhline(level, color=INK, linestyle=":", linewidth=0.9)
+            for mark in marks:
+                axes.axvline(mark, color=INK, linestyle=":", linewidth=0.9)
+            axes.set(**{"title": title, "xlabel": labels[0], "yscale": "log"} | axes_)
+        all_axes[0].set_ylabel(labels[1])
+        figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+
+    return svg(name, size, draw)
+
+
+def strips(
+    name: str,
+    rows: Frame,
+    columns: Mapping[str, str],
+    *,
+    by: str,
+    label: str,
+    levels: Sequence[float] = (),
+    width: float = 5.4,
+) -> Markup:
+    """Draw every value of some `columns`, and their medians, in one line for every value of the column `by`.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    columns : mapping of str to str
+        And what they are.
+    label : str
+        Of the axis.
+    """
+    keys = list(rows[by].unique())[::-1]
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        for place, key in enumerate(keys):
+            shifts = np.linspace(0.17, -0.17, len(columns)) if len(columns) > 1 else [0.0]
+            for shift, (column, what), ink, marker in zip(
+                shifts, columns.items(), (BLUE, ORANGE), "os", strict=False
+            ):
+                values, height = rows.loc[rows[by] == key, column].to_numpy(float), place + shift
+                named = what if place == 0 else None
+                axes.plot(
+                    values,
+                    np.full(len(values), height),
+                    marker,
+                    color=ink,
+                    markersize=3.5,
+                    alpha=0.7,
+                    label=named,
+                )
+                axes.vlines(np.median(values), height - 0.15, height + 0.15, color=INK, linewidth=1.4)
+        for level in levels:
+            axes.axvline(level, color=INK, linestyle=":", linewidth=0.9)
+        axes.set_yticks(range(len(keys)), keys)
+        axes.set(xlabel=label, xscale="log")
+        figure.legend(loc="outside upper center", ncols=2)
+
+    return svg(name, (width, 1.0 + 0.26 * len(columns) * len(keys)), draw)

@@ -1,0 +1,365 @@
+"""Focus loops closed side by side on the same sky and drift: what they see, and with which sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.polynomial import chebyshev
+
+from irlos_pipe.control.disturbance import Drift
+from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.centroids import modes_of_centroids_nm
+from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
+from irlos_pipe.estimate.ramp_fit import ramp_effects
+from irlos_pipe.estimate.tabulated import tabulated
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.paper.common.broad_band import frame_settings
+from irlos_pipe.paper.common.observation import model_effects_of, noise_of, recorded_e, settings_of
+from irlos_pipe.paper.common.ramps import TTF, Knowledge
+from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.scene import Scene
+
+FOCUS = TTF.index(DEFOCUS)
+# A loop discards a measurement so uncertain, or so far from where a closed loop can be. Near
+# the faint limit LIFT ends now and then in a noise peak, far away and with a small formal error.
+LARGEST_SIGMA_NM, FARTHEST_NM = 100.0, 200.0
+CENTROIDS, LIFT = "centroids_2x2", "lift_2x2"
+TWO_BY_TWO = (CENTROIDS, LIFT)
+MIN_FOR_A_SLOPE = 20
+DRAWS = 400  # whose scatter is known to 4 %
+WEIGHTS = NoiseModel(1.0, 1.0)  # of the pixels of an image without noise
+
+
+# -- frames at any defocus ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FrameTable:
+    """Noise-free frames of one scene as a function of the defocus that a loop leaves, within `reach_nm`.
+
+    In a closed loop every star, configuration and gain sees another defocus, but the same sky. So every
+    frame is simulated at a few defoci, and its pixels interpolated between them by a Chebyshev series. An
+    image depends on defocus through ``exp(2πi a ΔZ₄/λ)``, the differences ΔZ₄ below 3.4 over this pupil: it
+    is band-limited in a, and the series converges as fast as Bessel functions do beyond their argument.
+
+    Attributes
+    ----------
+    reach_nm : float
+    series_e : ndarray, (orders, frames, rows, columns)
+        Chebyshev coefficients of the mean electrons per pixel.
+    sky_focus_nm : ndarray, (frames,)
+        Defocus of the AO residual itself, the mean over each frame.
+    """
+
+    reach_nm: float
+    series_e: np.ndarray
+    sky_focus_nm: np.ndarray
+
+    def images_e(self, frame: int, defocus_nm: np.ndarray) -> np.ndarray:
+        """Return the mean electrons of `frame` at every one of `defocus_nm`, (defoci, rows, columns)."""
+        orders, _, *window = self.series_e.shape
+        weights = chebyshev.chebvander(np.asarray(defocus_nm) / self.reach_nm, orders - 1)
+        flat = self.series_e[:, frame].reshape(orders, -1)
+        return (weights @ flat).reshape(-1, *window)
+
+
+def frame_table(scene: Scene, reach_nm: float, nodes: int) -> FrameTable:
+    """Simulate `scene` at the `nodes` Chebyshev nodes of ±`reach_nm`; the sky is the same at all of them."""
+    points = chebyshev.chebpts1(nodes)
+    exposed = [expose(replace(scene, introduced_nm=float(point * reach_nm))) for point in points]
+    to_series = np.linalg.inv(chebyshev.chebvander(points, nodes - 1))
+    series = np.tensordot(to_series, np.stack([one.mean_e for one in exposed]), axes=1).astype(np.float32)
+    focus = exposed[0].zernike_nm[:, DEFOCUS - 2] - scene.ncpa_nm.get(DEFOCUS, 0.0)
+    return FrameTable(reach_nm, series, focus)
+
+
+# -- sensors -----------------------------------------------------------------------------------------
+
+
+class Sensor(Protocol):
+    """What measures the defocus of images.
+
+    ``bound_nm`` is the Cramér–Rao bound at zero defocus of an image with `seen_e` electrons in the window,
+    ``photon_noise_nm`` the noise of a measurement without an AO residual [nm RMS].
+    """
+
+    def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
+        """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
+        ...
+
+    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float: ...
+
+    def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float: ...
+
+
+@dataclass(frozen=True)
+class FocusSensor:
+    """LIFT with tip, tilt and defocus free, started from zero: the loops hold the image there.
+
+    `model` has AO residual and jitter; `zero_nm` is what it measures where there is no defocus, if known.
+    """
+
+    model: ImageModel
+    zero_nm: float = 0.0
+
+    def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
+        """See `Sensor`."""
+        images = torch.as_tensor(images_e)
+        good = torch.ones(images.shape[1:], dtype=torch.bool)
+        start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
+        result = lift(self.model, images, good, noise, start, LiftOptions("model"))
+        defocus, sigma = result.mode(DEFOCUS)
+        credible = (sigma < LARGEST_SIGMA_NM) & (defocus.abs() < FARTHEST_NM)
+        measured = torch.where(result.solution.converged & credible, defocus, torch.nan)
+        return measured.numpy() - self.zero_nm
+
+    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
+        """See `Sensor`."""
+        zero = torch.zeros(1, len(TTF), dtype=torch.float64)
+        in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
+        flux = seen_e / in_window[None]
+        return float(cramer_rao_nm(self.model, zero, flux, noise)[0, FOCUS])
+
+    def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float:
+        """See `Sensor`: the bound, which LIFT reaches."""
+        return self.bound_nm(seen_e, noise)
+
+
+@dataclass(frozen=True)
+class CentroidSensor:
+    """Centres of light of four images above a threshold: the classical 2x2 Shack–Hartmann sensor.
+
+    `scene` is in the 2x2 mode; `model` is LIFT of the same images, for their bound.
+    """
+
+    scene: Scene
+    model: FocusSensor
+    zero_nm: float = 0.0
+
+    def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
+        """See `Sensor`."""
+        geometry, scale_mas = self.scene.geometry, self.scene.pixel_scale_mas
+        modes_nm = modes_of_centroids_nm(images_e, geometry, scale_mas, float(np.sqrt(noise.floor_e2)), TTF)
+        defocus_nm = modes_nm[:, FOCUS] - self.zero_nm
+        return np.where(np.abs(defocus_nm) < FARTHEST_NM, defocus_nm, np.nan)
+
+    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
+        """See `Sensor`: that of any estimate from these images."""
+        return self.model.bound_nm(seen_e, noise)
+
+    def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float:
+        """See `Sensor`: the scatter of drawn images, which is above the bound."""
+        image_model = self.model.model
+        image = image_model.psf.images(torch.zeros(1, len(TTF), dtype=torch.float64), image_model.optics)
+        mean_e = image.double().cpu().numpy()
+        mean_e *= seen_e / mean_e.sum()
+        scatter_e = np.sqrt(noise.excess_noise_factor * mean_e + noise.floor_e2)
+        drawn_e = mean_e + scatter_e * np.random.default_rng(0).standard_normal((DRAWS, *mean_e.shape[1:]))
+        return float(np.nanstd(self.measure(drawn_e, noise)))
+
+
+def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
+    """Return the sensor for a `scene`, with the `knowledge` from a calibration."""
+    psf = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
+    effects = ramp_effects(model_effects_of(scene), knowledge.effects)
+    return FocusSensor(tabulated(ImageModel(psf, effects), torch.zeros(1, len(TTF), dtype=torch.float64)))
+
+
+def two_by_two_sensors(scene: Scene, table: FrameTable | None = None) -> dict[str, Sensor]:
+    """Return both sensors of a `scene` in the 2x2 mode, by name.
+
+    With the `table` of its frames they are told their own zero without any error, as a perfect reference
+    source would: what they measure of the mean of all frames without defocus and noise.
+    """
+    settings = settings_of(scene).for_broad_images().for_single_frames()
+    four = FocusSensor(ImageModel(light_path(settings, TTF), ramp_effects(model_effects_of(scene), {})))
+    sensors: dict[str, FocusSensor | CentroidSensor] = {CENTROIDS: CentroidSensor(scene, four), LIFT: four}
+    if table is None:
+        return dict(sensors)
+    frames = range(table.series_e.shape[1])
+    mean_e = np.mean([table.images_e(frame, np.zeros(1)) for frame in frames], axis=0)
+    return {
+        name: replace(one, zero_nm=float(one.measure(mean_e, WEIGHTS)[0])) for name, one in sensors.items()
+    }
+
+
+# -- loops -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One loop: its sensor by name, its star and gain, and the frames of the sky that an image collects."""
+
+    sensor: str
+    mag_j: float
+    gain: float
+    exposures: int = 1
+
+    def brightness(self, mag_j: float) -> float:
+        """Return the photons per second of its star over those of a star of magnitude `mag_j`."""
+        return 10 ** (-0.4 * (self.mag_j - mag_j))
+
+
+class LoopBank:
+    """Loops while they run, and what is left behind.
+
+    Attributes
+    ----------
+    residual_nm : ndarray, (loops, frames)
+        Mean of each frame of drift minus command; NaN after a loop has diverged.
+    measured_nm : ndarray, (loops, frames)
+        Measurements, at the last frame of their exposure; NaN where there is none.
+    true_nm : ndarray, (loops, frames)
+        The measurement of a perfect sensor: the mean residual of the exposure.
+    due : ndarray of bool, (loops, frames)
+        Where a measurement was due.
+    """
+
+    def __init__(self, loops: Sequence[Loop], frames: int, delay: int, table: FrameTable):
+        self.sensor = np.array([loop.sensor for loop in loops])
+        self.gain = np.array([loop.gain for loop in loops])
+        self.exposures = np.array([loop.exposures for loop in loops])
+        self.delay, self.table = delay, table
+        self.command_nm = np.zeros((len(loops), frames))
+        self.residual_nm, self.measured_nm, self.true_nm = np.full((3, len(loops), frames), np.nan)
+        self.due = np.zeros((len(loops), frames), dtype=bool)
+        self.alive = np.ones(len(loops), dtype=bool)
+        self.images_e = np.zeros((len(loops), *table.series_e.shape[2:]))
+
+    def expose(self, frame: int, drift_nm: float, flux: np.ndarray) -> None:
+        """Add one frame to the image of every loop; the first of an exposure begins a new image."""
+        residual = drift_nm - self.command_nm[:, frame]
+        self.alive &= np.abs(residual) <= self.table.reach_nm
+        self.residual_nm[:, frame] = np.where(self.alive, residual, np.nan)
+        seen = np.where(self.alive, residual, 0.0)
+        keep = (frame % self.exposures != 0)[:, None, None]
+        self.images_e = keep * self.images_e + flux * self.table.images_e(frame, seen)
+
+    def ready(self, frame: int, sensor: str, exposures: int) -> np.ndarray:
+        """Return the loops of `sensor` with exposures of so many frames that end with `frame`."""
+        if (frame + 1) % exposures:
+            return np.array([], dtype=int)
+        return np.flatnonzero(self.alive & (self.sensor == sensor) & (self.exposures == exposures))
+
+    def correct(self, members: np.ndarray, frame: int, measured_nm: np.ndarray) -> None:
+        """Record the measurements and change the commands; without a measurement a command is held."""
+        for member, measured in zip(members, measured_nm, strict=True):
+            exposures = self.exposures[member]
+            effect = frame + 1 + self.delay * exposures
+            self.due[member, frame] = True
+            self.measured_nm[member, frame] = measured
+            self.true_nm[member, frame] = self.residual_nm[member, frame + 1 - exposures : frame + 1].mean()
+            if np.isfinite(measured):
+                self.command_nm[member, effect:] += self.gain[member] * measured
+
+
+def close_loops(
+    loops: Sequence[Loop],
+    sensors: Mapping[str, Sensor],
+    scenes: Mapping[int, Scene],
+    table: FrameTable,
+    drift_nm: np.ndarray,
+    delay: int,
+    rng: np.random.Generator,
+) -> LoopBank:
+    """Run all loops over the same frames.
+
+    Parameters
+    ----------
+    loops : sequence of Loop
+    sensors : mapping of str to Sensor
+        By the names that the loops use.
+    scenes : mapping of int to Scene
+        The sky in exposures of so many frames.
+    table : FrameTable
+        Its frames at any defocus.
+    drift_nm : ndarray, (frames,)
+        Mean defocus of the disturbance in every frame. What it wanders within one is too little to
+        change the image other than through its mean.
+    delay : int
+        See `Integrator`, in exposures of the loop.
+    rng : Generator
+        Of the detector noise.
+    """
+    bank = LoopBank(loops, len(drift_nm), delay, table)
+    flux = np.array([loop.brightness(scenes[loop.exposures].mag_j) for loop in loops])[:, None, None]
+    alike = dict.fromkeys((loop.sensor, loop.exposures) for loop in loops)
+    for frame, drift in enumerate(drift_nm):
+        bank.expose(frame, drift, flux)
+        for name, exposures in alike:
+            members = bank.ready(frame, name, exposures)
+            if len(members):
+                images_e = recorded_e(scenes[exposures], bank.images_e[members], rng)
+                bank.correct(members, frame, sensors[name].measure(images_e, noise_of(scenes[exposures])))
+    return bank
+
+
+# -- what came of a loop ------------------------------------------------------------------------------
+
+
+def outcome_of(
+    residual_nm: np.ndarray,
+    measured_nm: np.ndarray,
+    true_nm: np.ndarray,
+    due: np.ndarray,
+    drift: Drift,
+    settle: int,
+) -> dict[str, Any]:
+    """Summarise one loop from its records, (skies, drifts, frames) each, `settle` frames left out.
+
+    Returns
+    -------
+    dict
+        ``residual_nm``, RMS over time and over the runs that did not diverge, what wanders within a frame
+        included, and ``residual_error_nm`` from the scatter between runs; ``bias_nm``, RMS over skies of the
+        mean residual; ``lost``, the part of the measurements that the sensor could not give; ``slope`` and
+        ``noise_nm``: measurement = slope × true residual + noise.
+    """
+    late = residual_nm[..., settle:]
+    alive = np.isfinite(late).all(-1)
+    squares = np.mean(late[alive] ** 2, axis=-1) + drift.wander_within_nm2(1.0)
+    runs = len(squares)
+    rms = float(np.sqrt(squares.mean())) if runs else math.nan
+    means = [sky[fine].mean() for sky, fine in zip(late, alive, strict=True) if fine.any()]
+    slope, noise_nm = sensor_of(measured_nm, true_nm)
+    return {
+        "residual_nm": rms,
+        "residual_error_nm": np.std(squares, ddof=1) / np.sqrt(runs) / (2 * rms) if runs > 1 else math.nan,
+        "bias_nm": float(np.sqrt(np.mean(np.square(means)))) if means else math.nan,
+        "lost": np.mean(~np.isfinite(measured_nm[due])),
+        "diverged": int((~alive).sum()),
+        "runs": alive.size,
+        "slope": slope,
+        "noise_nm": noise_nm,
+    }
+
+
+def sensor_of(measured_nm: np.ndarray, true_nm: np.ndarray) -> tuple[float, float]:
+    """Return the slope of measurement against truth, and the RMS about it; every sky has its own offset.
+
+    `measured_nm`, `true_nm`, (skies, drifts, frames), are NaN where there is no measurement. Noise enters the
+    truth only of later frames, so that a plain regression is unbiased.
+    """
+    pairs = [_centred(m, t) for m, t in zip(measured_nm, true_nm, strict=True)]
+    m, t = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    if len(m) < MIN_FOR_A_SLOPE:
+        return math.nan, math.nan
+    slope = float(m @ t / (t @ t))
+    return slope, float(np.sqrt(np.sum((m - slope * t) ** 2) / (len(m) - len(pairs) - 1)))
+
+
+def _centred(measured_nm: np.ndarray, true_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of one sky less their means."""
+    given = np.isfinite(measured_nm) & np.isfinite(true_nm)
+    m, t = measured_nm[given], true_nm[given]
+    return (m - m.mean(), t - t.mean()) if len(m) else (m, t)

@@ -1,0 +1,249 @@
+"""Tables of an experiment: rows of numbers as pandas frames, in JSON, as CSV, and in words.
+
+Names of columns carry the units. A quantity `x` with a spread over samples is their median and has the
+further columns ``x_p16`` and ``x_p84`` (percentiles); with a range in which it lies, ``x_low`` and ``x_high``
+(90 %, by bootstrap over the samples).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import string
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.report.content import Table
+
+try:
+    import pandas as pd
+except ImportError as error:
+    raise ConfigurationError(
+        "the experiments of the paper need pandas; install it with: pip install 'irlos_pipe[paper]'"
+    ) from error
+
+Frame = Any  # pandas.DataFrame, which has no types
+Records = list[dict[str, Any]]
+Tables = Mapping[str, Frame]
+MISSING = "–"
+DRAWS, BOOTSTRAP_SEED = 4000, 0
+TAIL = 0.05  # beyond each end of a range of 90 %
+ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
+
+
+def frame(rows: Iterable[Mapping[str, Any]]) -> Frame:
+    """Return rows as a frame; None and what a row lacks become NaN."""
+    return pd.DataFrame([{key: math.nan if one is None else one for key, one in row.items()} for row in rows])
+
+
+def grouped(rows: Frame, by: Sequence[str], summary: Callable[..., Mapping[str, Any]], *more: Any) -> Frame:
+    """Return one row per group of `rows` with the same values in the columns `by`, in order of appearance.
+
+    Parameters
+    ----------
+    rows : DataFrame
+    by : sequence of str
+    summary : callable
+        ``summary(group, *more)`` returns the other columns of a group's row.
+    """
+    groups = rows.groupby(list(by), sort=False, dropna=False)
+    return frame(dict(zip(by, key, strict=True)) | dict(summary(group, *more)) for key, group in groups)
+
+
+# -- statistics over samples -------------------------------------------------------------------------
+
+
+def spread(
+    name: str, values: Sequence[float] | np.ndarray, ranks: Sequence[float] = ONE_SIGMA
+) -> dict[str, float]:
+    """Return the median of `values` and their percentiles at -1σ and +1σ, as columns of `name`."""
+    low, median, high = map(float, np.percentile(values, ranks))
+    return {name: median, f"{name}_p16": low, f"{name}_p84": high}
+
+
+def spreads(rows: Frame, *names: str) -> dict[str, float]:
+    """Return the `spread` of several columns."""
+    return {key: one for name in names for key, one in spread(name, rows[name].to_numpy(float)).items()}
+
+
+def median_in_range(name: str, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """Return the median of one value per sample, and the range in which it lies, as columns of `name`."""
+    found = np.asarray(values, float)
+    return _columns(name, np.median(found), _range(np.median(_redrawn(found), axis=1), len(found)))
+
+
+def rms_in_range(name: str, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """Return the root of the mean square of one value per sample, and the range in which it lies."""
+    squares = np.square(np.asarray(values, float))
+    return _columns(
+        name, np.sqrt(squares.mean()), np.sqrt(_range(_redrawn(squares).mean(axis=1), len(squares)))
+    )
+
+
+def _columns(name: str, value: float, range_: np.ndarray) -> dict[str, float]:
+    low, high = map(float, range_)
+    return {name: float(value), f"{name}_low": low, f"{name}_high": high}
+
+
+def _range(redrawn: np.ndarray, samples: int) -> np.ndarray:
+    """Return the range of 90 % from the numbers of redrawn samples, wider where there are few samples.
+
+    Percentiles alone are too narrow then. These are the expanded ones of Hesterberg 2015, Am. Stat. 69, 371;
+    of three samples they are nearly the smallest and the largest, which hold the truth in some 75 % only.
+    """
+    if samples < 2:
+        return np.array([np.nan, np.nan])
+    reach = np.sqrt(samples / (samples - 1)) * stats.t.isf(TAIL, samples - 1)
+    return np.quantile(redrawn, stats.norm.cdf([-reach, reach]))
+
+
+def _redrawn(values: np.ndarray) -> np.ndarray:
+    """Return samples drawn from these with replacement, (DRAWS, samples)."""
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    return values[rng.integers(len(values), size=(DRAWS, len(values)))]
+
+
+# -- files -------------------------------------------------------------------------------------------
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows as CSV; floats have all their digits, None is nothing."""
+    text = io.StringIO()
+    writer = csv.DictWriter(
+        text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n"
+    )
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def csv_of_tables(tables: Mapping[str, Records]) -> str:
+    """Return tables as one CSV, their names in the first column."""
+    return csv_text([{"table": name, **row} for name, records in tables.items() for row in records])
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file as text."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def read_tables(path: Path) -> dict[str, Frame]:
+    """Return the tables of a file that `csv_of_tables` made."""
+    records: dict[str, Records] = {}
+    for row in read_csv(path):
+        own = records.setdefault(row.pop("table"), [])
+        own.append({key: _value(text) for key, text in row.items()})
+    return {name: frame(rows) for name, rows in records.items()}
+
+
+def _value(text: str) -> Any:
+    if text in ("True", "False"):
+        return text == "True"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text or None
+
+
+# -- tables for people -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table for the report and for docs/results.md.
+
+    Attributes
+    ----------
+    of : str
+        Name of the table that it shows.
+    cells : mapping of str to str
+        Headings, and patterns of the cells below them: text with ``{column:format}`` in it.
+    across : mapping of str to str
+        The same, the headings being patterns as well: rows with equal `cells` become one, and what differs
+        stands side by side.
+    heads : sequence of str
+        Which of the headings of `across` are shown, in this order; all, as they come, if empty.
+    where : str
+        Which rows, as `DataFrame.query` reads it.
+    caption : str
+        Pattern for the first of these rows.
+    limit : (str, str)
+        Columns of a value and of its limit, by which a row is good or bad; without a limit it is neither.
+    page : str
+        Name of the table in docs/results.md; it is not shown there without.
+    """
+
+    of: str
+    title: str
+    cells: Mapping[str, str]
+    across: Mapping[str, str] = field(default_factory=dict)
+    heads: Sequence[str] = ()
+    where: str = ""
+    caption: str = ""
+    limit: tuple[str, str] | None = None
+    page: str = ""
+
+    def table(self, tables: Tables, *, ranges: bool = True) -> Table:
+        """Return the finished table; with `ranges`, a quantity that has a spread has it in brackets."""
+        chosen = tables[self.of].query(self.where, engine="python") if self.where else tables[self.of]
+        records = chosen.to_dict("records")
+        columns, body = (
+            list(self.cells),
+            [[filled(cell, row, ranges) for cell in self.cells.values()] for row in records],
+        )
+        if self.across:
+            found: dict[tuple[str, ...], dict[str, str]] = {}
+            for row, own in zip(records, body, strict=True):
+                beside = {filled(head, row): filled(cell, row, ranges) for head, cell in self.across.items()}
+                found.setdefault(tuple(own), {}).update(beside)
+            heads = self.heads or list(dict.fromkeys(head for beside in found.values() for head in beside))
+            columns += heads
+            body = [[*own, *(beside.get(head, MISSING) for head in heads)] for own, beside in found.items()]
+        marks = [_mark(row[self.limit[0]], row[self.limit[1]]) for row in records] if self.limit else ()
+        return Table(columns, body, self.title, filled(self.caption, records[0]) if records else "", marks)
+
+    def markdown(self, tables: Tables) -> str:
+        """Return the table as Markdown, the first column to the left, the others to the right."""
+        shown = self.table(tables, ranges=False)
+        rules = ["---", *["---:"] * (len(shown.columns) - 1)]
+        lines = [f"| {' | '.join(row)} |" for row in (shown.columns, rules, *shown.rows)]
+        return "\n".join([*lines, *(["", shown.caption] if shown.caption else [])])
+
+
+def _mark(value: float, limit: float) -> str:
+    return "" if math.isnan(limit) else "good" if value <= limit else "bad"
+
+
+def filled(pattern: str, row: Mapping[str, Any], ranges: bool = False) -> str:
+    """Return a pattern filled from the columns of a row."""
+    return _Pattern(row, ranges).format(pattern)
+
+
+class _Pattern(string.Formatter):
+    """Takes what stands in braces for a column of a row; what is missing becomes a dash."""
+
+    def __init__(self, row: Mapping[str, Any], ranges: bool) -> None:
+        self._row, self._ranges = row, ranges
+
+    def get_field(self, field_name: str, args: Any, kwargs: Any) -> tuple[Any, str]:
+        row = self._row
+        ends = [row.get(f"{field_name}_{end}", math.nan) for end in ("p16", "p84")] if self._ranges else []
+        return (row.get(field_name), *ends), field_name
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        own, *ends = (MISSING if _missing(one) else format(one, format_spec) for one in value)
+        return f"{own} ({ends[0]}…{ends[1]})" if ends and MISSING not in ends else own
+
+
+def _missing(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and not math.isfinite(value))

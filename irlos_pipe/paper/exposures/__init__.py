@@ -1,1 +1,0 @@
-"""Experiment `exposures`: its science, its stage and its section of the report."""

@@ -1,0 +1,241 @@
+"""How faint LIFT goes with and without calibrated NCPAs (paper, Fig. "sensitivity").
+
+As in the paper's test, bright frames of the narrow H band are dimmed and the missing noise is put back.
+Every variant of LIFT sees the same dimmed frames, and starts from zero defocus as a closed loop would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+
+from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, curve_of, scan
+from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common.broad_band import FINE
+from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM
+from irlos_pipe.paper.common.observation import exposure_noise, noise_of
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, RAMP_STREAM, calibrated, methods_of, observe
+from irlos_pipe.paper.common.reads import NoiseOf, Read, as_read, on_spartas_scale
+from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
+from irlos_pipe.report.section_sensitivity import Curve, Look, sensitivity_plot
+from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.stages.sensitivity.results import CriterionRow
+
+COMPARED = ("none_3", "none_9", "published_3", "published_9", "default_3", "default_9")
+SIGNAL_VARIANT = "default_9"  # the best model gives the noise-free signal of the frames that are dimmed
+OVER_THEORY = 1.5
+LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
+COLOURS = {"none": ORANGE, "published": GREEN, "default": BLUE}
+
+
+class Sizes(ex.StageConfig):
+    """Sizes of the experiment."""
+
+    samples: int = Field(2, ge=1, le=1000, description="sets of NCPAs, pooled in every curve")
+    reach_nm: float = Field(170.0, gt=0, le=600, description="the ramp goes from minus to plus this [nm RMS]")
+    offsets: int = Field(7, ge=2, le=200, description="positions of the ramp, one frame each")
+    realisations: int = Field(10, ge=1, le=1000, description="of the noise, per frame and magnitude")
+    exposures_s: tuple[float, ...] = Field((0.1, 1.0), min_length=1, description="lengths of an exposure")
+    faintest_mag_j: tuple[float, ...] = Field((19.0, 21.0), description="for each length of exposure")
+    magnitudes: int = Field(9, ge=1, le=50, description="of the scan, the faintest one included")
+    mag_step: float = Field(1.0, gt=0, le=5, description="step of the magnitudes")
+    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
+    mag_j: float = Field(7.1, ge=0, le=20, description="of the frames that are dimmed")
+    seeing_arcsec: float = Field(0.5, gt=0, le=3, description="by MASS-DIMM")
+    limit_nm: float = Field(30.0, gt=0, description="limiting magnitude: largest median error [nm RMS]")
+    limit_failures: float = Field(0.1, ge=0, le=1, description="limiting magnitude: largest part of failures")
+    noise: NoiseOf = Field(
+        "reads", description="of the dimmed frames: all reads of an exposure with sky and dark, or one read"
+    )
+
+    @model_validator(mode="after")
+    def _usable_magnitudes(self) -> Sizes:
+        if len(self.faintest_mag_j) != len(self.exposures_s):
+            raise ValueError("faintest_mag_j needs one value for each of exposures_s")
+        brightest = min(self.faintest_mag_j) - (self.magnitudes - 1) * self.mag_step
+        if brightest < self.mag_j:
+            raise ValueError(
+                f"the scan would begin at {brightest:g}, brighter than mag_j {self.mag_j:g}: frames can only "
+                "be dimmed; lower magnitudes or mag_step"
+            )
+        return self
+
+
+def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+    """One set of NCPAs each, at the seeing on SPARTA's scale."""
+    seeing = on_spartas_scale(ctx.instrument, ctx.config.seeing_arcsec)
+    read = Read.of(ctx.instrument, ctx.config.noise, "faint")
+    for index in range(ctx.config.samples):
+        yield ex.sample(ctx, f"sample {index}", index, sparta_arcsec=seeing, read=read)
+
+
+def rows(star: ex.Sample) -> ex.Rows:
+    """Dim a ramp of every length of exposure, and estimate it by every variant at every magnitude."""
+    sizes, read = star.sizes, star["read"]
+    cube = cube_of(star)
+    knowledge = calibrated(cube, methods_of(LIFT_VARIANTS[key] for key in COMPARED))
+    for index, (exposure_s, faintest) in enumerate(zip(sizes.exposures_s, sizes.faintest_mag_j, strict=True)):
+        ramp = ramp_of(star, cube, index, exposure_s)
+        exposed = expose(ramp)
+        observed = observe(ramp, exposed, knowledge)
+        data, signal_e = observed.data, observed.estimate(LIFT_VARIANTS[SIGNAL_VARIANT]).result.model_e
+        magnitudes = faintest - np.arange(sizes.magnitudes)[::-1] * sizes.mag_step
+        for key in COMPARED:
+            variant = LIFT_VARIANTS[key]
+            curve = scan(
+                ImageModel(observed.model(variant), observed.effects(variant)),
+                data,
+                signal_e,
+                sizes.mag_j,
+                magnitudes,
+                sizes.realisations,
+                torch.zeros(len(data.images_e), len(variant.modes), dtype=torch.float64),
+                Criterion(np.inf, 1.0),  # the limit is that of all samples together
+                star.seed[-1],
+                faint=None if read is None else exposure_noise(as_read(ramp, read)).beyond(noise_of(ramp)),
+            )
+            yield {
+                "exposure_s": exposure_s,
+                "key": key,
+                "magnitudes": magnitudes,
+                "abs_error_nm": curve.abs_error_nm,
+                "crb_nm": curve.crb_nm,
+                "one_read_crb_nm": curve.one_read_crb_nm,
+                "residual_nm": exposed.zernike_nm[
+                    :, DEFOCUS - 2
+                ],  # mean defocus of the AO residual in a frame
+            }
+
+
+def cube_of(star: ex.Sample) -> Scene:
+    """Return the calibration cube.
+
+    The NCPAs have no defocus of their own: a sensor that does not know them measures it rightly, but errors
+    count against the introduced defocus.
+    """
+    cube = star.cube(star["sparta_arcsec"], star.sizes.cube_frames, star.sizes.mag_j)
+    ncpa_nm = {noll: value_nm for noll, value_nm in cube.ncpa_nm.items() if noll != DEFOCUS}
+    mirror: dict[str, Any] = {"diversity_nm": MIRROR_DIVERSITY_NM, "diversity_source": "mirror"}
+    return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE, **mirror)
+
+
+def ramp_of(star: ex.Sample, cube: Scene, index: int, exposure_s: float) -> Scene:
+    """Return the ramp of the length of exposure number `index`, with one frame per offset."""
+    offsets_nm = np.linspace(-star.sizes.reach_nm, star.sizes.reach_nm, star.sizes.offsets)
+    return replace(
+        cube,
+        role="defocus_ramp",
+        seed=(*star.seed, RAMP_STREAM, index),
+        frames=len(offsets_nm),
+        exposure_s=exposure_s,
+        frame_rate_hz=1 / exposure_s,
+        introduced_nm=tuple(offsets_nm.tolist()),
+    )
+
+
+def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """Limits of all variants, all samples pooled, and their errors at every magnitude."""
+    sizes, criterion = ctx.config, Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
+    limits, magnitudes = [], []
+    for (exposure_s, key), group in rows.groupby(["exposure_s", "key"], sort=False):
+        variant, of = LIFT_VARIANTS[key], {"exposure_s": exposure_s, "key": key}
+        errors_nm = np.concatenate(list(group.abs_error_nm), axis=1)
+        bound_nm, one_read_nm = (
+            np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm")
+        )
+        of_all = variant.modes, group.magnitudes.iloc[0], errors_nm
+        curve = curve_of(*of_all, bound_nm, one_read_nm, criterion)
+        # A perfect sensor errs by the defocus that the AO residual has of its own in every frame.
+        residual_nm = np.concatenate(list(group.residual_nm))
+        limits.append({
+            **of, "label": variant.name, "modes": len(variant.modes), "calibrated": bool(variant.ncpa),
+            "trials": curve.trials, "limit_mag": curve.limit_mag,
+            "one_read_bound_mag": curve.bound_mag(criterion),
+            "residual_floor_nm": float(MEDIAN_OF_NORMAL * np.sqrt(np.mean(residual_nm**2))),
+            "bright_error_nm": curve.median_abs_error_nm[0], "bright_crb_nm": curve.crb_nm[0],
+            "samples": len(group), "limit_nm": sizes.limit_nm, "limit_failures": sizes.limit_failures,
+            "implausible_nm": criterion.implausible_nm,
+        })  # fmt: skip
+        names = ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "one_read_crb_nm", "failures")
+        columns = zip(*(getattr(curve, name).tolist() for name in names), strict=True)
+        magnitudes += [of | dict(zip(names, column, strict=True)) for column in columns]
+    return {"curves": ex.frame(limits), "magnitudes": ex.frame(magnitudes)}
+
+
+def checks(tables: ex.Tables) -> list[ex.Check]:
+    """No limit without NCPAs, three modes not before nine (the paper's Sect. 6.3), theory met."""
+    found = []
+    for exposure_s, group in tables["curves"].groupby("exposure_s", sort=False):
+        of, curves = f"{exposure_s:g} s", group.set_index("key")
+        reached = int(np.isfinite(group.limit_mag[~group.calibrated]).sum())
+        name, text = (
+            f"ways without NCPAs that meet the criterion, {of}",
+            f"{reached} of the uncalibrated ways",
+        )
+        found.append(ex.at_most(name, reached, 0, text))
+        for kind in (key.removesuffix("_9") for key in COMPARED if key.endswith("_9")):
+            if curves.calibrated[f"{kind}_9"]:
+                three, nine = curves.limit_mag[f"{kind}_3"], curves.limit_mag[f"{kind}_9"]
+                name = f"magnitudes that three modes reach further than nine, {kind}, {of}"
+                found.append(ex.at_least(name, three - nine, 0.0, f"m_J {three:.1f} and {nine:.1f}", "mag"))
+        default = curves.loc["default_3"]
+        theory_nm = math.hypot(default.residual_floor_nm, MEDIAN_OF_NORMAL * default.bright_crb_nm)
+        text = f"median {default.bright_error_nm:.1f} nm, theory {theory_nm:.1f} nm"
+        name = f"error of the brightest star over theory, default, {of}"
+        found.append(ex.at_most(name, default.bright_error_nm / theory_nm, OVER_THEORY, text))
+    return found
+
+
+LISTING = ex.Listing("curves", "Limiting magnitude",
+    {"estimate": "{label}", "modes": "{modes}"},
+    {
+        "limit at {exposure_s:g} s [J mag]": "{limit_mag:.1f}",
+        "bound at {exposure_s:g} s, one read [J mag]": "{one_read_bound_mag:.1f}",
+        "error at the bright end, {exposure_s:g} s [nm]": "{bright_error_nm:.1f}",
+    },
+    caption="Faintest magnitude with median |error| ≤ {limit_nm:.0f} nm and ≤ {limit_failures:.0%} "
+    "failures, of {trials} estimates per magnitude; –: met at no magnitude. Bound: an efficient estimate "
+    "of frames of one read without sky.",
+)  # fmt: skip
+
+
+def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Error and failures against magnitude, for every length of exposure."""
+    found, magnitudes = [], drawn.tables["magnitudes"]
+    caption = (
+        "Median |estimated − introduced defocus|. Circles, thick lines: three modes, with the 16th to 84th "
+        f"percentile as a band and, dashed, the Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median error "
+        "of an efficient estimate (dotted lines: of frames of one read without sky). Squares: nine "
+        "modes. Dotted: a perfect sensor, which sees the mean defocus of the AO residual in every frame. "
+        "Dash-dotted and vertical lines: criterion and limiting magnitudes."
+    )
+    for exposure_s, group in drawn.tables["curves"].groupby("exposure_s", sort=False):
+        curves, looks = [], []
+        for row in group.itertuples():
+            own = magnitudes[(magnitudes.exposure_s == exposure_s) & (magnitudes.key == row.key)]
+            columns = own.drop(columns=["exposure_s", "key", "failures"]).to_numpy(float).T
+            kind, failed = row.key.rpartition("_")[0], own.failures.to_numpy(float) / row.trials
+            parts: tuple[Any, ...] = (*columns, failed, row.limit_mag)
+            curves.append(Curve(f"{LABELS[kind]}, {row.modes} modes", *parts))
+            looks.append(Look(COLOURS[kind], "o" if row.modes == 3 else "s", main=row.modes == 3))
+        level = CriterionRow(median_abs_error_nm=row.limit_nm, failures=row.limit_failures)
+        name = f"faint-{exposure_s:g}".replace(".", "-")
+        drawing = sensitivity_plot(name, curves, level, looks, row.residual_floor_nm)
+        found.append(ex.Figure(drawing, f"Exposures of {exposure_s:g} s", caption))
+    return found
+
+
+EXPERIMENT = ex.Experiment(
+    "faint", 10, Sizes, "Sensitivity, simulated",
+    samples, rows, tables, checks, [LISTING], figures,
+    "Frames of the narrow H band dimmed to fainter stars, {samples} sets of NCPAs.", "samples",
+)  # fmt: skip

@@ -1,0 +1,237 @@
+"""A focus ramp with and without calibrated NCPAs (paper, Fig. "Calibrated LIFT").
+
+The NCPAs of a sample are calibrated from a cube of the narrow H band; the ramp of the same star in J+H
+has the same NCPAs and other residuals. Every variant of LIFT sees the same frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from pydantic import Field, field_validator
+
+from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
+from irlos_pipe.estimate.ramp import summarise
+from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common.broad_band import FINE
+from irlos_pipe.paper.common.ramps import (
+    LIFT_VARIANTS,
+    calibrated,
+    methods_of,
+    observe,
+    ramp_scene,
+    true_modes_nm,
+)
+from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YELLOW, svg
+from irlos_pipe.report.text import mode_label
+from irlos_pipe.simulate.exposure import expose
+
+ASKED_NM = 4.0  # RMS error of a calibrated ramp
+SLOPE_WITHIN = 0.03  # of 1: the ramp's sign and scale
+ASKED_OF = ("default_3", "default_9")
+UNCALIBRATED = {
+    "published_3": "none_3",
+    "published_9": "none_9",
+    "default_3": "none_3",
+    "default_9": "none_9",
+}
+DRAWN = {
+    "none_9": "no NCPAs in the model",
+    "published_9": "NCPAs by DIP global",
+    "default_9": "this pipeline",
+}
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW, INK)
+
+
+class Sizes(ex.StageConfig):
+    """Sizes of the experiment."""
+
+    samples: int = Field(8, ge=1, le=1000, description="sets of NCPAs; the ramp of the first is drawn")
+    reach_nm: float = Field(300.0, gt=0, le=600, description="the ramp goes from minus to plus this [nm RMS]")
+    offsets: int = Field(13, ge=3, le=200, description="positions of the ramp")
+    frames_per_offset: int = Field(2, ge=1, le=1000, description="frames at every position")
+    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
+    ways: tuple[str, ...] = Field(tuple(LIFT_VARIANTS), min_length=1, description="variants of LIFT")
+    seeing_arcsec: float = Field(0.35, gt=0, le=3, description="seeing on SPARTA's scale")
+    cube_mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude in the calibration cube")
+    ramp_mag_j: float = Field(12.0, ge=0, le=20, description="J magnitude in the ramp")
+
+    @field_validator("ways")
+    @classmethod
+    def _known(cls, ways: tuple[str, ...]) -> tuple[str, ...]:
+        for key in ways:
+            if key not in LIFT_VARIANTS:
+                raise ValueError(f"no variant '{key}'; known: {', '.join(LIFT_VARIANTS)}")
+        return ways
+
+
+def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+    """One set of NCPAs each."""
+    for index in range(ctx.config.samples):
+        yield ex.sample(ctx, f"ramp {index}", index)
+
+
+def rows(star: ex.Sample) -> ex.Rows:
+    """Simulate cube and ramp, and estimate the ramp by every variant of LIFT."""
+    sizes = star.sizes
+    cube = replace(star.cube(sizes.seeing_arcsec, sizes.cube_frames, sizes.cube_mag_j), sampling=FINE)
+    offsets_nm = np.linspace(-sizes.reach_nm, sizes.reach_nm, sizes.offsets)
+    ramp = ramp_scene(cube, sizes.ramp_mag_j, np.repeat(offsets_nm, sizes.frames_per_offset).tolist())
+    exposed = expose(ramp)
+    variants = {key: LIFT_VARIANTS[key] for key in sizes.ways}
+    observed = observe(ramp, exposed, calibrated(cube, methods_of(variants.values())))
+    introduced_nm, true_nm = ramp.introduced_per_frame_nm, true_modes_nm(ramp, exposed)
+    for key, variant in variants.items():
+        fit = observed.estimate(variant)
+        given_nm = observed.knowledge[variant.ncpa].ncpa_nm
+        modes_nm = fit.result.zernike_nm.numpy() + [given_nm.get(noll, 0.0) for noll in variant.modes]
+        converged = fit.result.solution.converged.numpy()
+        errors = ramp_errors(
+            introduced_nm, true_nm, fit.defocus_nm, modes_nm[:, variant.modes.index(DEFOCUS)]
+        )
+        drawn = {"introduced_nm": introduced_nm, "true_nm": true_nm, "estimated_nm": modes_nm}
+        yield {"key": key, **errors, "converged": float(np.mean(converged)), **drawn}
+
+
+def ramp_errors(
+    introduced_nm: np.ndarray, true_nm: np.ndarray, estimated_nm: np.ndarray, total_nm: np.ndarray
+) -> dict[str, float]:
+    """Return the errors of one variant on one ramp.
+
+    Parameters
+    ----------
+    introduced_nm : ndarray, (frames,)
+    true_nm : ndarray, (frames, 10)
+        Noll 2–11 that there were: introduced defocus, NCPAs, and the mean AO residual of every frame.
+    estimated_nm, total_nm : ndarray, (frames,)
+        Estimated defocus, and the same with that of the NCPAs that were given.
+    """
+    line = summarise(introduced_nm, estimated_nm)
+    wrong_nm = total_nm - true_nm[:, DEFOCUS - 2]
+    return {
+        "slope": line.slope,
+        "offset_nm": line.offset_nm,
+        "rms_nm": line.rms_nm,
+        "line_rms_nm": line.residual_rms_nm,
+        "true_rms_nm": float(np.sqrt(np.nanmean(wrong_nm**2))),
+    }
+
+
+def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """Median and spread over the ramps."""
+
+    def summary(group: ex.Frame) -> dict[str, Any]:
+        variant = LIFT_VARIANTS[group.key.iloc[0]]
+        what = {"label": variant.name, "modes": str(list(variant.modes)), "ncpa": variant.ncpa or None}
+        numbers = ("slope", "offset_nm", "rms_nm", "line_rms_nm", "true_rms_nm", "converged")
+        return what | {"samples": len(group)} | ex.spreads(group, *numbers)
+
+    return {"ways": ex.grouped(rows, ["key"], summary)}
+
+
+def checks(tables: ex.Tables) -> list[ex.Check]:
+    """A calibration mends the ramp, the default's to what is asked."""
+    ways = {row["key"]: row for row in tables["ways"].to_dict("records")}
+    of = {key: f"{row['label']}, {len(LIFT_VARIANTS[key].modes)} modes" for key, row in ways.items()}
+    gains, errors, slopes = [], [], []
+    for key, without in UNCALIBRATED.items():
+        if key in ways and without in ways:
+            error, before = ways[key]["true_rms_nm"], ways[without]["true_rms_nm"]
+            text = f"medians {error:.1f} and {before:.1f} nm RMS"
+            gains.append(
+                ex.at_most(f"error with NCPAs over that without, {of[key]}", error / before, 1.0, text)
+            )
+    for key in filter(ways.__contains__, ASKED_OF):
+        error, slope = ways[key]["true_rms_nm"], ways[key]["slope"]
+        text = f"median {error:.1f} nm RMS over the ramps"
+        errors.append(ex.at_most(f"defocus error, {of[key]}", error, ASKED_NM, text, "nm"))
+        limits, text = (1 - SLOPE_WITHIN, 1 + SLOPE_WITHIN), f"median {slope:.3f}"
+        slopes.append(ex.Check(f"slope, {of[key]}", slope, "", *limits, text))
+    return [*gains, *errors, *slopes]
+
+
+LISTING = ex.Listing("ways", "Variants of LIFT",
+    {
+        "defocus ramp by LIFT": "{label}", "modes": "{modes}", "slope": "{slope:.3f}",
+        "error [nm RMS]": "{true_rms_nm:.1f}", "against the introduced defocus [nm RMS]": "{rms_nm:.1f}",
+    },
+    caption="Medians over {samples} draws of the NCPAs, against the defocus there was in every exposure; "
+    "last column: against the introduced defocus alone, so that the AO residual's own defocus counts as "
+    'an error and, without NCPAs, theirs as well; −300…300 nm, J+H, 1 s, m_J 12, 0.35".',
+    page="focus_ramp",
+)  # fmt: skip
+
+
+def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """The first ramp frame by frame."""
+    found = {}
+    for row in rows[rows["sample"] == rows["sample"].iloc[0]].itertuples():
+        for name in ("introduced_nm", "true_nm"):
+            found[name] = ex.Quantity(getattr(row, name), "nm", "first ramp; Noll 2–11 as they were")
+        text = "first ramp: estimates (frame, mode), given NCPAs included"
+        found[f"{row.key}/modes_nm"] = ex.Quantity(row.estimated_nm, "nm", text)
+    return found
+
+
+def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """All modes of the first ramp, and the errors of all ramps."""
+    keys = [key for key in drawn.tables["ways"].key if key in DRAWN]
+    caption = (
+        "First ramp, nine modes, median per offset. Dashed: the true wavefront (introduced defocus, NCPAs, "
+        "AO residual of each frame). NCPAs given to LIFT count as estimated; tip and tilt are not drawn."
+    )
+    first = [
+        ex.Figure(_first_ramp(drawn, keys), "Estimated modes against introduced defocus", caption, "full")
+    ]
+    rows = drawn.rows()
+    rows["named"] = [f"{LIFT_VARIANTS[key].name}, {len(LIFT_VARIANTS[key].modes)}" for key in rows.key]
+    columns = {"true_rms_nm": "introduced + NCPA + AO residual", "rms_nm": "introduced"}
+    errors = ex.strips(
+        "focus-ramp-errors", rows, columns, by="named", label="error of the defocus [nm RMS]", width=9
+    )
+    caption = "RMS of every ramp against the true and against the introduced defocus. Bars: medians."
+    return [*(first if keys else []), ex.Figure(errors, "Error of every ramp", caption, "full")]
+
+
+def _first_ramp(drawn: ex.Drawn, keys: list[str]) -> Markup:
+    introduced_nm, true_nm = drawn.array("introduced_nm"), drawn.array("true_nm")
+    offsets_nm = np.unique(introduced_nm)
+
+    def medians(values: np.ndarray) -> np.ndarray:
+        return np.array([np.nanmedian(values[introduced_nm == offset]) for offset in offsets_nm])
+
+    def variant(upper: Axes, lower: Axes, key: str) -> None:
+        modes, modes_nm = LIFT_VARIANTS[key].modes, drawn.array(f"{key}/modes_nm")
+        for noll, colour in zip((noll for noll in modes if noll not in TIP_TILT), COLOURS, strict=False):
+            found, there = medians(modes_nm[:, modes.index(noll)]), medians(true_nm[:, noll - 2])
+            upper.plot(offsets_nm, found, "o-", color=colour, markersize=3, label=mode_label(noll))
+            upper.plot(offsets_nm, there, "--", color=colour, linewidth=0.9)
+            left = medians(modes_nm[:, modes.index(noll)] - true_nm[:, noll - 2])
+            lower.plot(offsets_nm, left, "o-", color=colour, markersize=3)
+        upper.set_title(DRAWN[key])
+        lower.set_xlabel("introduced defocus [nm RMS]")
+
+    def draw(figure: Canvas) -> None:
+        shape: Any = {"sharex": True, "sharey": "row", "squeeze": False, "height_ratios": (3, 2)}
+        panels = figure.subplots(2, len(keys), **shape)
+        for place, key in enumerate(keys):
+            variant(panels[0, place], panels[1, place], key)
+        panels[0, 0].set_ylabel("coefficient [nm RMS]")
+        panels[1, 0].set_ylabel("estimated − true\n[nm RMS]")
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+
+    return svg("focus-ramp-modes", (10.5, 6.2), draw)
+
+
+EXPERIMENT = ex.Experiment(
+    "focus_ramp", 8, Sizes, "Focus ramp with and without calibrated NCPAs",
+    samples, rows, tables, checks, [LISTING], figures,
+    "{samples} ramps in J and H, each with NCPAs of its own, which are unknown or calibrated.",
+    "ramps", arrays,
+)  # fmt: skip

@@ -1,1 +1,0 @@
-"""Experiment `low_wind`: its science, its stage and its section of the report."""

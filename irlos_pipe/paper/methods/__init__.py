@@ -1,1 +1,0 @@
-"""Experiment `methods`: its science, its stage and its section of the report."""

@@ -1,0 +1,169 @@
+"""Error of Noll 2–30 against the number of estimated modes, where 50 were introduced (paper, appendix B)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
+from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
+from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common.cube import ObservedCube
+from irlos_pipe.paper.common.reads import NoiseOf, Read, as_read
+from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, Variant, frames_per_method
+
+LIFT = "lift_avg"
+MODES_INTRODUCED = 50
+HELD_OUT = "held-out frames"
+
+
+class Sizes(ex.StageConfig):
+    """Sizes of the experiment."""
+
+    cubes: int = Field(4, ge=1, le=1000, description="cubes, each with its own NCPAs of 50 modes")
+    frames: int = Field(200, ge=32, le=10000, description="frames of a cube")
+    published_frames: int = Field(
+        20, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
+    )
+    numbers: tuple[int, ...] = Field(
+        (16, 21, 31, 41, 51, 61, 81, 101), min_length=2, description="highest Noll modes estimated"
+    )
+    magnitudes: tuple[float, ...] = Field(
+        (7.0, 14.0, 16.0, 18.0), min_length=1, description="of the star, in J"
+    )
+    seeing_arcsec: float = Field(0.5, gt=0, le=5, description="seeing on SPARTA's scale")
+    noise: NoiseOf = Field("reads", description="of exposures: all reads with sky and dark, or one read")
+
+    @field_validator("numbers")
+    @classmethod
+    def _rising(cls, numbers: tuple[int, ...]) -> tuple[int, ...]:
+        if list(numbers) != sorted(set(numbers)) or numbers[0] < 4 or numbers[-1] > HIGHEST_NOLL:
+            raise ValueError(f"give rising numbers between 4 and {HIGHEST_NOLL}")
+        return numbers
+
+
+def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+    """One cube each."""
+    read = Read.of(ctx.instrument, ctx.config.noise, "mode_number")
+    for index in range(ctx.config.cubes):
+        yield ex.sample(ctx, f"cube {index}", index, read=read)
+
+
+def rows(star: ex.Sample) -> ex.Rows:
+    """Dim the cube and estimate few and many modes; what held-out frames recommend to the default."""
+    sizes = star.sizes
+    scene = star.cube(sizes.seeing_arcsec, sizes.frames, sizes.magnitudes[0])
+    cube = ObservedCube.of(as_read(scene, star["read"]))
+    frames = frames_per_method(sizes.frames, sizes.published_frames) | {LIFT: sizes.frames}
+    for method, magnitudes in magnitudes_of(sizes).items():
+        for mag_j in magnitudes:
+            own = cube.dimmed(mag_j).first(frames[method])
+            for highest, fit in zip(sizes.numbers, fits(own, method, sizes.numbers), strict=True):
+                error_nm = own.modes_delta_nm(fit)
+                yield {"method": method, "mag_j": mag_j, "highest_noll": highest, "error_nm": error_nm}
+    bright = cube.dimmed(sizes.magnitudes[0])
+    options = _variant(DEFAULT).options_with(bright.scene.facility.ncpa_law)
+    scan = scan_mode_numbers(bright.frames, bright.settings, options, sizes.numbers, bright.effects)
+    recommended = scan.highest_nolls[choose(scan.misfit).recommended]
+    for highest, misfit in zip(sizes.numbers, scan.misfit.mean(axis=1), strict=True):
+        found = {"held_out_chi2_nu": misfit, "recommended_noll": recommended}
+        yield {"method": HELD_OUT, "mag_j": sizes.magnitudes[0], "highest_noll": highest, **found}
+
+
+def magnitudes_of(sizes: Sizes) -> Mapping[str, tuple[float, ...]]:
+    """Return the stars of every method; the paper's calibration is meant for bright stars only."""
+    return {DEFAULT: sizes.magnitudes, PAPER_CHOICE: sizes.magnitudes[:1], LIFT: sizes.magnitudes}
+
+
+def fits(cube: ObservedCube, method: str, highest_nolls: tuple[int, ...]) -> list[Calibration]:
+    """The default begins every number of modes from the one before; the published methods begin from none."""
+    variant = _variant(method)
+    if method == DEFAULT:
+        options = variant.options_with(cube.scene.facility.ncpa_law)
+        return fit_mode_numbers(cube.frames, cube.settings, options, highest_nolls, cube.effects)
+    return [
+        cube.calibrated(replace(variant, options=replace(variant.options, highest_noll=highest)))
+        for highest in highest_nolls
+    ]
+
+
+def _variant(method: str) -> Variant:
+    """The default has its prior; the others have none, as published."""
+    return Variant(method, CalibrationOptions(method), prior=method == DEFAULT)
+
+
+def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """Median and extremes over the cubes, and what each cube recommends."""
+
+    def summary(group: ex.Frame) -> Mapping[str, object]:
+        error_nm, label = group.error_nm.to_numpy(), METHOD_NAMES[group.method.iloc[0]]
+        numbers = {"median_nm": np.median(error_nm), "least_nm": error_nm.min(), "worst_nm": error_nm.max()}
+        return {"label": label, **numbers, "cubes": len(group), "modes_introduced": MODES_INTRODUCED}
+
+    curves, held_out = rows[rows.method != HELD_OUT], rows[rows.method == HELD_OUT]
+    recommended = held_out.drop_duplicates("sample")[["sample", "recommended_noll"]].astype(
+        {"recommended_noll": int}
+    )
+    return {"curves": ex.grouped(curves, ["method", "mag_j", "highest_noll"], summary), "cubes": recommended}
+
+
+def checks(tables: ex.Tables) -> list[ex.Check]:
+    """DIP is best at the number introduced (the paper's appendix B), and the frames tell this number."""
+    found, last, curves = [], MODES_INTRODUCED + 1, tables["curves"]
+    for mag_j, curve in curves[curves.method == PAPER_CHOICE].groupby("mag_j", sort=False):
+        best = curve.highest_noll[curve.median_nm.idxmin()]
+        name = f"modes from those introduced to DIP global's best, m_J {mag_j:g}"
+        found.append(ex.at_most(name, abs(best - last), 0, f"best to Noll {best}, introduced to Noll {last}"))
+    recommended = tables["cubes"].recommended_noll
+    others, cubes = int((recommended != last).sum()), len(recommended)
+    name = "cubes whose held-out frames choose another number than the introduced one"
+    return [*found, ex.at_most(name, others, cubes / 2, f"{others} of {cubes}")]
+
+
+LISTINGS = [
+    ex.Listing("curves", "Error against the highest Noll mode that is estimated",
+        {"method": "{label}", "m_J": "{mag_j:g}"},
+        {"{highest_noll}": "{median_nm:.1f}"},
+        caption="Medians over {cubes} cubes of the error in Noll 2–30 [nm RMS].",
+    ),
+    ex.Listing("cubes", "Recommended by unseen frames",
+        {"cube": "{sample}", "modes": "Noll 2–{recommended_noll}"},
+        caption="By the misfit of frames that no fit of the default has seen, without the truth.",
+    ),
+]  # fmt: skip
+
+
+def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Medians against the number of modes: calibration of bright cubes, and LIFT of their mean image."""
+    curves, found = drawn.tables["curves"], []
+    labels = ("highest Noll mode estimated", "Δ-WFE in Noll 2–30 [nm]")
+    caption = f"Medians over the cubes. Dotted: the introduced modes, Noll 2–{MODES_INTRODUCED + 1}."
+    named = curves.assign(line=curves.label + ", m_J " + curves.mag_j.map("{:g}".format))
+    for title, part in (
+        ("Calibration", named[named.method != LIFT]),
+        (METHOD_NAMES[LIFT], named[named.method == LIFT]),
+    ):
+        name = f"number-{title.split()[0].lower()}"
+        drawing = ex.lines(
+            name,
+            part,
+            "highest_noll",
+            "median_nm",
+            colour="line",
+            labels=labels,
+            marks=[MODES_INTRODUCED + 1],
+        )
+        found.append(ex.Figure(drawing, title, caption))
+    return found
+
+
+EXPERIMENT = ex.Experiment(
+    "mode_number", 6, Sizes, "Number of modes, simulated",
+    samples, rows, tables, checks, LISTINGS, figures,
+    "{cubes} cubes with NCPAs of {modes_introduced} modes, fitted with fewer and with more.", "cubes",
+)  # fmt: skip

@@ -1,1 +1,0 @@
-"""Experiment `mode_number`: its science, its stage and its section of the report."""

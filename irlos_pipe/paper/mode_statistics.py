@@ -1,0 +1,195 @@
+"""Standard deviation per mode (paper, appendix A): many modes estimated on cubes with 50 simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from pydantic import Field
+
+from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
+from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common.cube import ObservedCube
+from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, Variant, frames_per_method
+from irlos_pipe.report.section_modes import Points, strength_plot
+from irlos_pipe.stages.modes.results import LawRow
+
+INTRODUCED = 51  # highest Noll mode of the simulated NCPAs
+FIRST_FITTED = 4  # tip and tilt hold the residual image motion of a finite cube
+TRUTH = "introduced"
+NAMES = {TRUTH: TRUTH} | {method: METHOD_NAMES[method] for method in (DEFAULT, PAPER_CHOICE)}
+TERMS = {"A": ("A_nm", "A_sigma_nm"), "B": ("B", "B_sigma"), "C": ("C_nm", "C_sigma_nm")}
+
+
+class Sizes(ex.StageConfig):
+    """Sizes of the experiment."""
+
+    cubes: int = Field(20, ge=2, le=1000, description="cubes, each with its own NCPAs of 50 modes")
+    frames: int = Field(100, ge=10, le=10000, description="frames of a cube")
+    published_frames: int = Field(
+        20, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
+    )
+    highest_noll: int = Field(
+        101, ge=INTRODUCED + 10, le=HIGHEST_NOLL, description="modes Noll 2 to this are estimated"
+    )
+    seeing_arcsec: float = Field(0.5, gt=0, le=5, description="seeing on SPARTA's scale")
+    mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
+
+
+def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+    """One cube each."""
+    for index in range(ctx.config.cubes):
+        yield ex.sample(ctx, f"cube {index}", index)
+
+
+def rows(star: ex.Sample) -> ex.Rows:
+    """Simulate a cube and estimate many modes by both methods, without a prior."""
+    sizes = star.sizes
+    cube = ObservedCube.of(star.cube(sizes.seeing_arcsec, sizes.frames, sizes.mag_j))
+    introduced_nm = np.array([cube.scene.ncpa_nm.get(noll, 0.0) for noll in range(2, sizes.highest_noll + 1)])
+    for method, count in frames_per_method(sizes.frames, sizes.published_frames).items():
+        options = CalibrationOptions(method, highest_noll=sizes.highest_noll)
+        fit = cube.first(count).calibrated(Variant(method, options, prior=False))
+        wrong_nm = (fit.zernike_nm - introduced_nm)[2:]
+        yield {
+            "method": method,
+            "introduced_nm": introduced_nm,
+            "zernike_nm": fit.zernike_nm,
+            "sigma_nm": fit.sigma_nm,
+            "error_nm": float(np.sqrt(np.sum(wrong_nm**2))),  # beyond tip and tilt
+            "chi2_nu": fit.chi2_nu,
+        }
+
+
+def scatters(rows: ex.Frame) -> dict[str, ModeScatter]:
+    """Return the scatter over the cubes of the introduced modes, and of the estimates of every method."""
+    by_method = dict(list(rows.groupby("method", sort=False)))
+    true_nm = np.stack(list(by_method[DEFAULT].introduced_nm))
+    found = {TRUTH: _scatter(true_nm, np.zeros_like(true_nm))}
+    for method, own in by_method.items():
+        found[method] = _scatter(np.stack(list(own.zernike_nm)), np.stack(list(own.sigma_nm)))
+    return found
+
+
+def _scatter(zernike_nm: np.ndarray, sigma_nm: np.ndarray) -> ModeScatter:
+    nolls = list(range(2, zernike_nm.shape[1] + 2))
+    return equalised_tilts(mode_scatter(nolls, zernike_nm, sigma_nm))
+
+
+def law_of(scatter: ModeScatter, start: NcpaLaw, last: int | None = None) -> ModeLaw:
+    """Return the law of the estimates as they are, like the paper's; up to Noll `last`."""
+    nolls = np.array(scatter.nolls)
+    fitted = (nolls >= FIRST_FITTED) & (nolls <= (last or nolls[-1]))
+    return fit_mode_law(scatter, fitted, start, remove_noise=False)
+
+
+def beyond_nm(nolls: Sequence[int], std_nm: np.ndarray) -> float:
+    """Return the RMS of the standard deviations of modes that were not introduced: cross-talk and noise."""
+    return float(np.sqrt(np.mean(std_nm[np.asarray(nolls) > INTRODUCED] ** 2)))
+
+
+def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """What is found beyond the introduced modes, the laws, and the error of every cube."""
+    start, found = ctx.instrument.facility.ncpa_law, scatters(rows)
+    laws = {(f"Noll 4–{INTRODUCED}", name): law_of(one, start, INTRODUCED) for name, one in found.items()}
+    laws |= {("all from Noll 4 on", name): law_of(one, start) for name, one in found.items() if name != TRUTH}
+    counts = {
+        "cubes": ctx.config.cubes,
+        "modes_introduced": INTRODUCED - 1,
+        "modes_estimated": ctx.config.highest_noll - 1,
+    }
+
+    def method(name: str, scatter: ModeScatter) -> dict[str, object]:
+        errors_nm = rows.error_nm[rows.method == name]
+        median_nm = float(np.median(errors_nm)) if len(errors_nm) else None
+        beyond = beyond_nm(scatter.nolls, scatter.std_nm)
+        return {"name": name, "label": NAMES[name], "beyond_nm": beyond, "error_nm": median_nm, **counts}
+
+    return {
+        "methods": ex.frame(method(name, scatter) for name, scatter in found.items()),
+        "laws": ex.frame(
+            {"modes": modes, "name": name, "label": NAMES[name]} | LawRow.of(law).model_dump()
+            for (modes, name), law in laws.items()
+        ),
+        "cubes": rows[["sample", "method", "error_nm"]],
+    }
+
+
+def checks(tables: ex.Tables) -> list[ex.Check]:
+    """The default finds the law, each term within its standard error.
+
+    Both laws are fitted to the same draws, so they differ by less than a fit's error, which is theirs.
+    """
+    laws = {
+        row["name"]: row
+        for row in tables["laws"].to_dict("records")
+        if row["modes"] == f"Noll 4–{INTRODUCED}"
+    }
+    found = []
+    for term, (column, error) in TERMS.items():
+        value, sigma, introduced = laws[DEFAULT][column], laws[DEFAULT][error], laws[TRUTH][column]
+        name = f"law of the default, term {term}: deviation over standard error"
+        text = f"{value:.3g} ± {sigma:.2g}, introduced {introduced:.3g}"
+        found.append(ex.at_most(name, abs(value - introduced) / sigma, 1.0, text))
+    return found
+
+
+LISTINGS = [
+    ex.Listing("methods", "Modes that were not introduced",
+        {
+            "": "{label}", "RMS per mode beyond [nm]": "{beyond_nm:.2f}",
+            "error from Noll 4 on, median [nm]": "{error_nm:.1f}",
+        },
+        caption="Beyond: modes that were not introduced; a perfect estimate finds nothing there.",
+    ),
+    ex.Listing("laws", "Law of the standard deviation",
+        {
+            "law": "{label}, {modes}", "A [nm]": "{A_nm:.1f} ± {A_sigma_nm:.1f}",
+            "B": "{B:.3f} ± {B_sigma:.3f}", "C [nm]": "{C_nm:.1f} ± {C_sigma_nm:.1f}",
+            "deviance/ν": "{deviance_nu:.2f}", "plateau from Noll": "{plateau_noll:.0f}",
+        },
+        caption="std(i) = A exp(−B i) + C, i = 0 for Noll 2; maximum likelihood. The plateau begins where "
+        "the exponential is a tenth of C.",
+    ),
+]  # fmt: skip
+
+
+def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """Standard deviations with their laws: DIP global's of all modes, the others' of the introduced ones."""
+    start, quantities = ctx.instrument.facility.ncpa_law, {}
+    for name, one in scatters(rows).items():
+        law = law_of(one, start, None if name == PAPER_CHOICE else INTRODUCED)
+        text = f"{name}: RMS over the cubes"
+        quantities[f"{name}/std_nm"] = ex.Quantity(one.std_nm, "nm", text, one.std_sigma_nm)
+        quantities[f"{name}/noise_nm"] = ex.Quantity(one.noise_nm, "nm", "quoted error of the estimates")
+        quantities[f"{name}/law_nm"] = ex.Quantity(law(list(one.nolls)), "nm", "fitted law")
+        quantities["noll"] = ex.Quantity(np.array(one.nolls), "", "Noll index")
+    return quantities
+
+
+def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Standard deviation against Noll index."""
+    noll, points = drawn.array("noll"), {}
+    for name, text in NAMES.items():
+        std_nm, law_nm = drawn.array(f"{name}/std_nm"), drawn.array(f"{name}/law_nm")
+        shown = np.where(std_nm > 0, std_nm, np.nan)
+        points[text] = Points(noll, shown, None if name == TRUTH else law_nm)
+    line: Mapping[str, np.ndarray] = {
+        "law of the introduced modes": np.stack([noll, drawn.array(f"{TRUTH}/law_nm")])
+    }
+    caption = (
+        "RMS over the cubes, tip and tilt equalised. Lines: laws fitted from Noll 4 on, that of DIP global "
+        "to all modes, the others to the introduced ones."
+    )
+    return [ex.Figure(strength_plot("mode-statistics", points, line), "Strength of the modes", caption)]
+
+
+EXPERIMENT = ex.Experiment(
+    "mode_statistics", 3, Sizes, "Standard deviation of the modes, simulated",
+    samples, rows, tables, checks, LISTINGS, figures,
+    "{modes_estimated} modes estimated in {cubes} cubes with NCPAs of {modes_introduced} modes: what an "
+    "estimate contains of the others is cross-talk and noise.", "cubes", arrays,
+)  # fmt: skip

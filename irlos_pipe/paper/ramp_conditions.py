@@ -1,0 +1,251 @@
+"""Calibrated ramps whose light has what the calibration in a narrow band could not show.
+
+The pair is the real one: a cube through the narrow filter with the astigmatism of the mirror, and ramps in
+J and H through the lens. All ramps of a sample have the same NCPAs, AO residual and stream of noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common.broad_band import FINE
+from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM
+from irlos_pipe.paper.common.ramp_light import ASKED_NM, CONDITIONS, WAYS, Condition, Way, effects_of, fit_way
+from irlos_pipe.paper.common.ramps import (
+    RAMP_STREAM,
+    ObservedRamp,
+    calibrated,
+    observe,
+    ramp_scene,
+    true_modes_nm,
+)
+from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.scene import Scene
+
+NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # of the paper's second ramp on sky
+
+
+class Sizes(ex.StageConfig):
+    """Sizes of the experiment."""
+
+    samples: int = Field(3, ge=1, le=1000, description="sets of NCPAs")
+    conditions: tuple[str, ...] = Field(
+        tuple(CONDITIONS), min_length=1, description="what the light of the ramps has"
+    )
+    reach_nm: float = Field(300.0, gt=0, le=600, description="a ramp goes from minus to plus this [nm RMS]")
+    offsets: int = Field(13, ge=3, le=200, description="positions of a ramp")
+    frames_per_offset: int = Field(2, ge=1, le=1000, description="frames at every position")
+    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
+    seeing_arcsec: float = Field(0.35, gt=0, le=3, description="seeing on SPARTA's scale")
+    cube_mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude in the calibration cube")
+    ramp_mag_j: float = Field(12.0, ge=0, le=20, description="J magnitude in the ramps in J and H")
+
+    @field_validator("conditions")
+    @classmethod
+    def _known(cls, conditions: tuple[str, ...]) -> tuple[str, ...]:
+        for key in conditions:
+            if key not in CONDITIONS:
+                raise ValueError(f"no condition '{key}'; known: {', '.join(CONDITIONS)}")
+        return conditions
+
+
+def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+    """One set of NCPAs each: a cube to calibrate them, and a ramp under every condition."""
+    for index in range(ctx.config.samples):
+        yield ex.sample(ctx, f"NCPAs {index}", index)
+
+
+def rows(star: ex.Sample) -> ex.Rows:
+    """Estimate every ramp in every way of its condition."""
+    cube = cube_of(star)
+    knowledge = calibrated(cube, [DEFAULT])
+    for key in star.sizes.conditions:
+        condition = CONDITIONS[key]
+        ramp = ramp_of(star, cube, condition)
+        exposed = expose(ramp)
+        observed = observe(ramp, exposed, knowledge)
+        true_nm = true_modes_nm(ramp, exposed)
+        for name in condition.ways:
+            yield {"condition": key, "way": name, **errors_of(observed, true_nm, WAYS[name])}
+
+
+def cube_of(star: ex.Sample) -> Scene:
+    """Return the calibration cube, through the narrow filter by the mirror."""
+    sizes = star.sizes
+    cube = star.cube(sizes.seeing_arcsec, sizes.cube_frames, sizes.cube_mag_j)
+    return replace(cube, diversity_nm=MIRROR_DIVERSITY_NM, diversity_source="mirror", sampling=FINE)
+
+
+def ramp_of(star: ex.Sample, cube: Scene, condition: Condition) -> Scene:
+    """Return the ramp under a condition, through the lens with frames of a second, or through the filter."""
+    sizes = star.sizes
+    offsets_nm = np.linspace(-sizes.reach_nm, sizes.reach_nm, sizes.offsets)
+    introduced_nm = tuple(np.repeat(offsets_nm, sizes.frames_per_offset).tolist())
+    if condition.bands == "J+H":
+        ramp = ramp_scene(cube, sizes.ramp_mag_j, introduced_nm)
+        return replace(ramp, effects=effects_of(condition, star.seed, star.facility))
+    return replace(
+        cube,
+        role="defocus_ramp",
+        seed=(*star.seed, RAMP_STREAM),
+        frames=len(introduced_nm),
+        exposure_s=NARROW_EXPOSURE_S,
+        mag_j=NARROW_MAG_J,
+        introduced_nm=introduced_nm,
+    )
+
+
+def errors_of(ramp: ObservedRamp, true_nm: np.ndarray, way: Way) -> dict[str, Any]:
+    """Estimate a ramp in one way and return its errors.
+
+    Returns
+    -------
+    dict
+        ``rms_nm`` of the defocus against the introduced one and the NCPA given to the estimator;
+        ``true_rms_nm`` and ``bias_nm`` against the one there was in the frame. Of every mode, (modes,): RMS
+        ``mode_nm`` of the error; median quoted ``sigma_nm``; ``scatter_nm`` and ``true_scatter_nm`` over the
+        frames beside that which goes with the introduced defocus, estimated and there; and the ``leak`` of
+        the introduced defocus into it (defocus itself: 1 less).
+    """
+    fit, introduced_nm = fit_way(ramp, way), ramp.scene.introduced_per_frame_nm
+    given = ramp.knowledge[DEFAULT if way.calibrated else ""].ncpa_nm
+    return mode_errors(
+        way.modes,
+        introduced_nm,
+        true_nm[:, [noll - 2 for noll in way.modes]],
+        fit.result.zernike_nm.numpy() + [given.get(noll, 0.0) for noll in way.modes],
+        given.get(DEFOCUS, 0.0),
+    ) | {
+        "sigma_nm": np.nanmedian(fit.result.sigma_nm.numpy(), axis=0),
+        "converged": float(np.mean(fit.result.solution.converged.numpy())),
+    }
+
+
+def mode_errors(
+    modes: tuple[int, ...],
+    introduced_nm: np.ndarray,
+    true_nm: np.ndarray,
+    modes_nm: np.ndarray,
+    given_nm: float,
+) -> dict[str, Any]:
+    """Return the errors of estimates `modes_nm`, (frames, modes), of `true_nm`; `given_nm` of the defocus."""
+    focus, wrong_nm = modes.index(DEFOCUS), modes_nm - true_nm
+    slope, rest_nm = _line(introduced_nm, modes_nm)
+    return {
+        "rms_nm": _rms(modes_nm[:, focus] - given_nm - introduced_nm),
+        "true_rms_nm": _rms(wrong_nm[:, focus]),
+        "bias_nm": float(np.nanmean(wrong_nm[:, focus])),
+        "mode_nm": np.array([_rms(column) for column in wrong_nm.T]),
+        "scatter_nm": np.nanstd(rest_nm, axis=0),
+        "true_scatter_nm": np.nanstd(_line(introduced_nm, true_nm)[1], axis=0),
+        "leak": slope - np.array([noll == DEFOCUS for noll in modes]),
+    }
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def _line(introduced_nm: np.ndarray, modes_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slope of every mode against the introduced defocus, (modes,), and what is left, (frames, modes)."""
+    usable = np.isfinite(modes_nm).all(axis=1)
+    slope, offset_nm = np.polyfit(introduced_nm[usable], modes_nm[usable], 1)
+    return slope, modes_nm - np.outer(introduced_nm, slope) - offset_nm
+
+
+def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """RMS over the ramps of every way under every condition, and of all modes."""
+
+    def summary(group: ex.Frame) -> dict[str, Any]:
+        key, way = group.condition.iloc[0], group.way.iloc[0]
+        condition = CONDITIONS[key]
+        ranges = {name: ex.rms_in_range(name, group[name]) for name in ("rms_nm", "true_rms_nm", "bias_nm")}
+        return {
+            "condition_label": condition.label,
+            "label": WAYS[way].label,
+            "samples": len(group),
+            "converged": group.converged.min(),
+            "asked_nm": condition.asked_nm if way == condition.ways[0] else None,
+        } | {key: value for one in ranges.values() for key, value in one.items()}
+
+    modes = []
+    for (key, way), group in rows.groupby(["condition", "way"], sort=False):
+        for place, noll in enumerate(WAYS[way].modes):
+            of_it = {"condition": key, "way": way, "noll": noll}
+            of_it |= ex.rms_in_range("error_nm", [one[place] for one in group.mode_nm])
+            for name in ("sigma_nm", "scatter_nm", "true_scatter_nm", "leak"):
+                of_it[name] = float(np.sqrt(np.mean([one[place] ** 2 for one in group[name]])))
+            modes.append(of_it)
+    return {"ways": ex.grouped(rows, ["condition", "way"], summary), "modes": ex.frame(modes)}
+
+
+def checks(tables: ex.Tables) -> list[ex.Check]:
+    """The error of the defocus, where a limit is asked."""
+    found = []
+    for row in tables["ways"].dropna(subset="asked_nm").itertuples():
+        low, high = row.true_rms_nm_low, row.true_rms_nm_high
+        text = f"{row.true_rms_nm:.1f} nm RMS (90 %: {low:.1f} to {high:.1f}), asked {row.asked_nm:g} nm"
+        name = f"defocus error, ramp with {row.condition_label}"
+        found.append(ex.at_most(name, row.true_rms_nm, row.asked_nm, text, "nm"))
+    return found
+
+
+LISTINGS = [
+    ex.Listing("ways", "Conditions and estimates",
+        {
+            "in the light of the ramp": "{condition_label}", "estimate": "{label}",
+            "error of the defocus [nm RMS]": "{true_rms_nm:.1f}",
+            "90 %": "{true_rms_nm_low:.1f}–{true_rms_nm_high:.1f}", "mean of a ramp [nm]": "{bias_nm:.1f}",
+            "against the introduced defocus [nm RMS]": "{rms_nm:.1f}",
+        },
+        caption="RMS over all frames of {samples} ramps, against the defocus there was in every frame at "
+        "the wavelength of the calibration; last column: against the introduced defocus alone, so that "
+        "the AO residual's own defocus counts as an error and, without NCPAs, theirs as well. Ranges of "
+        'three samples hold the truth in some 75 %. −300…300 nm, m_J 12, 1 s, 0.35".',
+        limit=("true_rms_nm", "asked_nm"), page="ramp_conditions",
+    ),
+    ex.Listing("modes", "All modes of a ramp",
+        {
+            "ramp": "{condition}, {way}", "Noll": "{noll}",
+            "error [nm RMS]": "{error_nm:.1f} ({error_nm_low:.1f}–{error_nm_high:.1f})",
+            "quoted, photon noise [nm]": "{sigma_nm:.2f}", "scatter [nm RMS]": "{scatter_nm:.1f}",
+            "scatter there was [nm RMS]": "{true_scatter_nm:.1f}",
+            "of the introduced defocus": "{leak:.4f}",
+        },
+        where="noll > 3 and condition in ['clean', 'narrow_h'] and way in ['nine', 'nine_astigmatism', "
+        "'uncalibrated_nine', 'plain_nine']",
+        caption="Scatter over the frames of a ramp, beside what goes with the introduced defocus, of the "
+        "estimate and of the mode there was; last column: the part of the introduced defocus that goes "
+        "into the mode, of defocus itself slope minus 1.",
+    ),
+]  # fmt: skip
+
+
+def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Error of every ramp."""
+    rows = drawn.rows()
+    rows["named"] = [
+        f"{CONDITIONS[key].label}; {WAYS[way].label}"
+        for key, way in zip(rows.condition, rows.way, strict=True)
+    ]
+    label, columns = "error of the defocus [nm RMS]", {"true_rms_nm": "error of a ramp"}
+    drawing = ex.strips(
+        "ramp-conditions-errors", rows, columns, by="named", label=label, levels=[ASKED_NM], width=10.5
+    )
+    caption = "Every point is a ramp; bars: medians; dotted: what is asked of the first estimate."
+    return [ex.Figure(drawing, "Error of the defocus of every ramp", caption, "full")]
+
+
+EXPERIMENT = ex.Experiment(
+    "ramp_conditions", 4, Sizes, "Ramps with colours, filters and dispersion",
+    samples, rows, tables, checks, LISTINGS, figures,
+    "{samples} sets of NCPAs, calibrated in narrow H by the mirror.", "sets of NCPAs",
+)  # fmt: skip

@@ -1,1 +1,0 @@
-"""Experiment `ramp_conditions`: its science, its stage and its section of the report."""

@@ -1,1 +1,0 @@
-"""Experiment: all methods with the same modes and frames."""

@@ -1,1 +1,0 @@
-"""Experiment `seeing_scales`: its science, its stage and its section of the report."""

@@ -1,0 +1,391 @@
+"""The slow focus loop closed on LIFT: what the wandering sodium layer leaves, against the star's magnitude.
+
+One sample is one sky with its own NCPAs, calibrated on a narrow-band cube as an observer would, and a
+few drifts. All loops of a sample (configurations, stars, gains) run on the same sky and drifts. The NCPAs
+have no tip, tilt and defocus: a loop drives those to zero by itself, and its own zero is what counts here.
+The 2x2 mode that the full pupil replaces runs on the same drifts, with the same star and sky.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
+from pydantic import Field
+
+from irlos_pipe.control.disturbance import Drift, SodiumLayer
+from irlos_pipe.control.linear_theory import Integrator, best_gain
+from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common.broad_band import FINE, in_four_images, star_scene
+from irlos_pipe.paper.common.cube import BRIGHT_MAG_J
+from irlos_pipe.paper.common.focus_loop import (
+    CENTROIDS,
+    LIFT,
+    TWO_BY_TWO,
+    FrameTable,
+    Loop,
+    Sensor,
+    close_loops,
+    focus_sensor,
+    frame_table,
+    outcome_of,
+    two_by_two_sensors,
+)
+from irlos_pipe.paper.common.observation import noise_of
+from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
+from irlos_pipe.paper.common.reads import NoiseOf, Read, as_read
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
+from irlos_pipe.report.drawing import BLUE, FAINT, ORANGE, svg
+from irlos_pipe.simulate.scene import Scene
+
+UNCALIBRATED = "uncalibrated"
+# Children of a sample's seed; the last two are of the noise in the full-pupil and in the 2x2 mode.
+SKY_STREAM, CUBE_STREAM, DRIFT_STREAM, *NOISE_STREAMS = range(5)
+DRIFT_STEPS = 10  # per frame
+SEEN = 0.85  # part of the aperture's photons in the window: hole, spider and halo take the rest
+SKY_FOCUS_NM = 5.0  # defocus of the AO residual in a frame of a second, as simulated
+REACH_NM, NODES = 240.0, 8  # of the table of frames; a loop whose residual exceeds the reach has diverged
+OVER_THEORY = 1.5
+LABELS = {
+    DEFAULT: "default calibration",
+    PAPER_CHOICE: "NCPAs by DIP global",
+    UNCALIBRATED: "uncalibrated",
+    CENTROIDS: "2x2 mode, centroids",
+    LIFT: "2x2 mode, fit of the four images",
+}
+RECORDED = ("residual_nm", "measured_nm", "true_nm", "due")
+
+
+class Layer(ex.StageConfig):
+    """The sodium layer, see `SodiumLayer` for the sources of the defaults."""
+
+    slope: float = Field(1.95, gt=1, lt=3, description="of the altitude's power spectrum, f^-slope")
+    rms_change_1s_m: float = Field(23.0, gt=0, description="RMS change of the mean altitude within 1 s [m]")
+    range_m: float = Field(89.4e3, gt=1e4, description="from the telescope to the layer [m]")
+
+
+class Sizes(ex.StageConfig):
+    """Sizes and conditions of the experiment."""
+
+    skies: int = Field(4, ge=1, le=1000, description="sets of NCPAs, each with its sky and its calibration")
+    drifts: int = Field(1, ge=1, le=1000, description="drifts of the sodium layer on each sky")
+    frames: int = Field(120, ge=10, le=100000, description="frames of 1 s per drift")
+    settle: int = Field(20, ge=0, description="frames left out of the statistics")
+    magnitudes: tuple[float, ...] = Field((12, 16, 17, 18, 19, 20), min_length=1, description="J mag")
+    configurations: tuple[str, ...] = Field(
+        (UNCALIBRATED, PAPER_CHOICE, DEFAULT, *TWO_BY_TWO),
+        description="calibration methods, `uncalibrated`; of the 2x2 mode `centroids_2x2`, `lift_2x2`",
+    )
+    scan_magnitudes: tuple[float, ...] = Field((12, 18), description="stars of the scan of gains")
+    scan_gains: tuple[float, ...] = Field((0.05, 0.1, 0.2, 0.6, 0.8), description="gains of the scan")
+    half_rate: bool = Field(True, description="also frames of 2 s, with the default calibration")
+    delay: int = Field(1, ge=0, le=10, description="frames between exposure and correction")
+    seeing_arcsec: float = Field(0.5, gt=0, le=3, description="seeing on SPARTA's scale")
+    calibration_frames: int = Field(100, ge=10, le=10000, description="frames of the calibration cube")
+    noise: NoiseOf = Field(
+        "reads", description="of the loop's exposures: all reads with sky and dark, or one read"
+    )
+    layer: Layer = Layer()
+
+
+# -- what is run -----------------------------------------------------------------------------------
+
+
+def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+    """One sky each, on which all loops run: every star at its best gain, and the scans; each loop once."""
+    sizes, drift, read = ctx.config, drift_of(ctx), Read.of(ctx.instrument, ctx.config.noise, "slow_loop")
+    sky = ex.sample(ctx, "noise", read=read)
+    loops = [
+        loop
+        for name in sizes.configurations
+        for loop in at_best_gain(name, sizes.magnitudes, drift, sizes.delay, noise_law(sky, name))
+    ]
+    if sizes.half_rate:
+        loops += at_best_gain(DEFAULT, sizes.magnitudes, drift, sizes.delay, noise_law(sky, DEFAULT), 2)
+    loops += [Loop(DEFAULT, mag_j, gain) for mag_j in sizes.scan_magnitudes for gain in sizes.scan_gains]
+    each = tuple(dict.fromkeys(loops))
+    for index in range(sizes.skies):
+        yield ex.sample(ctx, f"sky {index}", index, loops=each, drift=drift, read=read)
+
+
+def drift_of(ctx: ex.Context) -> Drift:
+    """Return the drift of the layer's defocus."""
+    return SodiumLayer(**ctx.config.layer.model_dump()).drift(ctx.instrument.facility.pupil.diameter_m)
+
+
+def noise_law(sky: ex.Sample, sensor: str) -> Callable[[float, int], float]:
+    """Return the expected noise [nm RMS] of a measurement of a star of some magnitude from some exposures.
+
+    For the choice of gains: photons, and the sky's defocus; `sensor` is one of the 2x2 mode, or any other.
+    """
+    seeing = sky.sizes.seeing_arcsec
+    scene = star_scene("noise", sky.facility, (0,), 1, 0.0, {}, seeing_arcsec=seeing)
+    if sensor in TWO_BY_TWO:
+        scene = in_four_images(scene)
+        measuring = two_by_two_sensors(scene)[sensor]
+    else:
+        measuring = focus_sensor(scene, Knowledge())
+
+    def noise_nm(mag_j: float, exposures: int) -> float:
+        seen_e = SEEN * scene.photons * 10 ** (-0.4 * mag_j) * exposures
+        noise = noise_of(exposed_for(scene, exposures, sky["read"]))
+        return float(np.hypot(measuring.photon_noise_nm(seen_e, noise), SKY_FOCUS_NM / np.sqrt(exposures)))
+
+    return noise_nm
+
+
+def at_best_gain(
+    sensor: str,
+    magnitudes: Sequence[float],
+    drift: Drift,
+    delay: int,
+    noise_nm: Callable[[float, int], float],
+    exposures: int = 1,
+) -> list[Loop]:
+    """Return one loop per star, at the gain with the smallest predicted residual, see `noise_law`."""
+    gains = [best_gain(drift, noise_nm(mag_j, exposures), float(exposures), delay) for mag_j in magnitudes]
+    return [
+        Loop(sensor, mag_j, round(gain, 3), exposures) for mag_j, gain in zip(magnitudes, gains, strict=True)
+    ]
+
+
+def rows(sky: ex.Sample) -> ex.Rows:
+    """Calibrate the NCPAs of a sky and run its loops, first those of the full pupil, then of the 2x2 mode."""
+    sizes, cube = sky.sizes, cube_of(sky)
+    star = star_scene(
+        sky.name,
+        sky.facility,
+        (*sky.seed, SKY_STREAM),
+        sizes.frames,
+        min(loop.mag_j for loop in sky["loops"]),
+        cube.ncpa_nm,
+        seeing_arcsec=sizes.seeing_arcsec,
+    )
+    drift_nm = np.array([drawn_drift_nm(sky, index) for index in range(sizes.drifts)])
+    for scene, stream, in_four in zip(
+        (star, in_four_images(star)), NOISE_STREAMS, (False, True), strict=True
+    ):
+        loops = [loop for loop in sky["loops"] if (loop.sensor in TWO_BY_TWO) == in_four]
+        if loops:
+            yield from _in_one_mode(sky, loops, scene, cube, drift_nm, stream)
+
+
+def _in_one_mode(
+    sky: ex.Sample, loops: Sequence[Loop], star: Scene, cube: Scene, drift_nm: np.ndarray, stream: int
+) -> ex.Rows:
+    scenes = {loop.exposures: exposed_for(star, loop.exposures, sky["read"]) for loop in loops}
+    table = frame_table(star, REACH_NM, NODES)
+    sensors = sensors_of(loops, star, cube, table)
+    rngs = [np.random.default_rng([*sky.seed, stream, index]) for index in range(len(drift_nm))]
+    banks = [
+        close_loops(loops, sensors, scenes, table, one, sky.sizes.delay, rng)
+        for one, rng in zip(drift_nm, rngs, strict=True)
+    ]
+    seen_e = float(table.images_e(0, np.zeros(1)).sum())
+    for place, loop in enumerate(loops):
+        scene, sensor = scenes[loop.exposures], sensors[loop.sensor]
+        photons = seen_e * loop.brightness(scene.mag_j) * loop.exposures, noise_of(scene)
+        yield {
+            "loop": sky["loops"].index(loop),
+            **asdict(loop),
+            **{name: np.array([getattr(bank, name)[place] for bank in banks]) for name in RECORDED},
+            "drift_nm": drift_nm,
+            "sky_focus_nm": table.sky_focus_nm,
+            "bound_nm": sensor.bound_nm(*photons),
+            "photon_noise_nm": sensor.photon_noise_nm(*photons),
+        }
+
+
+def cube_of(sky: ex.Sample) -> Scene:
+    """Return the recording that the NCPAs are calibrated on."""
+    own = replace(sky, name=f"{sky.name}, calibration", seed=(*sky.seed, CUBE_STREAM))
+    cube = own.cube(sky.sizes.seeing_arcsec, sky.sizes.calibration_frames, BRIGHT_MAG_J)
+    ncpa_nm = {noll: value for noll, value in cube.ncpa_nm.items() if noll not in TTF}
+    return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE)
+
+
+def exposed_for(star: Scene, frames: int, read: Read | None) -> Scene:
+    """Return the same star in exposures of so many frames, with the noise of their reads."""
+    exposure_s = frames * star.exposure_s
+    return as_read(replace(star, exposure_s=exposure_s, frame_rate_hz=1 / exposure_s), read)
+
+
+def drawn_drift_nm(sky: ex.Sample, index: int) -> np.ndarray:
+    """Return the mean defocus of the disturbance in every frame, (frames,)."""
+    rng, frames = np.random.default_rng([*sky.seed, DRIFT_STREAM, index]), sky.sizes.frames
+    steps = sky["drift"].draw_nm(rng, frames * DRIFT_STEPS, 1 / DRIFT_STEPS)
+    return steps.reshape(frames, DRIFT_STEPS).mean(1)
+
+
+def sensors_of(loops: Sequence[Loop], star: Scene, cube: Scene, table: FrameTable) -> dict[str, Sensor]:
+    """Return what measures the defocus of a `star`, by name, the NCPAs calibrated on a `cube`."""
+    if star.lenslets > 1:
+        return two_by_two_sensors(star, table)
+    names = dict.fromkeys(loop.sensor for loop in loops)
+    methods = [name for name in names if name != UNCALIBRATED]
+    known = calibrated(cube, methods) if methods else {}
+    return {name: focus_sensor(star, known.get(name, Knowledge())) for name in names}
+
+
+# -- what came out ---------------------------------------------------------------------------------
+
+
+def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """Every loop, what theory expects and what happened; and what they had to correct."""
+    sizes, drift = ctx.config, drift_of(ctx)
+    skies = rows.drop_duplicates("sample")
+    focus = np.stack(list(skies.sky_focus_nm))
+    sky_focus_nm = float(np.sqrt(np.mean(np.var(focus, axis=1, ddof=1))))
+    open_loop_nm = np.stack(list(skies.drift_nm))[:, :, sizes.settle :]
+
+    def summary(group: ex.Frame) -> dict[str, Any]:
+        own = Loop(*(group[name].iloc[0] for name in ("sensor", "mag_j", "gain", "exposures")))
+        residual_nm, measured_nm, true_nm, due = (np.stack(list(group[name])) for name in RECORDED)
+        outcome = outcome_of(residual_nm, measured_nm, true_nm, due, drift, sizes.settle)
+        photons_nm, rate = float(np.median(group.photon_noise_nm)), float(own.exposures)
+        noise_nm = float(np.hypot(photons_nm, sky_focus_nm / np.sqrt(rate)))
+        integrator = Integrator(float(own.gain), rate, sizes.delay)
+        return {**asdict(own), "label": LABELS.get(own.sensor, own.sensor), **outcome} | {
+            "bound_nm": np.median(group.bound_nm),
+            "expected_noise_nm": noise_nm,
+            "predicted_nm": integrator.residual_nm(drift, noise_nm),
+            "best_gain": best_gain(drift, noise_nm, rate, sizes.delay),
+            "gain_margin": integrator.gain_margin(outcome["slope"]),
+        }
+
+    sky = {
+        "sky_focus_nm": sky_focus_nm,
+        "open_loop_nm": float(np.sqrt(np.mean(open_loop_nm**2))),
+        "largest_stable_gain": Integrator(1.0, 1.0, sizes.delay).largest_stable_gain,
+        "delay": sizes.delay,
+        **{f"drift_{name}": value for name, value in asdict(drift).items()},
+    }
+    loops = ex.grouped(rows.sort_values("loop", kind="stable"), ["loop"], summary)
+    return {"sky": ex.frame([sky]), "loops": loops}
+
+
+def best_loops(loops: ex.Frame, sensor: str) -> ex.Frame:
+    """Return the loops of one `sensor` with frames of 1 s at their best gain, which is listed first."""
+    own = loops[(loops.sensor == sensor) & (loops.exposures == 1)]
+    return own.drop_duplicates("mag_j").sort_values("mag_j")
+
+
+def checks(tables: ex.Tables) -> list[ex.Check]:
+    """The default meets linear theory on the brightest star, and leaves no more than 2x2 centroids on any.
+
+    The paper expects the latter of the full pupil.
+    """
+    default, centroids = (best_loops(tables["loops"], name) for name in (DEFAULT, CENTROIDS))
+    if not len(default):
+        return []
+    ratio = float(default.residual_nm.iloc[0] / default.predicted_nm.iloc[0])
+    text = f"bright star: {ratio:.2f} of the prediction"
+    checks = [ex.at_most("residual over prediction", ratio, OVER_THEORY, text)]
+    held = centroids[centroids.diverged < centroids.runs].set_index("mag_j").residual_nm
+    pairs = [
+        (row.residual_nm / held[row.mag_j], row.mag_j) for row in default.itertuples() if row.mag_j in held
+    ]
+    if pairs:
+        worst, mag_j = max((math.inf if math.isnan(ratio) else ratio, mag_j) for ratio, mag_j in pairs)
+        text = f"{worst:.2f} at m_J {mag_j:g}, where it is largest"
+        checks.append(ex.at_most("residual over that of the 2x2 centroids", worst, 1.0, text))
+    return checks
+
+
+LISTING = ex.Listing("loops", "Loops",
+    {
+        "sensor": "{label}", "m_J": "{mag_j:g}", "exposure [s]": "{exposures}", "gain": "{gain:.2f}",
+        "best by theory": "{best_gain:.2f}", "sensor noise [nm]": "{noise_nm:.1f}",
+        "bound [nm]": "{bound_nm:.1f}", "predicted [nm]": "{predicted_nm:.1f}",
+        "residual [nm]": "{residual_nm:.1f}",
+        "its error": "{residual_error_nm:.1f}", "bias [nm]": "{bias_nm:.1f}",
+        "lost": "{lost:.0%}", "diverged": "{diverged} of {runs}", "sensor slope": "{slope:.2f}",
+        "gain margin": "{gain_margin:.1f}",
+    },
+    caption="Sensor noise: measured minus true residual, the AO residual's own defocus included. Bias: "
+    "RMS over skies of the mean residual. Lost: measurements that the sensor could not give. Gain margin: "
+    "factor to oscillation. The 2x2 mode is told its own zero without error.",
+)  # fmt: skip
+
+
+def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """The residuals of every loop, the drifts, and the sky's own defocus."""
+    skies, by_loop = (
+        rows.drop_duplicates("sample"),
+        rows.sort_values("loop", kind="stable").groupby("sample", sort=False),
+    )
+    residual_nm = np.stack([np.stack(list(own.residual_nm), axis=1) for _, own in by_loop])
+    drift_nm, focus_nm = (np.stack(list(skies[name])) for name in ("drift_nm", "sky_focus_nm"))
+    return {
+        "residual_nm": ex.Quantity(residual_nm, "nm", "residual defocus (sky, drift, loop, frame of 1 s)"),
+        "drift_nm": ex.Quantity(drift_nm, "nm", "defocus of the sodium layer (sky, drift, frame)"),
+        "sky_focus_nm": ex.Quantity(focus_nm, "nm", "defocus of the AO residual (sky, frame)"),
+    }
+
+
+def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """A bright and a faint star, and residual, noise and gain of all loops."""
+    sky, loops = drawn.tables["sky"].iloc[0], drawn.tables["loops"]
+    best = loops.drop_duplicates(["sensor", "exposures", "mag_j"]).sort_values("mag_j", kind="stable")
+    best = best.assign(line=best.label + best.exposures.map({1: "", 2: ", 2 s"}))
+    residual = ex.lines(
+        "loop-magnitude", best, "mag_j", "residual_nm", colour="line", dashed={"predicted_nm": "--"},
+        labels=("J magnitude", "residual defocus [nm RMS]"), levels=[sky.open_loop_nm],
+    )  # fmt: skip
+    noise = ex.lines(
+        "loop-noise", best, "mag_j", "noise_nm", colour="line", dashed={"expected_noise_nm": "--"},
+        labels=("J magnitude", "noise of a measurement [nm RMS]"), levels=[sky.sky_focus_nm],
+    )  # fmt: skip
+    dashed = "Dashed: by theory, with the noise of photons and detector and the AO residual's own defocus."
+    found = [
+        ex.Figure(
+            residual, "Residual against magnitude", f"{dashed} Dotted: without a loop. Nothing is fitted."
+        ),
+        ex.Figure(noise, "The loop's sensor", f"{dashed} Dotted: that alone."),
+    ]
+    default = best_loops(loops, DEFAULT)
+    if len(default):
+        found.insert(
+            0, ex.Figure(_series(drawn, default), "Bright and faint star", "First sky. Grey: the drift.")
+        )
+    own = loops[(loops.sensor == DEFAULT) & (loops.exposures == 1)].sort_values("gain", kind="stable")
+    scanned = own[own.groupby("mag_j").gain.transform("size") > 1]
+    if len(scanned):
+        gains = ex.lines(
+            "loop-gain", scanned, "gain", "residual_nm", colour="mag_j", dashed={"predicted_nm": "--"},
+            labels=("gain", "residual defocus [nm RMS]"), marks=[sky.largest_stable_gain], yscale="linear",
+        )  # fmt: skip
+        found.append(
+            ex.Figure(gains, "Residual against gain", "By m_J; dotted: gain at which the loop oscillates.")
+        )
+    return found
+
+
+def _series(drawn: ex.Drawn, default: ex.Frame) -> Markup:
+    """The brightest star, and the faintest whose loop has never diverged."""
+    chosen = [default.iloc[0], *(row for _, row in default[default.diverged == 0].iloc[-1:].iterrows())]
+
+    def draw(figure: Canvas) -> None:
+        panels = figure.subplots(len(chosen), sharex=True, sharey=True, squeeze=False)[:, 0]
+        for axes, row, ink in zip(panels, chosen, (BLUE, ORANGE), strict=False):
+            axes.plot(drawn.array("drift_nm")[0, 0], color=FAINT, linewidth=2.2, label="open loop")
+            residual_nm = drawn.array("residual_nm")[0, 0, int(row.loop)]
+            axes.plot(residual_nm, color=ink, linewidth=1.1, label=f"closed, m_J {row.mag_j:g}")
+            axes.legend(loc="upper left", ncols=2)
+            axes.set_ylabel("defocus [nm RMS]")
+        panels[-1].set_xlabel("time [s]")
+
+    return svg("loop-series", (5.2, 4.2), draw)
+
+
+EXPERIMENT = ex.Experiment(
+    "slow_loop", 9, Sizes, "Slow focus loop on LIFT",
+    samples, rows, tables, checks, [LISTING], figures,
+    "Sodium layer drifting by {drift_rms_change_1s_nm:.1f} nm RMS of defocus in a second; {open_loop_nm:.0f} "
+    "nm RMS without a loop. The NCPAs have no tip, tilt and defocus of their own.", "skies", arrays,
+)  # fmt: skip

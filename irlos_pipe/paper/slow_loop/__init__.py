@@ -1,1 +1,0 @@
-"""Experiment `slow_loop`: its science, its stage and its section of the report."""

@@ -1,0 +1,52 @@
+"""Calibration methods against the length of an exposure. Truth: sums written out, made-up numbers."""
+
+import numpy as np
+import pytest
+from helpers import optics_cases as cases
+from helpers.experiment_stage import missed, run_on, section_of, tables_of
+
+from irlos_pipe.paper import exposures
+from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.exposures import summed
+
+
+@pytest.fixture(scope="module")
+def shortest():
+    return ObservedCube.of(CubeSample("test", (31, 0), cases.FACILITY, 0.35, 7, 7.0).scene())
+
+
+def test_longer_exposures_are_sums_before_the_noise(shortest):
+    long = summed(shortest, 3)
+    first = shortest.exposed.mean_e[:3].sum(axis=0, dtype=float)
+    assert long.exposed.mean_e.shape[0] == long.scene.frames == 2  # the seventh frame fills no exposure
+    assert long.exposed.mean_e[0] == pytest.approx(first, rel=1e-5)
+    assert long.scene.exposure_s == pytest.approx(0.3)
+    assert long.exposed.zernike_nm[1] == pytest.approx(shortest.exposed.zernike_nm[3:6].mean(axis=0))
+    assert summed(shortest, 1) is shortest
+
+
+def test_a_sum_has_one_noise_of_its_own(shortest):
+    long = summed(shortest, 3)
+    noise = long.frames.images_e.numpy() - long.exposed.mean_e
+    expected = long.exposed.mean_e + long.scene.detector.read_noise_e**2
+    assert np.var(noise / np.sqrt(expected)) == pytest.approx(1, abs=0.06)
+    assert not np.allclose(noise[0], (shortest.frames.images_e.numpy() - shortest.exposed.mean_e)[:3].sum(0))
+
+
+@pytest.mark.parametrize(("long_nm", "kept"), [(2.2, True), (4.0, False)])
+def test_a_default_that_depends_on_the_exposure_fails_its_check(monkeypatch, long_nm, kept):
+    def rows(star):
+        for method, short_nm, later_nm in (("long_exposure", 2.0, long_nm), ("dip_global", 20.0, 40.0)):
+            yield {"method": method, "exposure_s": 0.02, "modes_nm": short_nm}
+            yield {"method": method, "exposure_s": 0.2, "modes_nm": later_nm}
+
+    output = run_on(monkeypatch, exposures, rows, samples=2, seeings_arcsec=(0.35,))
+    assert (not missed(output)) is kept
+    assert output.checks[0].value == pytest.approx(long_nm / 2.0)
+    assert tables_of(output)["methods"].modes_nm.tolist() == [2.0, long_nm, 20.0, 40.0]
+    figure, table = section_of(output, "exposures", exposures.EXPERIMENT.section).blocks
+    assert "DIP global" in figure.svg
+    assert [row[-1] for row in table.rows] == [
+        f"{long_nm:.1f} ({long_nm:.1f}…{long_nm:.1f})",
+        "40.0 (40.0…40.0)",
+    ]
