@@ -11,6 +11,7 @@ from irlos_pipe.control.controller import ControllerSettings, ControllerState, D
 from irlos_pipe.control.exposures import Exposure
 from irlos_pipe.estimate.focus.sensor import Measurement
 from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.focus.ordinary import MISFIT
 from irlos_pipe.focus.record import FAILED, INCOMPLETE, LATE, SHADOW, STALE, WINDOW, Record
 
 NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
@@ -126,12 +127,19 @@ class FocusLoop:
 
     def _sigma_nm(self, measured: Measurement) -> float:
         errors = self.calibration.errors
-        return math.nan if errors is None else errors.sigma_nm(measured.defocus_nm, measured.sigma_nm)
+        if errors is None:
+            return math.nan
+        beside = measured.beside
+        growth = (1.0, 0.0) if beside is None else self.calibration.ordinary.growth(*beside)
+        return errors.sigma_nm(measured.defocus_nm, measured.sigma_nm, *growth)
 
     def _judged(self, exposure: Exposure, measured: Measurement, overtaken: bool) -> Measurement:
         """With the reasons that the image does not show."""
-        age_s = exposure.unix_s - self.calibration.made_unix_s  # NaN is never too old
+        age_s = abs(exposure.unix_s - self.calibration.made_unix_s)  # NaN is never too old
+        calibration, beside = self.calibration, measured.beside
         against = {
+            MISFIT: beside is not None
+            and not calibration.ordinary.fits(*beside, calibration.sensor.limits.misfit),
             LATE: overtaken,
             STALE: age_s > self._settings.stale_after_s,
             INCOMPLETE: exposure.reads < self._settings.least_reads * exposure.expected,
