@@ -130,7 +130,7 @@ class FocusLoop:
         if errors is None:
             return math.nan
         beside = measured.beside
-        growth = (1.0, 0.0) if beside is None else self.calibration.ordinary.growth(*beside)
+        growth = (1.0, 0.0) if beside is None else self.calibration.ordinary.growth(beside)
         return errors.sigma_nm(measured.defocus_nm, measured.sigma_nm, *growth)
 
     def _judged(self, exposure: Exposure, measured: Measurement, overtaken: bool) -> Measurement:
@@ -139,7 +139,7 @@ class FocusLoop:
         calibration, beside = self.calibration, measured.beside
         against = {
             MISFIT: beside is not None
-            and not calibration.ordinary.fits(*beside, calibration.sensor.limits.misfit),
+            and not calibration.ordinary.fits(beside, calibration.sensor.limits.misfit),
             LATE: overtaken,
             STALE: age_s > self._settings.stale_after_s,
             INCOMPLETE: exposure.reads < self._settings.least_reads * exposure.expected,

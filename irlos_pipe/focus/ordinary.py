@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irlos_pipe.estimate.focus.sensor import Focus
-from irlos_pipe.estimate.focus.unexplained import Residual, Unexplained
+from irlos_pipe.estimate.focus.unexplained import Unexplained
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # of a ramp that shows how frames fit
@@ -61,9 +61,9 @@ class Ordinary:
             measured, found = sensor.solved(image_e)
             if found is None or not measured.valid:
                 continue
-            beside, rest = sensor.beside(found)
+            beside = sensor.beside(found)
             seen.append(beside)
-            structure.append([rest.structure(level)[0] for level in LEVELS_E])
+            structure.append([beside.rest.structure(level)[0] for level in LEVELS_E])
         if len(seen) < FEWEST_FRAMES:
             return cls.usual()
         return cls(
@@ -81,19 +81,19 @@ class Ordinary:
         structure = np.full(len(LEVELS_E), USUAL_STRUCTURE**2)
         return cls(0, structure, 4 * structure, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM)
 
-    def fits(self, found: Unexplained, rest: Residual, largest: float) -> bool:
+    def fits(self, found: Unexplained, largest: float) -> bool:
         """Return whether an exposure has no more beside the model than right ones may have.
 
         Parameters
         ----------
         found : Unexplained
-        rest : Residual
         largest : float
             Part of the light that may at most be unexplained, whatever the ramp shows.
         """
         blur_px2 = math.hypot(BLUR_TIMES * self.blur_px2, NOISE_TIMES * found.blur_sigma_px2)
         if abs(found.blur_px2) > blur_px2:
             return False
+        rest = found.rest
         times = STRUCTURE_TIMES**2 * (1 + max(found.halo, 0.0) / HALO)
         for part in WEIGHTED_AS_FOR:
             structure, sigma, whole = rest.structure(rest.level * part)
@@ -102,8 +102,9 @@ class Ordinary:
                 return False
         return True
 
-    def growth(self, found: Unexplained, rest: Residual) -> tuple[float, float]:
+    def growth(self, found: Unexplained) -> tuple[float, float]:
         """Return the factor on errors by structure and halo beyond the ramp's, and that by motion and halo [nm]."""
+        rest = found.rest
         largest = self._at(self.largest_structure, rest.level)
         structure, sigma, _ = rest.structure(rest.level)
         factor2 = 1 + max(found.halo - 2 * found.halo_sigma - self.halo, 0.0) / HALO

@@ -16,7 +16,7 @@ import numpy as np
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.photon_fit import Found, Noise, PhotonFit
 from irlos_pipe.estimate.focus.scan import Candidate, FocusScan
-from irlos_pipe.estimate.focus.unexplained import Residual, Unexplained, unexplained
+from irlos_pipe.estimate.focus.unexplained import Unexplained, unexplained
 from irlos_pipe.estimate.tabulated import TILT_REACH_NM
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.focus_images import FocusImages
@@ -83,7 +83,7 @@ class Measurement(NamedTuple):
     chi2_nu, misfit : float
         See `Found`.
     iterations : int
-    beside : (Unexplained, Residual) or None
+    beside : Unexplained or None
         What the image has beside the model.
     """
 
@@ -98,7 +98,7 @@ class Measurement(NamedTuple):
     chi2_nu: float = math.nan
     misfit: float = math.nan
     iterations: int = 0
-    beside: tuple[Unexplained, Residual] | None = None
+    beside: Unexplained | None = None
 
 
 class Focus:
@@ -171,7 +171,7 @@ class Focus:
             return measured
         return measured._replace(beside=self.beside(found, reads))
 
-    def beside(self, found: Found, reads: int = 1) -> tuple[Unexplained, Residual]:
+    def beside(self, found: Found, reads: int = 1) -> Unexplained:
         """Take apart what the last image has beside its solution, `found` in the sum of some `reads`."""
         model_e = self.model_e(found)
         slopes_e = self._images.slopes[:3] * found.x[3]

@@ -9,6 +9,7 @@ exposures, in whatever seeing, and not where the optics or the detector are othe
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -16,28 +17,6 @@ from scipy.ndimage import gaussian_filter
 
 HALO_PX = 4.0  # over which the light of the core is spread to stand for the halo
 FOCUS, ALONG_X, ALONG_Y, ACROSS, HALO = 2, 5, 6, 7, 8  # rows of the shapes
-
-
-class Unexplained(NamedTuple):
-    """What is beside the model in one image.
-
-    Attributes
-    ----------
-    blur_px2, blur_sigma_px2 : float
-        Half the variance of the image motion beyond that of the model along the axis where it differs most,
-        and its error [px²].
-    halo, halo_sigma : float
-        Part of the light that is in the halo, and in the core by the model, and its error.
-    shift_nm, shift_sigma_nm : float
-        By how much the defocus changes if motion and halo are free, and by how much noise changes it [nm RMS].
-    """
-
-    blur_px2: float
-    blur_sigma_px2: float
-    halo: float
-    halo_sigma: float
-    shift_nm: float
-    shift_sigma_nm: float
 
 
 class Residual(NamedTuple):
@@ -82,6 +61,31 @@ class Residual(NamedTuple):
         return rest / light, error, whole / light
 
 
+@dataclass(frozen=True)
+class Unexplained:
+    """What is beside the model in one image.
+
+    Attributes
+    ----------
+    blur_px2, blur_sigma_px2 : float
+        Half the variance of the image motion beyond that of the model along the axis where it differs most,
+        and its error [px²].
+    halo, halo_sigma : float
+        Part of the light that is in the halo, and in the core by the model, and its error.
+    shift_nm, shift_sigma_nm : float
+        By how much the defocus changes if motion and halo are free, and by how much noise changes it [nm RMS].
+    rest : Residual
+    """
+
+    blur_px2: float
+    blur_sigma_px2: float
+    halo: float
+    halo_sigma: float
+    shift_nm: float
+    shift_sigma_nm: float
+    rest: Residual = field(compare=False, repr=False)
+
+
 def unexplained(
     residual_e: np.ndarray,
     star_e: np.ndarray,
@@ -89,7 +93,7 @@ def unexplained(
     good: np.ndarray,
     factor: float,
     floor_e2: float,
-) -> tuple[Unexplained, Residual]:
+) -> Unexplained:
     """Take the residual of a fit apart.
 
     Parameters
@@ -120,16 +124,16 @@ def unexplained(
     residual_e = residual_e.ravel()
     rest_e = residual_e - found @ shapes
     blur_px2, blur_sigma_px2 = _largest(found, covariance)
-    beside = Unexplained(
+    seen = good.ravel()
+    return Unexplained(
         blur_px2,
         blur_sigma_px2,
         float(found[HALO]),
         math.sqrt(covariance[HALO, HALO]),
         float(found[FOCUS]),
         math.sqrt(max(float(covariance[FOCUS, FOCUS] - fitted), 0.0)),
+        Residual(residual_e * seen, rest_e * seen, light_e * seen, variance, factor),
     )
-    seen = good.ravel()
-    return beside, Residual(residual_e * seen, rest_e * seen, light_e * seen, variance, factor)
 
 
 def _largest(found: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
