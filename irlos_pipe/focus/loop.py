@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 
 from irlos_pipe.control.controller import ControllerSettings, ControllerState, Decision, decide
 from irlos_pipe.control.exposures import Exposure
+from irlos_pipe.control.response import Response
 from irlos_pipe.estimate.focus.sensor import Measurement
 from irlos_pipe.focus.calibration import Calibration
 from irlos_pipe.focus.ordinary import MISFIT
-from irlos_pipe.focus.record import FAILED, INCOMPLETE, LATE, SHADOW, STALE, WINDOW, Record
+from irlos_pipe.focus.record import FAILED, FROZEN, INCOMPLETE, LATE, OLD, SHADOW, STALE, WINDOW, Record
 
+OPEN = "open"  # why an offset is held: nothing answers it
 NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
 
 
@@ -32,6 +34,8 @@ class LoopSettings:
         Measure and record, command nothing.
     stale_after_s : float
         Age of the calibration from which nothing is valid.
+    stale_frames_s : float
+        Age of an exposure from which it is not used.
     least_reads : float
         Part of an exposure's reads below which it is not used.
     """
@@ -41,6 +45,7 @@ class LoopSettings:
     counter_step: int = 1
     shadow: bool = False
     stale_after_s: float = math.inf
+    stale_frames_s: float = math.inf
     least_reads: float = 0.5
 
 
@@ -58,13 +63,26 @@ class FocusLoop:
     ----------
     problem : str
         What was unforeseen in the last measurement; empty if nothing was.
+    open : str
+        How the focus answers the offsets, where the loop is not closed: from then on the offset is held.
     """
 
     def __init__(self, calibration: Calibration, settings: LoopSettings, last: Record | None = None):
         self.calibration, self._settings = calibration, settings
         self._state = ControllerState() if last is None else last.state
         self.sequence = 0 if last is None else last.sequence
-        self.problem = ""
+        self.problem = self.open = ""
+        self._response = Response(settings.controller.delay)
+        self._last_index: int | None = None
+
+    def take_over(self, number: int, offset_nm: float) -> None:
+        """Go on from a command, of a `number`, of which there is no record."""
+        self.sequence, self._state = number, ControllerState(offset_nm)
+
+    @property
+    def offset_nm(self) -> float:
+        """Offset that stands [nm RMS]."""
+        return self._state.offset_nm
 
     def record(
         self, exposure: Exposure, arrived_s: float, *, damaged: int = 0, overtaken: bool = False
@@ -82,7 +100,7 @@ class FocusLoop:
             Whether a later exposure is there already: this one is recorded and not used.
         """
         measured = self._judged(exposure, self._measured(exposure), overtaken)
-        decision = self._decided(measured)
+        decision = self._decided(exposure, measured)
         self.sequence += 1
         numbers = {name: getattr(measured, name) for name in NUMBERS}
         state = decision.state
@@ -140,6 +158,8 @@ class FocusLoop:
         against = {
             MISFIT: beside is not None
             and not calibration.ordinary.fits(beside, calibration.sensor.limits.misfit),
+            FROZEN: exposure.repeated > 0,
+            OLD: time.time() - exposure.unix_s > self._settings.stale_frames_s,
             LATE: overtaken,
             STALE: age_s > self._settings.stale_after_s,
             INCOMPLETE: exposure.reads < self._settings.least_reads * exposure.expected,
@@ -147,11 +167,15 @@ class FocusLoop:
         reasons = (*measured.reasons, *(reason for reason, holds in against.items() if holds))
         return measured._replace(valid=not reasons, reasons=reasons)
 
-    def _decided(self, measured: Measurement) -> Decision:
+    def _decided(self, exposure: Exposure, measured: Measurement) -> Decision:
         if self._settings.shadow:
             return Decision(self._state, False)
-        decision = decide(
-            self._state, measured.defocus_nm if measured.valid else None, self._settings.controller
-        )
+        defocus_nm = measured.defocus_nm if measured.valid else None
+        passed = 1 if self._last_index is None else max(1, exposure.index - self._last_index)
+        self._last_index = exposure.index
+        self.open = self.open or self._response.verdict(defocus_nm, self._state.offset_nm, passed)
+        if self.open:
+            return Decision(self._state, False, held=OPEN if measured.valid else "")
+        decision = decide(self._state, defocus_nm, self._settings.controller)
         self._state = decision.state
         return decision

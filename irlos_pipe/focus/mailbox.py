@@ -9,6 +9,7 @@ counter of the first read of the exposure behind it (int64), CRC-32 of these (ui
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import zlib
@@ -58,7 +59,15 @@ class Mailbox:
             )
 
     def write(self, command: Command) -> None:
-        """Replace the command."""
+        """Replace the command.
+
+        Raises
+        ------
+        ValueError
+            If its offset is no finite number: the telescope could do nothing with it.
+        """
+        if not math.isfinite(command.offset_nm):
+            raise ValueError(f"an offset of {command.offset_nm} nm")
         self._write(BODY.pack(MAGIC, command.number, command.offset_nm, command.counter))
 
     def read(self) -> Command | None:
@@ -70,7 +79,7 @@ class Mailbox:
                 body
             ):
                 _, number, offset_nm, counter = BODY.unpack(body)
-                return Command(number, offset_nm, counter) if number else None
+                return Command(number, offset_nm, counter) if number and math.isfinite(offset_nm) else None
         return None
 
     def close(self) -> None:
