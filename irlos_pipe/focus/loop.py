@@ -12,6 +12,7 @@ from irlos_pipe.control.exposures import Exposure
 from irlos_pipe.control.response import Response
 from irlos_pipe.estimate.focus.sensor import Measurement
 from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.focus.clock import Clock
 from irlos_pipe.focus.ordinary import MISFIT
 from irlos_pipe.focus.record import FAILED, FROZEN, INCOMPLETE, LATE, OLD, SHADOW, STALE, WINDOW, Record
 
@@ -74,6 +75,7 @@ class FocusLoop:
         self.problem = self.open = ""
         self._response = Response(settings.controller.delay)
         self._last_index: int | None = None
+        self._clock = Clock()
 
     def take_over(self, number: int, offset_nm: float) -> None:
         """Go on from a command, of a `number`, of which there is no record."""
@@ -159,7 +161,8 @@ class FocusLoop:
             MISFIT: beside is not None
             and not calibration.ordinary.fits(beside, calibration.sensor.limits.misfit),
             FROZEN: exposure.repeated > 0,
-            OLD: time.time() - exposure.unix_s > self._settings.stale_frames_s,
+            OLD: not self._settings.shadow
+            and self._clock.off_s(exposure.unix_s) > self._settings.stale_frames_s,
             LATE: overtaken,
             STALE: age_s > self._settings.stale_after_s,
             INCOMPLETE: exposure.reads < self._settings.least_reads * exposure.expected,

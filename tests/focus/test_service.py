@@ -330,7 +330,7 @@ def test_what_is_unforeseen_in_a_measurement_is_an_event(tmp_path, monkeypatch):
 
 
 def test_a_wild_counter_is_an_event_and_no_number_of_missing_reads(tmp_path):
-    wild = [[made.read(2**62 + number, 30.0, reads=2)] for number in range(2)]
+    wild = [[replace(made.read(2 + number, 30.0, reads=2), counter=2**62 + number)] for number in range(2)]
     service(tmp_path, [*reads(0, 2), *wild]).run(lambda _: None)
     records, events = lines(tmp_path)
     assert records[1]["reads_missing"] == 0

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 import pytest
-from helpers import focus_loop as made
 
+from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.focus.source import Fault
 from irlos_pipe.focus.zeromq import ZeroMqSource, message_of
@@ -17,7 +17,8 @@ TOKEN = "a token of 24 characters"
 
 
 def read(counter: int):
-    return made.read(counter, 0.0, image_e=np.arange(12, dtype=np.float32).reshape(3, 4) + counter)
+    image_e = np.arange(12, dtype=np.float32).reshape(3, 4) + counter
+    return Read(counter, time.time(), image_e)
 
 
 @pytest.fixture
@@ -47,11 +48,12 @@ def arrived(source: ZeroMqSource, count: int) -> list:
 @pytest.mark.parametrize("token", ["", TOKEN])
 def test_frames_come_out_as_they_went_in(publisher, token):
     source = subscribed(publisher, token)
-    for counter in (5, 6):
-        publisher.send_multipart(message_of(read(counter), token))
-    first, second = arrived(source, 2)
-    assert (first.counter, second.counter, first.unix_s) == (5, 6, read(5).unix_s)
-    np.testing.assert_array_equal(second.image_e, read(6).image_e)
+    sent = [read(5), read(6)]
+    for one in sent:
+        publisher.send_multipart(message_of(one, token))
+    found = arrived(source, 2)
+    assert [(one.counter, one.unix_s) for one in found] == [(one.counter, one.unix_s) for one in sent]
+    np.testing.assert_array_equal(found[1].image_e, sent[1].image_e)
 
 
 def test_nothing_sent_is_nothing_read(publisher):
