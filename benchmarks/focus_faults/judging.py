@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+from zlib import crc32
+
+import numpy as np
 
 from benchmarks.focus_faults.cases import FOCUS, Case
-from benchmarks.focus_faults.rig import Outcome, is_wrong, run
+from benchmarks.focus_faults.rig import Outcome, Rig, is_wrong, run
 from benchmarks.focus_faults.sky import Skies
 from irlos_pipe.focus.calibration import Calibration
 
@@ -94,3 +97,39 @@ def judged(outcome: Outcome) -> dict[str, Any]:
         "wrong_right": sum(is_wrong(record, shot) for record, shot in right if record is not None and record["valid"]),
         "reasons": reasons,
     }
+
+
+@dataclass(frozen=True)
+class Hour:
+    """Of an hour of right exposures: those refused and why, and those beyond their error."""
+
+    name: str
+    seeing: float
+    mag_j: float
+    exposures: int
+    refused: int
+    wrong: int
+    reasons: list[str]
+    residual_nm: float
+    sigma_nm: float
+
+
+def judge_hour(
+    name: str,
+    seeing: float,
+    mag_j: float,
+    changes: dict[str, Any],
+    skies: Skies,
+    calibration: Calibration,
+    output: Path,
+) -> Hour:
+    """Run an hour and judge it."""
+    rig = Rig(skies, mag_j, crc32(f"{skies.seed}.{name}".encode()), **changes)
+    outcome = run(rig, calibration, output)
+    counts = judged(outcome)
+    reasons = {reason for one in outcome.records for reason in one["reasons"]}
+    reasons |= {event for event in outcome.events if OPEN in event}
+    truth = np.array([shot.defocus_nm for shot in outcome.shots[60:]])
+    sigma_nm = float(np.median([one["sigma_nm"] for one in outcome.records if one["valid"]]))
+    numbers = len(outcome.shots), counts["refused"], counts["wrong_right"]
+    return Hour(name, seeing, mag_j, *numbers, sorted(reasons), float(np.sqrt(np.mean(truth**2))), sigma_nm)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from unittest import mock
@@ -19,6 +18,7 @@ from irlos_pipe.control.exposures import Read
 from irlos_pipe.focus.calibration import Calibration
 from irlos_pipe.focus.loop import LoopSettings
 from irlos_pipe.focus.mailbox import Mailbox
+from irlos_pipe.focus.record import content_of
 from irlos_pipe.focus.service import COMMAND, Service
 from irlos_pipe.focus.source import Arrival
 
@@ -175,8 +175,11 @@ def run(rig: Rig, calibration: Calibration, output: Path, **settings: float) -> 
 
 
 def outcome_of(output: Path, shots: list[Shot]) -> Outcome:
-    """Read what a loop has recorded."""
-    lines = [json.loads(line) for line in (output / "focus.jsonl").read_text().splitlines()]
+    """Read what a loop has recorded; lines that were damaged are left out."""
+    lines = []
+    for line in (output / "focus.jsonl").read_bytes().splitlines():
+        with suppress(ValueError):
+            lines.append(content_of(line))
     records = [one for one in lines if "sequence" in one]
     return Outcome(records, [one["event"] for one in lines if "event" in one], shots)
 
