@@ -19,7 +19,9 @@ LEVELS_E = np.geomspace(1e-9, 1e2, 23)  # of noise over light, see `Residual.lev
 STRUCTURE_TIMES, BLUR_TIMES = 2.75, 4.0
 NOISE_TIMES = 4.0  # of the errors by noise, beyond
 WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # of the noise: with more weight for the core, and for what surrounds it
-HALO = 0.2  # part of the light that the AO residual of a usual night leaves in the halo: speckles grow with it
+# Part of the light that the AO residual of a usual night leaves in the halo: speckles grow with it, and it
+# cannot be less than none; and what the worst seeing takes from the core.
+HALO, MOST_HALO = 0.2, 0.5
 USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.02, 0.12, 0.05, 4.0  # of simulated exposures, without a ramp
 
 
@@ -91,7 +93,8 @@ class Ordinary:
             Part of the light that may at most be unexplained, whatever the ramp shows.
         """
         blur_px2 = math.hypot(BLUR_TIMES * self.blur_px2, NOISE_TIMES * found.blur_sigma_px2)
-        if abs(found.blur_px2) > blur_px2:
+        noise = NOISE_TIMES * found.halo_sigma
+        if abs(found.blur_px2) > blur_px2 or not -HALO - noise <= found.halo <= MOST_HALO + noise:
             return False
         rest = found.rest
         times = STRUCTURE_TIMES**2 * (1 + max(found.halo, 0.0) / HALO)
