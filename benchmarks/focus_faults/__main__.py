@@ -6,6 +6,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -38,15 +39,16 @@ def main(output: Path, seed: int, only: str, with_hours: bool, docs: bool) -> No
     shutil.rmtree(trials, ignore_errors=True)
     began_s = time.monotonic()
     verdicts = [work() for _, work in tqdm(_chosen(skies, calibration, trials, only), desc="cases")]
+    (output / "verdicts.json").write_text(json.dumps([asdict(one) for one in verdicts], indent=1))
     text = f"{table(verdicts)}\n\n{summary(verdicts)}"
+    click.echo(text)
     if with_hours:
         found = [
             judge_hour(name, seeing, mag_j, changes, skies, calibration, trials / "hours" / name)
             for name, seeing, mag_j, changes in tqdm([*hours(SEEINGS, HOUR_MAGNITUDES)], desc="hours")
         ]
+        click.echo(hours_table(found))
         text += f"\n\n{hours_table(found)}"
-    (output / "verdicts.json").write_text(json.dumps([one.as_dict() for one in verdicts], indent=1))
-    click.echo(text)
     failed = [one for one in verdicts if one.failed]
     for one in failed:
         click.echo(f"{one.case}: {one.commanded_wrongly} wrong, {one.refused} refused {one.problem}")

@@ -61,11 +61,18 @@ def all_cases() -> list[Case]:
     return [*_of_light(), *_of_times(), *_of_focus()]
 
 
-def hours(seeings: Sequence[float], magnitudes: Sequence[float]) -> Iterator[tuple[str, float, float, dict[str, Any]]]:
+def hours(
+    seeings: Sequence[float], magnitudes: Sequence[float]
+) -> Iterator[tuple[str, float, float, dict[str, Any]]]:
     """Yield name, seeing, magnitude and rig of hours of right exposures."""
     for seeing in seeings:
         for mag_j in magnitudes:
-            yield f"{seeing}_{mag_j}", seeing, mag_j, {"before": HOUR, "spell": 0, "after": 0, "look": Look(seeing)}
+            yield (
+                f"{seeing}_{mag_j}",
+                seeing,
+                mag_j,
+                {"before": HOUR, "spell": 0, "after": 0, "look": Look(seeing)},
+            )
 
 
 def _of_light() -> Iterator[Case]:
@@ -141,8 +148,22 @@ def _again(read: Read, number: int, rig: Rig) -> list[Arrival]:
 
 def _of_times() -> Iterator[Case]:
     for known, family, arrive, lost, told, spell in (
-        (True, "counter and time ahead", _once(counter=lambda r: r.counter + 10**5, unix_s=lambda r: r.unix_s + 3600), 0, "ahead", 20),
-        (True, "counter and time far ahead", _once(counter=lambda r: r.counter + 10**7, unix_s=lambda r: r.unix_s + 1e9), 0, "ahead", 20),
+        (
+            True,
+            "counter and time ahead",
+            _once(counter=lambda r: r.counter + 10**5, unix_s=lambda r: r.unix_s + 3600),
+            0,
+            "ahead",
+            20,
+        ),
+        (
+            True,
+            "counter and time far ahead",
+            _once(counter=lambda r: r.counter + 10**7, unix_s=lambda r: r.unix_s + 1e9),
+            0,
+            "ahead",
+            20,
+        ),
         (True, "counter ahead once", _once(counter=lambda r: r.counter + 10**5), 4, "went back", 20),
         (False, "counter of 2^62 once", _once(counter=lambda r: 2**62), 4, "went", 20),
         (False, "counter of -2^63 once", _once(counter=lambda r: -(2**63)), 0, "", 20),
@@ -150,11 +171,27 @@ def _of_times() -> Iterator[Case]:
         (False, "dated an hour ahead for a while", _dated(3600.0), 0, "ahead", 12),
         (False, "dated a year back for a while", _dated(-3e7), 0, "", 12),
         (False, "old pixels between new ones", _again, 0, "frozen", 12),
-        (False, "recorder counts anew", _counter(lambda counter: counter - FIRST_COUNTER), 4, "went back", 20),
+        (
+            False,
+            "recorder counts anew",
+            _counter(lambda counter: counter - FIRST_COUNTER),
+            4,
+            "went back",
+            20,
+        ),
         (False, "recorder counts on from elsewhere", _counter(lambda counter: counter + 10**6), 0, "", 20),
         (False, "every read twice", lambda read, number, rig: [read, read], 0, "", 12),
         (False, "without times", _once(unix_s=lambda r: float("nan")), 0, "", 12),
-        *((False, f"clock of the loop set by {words}", _set(seconds), 0, "the clock was set", 12) for words, seconds in {"an hour on": 3600.0, "an hour back": -3600.0, "60 days on": 5.2e6, "10 years back": -3.15e8, "below zero": -1.76e9}.items()),
+        *(
+            (False, f"clock of the loop set by {words}", _set(seconds), 0, "the clock was set", 12)
+            for words, seconds in {
+                "an hour on": 3600.0,
+                "an hour back": -3600.0,
+                "60 days on": 5.2e6,
+                "10 years back": -3.15e8,
+                "below zero": -1.76e9,
+            }.items()
+        ),
     ):
         after = 0 if "counts" in family else 8
         yield Case(TIMES, family, known, 12.0, {"arrive": arrive, "spell": spell, "after": after}, lost, told)

@@ -1,4 +1,4 @@
-"""What can go wrong with the record, the command and the database of a loop, and with those who connect to it."""
+"""What can go wrong with the record, the command and the database of a loop, and with those who connect."""
 
 from __future__ import annotations
 
@@ -39,7 +39,14 @@ def file_cases() -> Iterator[tuple[str, bool, Harm]]:
         yield f"the record cut at {tenths} tenths of the whole", True, _cut_whole(tenths / 10)
     for position in range(0, BODY.size + 4, 4):
         yield f"byte {position} of the command changed", True, _command_byte(position)
-    for name, value in {"null": None, "1e6": 1e6, "text": "12", "-1e308": -1e308, "a list": [1], "true": True}.items():
+    for name, value in {
+        "null": None,
+        "1e6": 1e6,
+        "text": "12",
+        "-1e308": -1e308,
+        "a list": [1],
+        "true": True,
+    }.items():
         yield f"offset of the last record {name}", True, _last(offset_nm=value)
     yield "number of the last record 1e30", False, _last(sequence=10**30)
     yield "mode of the last record unknown", False, _last(mode="warp")
@@ -57,25 +64,24 @@ def file_cases() -> Iterator[tuple[str, bool, Harm]]:
     yield "zeros without an end", False, _append(b"\0" * 200_000)
 
 
-def judge_file(name: str, known: bool, harm: Harm, skies: Skies, calibration: Calibration, output: Path) -> Verdict:
+def judge_file(
+    name: str, known: bool, harm: Harm, skies: Skies, calibration: Calibration, output: Path
+) -> Verdict:
     """Run a loop, harm what it has left, and run it again: the offset must survive, or a refusal say why."""
     seed = zlib.crc32(f"{skies.seed}.{name}".encode())
     run(_rig(skies, seed), calibration, output)
     last = outcome_of(output, []).records[-1]
     harm(output)
-    problem, events = "", list[str]()
+    problem = ""
     try:
         again = _rig(skies, seed, last)
-        outcome = _run_again(again, calibration, output)
+        records = _run_again(again, calibration, output)
     except (InputDataError, ConfigurationError) as refusal:
         problem = "" if str(output) in str(refusal) else f"refused without a path: {refusal}"
     except Exception as error:
         problem = f"{type(error).__name__}: {error}"
     else:
-        records = [one for one in outcome if one.get("counter", 0) >= again.first and "sequence" in one]
-        events = [one["event"] for one in outcome if "event" in one]
         problem = _discontinuity(last, records)
-    del events
     return Verdict(f"{FILES}.{name}", FILES, name, known, problem=problem)
 
 
@@ -97,12 +103,9 @@ def _rig(skies: Skies, seed: int, last: dict | None = None) -> _Again:
 
 
 def _run_again(rig: _Again, calibration: Calibration, output: Path) -> list[dict]:
-    (output / "focus.jsonl").touch()
-    before = (output / "focus.jsonl").read_bytes()
-    run(rig, calibration, output)
-    after = (output / "focus.jsonl").read_bytes()
-    new = after[len(os.path.commonprefix([before, after])) :]
-    return [json.loads(line) for line in new.decode().splitlines() if line.startswith("{")]
+    """Records with counters that the first run did not have."""
+    found = run(rig, calibration, output).records
+    return [one for one in found if one["counter"] >= rig.first]
 
 
 def _discontinuity(last: dict, records: list[dict]) -> str:
@@ -113,7 +116,11 @@ def _discontinuity(last: dict, records: list[dict]) -> str:
     step_nm = abs(first["offset_nm"] - last["offset_nm"])
     if step_nm > GAIN * abs(first["defocus_nm"]) + 60.0 or abs(first["defocus_nm"]) > 100.0:
         return f"a step of {step_nm:.0f} nm from {last['offset_nm']:.0f} nm"
-    return "" if first["sequence"] > last["sequence"] - 1 else f"number {first['sequence']} after {last['sequence']}"
+    return (
+        ""
+        if first["sequence"] > last["sequence"] - 1
+        else f"number {first['sequence']} after {last['sequence']}"
+    )
 
 
 def _lines(output: Path) -> list[bytes]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -53,10 +53,6 @@ class Verdict:
     problem: str = ""
     walked_nm: float = 0.0
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the keys and values."""
-        return asdict(self)
-
     @property
     def failed(self) -> bool:
         """Whether anything is not as asked."""
@@ -94,7 +90,9 @@ def judged(outcome: Outcome) -> dict[str, Any]:
         "commanded_right": len(used) - wrong,
         "commanded_wrongly": wrong,
         "refused": sum(record is None or not record["valid"] for record, _ in right),
-        "wrong_right": sum(is_wrong(record, shot) for record, shot in right if record is not None and record["valid"]),
+        "wrong_right": sum(
+            is_wrong(record, shot) for record, shot in right if record is not None and record["valid"]
+        ),
         "reasons": reasons,
     }
 

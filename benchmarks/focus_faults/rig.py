@@ -73,7 +73,7 @@ class Rig:
     bad_look : Look or None
         Of those of the spell.
     spoil : callable
-        What becomes of an image in the spell: gets the image, its number in it, this object and random numbers.
+        What becomes of an image in the spell; gets it, its number there, this object and random numbers.
     arrive : callable
         What arrives in place of a read in the spell.
     answer : callable
@@ -112,7 +112,9 @@ class Rig:
         residual_nm = self.drift_nm[index] - self._applied(index)
         number = index - self.before
         inside = 0 <= number < self.spell
-        image_e, defocus_nm = self.image(residual_nm, self.bad_look if inside and self.bad_look else self.look)
+        image_e, defocus_nm = self.image(
+            residual_nm, self.bad_look if inside and self.bad_look else self.look
+        )
         harmed = inside and (self.spoil is not None or self.bad_look is not None)
         if inside and self.spoil is not None:
             image_e = self.spoil(image_e, number, self, self.rng)

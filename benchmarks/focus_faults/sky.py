@@ -32,7 +32,7 @@ _KEPT: dict[Path, FrameTable] = {}
 
 @dataclass(frozen=True)
 class Look:
-    """What the telescope sees: `seeing` [arcsec], and `changes` of the scene that the loop knows nothing of."""
+    """What the telescope sees: `seeing` [arcsec], and `changes` of the scene, unknown to the loop."""
 
     seeing: float = USUAL_SEEING
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -76,7 +76,9 @@ def noisy_e(mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     factor, read_e = scene.detector.excess_noise_factor, scene.detector.read_noise_e
     charge_e = rng.poisson(mean_e + (scene.sky_e_per_s + scene.detector.dark_e_per_s) * scene.exposure_s)
     spread_e = np.sqrt((factor - 1) * charge_e + scene.reads * read_e**2)
-    return (charge_e - scene.detector.dark_e_per_s + spread_e * rng.standard_normal(mean_e.shape)).astype(np.float32)
+    return (charge_e - scene.detector.dark_e_per_s + spread_e * rng.standard_normal(mean_e.shape)).astype(
+        np.float32
+    )
 
 
 @cache

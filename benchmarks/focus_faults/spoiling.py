@@ -149,7 +149,12 @@ LOOKS: dict[str, dict[str, Any]] = {
 MORE_PIXELS: dict[str, Spoil] = {
     "quadrants exchanged": _plain(np.fft.fftshift),
     "quadrants rolled by 5 px": _plain(
-        lambda image: np.block([[np.roll(q, 5 * (i - j), 1) for j, q in enumerate(np.hsplit(h, 2))] for i, h in enumerate(np.vsplit(image, 2))])
+        lambda image: np.block(
+            [
+                [np.roll(q, 5 * (i - j), 1) for j, q in enumerate(np.hsplit(h, 2))]
+                for i, h in enumerate(np.vsplit(image, 2))
+            ]
+        )
     ),
     "gain of one channel x1.4": _half(lambda part: 1.4 * part),
     "gain of one channel x0.7": _half(lambda part: 0.7 * part),
@@ -158,7 +163,9 @@ MORE_PIXELS: dict[str, Spoil] = {
     "gain x0.2": _plain(lambda image: 0.2 * image),
     "background gradient": _plain(lambda image: image + 0.3 * image.max() * np.linspace(-1, 1, 64)),
     "background step": _half(lambda part: part + 0.1 * np.abs(part).max()),
-    "background pattern of rows": _plain(lambda image: image + 0.1 * image.max() * (np.arange(64)[:, None] % 4 > 1)),
+    "background pattern of rows": _plain(
+        lambda image: image + 0.1 * image.max() * (np.arange(64)[:, None] % 4 > 1)
+    ),
     "shower of cosmic rays": _shower,
     "cosmic ray beside the core": _star_in_core,
     "soft shoulder at 60 %": _shoulder(0.6),
@@ -197,6 +204,14 @@ MORE_LOOKS: dict[str, dict[str, Any]] = {
     "pupil of another telescope": {"facility": load_instrument("nirc2_narrow").facility},
     "second star as bright": {"effects": {"companion": {"flux_ratio": 1.0, "sep_mas": 120, "pa_deg": 100}}},
     "ghost": {"effects": {"ghost": {"flux_ratio": 0.3, "sep_mas": 60, "pa_deg": 200, "defocus_nm": 300.0}}},
-    "low wind": {"effects": {"low_wind_effect": {"piston_nm": [0.0, 300.0, -250.0, 100.0], "tip_nm": [0.0] * 4, "tilt_nm": [0.0] * 4}}},
+    "low wind": {
+        "effects": {
+            "low_wind_effect": {
+                "piston_nm": [0.0, 300.0, -250.0, 100.0],
+                "tip_nm": [0.0] * 4,
+                "tilt_nm": [0.0] * 4,
+            }
+        }
+    },
     "vibration": {"effects": {"vibration": {"sigma_mas": 25.0, "angle_deg": 20.0, "frequency_hz": 48.0}}},
 }

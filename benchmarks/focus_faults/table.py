@@ -18,7 +18,7 @@ def table(verdicts: Sequence[Verdict]) -> str:
         family = "damaged in one place" if one.kind == "files" else one.family
         groups.setdefault((not one.known, one.kind, family), []).append(one)
     lines = [
-        "| kind | family | cases | bad exposures | commanded, right | commanded wrongly | right ones refused | else |",
+        "| kind | family | cases | bad | used, right | used, wrong | right ones refused | else |",
         "|---|---|---:|---:|---:|---:|---:|---|",
     ]
     for (_, kind, family), found in sorted(groups.items(), key=lambda item: item[0]):
@@ -27,7 +27,9 @@ def table(verdicts: Sequence[Verdict]) -> str:
             for name in ("bad", "commanded_right", "commanded_wrongly", "refused")
         ]
         problems = "; ".join(sorted({one.problem for one in found if one.problem}))
-        lines.append(f"| {kind} | {family} | {len(found)} | " + " | ".join(map(str, counts)) + f" | {problems} |")
+        lines.append(
+            f"| {kind} | {family} | {len(found)} | " + " | ".join(map(str, counts)) + f" | {problems} |"
+        )
     return "\n".join(lines)
 
 
@@ -49,15 +51,13 @@ def summary(verdicts: Sequence[Verdict]) -> str:
 def hours_table(found: Sequence[Hour]) -> str:
     """Return the table of hours of right exposures in Markdown."""
     lines = [
-        '| seeing ["] | m_J | exposures | refused | beyond 3 σ and 5 nm | residual [nm RMS] | median σ [nm] |',
+        '| seeing ["] | m_J | exposures | refused | beyond 3 σ, 5 nm | residual [nm RMS] | median σ [nm] |',
         "|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for one in found:
         refused = f"{one.refused}{' (' + ', '.join(one.reasons) + ')' if one.reasons else ''}"
-        lines.append(
-            f"| {one.seeing} | {one.mag_j:g} | {one.exposures} | {refused} | {one.wrong} | {one.residual_nm:.1f} "
-            f"| {one.sigma_nm:.1f} |"
-        )
+        row = one.seeing, f"{one.mag_j:g}", one.exposures, refused, one.wrong
+        lines.append(f"| {' | '.join(map(str, row))} | {one.residual_nm:.1f} | {one.sigma_nm:.1f} |")
     return "\n".join(lines)
 
 

@@ -132,7 +132,9 @@ class CalibrationRequest:
         _require_full_pupil(self.run, recording)
         sensor = focus_sensor(light_path(ctx, recording), good, noise, self._limits(recording.acquisition))
         ordinary = Ordinary.of(sensor, images_e)
-        unknown = "" if ordinary.frames else "no ramp shows how right frames fit; simulated ones set the limits"
+        unknown = (
+            "" if ordinary.frames else "no ramp shows how right frames fit; simulated ones set the limits"
+        )
         key = str(products["calibrate"].provenance.get("key", ""))[:12]
         starts = [one.start_unix_s for one in recordings_from_product(products["ingest"])]
         return Calibration(

@@ -1,8 +1,8 @@
 """The record of a loop: lines of JSON, and a view of them in SQLite.
 
 The lines are the record. A line that cannot be written, for lack of space above all, waits in memory and is
-written, in order, as soon as it can be: the loop goes on meanwhile. The database is filled from the lines, and
-can be made from them again; whatever is wrong with it is told and does not stop the loop.
+written, in order, as soon as it can be: the loop goes on meanwhile. The database is filled from the lines and
+can be made from them again; what is wrong with it is told and does not stop the loop.
 """
 
 from __future__ import annotations
@@ -27,9 +27,8 @@ CREATE TABLE IF NOT EXISTS records (
 );
 CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT NULL);
 """
-COLUMNS = (
-    "sequence unix_s defocus_nm sigma_nm valid offset_nm mode reasons latency_ms calibration line".split()
-)
+COLUMNS = ["sequence", "unix_s", "defocus_nm", "sigma_nm", "valid", "offset_nm"]
+COLUMNS += ["mode", "reasons", "latency_ms", "calibration", "line"]
 COMMIT_S = 1.0  # between transactions
 BLOCK_BYTES = 1 << 16  # of the lines that are read at once from the end
 LONGEST_LINE = 1 << 20  # bytes; records have a thousand
@@ -235,19 +234,28 @@ class _Database:
         """Add what the lines have and the tables lack."""
         self._filled_s, problem = time.monotonic(), ""
         try:
-            if self._connection is None:
-                self._open()
-            self._add()
+            self._fill()
         except sqlite3.OperationalError as error:  # it is locked, or cannot be written: perhaps later
             problem = str(error)
             self._release()
-        except (sqlite3.DatabaseError, _AnotherDatabaseError) as error:
-            problem = f"{error}; set aside as {self._set_aside()}, and made anew"
-        except OSError as error:
-            problem = error.strerror or str(error)
+        except (sqlite3.DatabaseError, OSError) as error:
+            problem = str(error)
         if problem != self._problem:
-            self.news = f"{self._path}: {problem}" if problem else f"{self._path}: up to date again"
+            self.news = f"{self._path}: {problem or 'up to date again'}"
         self._problem = problem
+
+    def _fill(self) -> None:
+        """Fill the tables; what is no database of a loop is set aside for a new one."""
+        try:
+            if self._connection is None:
+                self._open()
+            self._add()
+        except sqlite3.OperationalError:
+            raise
+        except sqlite3.DatabaseError as error:
+            self.news = f"{self._path}: {error}; set aside as {self._set_aside()}, and made anew"
+            self._open()
+            self._add()
 
     def close(self) -> None:
         """Fill the tables a last time and let go of them."""
@@ -258,10 +266,12 @@ class _Database:
         if self._path.is_symlink() or (self._path.exists() and not self._path.is_file()):
             raise OSError("a link, or no file: not written")
         self._connection = connection = sqlite3.connect(self._path, timeout=0.0)
-        names = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        names = {
+            name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        }
         columns = [name for (name,) in connection.execute("SELECT name FROM pragma_table_info('records')")]
         if names and (names != {"records", "events"} or columns != COLUMNS):
-            raise _AnotherDatabaseError("not the tables of a focus loop")
+            raise sqlite3.DatabaseError("not the tables of a focus loop")
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = OFF")
         connection.executescript(TABLES)
@@ -308,7 +318,3 @@ class _Database:
             with suppress(OSError):
                 os.replace(f"{self._path}{suffix}", f"{name}{suffix}")
         return name.name
-
-
-class _AnotherDatabaseError(Exception):
-    """The file has other tables than those of a loop."""

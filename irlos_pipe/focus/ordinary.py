@@ -22,7 +22,12 @@ WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # of the noise: with more weight for the cor
 # Part of the light that the AO residual of a usual night leaves in the halo: speckles grow with it, and it
 # cannot be less than none; and what the worst seeing takes from the core.
 HALO, MOST_HALO = 0.2, 0.5
-USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.02, 0.12, 0.05, 4.0  # of simulated exposures, without a ramp
+USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = (
+    0.02,
+    0.12,
+    0.05,
+    4.0,
+)  # of simulated exposures, without a ramp
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +111,7 @@ class Ordinary:
         return True
 
     def growth(self, found: Unexplained) -> tuple[float, float]:
-        """Return the factor on errors by structure and halo beyond the ramp's, and that by motion and halo [nm]."""
+        """Return the growth of errors by structure and halo beyond the ramp's, and one by motion [nm]."""
         rest = found.rest
         largest = self._at(self.largest_structure, rest.level)
         structure, sigma, _ = rest.structure(rest.level)

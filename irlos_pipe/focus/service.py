@@ -22,7 +22,7 @@ from irlos_pipe.focus.mailbox import Command, Mailbox
 from irlos_pipe.focus.notes import SparingNotes
 from irlos_pipe.focus.page import HOUR_S, LivePage, PageSettings
 from irlos_pipe.focus.publisher import Publisher
-from irlos_pipe.focus.record import SHADOW, Record
+from irlos_pipe.focus.record import Record
 from irlos_pipe.focus.source import Arrival, Fault, Source
 from irlos_pipe.product.runfolder import owned_folder, require_free
 
@@ -145,7 +145,9 @@ class _Beginning:
         if command is not None and (command.number > number or command.offset_nm != offset_nm):
             number, offset_nm = max(number, command.number), command.offset_nm
             why = "no record" if last is None else f"the last sound record is number {last.sequence}"
-            text = "; ".join(filter(None, (text, f"{why}; goes on from command {number}, {offset_nm:.1f} nm")))
+            text = "; ".join(
+                filter(None, (text, f"{why}; goes on from command {number}, {offset_nm:.1f} nm"))
+            )
         else:
             text = "; ".join(filter(None, (text, "the command is damaged" if mailbox.damaged else "")))
             command = None
@@ -238,7 +240,9 @@ class _Running:
             ahead_s = self.clock.ahead_s(one.unix_s)
             if not ahead_s > AHEAD_S:
                 return self.accumulator.add(one)
-            one = Fault(f"read {one.counter} is dated {ahead_s:.0f} s ahead of the clock of the loop; not used")
+            one = Fault(
+                f"read {one.counter} is dated {ahead_s:.0f} s ahead of the clock of the loop; not used"
+            )
         if isinstance(one, Fault):
             self.damaged += one.reads
             self.faults.add(one.text)
@@ -279,7 +283,9 @@ class _Running:
         if self.loop.problem:
             self.faults.add(f"exposure {record.exposure} could not be measured: {self.loop.problem}")
         if exposure.repeated:
-            self.faults.add(f"exposure {record.exposure} repeats pixels of earlier reads: the detector is frozen")
+            self.faults.add(
+                f"exposure {record.exposure} repeats pixels of earlier reads: the detector is frozen"
+            )
         if closed and self.loop.open:
             self.note(f"the loop is not closed: offsets are {self.loop.open}; held until it is started again")
 

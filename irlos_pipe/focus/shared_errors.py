@@ -45,7 +45,9 @@ class SharedErrors:
         frames = FrameErrors(results.points[0].sigma_instant_nm, results.chi2_nu, results.nominal_chi2_nu)
         return cls(frames, defocus_nm[chosen], optics_nm)
 
-    def sigma_nm(self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0) -> float:
+    def sigma_nm(
+        self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0
+    ) -> float:
         """Return the standard error of a measurement [nm].
 
         Parameters

@@ -93,7 +93,9 @@ class ZeroMqSource:
             else:
                 untold, last = untold + 1, one.text
         if untold:
-            found.append(Fault(f"{last}; {untold} of the kind at once: frames between them may be lost", untold))
+            found.append(
+                Fault(f"{last}; {untold} of the kind at once: frames between them may be lost", untold)
+            )
         return found
 
     def close(self) -> None:
@@ -122,7 +124,6 @@ class ZeroMqSource:
         if self._token and not self._is_new(unix_s):
             return Fault(f"{self._endpoint}: a signed frame of before, or without a time; played back?")
         return Read(counter, unix_s, np.frombuffer(parts[1], "<f4").reshape(rows, columns))
-
 
     def _is_new(self, unix_s: float) -> bool:
         """Whether a signed frame is newer than the last one, and of now."""

@@ -3,6 +3,7 @@
 import socket
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,3 +128,42 @@ def test_without_pyzmq_an_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "zmq", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'irlos_pipe\[zeromq\]'"):
         ZeroMqSource("tcp://127.0.0.1:5555")
+
+
+@pytest.mark.slow
+def test_signed_frames_that_are_played_back_are_refused_however_many_they_are(publisher):
+    source = subscribed(publisher, TOKEN)
+    now = time.time()
+    old = [message_of(replace(read(counter), unix_s=now - 3600 + counter), TOKEN) for counter in range(300)]
+    new = [message_of(replace(read(counter), unix_s=now + 0.001 * counter), TOKEN) for counter in (301, 302)]
+    for message in (new[0], *old, new[0], *old, new[1], new[0], new[1]):
+        publisher.send_multipart(message)
+    found = [one for _ in range(10) for one in source.poll(0.05)]
+    source.close()
+    assert [one.counter for one in found if not isinstance(one, Fault)] == [301, 302]
+    assert sum(one.reads for one in found if isinstance(one, Fault)) == 603
+    assert all("played back" in one.text for one in found if isinstance(one, Fault))
+
+
+@pytest.mark.slow
+def test_a_flood_of_junk_is_counted_and_frames_between_it_are_read(publisher):
+    source = subscribed(publisher)
+    for number in range(500):
+        publisher.send(b"junk")
+        if number % 100 == 0:
+            publisher.send_multipart(message_of(read(number)))
+    found = [one for _ in range(20) for one in source.poll(0.05)]
+    source.close()
+    assert [one.counter for one in found if not isinstance(one, Fault)] == [0, 100, 200, 300, 400]
+    faults = [one for one in found if isinstance(one, Fault)]
+    assert sum(one.reads for one in faults) == 500
+    assert len(faults) < 100
+
+
+def test_messages_far_larger_than_a_frame_are_not_taken(publisher):
+    source = ZeroMqSource(publisher.get_string(zmq.LAST_ENDPOINT), window=(3, 4))
+    assert publisher.poll(5000)
+    publisher.recv()
+    publisher.send_multipart([b"x", b"\0" * 10**6, b""])
+    assert not [one for _ in range(3) for one in source.poll(0.1) if not isinstance(one, Fault)]
+    source.close()

@@ -73,7 +73,7 @@ class Unexplained:
     halo, halo_sigma : float
         Part of the light that is in the halo, and in the core by the model, and its error.
     shift_nm, shift_sigma_nm : float
-        By how much the defocus changes if motion and halo are free, and by how much noise changes it [nm RMS].
+        By how much the defocus changes if motion and halo are free, and how much of that noise makes [nm].
     rest : Residual
     """
 
