@@ -80,7 +80,8 @@ class Journal:
     def __init__(self, folder: Path):
         self._path = folder / LINES
         self._waiting: deque[str] = deque()
-        self.problem, self.last, self.damaged = "", None, 0
+        self.last: Record | None = None
+        self.problem, self.damaged = "", 0
         try:
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
         except OSError as error:
