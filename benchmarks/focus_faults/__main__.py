@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 
 import click
@@ -66,18 +67,12 @@ def _chosen(skies: Skies, calibration: Calibration, trials: Path, only: str) -> 
 
 def _all(skies: Skies, calibration: Calibration, trials: Path) -> Iterator[tuple[str, Work]]:
     for case in all_cases():
-        yield case.name, lambda case=case: judge(case, skies, calibration, trials / case.name)
+        yield case.name, partial(judge, case, skies, calibration, trials / case.name)
     for number, (name, known, harm) in enumerate(file_cases()):
         folder = trials / f"files_{number}"
-        yield (
-            f"files.{name}",
-            lambda given=(name, known, harm, skies, calibration, folder): judge_file(*given),
-        )
+        yield f"files.{name}", partial(judge_file, name, known, harm, skies, calibration, folder)
     for number, (name, trial) in enumerate(visitor_cases()):
-        yield (
-            f"visitors.{name}",
-            lambda given=(name, trial, trials / f"v{number}"): judge_visitor(*given),
-        )
+        yield f"visitors.{name}", partial(judge_visitor, name, trial, trials / f"visitors_{number}")
 
 
 if __name__ == "__main__":

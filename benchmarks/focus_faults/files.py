@@ -10,8 +10,11 @@ import struct
 import threading
 import zlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
+
+import numpy as np
 
 from benchmarks.focus_faults.judging import Verdict
 from benchmarks.focus_faults.rig import GAIN, Rig, outcome_of, run
@@ -95,7 +98,7 @@ def _rig(skies: Skies, seed: int, last: dict | None = None) -> _Again:
     rig = _Again(skies, 12.0, seed, before=EXPOSURES, spell=0, after=0)
     if last is not None:
         rig._index, rig._exposures = EXPOSURES, 2 * EXPOSURES
-        rig.drift_nm = [last["offset_nm"]] * (2 * EXPOSURES + 1)
+        rig.drift_nm = np.full(2 * EXPOSURES + 1, last["offset_nm"])
         rig.clock.passed_s, rig._applied_nm = 60.0, last["offset_nm"]
         rig._commanded_nm = [last["offset_nm"]] * len(rig._commanded_nm)
         rig.first = last["counter"] + 1
@@ -216,14 +219,14 @@ def _linked(output: Path) -> None:
 def visitor_cases() -> Iterator[tuple[str, Callable[[Path], str]]]:
     """Yield name and trial of visitors; a trial returns what is not as asked."""
     for request in ("http://[::bad/", "//[", "/lines?after=%ff", "/" + "a" * 60_000, "/\udcff"):
-        yield f"request for {request[:20]!r}", lambda folder, asked=request: _requested(asked)
-    yield "host [", lambda folder: _requested("/", "[")
+        yield f"request for {request[:20]!r}", partial(_requested, request, "localhost")
+    yield "host [", partial(_requested, "/", "[")
     yield "100 connections that say nothing", _crowd
     yield "socket of a living loop", _second_socket
     yield "command of no number", _no_number
 
 
-def _requested(asked: str, host: str = "localhost") -> str:
+def _requested(asked: str, host: str, folder: Path) -> str:
     page = LivePage(PageSettings(0))
     try:
         with socket.create_connection(("127.0.0.1", urlsplit(page.url).port), timeout=5) as client:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 from unittest import mock
 
 import numpy as np
@@ -15,7 +16,7 @@ from benchmarks.focus_faults.sky import Look, Skies, noisy_e
 from benchmarks.focus_loop.telescope import LAYER
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.control.exposures import Read
-from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 from irlos_pipe.focus.loop import LoopSettings
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.record import content_of
@@ -169,9 +170,10 @@ def run(rig: Rig, calibration: Calibration, output: Path, **settings: float) -> 
 
     loop = LoopSettings(ControllerSettings(gain=GAIN, delay=DELAY), **settings)  # type: ignore[arg-type]
     output.mkdir(parents=True, exist_ok=True)
+    request = cast(CalibrationRequest, Ready(output, calibration))
     rig.command = Mailbox(output / COMMAND)
     with rig.clock.running():
-        Service(output, Ready(output, calibration), loop, opened, silent_after_s=10.0).run(lambda _: None)
+        Service(output, request, loop, opened, silent_after_s=10.0).run(lambda _: None)
     rig.command.close()
     return outcome_of(output, rig.shots)
 

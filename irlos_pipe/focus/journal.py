@@ -107,7 +107,7 @@ class Journal:
         noted_unix_s, names = list[float](), set[str]()
         with open(self._path, "rb") as stream:
             for line in stream:
-                with suppress(ValueError, TypeError):
+                with suppress(ValueError, TypeError, LookupError):
                     content = content_of(line)
                     if "event" in content:
                         noted_unix_s.append(float(content["unix_s"]))
@@ -128,7 +128,7 @@ class Journal:
             size += len(line)
             if size > RECENT_BYTES:
                 break
-            with suppress(ValueError, TypeError):
+            with suppress(ValueError, TypeError, LookupError):
                 content = content_of(line)
                 written_s = float(content.get("recorded_unix_s", content["unix_s"]))
                 if written_s >= since_unix_s:

@@ -81,11 +81,6 @@ class FocusLoop:
         """Go on from a command, of a `number`, of which there is no record."""
         self.sequence, self._state = number, ControllerState(offset_nm)
 
-    @property
-    def offset_nm(self) -> float:
-        """Offset that stands [nm RMS]."""
-        return self._state.offset_nm
-
     def record(
         self, exposure: Exposure, arrived_s: float, *, damaged: int = 0, overtaken: bool = False
     ) -> Record:

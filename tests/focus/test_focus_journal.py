@@ -216,3 +216,12 @@ def test_a_link_is_not_followed(tmp_path, records):
     (output / "focus.jsonl").symlink_to("elsewhere")
     with pytest.raises(InputDataError, match="cannot be opened"):
         Journal(output)
+
+
+def test_a_line_of_ours_without_a_time_is_left_out_of_the_hour(tmp_path, records):
+    content = recorded(tmp_path, records[:2])
+    (tmp_path / "focus.jsonl").write_bytes(content + b'{"schema": "irlos-focus", "event": "x"}\n')
+    journal = Journal(tmp_path)
+    assert len(journal.recent(0.0)) == 2
+    assert journal.earlier is not None
+    journal.close()
