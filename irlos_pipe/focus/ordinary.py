@@ -15,8 +15,8 @@ MISFIT = "misfit"
 FEWEST_FRAMES = 6  # of a ramp that shows how frames fit
 LEVELS_E = np.geomspace(1e-9, 1e2, 23)  # of noise over light, see `Residual.level`
 # Amplitude of structure, and variance of motion, over those of the ramp from which an exposure is another:
-# thousands of right ones, simulated in seeing of 0.3 to 1.3", stay below 2.2 and 3.3 times, halo allowed for.
-STRUCTURE_TIMES, BLUR_TIMES = 2.75, 4.0
+# thousands of right ones, simulated in seeing of 0.3 to 1.3", stay below 2.5 and 3.3 times, halo allowed for.
+STRUCTURE_TIMES, BLUR_TIMES = 3.0, 4.0
 NOISE_TIMES = 4.0  # of the errors by noise, beyond
 WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # of the noise: with more weight for the core, and for what surrounds it
 # Part of the light that the AO residual of a usual night leaves in the halo: speckles grow with it, and it
@@ -102,11 +102,12 @@ class Ordinary:
         if abs(found.blur_px2) > blur_px2 or not -HALO - noise <= found.halo <= MOST_HALO + noise:
             return False
         rest = found.rest
-        times = STRUCTURE_TIMES**2 * (1 + max(found.halo, 0.0) / HALO)
+        times = STRUCTURE_TIMES**2 * self._speckled(found)
         for part in WEIGHTED_AS_FOR:
             structure, sigma, whole = rest.structure(rest.level * part)
             most = min(times * self._at(self.structure, rest.level * part), largest**2)
-            if structure - NOISE_TIMES * sigma > most or whole - NOISE_TIMES * sigma > largest**2:
+            sigma *= NOISE_TIMES
+            if structure > math.hypot(most, sigma) or whole > math.hypot(largest**2, sigma):
                 return False
         return True
 
@@ -115,11 +116,15 @@ class Ordinary:
         rest = found.rest
         largest = self._at(self.largest_structure, rest.level)
         structure, sigma, _ = rest.structure(rest.level)
-        factor2 = 1 + max(found.halo - 2 * found.halo_sigma - self.halo, 0.0) / HALO
+        factor2 = self._speckled(found)
         if largest > 0:
             factor2 *= max(1.0, (structure - sigma) / largest)
         beyond_nm2 = found.shift_nm**2 - found.shift_sigma_nm**2 - self.shift_nm**2
         return math.sqrt(factor2), math.sqrt(max(beyond_nm2, 0.0))
+
+    def _speckled(self, found: Unexplained) -> float:
+        """By how much the light of speckles is more than the ramp's, as far as the halo is surely larger."""
+        return 1 + max(found.halo - 2 * found.halo_sigma - self.halo, 0.0) / HALO
 
     def _at(self, values: np.ndarray, level: float) -> float:
         return float(np.interp(math.log(max(level, 1e-300)), np.log(LEVELS_E), values))
