@@ -42,7 +42,7 @@ where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo docs test test-quick test-long lint bench fuzz faults misled clean full calibrate dip-global ramp
-.PHONY: end-to-end focus-demo sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
+.PHONY: end-to-end focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -101,6 +101,9 @@ fuzz: env-test ## try some thousand damaged and hostile inputs (ARGS="--cases 20
 
 misled: env-test ## reduce plausible but wrong inputs, and right ones, and count what misleads (ARGS="--draws 2 --jobs 2")
 	$(BIN)/python -m benchmarks.misled --output $(RUNS)/misled $(ARGS)
+
+focus-faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
+	$(BIN)/python -m benchmarks.focus_faults --output $(RUNS)/focus-faults $(ARGS)
 
 end-to-end: env-test ## simulate an adaptive optics end to end, half an hour, and reduce what is seen behind it
 	$(BIN)/python data_samples/make_end_to_end.py --output $(RUNS)/end_to_end

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 DAY_S = 86400.0
 TOKEN = "IRLOS_FOCUS_TOKEN"
 SILENT_AFTER_S, FOLDER_SILENT_AFTER_S = 10.0, 600.0
+FOLDER_STALE_S = 900.0
 RING_WAIT_S, LOOK_S = 60.0, 0.2
 
 
@@ -128,6 +129,13 @@ def _finite(ctx: click.Context, option: click.Parameter, value: float | None) ->
     callback=_finite,
     metavar="DAYS",
     help="Age from which a calibration is not used (default: never).",
+)
+@click.option(
+    "--stale-frames",
+    type=click.FloatRange(min=0, min_open=True),
+    callback=_finite,
+    metavar="SECONDS",
+    help=f"Age from which frames command nothing (default: {FOLDER_STALE_S:g} with --folder, else never).",
 )
 @click.option("--despite-qc", is_flag=True, help="Take a calibration whose QC has failed, too.")
 @click.option(
@@ -249,6 +257,7 @@ class FocusOptions:
     jump_nm: float
     max_misfit: float
     stale_after: float | None
+    stale_frames: float | None
     despite_qc: bool
     wait: float
     silent_after: float | None
@@ -289,7 +298,8 @@ class FocusOptions:
             raise ConfigurationError(str(problem)) from None
         shadow = self.shadow or self.replay is not None
         stale_after_s = math.inf if self.stale_after is None else self.stale_after * DAY_S
-        return LoopSettings(controller, self.reads, self.counter_step, shadow, stale_after_s)
+        frames_s = self.stale_frames or (math.inf if self.folder is None else FOLDER_STALE_S)
+        return LoopSettings(controller, self.reads, self.counter_step, shadow, stale_after_s, frames_s)
 
     def request(self, run: Path) -> CalibrationRequest:
         """The calibration of a `run`, for the frames that will come."""
@@ -315,7 +325,7 @@ class FocusOptions:
                 self.folder, calibration.instrument, calibration.acquisition, journal.earlier
             )
         if self.zeromq is not None:
-            return ZeroMqSource(self.zeromq, os.environ.get(TOKEN, ""))
+            return ZeroMqSource(self.zeromq, os.environ.get(TOKEN, ""), calibration.window)
         assert self.replay is not None, "one of the four was given"
         return Replay(self.replay, self.input_name, self.speed)
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from irlos_pipe.control.repeats import Repeats
+
 # Exposures' worth of late reads in a row that mean that the recorder counts anew: of reads that were taken
 # after the last exposure, and of any, should the clock have been set back as well.
 RESTARTED_AFTER, RESTARTED_ANYWAY_AFTER = 3, 1000
@@ -60,6 +62,8 @@ class Exposure:
         Whether the recorder began to count anew, or the counter jumped further than reads go missing.
     recording : str
         Of its reads.
+    repeated : int
+        Reads in it whose pixels have been there before, under another counter.
     """
 
     index: int
@@ -73,6 +77,7 @@ class Exposure:
     missing: int = 0
     restarted: bool = False
     recording: str = ""
+    repeated: int = 0
 
 
 @dataclass
@@ -80,6 +85,7 @@ class _Tally:
     late: int = 0
     doubled: int = 0
     restarted: bool = False
+    repeated: int = 0
 
 
 @dataclass
@@ -98,6 +104,8 @@ class Accumulator:
         Time of its first read; NaN if not known.
     recording : str
         Of the last exposure: in another one counters begin again.
+    taken : int
+        Reads that have become part of an exposure.
     """
 
     reads: int
@@ -105,6 +113,8 @@ class Accumulator:
     last_index: int | None = None
     last_unix_s: float = math.nan
     recording: str = ""
+    taken: int = 0
+    _repeats: Repeats = field(default_factory=Repeats)
     _open: dict[int, Read] = field(default_factory=dict)
     _tally: _Tally = field(default_factory=_Tally)
     _new_in_a_row: int = 0
@@ -126,6 +136,8 @@ class Accumulator:
             self._tally.doubled += 1
             return done
         self._open[read.counter] = read
+        self.taken += 1
+        self._tally.repeated += self._repeats.has(read.image_e)
         if len(self._open) == self.reads:
             done += self.flush()
         return done
@@ -162,6 +174,7 @@ class Accumulator:
             missing=(0 if jumped else skipped * self.reads) + self.reads - len(images),
             restarted=self._tally.restarted or jumped,
             recording=first.recording,
+            repeated=self._tally.repeated,
         )
         self.last_index, self.last_unix_s = index, first.unix_s
         self._open, self._tally, self._overtaken_in_a_row = {}, _Tally(), 0

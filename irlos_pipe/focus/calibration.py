@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.files.regular import read_regular
+from irlos_pipe.focus.ordinary import Ordinary
 from irlos_pipe.focus.shared_errors import SharedErrors
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
@@ -34,6 +36,7 @@ from irlos_pipe.stages.lift.singly import focus_sensor, light_path
 
 LOG = logging.getLogger(__name__)
 QC_FAILED = "qc_failed"  # as results.json says
+_Frames = tuple[Recording, np.ndarray, NoiseModel, Iterable[np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,8 @@ class Calibration:
         Time of the recording behind it; NaN if not known.
     errors : SharedErrors or None
         Beside those by photons; None where the run has no ramp that tells them.
+    ordinary : Ordinary
+        How right exposures fit.
     notice : str
         What has to be said before any result, as of samples; empty if nothing has to be.
     """
@@ -64,6 +69,7 @@ class Calibration:
     acquisition: Acquisition
     made_unix_s: float
     errors: SharedErrors | None = None
+    ordinary: Ordinary = field(default_factory=Ordinary.usual)
     notice: str = ""
 
     @property
@@ -122,9 +128,13 @@ class CalibrationRequest:
         config = recipe.configs.get("lift", Config())
         assert isinstance(config, Config)
         ctx = _context(recipe, products, config)
-        recording, good, noise = self._frames(ctx)
+        recording, good, noise, images_e = self._frames(ctx)
         _require_full_pupil(self.run, recording)
         sensor = focus_sensor(light_path(ctx, recording), good, noise, self._limits(recording.acquisition))
+        ordinary = Ordinary.of(sensor, images_e)
+        unknown = (
+            "" if ordinary.frames else "no ramp shows how right frames fit; simulated ones set the limits"
+        )
         key = str(products["calibrate"].provenance.get("key", ""))[:12]
         starts = [one.start_unix_s for one in recordings_from_product(products["ingest"])]
         return Calibration(
@@ -137,7 +147,8 @@ class CalibrationRequest:
             SharedErrors.of(results_of(LiftResults, open_product(paths["lift"])))
             if "lift" in paths
             else None,
-            whole.notice,
+            ordinary,
+            "; ".join(filter(None, (whole.notice, unknown))),
         )
 
     def _limits(self, acquisition: Acquisition) -> Limits:
@@ -147,15 +158,15 @@ class CalibrationRequest:
             return self.limits
         return replace(self.limits, saturation_e=detector.saturation_adu * detector.e_per_adu)
 
-    def _frames(self, ctx: StageContext[Config]) -> tuple[Recording, np.ndarray, NoiseModel]:
-        """How frames are taken, good pixels, and the noise of one."""
+    def _frames(self, ctx: StageContext[Config]) -> _Frames:
+        """How frames are taken, good pixels, the noise of one, and those of the ramp."""
         if self.acquisition is None:
             return _like_the_ramp(ctx, self.run)
         calibrated = recordings_from_product(ctx.products["ingest"])[0]
         window = self.window or calibrated.window
         good = calibrated.good if calibrated.window == window else np.ones(window, bool)
         recording = _described(self.acquisition, window, ctx.instrument)
-        return recording, good, NoiseModel.of(recording)
+        return recording, good, NoiseModel.of(recording), []
 
 
 def _failed_checks(folder: RunFolder) -> str:
@@ -196,7 +207,7 @@ def _no_progress(*_: object, **__: object) -> None:
     raise NotImplementedError("a loop shows no progress bars")
 
 
-def _like_the_ramp(ctx: StageContext[Config], run: Path) -> tuple[Recording, np.ndarray, NoiseModel]:
+def _like_the_ramp(ctx: StageContext[Config], run: Path) -> _Frames:
     """As the stage `lift` takes the run's own ramp."""
     recordings = recordings_from_product(ctx.products["ingest"])
     if not any(one.input == ctx.config.input and one.acquisition.role in ROLES for one in recordings):
@@ -205,7 +216,7 @@ def _like_the_ramp(ctx: StageContext[Config], run: Path) -> tuple[Recording, np.
             "describe them with --acquisition FILE"
         )
     ramp = read_ramp(ctx, ctx.config.input)
-    return ramp.recordings[0], ramp.data.good.numpy(), ramp.data.noise
+    return ramp.recordings[0], ramp.data.good.numpy(), ramp.data.noise, ramp.data.images_e.numpy()
 
 
 def _described(path: Path, window: tuple[int, int], instrument: Instrument) -> Recording:

@@ -1,22 +1,23 @@
-"""The record of a loop: lines of JSON, and the same in SQLite.
+"""The record of a loop: lines of JSON, and a view of them in SQLite.
 
-The lines are the record; the database can be made from them again. A line that cannot be written, for lack of
-space above all, waits in memory and is written, in order, as soon as it can be: the loop goes on meanwhile.
+The lines are the record. A line that cannot be written, for lack of space above all, waits in memory and is
+written, in order, as soon as it can be: the loop goes on meanwhile. The database is filled from the lines and
+can be made from them again; what is wrong with it is told and does not stop the loop.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sqlite3
 import time
 from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.record import Record, event_line, record_of
+from irlos_pipe.focus.record import Record, content_of, event_line, record_of
 
 LINES, DATABASE = "focus.jsonl", "focus.sqlite"
 TABLES = """
@@ -26,11 +27,11 @@ CREATE TABLE IF NOT EXISTS records (
 );
 CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT NULL);
 """
-COLUMNS = 11
+COLUMNS = ["sequence", "unix_s", "defocus_nm", "sigma_nm", "valid", "offset_nm"]
+COLUMNS += ["mode", "reasons", "latency_ms", "calibration", "line"]
 COMMIT_S = 1.0  # between transactions
-TAIL_BYTES = 1 << 16  # at the end of the lines in which the last record is looked for
-
-
+BLOCK_BYTES = 1 << 16  # of the lines that are read at once from the end
+LONGEST_LINE = 1 << 20  # bytes; records have a thousand
 RECENT_BYTES = 1 << 26  # at the end of the lines in which recent ones are looked for
 
 
@@ -64,25 +65,34 @@ class Journal:
     Attributes
     ----------
     last : Record or None
-        The last record that stands in the file.
-    waiting : int
-        Lines that could not be written yet.
+        The last sound record that stands in the file.
+    damaged : int
+        Lines after it that are none, the last one included if it was not finished and is cut off.
+    problem : str
+        Why lines cannot be written; empty if they can.
 
     Raises
     ------
     InputDataError
-        If the files are there and are none of a focus loop.
+        If the file of lines cannot be opened, or is none of a focus loop.
     """
 
     def __init__(self, folder: Path):
         self._path = folder / LINES
         self._waiting: deque[str] = deque()
-        self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        self._end = self._mend()
-        self.last = self._last_record()
-        self.problem = ""
-        self._database = _Database(folder / DATABASE)
-        self._database.fill(self._path)
+        self.last: Record | None = None
+        self.problem, self.damaged = "", 0
+        try:
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+        except OSError as error:
+            raise InputDataError(
+                f"{self._path}: cannot be opened: {error.strerror}; move it away or choose another output"
+            ) from None
+        self._end = os.fstat(self._file).st_size
+        self._find_last()
+        self._cut()
+        self._database = _Database(folder / DATABASE, self._path)
+        self._database.fill()
 
     @property
     def waiting(self) -> int:
@@ -95,12 +105,14 @@ class Journal:
         if self.last is None:
             return None
         noted_unix_s, names = list[float](), set[str]()
-        with open(self._path, encoding="utf-8", errors="replace") as stream:
-            for content in map(json.loads, stream):
-                if "event" in content:
-                    noted_unix_s.append(content["unix_s"])
-                else:
-                    names.add(content.get("recording", ""))
+        with open(self._path, "rb") as stream:
+            for line in stream:
+                with suppress(ValueError, TypeError, LookupError):
+                    content = content_of(line)
+                    if "event" in content:
+                        noted_unix_s.append(float(content["unix_s"]))
+                    else:
+                        names.add(str(content.get("recording", "")))
         return Earlier(min(noted_unix_s, default=0.0), frozenset(names) - {""}, self.last.recording)
 
     def recent(self, since_unix_s: float) -> list[tuple[float, str]]:
@@ -111,13 +123,17 @@ class Journal:
         since_unix_s : float
             Earlier ones are left out.
         """
-        found = []
-        for line in self._last_lines(RECENT_BYTES):
-            content = json.loads(line)
-            written_s = content.get("recorded_unix_s", content.get("unix_s") if "event" in content else None)
-            if written_s is not None and written_s >= since_unix_s:
-                found.append((written_s, line))
-        return found
+        found, size = list[tuple[float, str]](), 0
+        for line in self._backwards():
+            size += len(line)
+            if size > RECENT_BYTES:
+                break
+            with suppress(ValueError, TypeError, LookupError):
+                content = content_of(line)
+                written_s = float(content.get("recorded_unix_s", content["unix_s"]))
+                if written_s >= since_unix_s:
+                    found.append((written_s, line.decode() + "\n"))
+        return found[::-1]
 
     def add(self, record: Record) -> str:
         """Append a `record`; return its line."""
@@ -130,11 +146,14 @@ class Journal:
 
     def flush(self) -> None:
         """Write what waits, as far as it can be written."""
-        while self._waiting:
-            if not self._write(self._waiting[0]):
-                return
-            self._database.add(self._end, self._waiting.popleft())
-        self._database.commit_if_due()
+        while self._waiting and self._write(self._waiting[0]):
+            self._waiting.popleft()
+        self._database.fill_if_due()
+
+    def news(self) -> str:
+        """Return what has become of the database since the last call, if it has to be told."""
+        told, self._database.news = self._database.news, ""
+        return told
 
     def close(self) -> None:
         """Write what can be written and close the files."""
@@ -163,114 +182,140 @@ class Journal:
         self.problem = ""
         return True
 
-    def _mend(self) -> int:
-        """Cut off a last line that was not finished; return the length of the rest."""
-        size = os.fstat(self._file).st_size
-        start = max(0, size - TAIL_BYTES)
-        tail = os.pread(self._file, size - start, start)
-        end = start + tail.rfind(b"\n") + 1
-        if end == 0 and size:
+    def _find_last(self) -> None:
+        """Look for the last sound record from the end; a file without any line of a loop is another's."""
+        ours = self._end == 0
+        for line in self._backwards():
+            try:
+                self.last = record_of(line)
+                ours = True
+            except ValueError:
+                self.damaged += 1
+            if self.last is not None:
+                return
+        if not ours:
             raise InputDataError(f"{self._path}: not the record of a focus loop; choose another output")
-        if end < size:
-            os.ftruncate(self._file, end)
-        return end
 
-    def _last_record(self) -> Record | None:
-        try:
-            for line in reversed(self._last_lines(TAIL_BYTES)):
-                if (record := record_of(line)) is not None:
-                    return record
-        except (ValueError, KeyError) as error:
-            raise InputDataError(f"{self._path}: not the record of a focus loop ({error})") from None
-        return None
+    def _cut(self) -> None:
+        """Cut off a last line that was not finished."""
+        whole = self._end
+        while whole and os.pread(self._file, 1, whole - 1) != b"\n":
+            start = max(0, whole - BLOCK_BYTES)
+            whole = start + os.pread(self._file, whole - start, start).rfind(b"\n") + 1
+        if whole < self._end:
+            os.ftruncate(self._file, whole)
+            self._end = whole
 
-    def _last_lines(self, most_bytes: int) -> list[str]:
-        """The whole lines in the last bytes of the file."""
-        start = max(0, self._end - most_bytes)
-        lines = os.pread(self._file, self._end - start, start).decode(errors="replace").splitlines(True)
-        return lines[1:] if start else lines
+    def _backwards(self) -> Iterator[bytes]:
+        """Lines from the last one on; what is too long for one is damaged, and only a part of it comes."""
+        end, rest = self._end, b""
+        while end:
+            start = max(0, end - BLOCK_BYTES)
+            rest, *lines = (os.pread(self._file, end - start, start) + rest[:LONGEST_LINE]).split(b"\n")
+            yield from (line for line in reversed(lines) if line)
+            end = start
+        if rest:
+            yield rest
 
 
 class _Database:
-    """The tables; what goes wrong with them does not stop the loop, as the lines have it all."""
+    """The tables: a view of the lines, brought up to date every second."""
 
-    def __init__(self, path: Path):
-        self._path, self._committed_s = path, time.monotonic()
-        self._connection = self._opened()
-        self._behind = False
+    def __init__(self, path: Path, lines: Path):
+        self._path, self._lines, self._filled_s = path, lines, time.monotonic()
+        self._connection: sqlite3.Connection | None = None
+        self._position, self._problem, self.news = 0, "", ""
 
-    def _opened(self) -> sqlite3.Connection:
+    def fill_if_due(self) -> None:
+        """Fill the tables if the last time is a while ago."""
+        if time.monotonic() - self._filled_s >= COMMIT_S:
+            self.fill()
+
+    def fill(self) -> None:
+        """Add what the lines have and the tables lack."""
+        self._filled_s, problem = time.monotonic(), ""
         try:
-            return self._connect()
-        except sqlite3.DatabaseError:
-            self._path.unlink()  # damaged: it is made from the lines again
-            return self._connect()
+            self._fill()
+        except sqlite3.OperationalError as error:  # it is locked, or cannot be written: perhaps later
+            problem = str(error)
+            self._release()
+        except (sqlite3.DatabaseError, OSError) as error:
+            problem = str(error)
+        if problem != self._problem:
+            self.news = f"{self._path}: {problem or 'up to date again'}"
+        self._problem = problem
 
-    def _connect(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self._path, timeout=0.0)
+    def _fill(self) -> None:
+        """Fill the tables; what is no database of a loop is set aside for a new one."""
+        try:
+            if self._connection is None:
+                self._open()
+            self._add()
+        except sqlite3.OperationalError:
+            raise
+        except sqlite3.DatabaseError as error:
+            self.news = f"{self._path}: {error}; set aside as {self._set_aside()}, and made anew"
+            self._open()
+            self._add()
+
+    def close(self) -> None:
+        """Fill the tables a last time and let go of them."""
+        self.fill()
+        self._release()
+
+    def _open(self) -> None:
+        if self._path.is_symlink() or (self._path.exists() and not self._path.is_file()):
+            raise OSError("a link, or no file: not written")
+        self._connection = connection = sqlite3.connect(self._path, timeout=0.0)
+        names = {
+            name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        }
+        columns = [name for (name,) in connection.execute("SELECT name FROM pragma_table_info('records')")]
+        if names and (names != {"records", "events"} or columns != COLUMNS):
+            raise sqlite3.DatabaseError("not the tables of a focus loop")
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = OFF")
         connection.executescript(TABLES)
-        return connection
+        (known,) = connection.execute("SELECT coalesce(max(position), 0) FROM events").fetchone()
+        self._position = known if known <= self._lines.stat().st_size else 0
 
-    def fill(self, lines: Path) -> None:
-        """Add what the file of `lines` has and the tables lack."""
-        query = "SELECT coalesce(max(sequence), 0) FROM records"
-        (last,) = self._connection.execute(query).fetchone()
-        position = 0
-        with open(lines, "rb") as stream:
-            for content in stream:
-                position += len(content)
-                if _sequence(content) > last:
-                    self._insert(position, content.decode())
-        self._connection.commit()
-        self._behind, self._lines = False, lines
+    def _add(self) -> None:
+        """Add the lines after the last position; a line that is damaged is left out."""
+        assert self._connection is not None
+        position = self._position
+        with self._connection, open(self._lines, "rb") as stream:
+            stream.seek(position)
+            for line in stream:
+                if not line.endswith(b"\n"):
+                    break
+                position += len(line)
+                with suppress(ValueError):
+                    self._insert(position, line.decode(), record_of(line))
+        self._position = position
 
-    def add(self, position: int, line: str) -> None:
-        """Add the `line` that ends at a `position` of the file."""
-        if self._behind:
-            return
-        try:
-            self._insert(position, line)
-        except sqlite3.Error:
-            self._give_up_for_now()
-
-    def commit_if_due(self) -> None:
-        """Commit if the last time is a while ago."""
-        if time.monotonic() - self._committed_s < COMMIT_S:
-            return
-        self._committed_s = time.monotonic()
-        try:
-            if self._behind:
-                self.fill(self._lines)
-            self._connection.commit()
-        except sqlite3.Error:
-            self._give_up_for_now()
-
-    def close(self) -> None:
-        """Commit and close."""
-        self._committed_s = 0.0
-        self.commit_if_due()
-        self._connection.close()
-
-    def _give_up_for_now(self) -> None:
-        self._behind = True
-        with suppress(sqlite3.Error):
-            self._connection.rollback()
-
-    def _insert(self, position: int, line: str) -> None:
-        content = json.loads(line)
-        if "event" in content:
+    def _insert(self, position: int, line: str, record: Record | None) -> None:
+        assert self._connection is not None
+        if record is None:
             self._connection.execute("INSERT OR REPLACE INTO events VALUES (?, ?)", (position, line))
             return
-        names = ("sequence", "unix_s", "defocus_nm", "sigma_nm", "valid", "offset_nm", "mode")
-        row = [content[name] for name in names]
-        row += [" ".join(content["reasons"]), content["latency_ms"], content["calibration"], line]
-        marks = ", ".join("?" * COLUMNS)
-        self._connection.execute(f"INSERT OR REPLACE INTO records VALUES ({marks})", row)
+        row = [getattr(record, name) for name in COLUMNS[:-1]]
+        row[COLUMNS.index("reasons")] = " ".join(record.reasons)
+        marks = ", ".join("?" * len(COLUMNS))
+        self._connection.execute(f"INSERT OR REPLACE INTO records VALUES ({marks})", [*row, line])
 
+    def _release(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            with suppress(sqlite3.Error):
+                connection.close()
 
-def _sequence(content: bytes) -> int:
-    """Number of the record in a line; of an event, that of the record it follows, plus one."""
-    line = json.loads(content)
-    return int(line["sequence"]) if "sequence" in line else int(line["after"]) + 1
+    def _set_aside(self) -> str:
+        """Give the file and what belongs to it another name; returns that."""
+        self._release()
+        number = 1
+        while (name := self._path.with_name(f"{self._path.name}.damaged-{number}")).exists():
+            number += 1
+        for suffix in ("-wal", "-shm", ""):
+            with suppress(OSError):
+                os.replace(f"{self._path}{suffix}", f"{name}{suffix}")
+        return name.name

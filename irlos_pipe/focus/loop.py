@@ -9,10 +9,14 @@ from dataclasses import dataclass, field
 
 from irlos_pipe.control.controller import ControllerSettings, ControllerState, Decision, decide
 from irlos_pipe.control.exposures import Exposure
+from irlos_pipe.control.response import Response
 from irlos_pipe.estimate.focus.sensor import Measurement
 from irlos_pipe.focus.calibration import Calibration
-from irlos_pipe.focus.record import FAILED, INCOMPLETE, LATE, SHADOW, STALE, WINDOW, Record
+from irlos_pipe.focus.clock import Clock
+from irlos_pipe.focus.ordinary import MISFIT
+from irlos_pipe.focus.record import FAILED, FROZEN, INCOMPLETE, LATE, OLD, SHADOW, STALE, WINDOW, Record
 
+OPEN = "open"  # why an offset is held: nothing answers it
 NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
 
 
@@ -31,6 +35,8 @@ class LoopSettings:
         Measure and record, command nothing.
     stale_after_s : float
         Age of the calibration from which nothing is valid.
+    stale_frames_s : float
+        Age of an exposure from which it is not used.
     least_reads : float
         Part of an exposure's reads below which it is not used.
     """
@@ -40,6 +46,7 @@ class LoopSettings:
     counter_step: int = 1
     shadow: bool = False
     stale_after_s: float = math.inf
+    stale_frames_s: float = math.inf
     least_reads: float = 0.5
 
 
@@ -57,13 +64,22 @@ class FocusLoop:
     ----------
     problem : str
         What was unforeseen in the last measurement; empty if nothing was.
+    open : str
+        How the focus answers the offsets, where the loop is not closed: from then on the offset is held.
     """
 
     def __init__(self, calibration: Calibration, settings: LoopSettings, last: Record | None = None):
         self.calibration, self._settings = calibration, settings
         self._state = ControllerState() if last is None else last.state
         self.sequence = 0 if last is None else last.sequence
-        self.problem = ""
+        self.problem = self.open = ""
+        self._response = Response(settings.controller.delay)
+        self._last_index: int | None = None
+        self._clock = Clock()
+
+    def take_over(self, number: int, offset_nm: float) -> None:
+        """Go on from a command, of a `number`, of which there is no record."""
+        self.sequence, self._state = number, ControllerState(offset_nm)
 
     def record(
         self, exposure: Exposure, arrived_s: float, *, damaged: int = 0, overtaken: bool = False
@@ -81,7 +97,7 @@ class FocusLoop:
             Whether a later exposure is there already: this one is recorded and not used.
         """
         measured = self._judged(exposure, self._measured(exposure), overtaken)
-        decision = self._decided(measured)
+        decision = self._decided(exposure, measured)
         self.sequence += 1
         numbers = {name: getattr(measured, name) for name in NUMBERS}
         state = decision.state
@@ -126,12 +142,22 @@ class FocusLoop:
 
     def _sigma_nm(self, measured: Measurement) -> float:
         errors = self.calibration.errors
-        return math.nan if errors is None else errors.sigma_nm(measured.defocus_nm, measured.sigma_nm)
+        if errors is None:
+            return math.nan
+        beside = measured.beside
+        growth = (1.0, 0.0) if beside is None else self.calibration.ordinary.growth(beside)
+        return errors.sigma_nm(measured.defocus_nm, measured.sigma_nm, *growth)
 
     def _judged(self, exposure: Exposure, measured: Measurement, overtaken: bool) -> Measurement:
         """With the reasons that the image does not show."""
-        age_s = exposure.unix_s - self.calibration.made_unix_s  # NaN is never too old
+        age_s = abs(exposure.unix_s - self.calibration.made_unix_s)  # NaN is never too old
+        calibration, beside = self.calibration, measured.beside
         against = {
+            MISFIT: beside is not None
+            and not calibration.ordinary.fits(beside, calibration.sensor.limits.misfit),
+            FROZEN: exposure.repeated > 0,
+            OLD: not self._settings.shadow
+            and self._clock.off_s(exposure.unix_s) > self._settings.stale_frames_s,
             LATE: overtaken,
             STALE: age_s > self._settings.stale_after_s,
             INCOMPLETE: exposure.reads < self._settings.least_reads * exposure.expected,
@@ -139,11 +165,15 @@ class FocusLoop:
         reasons = (*measured.reasons, *(reason for reason, holds in against.items() if holds))
         return measured._replace(valid=not reasons, reasons=reasons)
 
-    def _decided(self, measured: Measurement) -> Decision:
+    def _decided(self, exposure: Exposure, measured: Measurement) -> Decision:
         if self._settings.shadow:
             return Decision(self._state, False)
-        decision = decide(
-            self._state, measured.defocus_nm if measured.valid else None, self._settings.controller
-        )
+        defocus_nm = measured.defocus_nm if measured.valid else None
+        passed = 1 if self._last_index is None else max(1, exposure.index - self._last_index)
+        self._last_index = exposure.index
+        self.open = self.open or self._response.verdict(defocus_nm, self._state.offset_nm, passed)
+        if self.open:
+            return Decision(self._state, False, held=OPEN if measured.valid else "")
+        decision = decide(self._state, defocus_nm, self._settings.controller)
         self._state = decision.state
         return decision

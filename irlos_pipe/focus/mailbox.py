@@ -9,6 +9,7 @@ counter of the first read of the exposure behind it (int64), CRC-32 of these (ui
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import zlib
@@ -20,6 +21,7 @@ from irlos_pipe.conventions.errors import InputDataError
 MAGIC = b"IRLOSCMD"
 BODY = struct.Struct("<8sQdq")
 CRC = struct.Struct("<I")
+SIZE = BODY.size + CRC.size
 ATTEMPTS = 100
 
 
@@ -40,6 +42,11 @@ class Mailbox:
     path : Path
         Made if it does not exist.
 
+    Attributes
+    ----------
+    damaged : bool
+        Whether what stood there when it was opened is no command.
+
     Raises
     ------
     InputDataError
@@ -48,29 +55,39 @@ class Mailbox:
 
     def __init__(self, path: Path):
         self.path = path
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        if os.fstat(self._descriptor).st_size == 0:
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+        try:
+            self._descriptor = os.open(path, flags, 0o644)
+            content = os.pread(self._descriptor, SIZE, 0)
+        except OSError as error:
+            raise InputDataError(f"{path}: cannot be opened: {error.strerror}; remove it") from None
+        if not content:
             self._write(BODY.pack(MAGIC, 0, 0.0, 0))
-        if not os.pread(self._descriptor, len(MAGIC), 0).startswith(MAGIC):
+        elif not content.startswith(MAGIC):
             self.close()
             raise InputDataError(
                 f"{path}: not the command of a focus loop; remove it or choose another output"
             )
+        self.damaged = bool(content) and _command(content) is None
 
     def write(self, command: Command) -> None:
-        """Replace the command."""
+        """Replace the command.
+
+        Raises
+        ------
+        ValueError
+            If its offset is no finite number: the telescope could do nothing with it.
+        """
+        if not math.isfinite(command.offset_nm):
+            raise ValueError(f"an offset of {command.offset_nm} nm")
         self._write(BODY.pack(MAGIC, command.number, command.offset_nm, command.counter))
 
     def read(self) -> Command | None:
         """Return the last command; None before the first, or if the file is damaged."""
         for _ in range(ATTEMPTS):  # a reader may come while the file is being written
-            content = os.pread(self._descriptor, BODY.size + CRC.size, 0)
-            body = content[: BODY.size]
-            if len(content) == BODY.size + CRC.size and CRC.unpack_from(content, BODY.size)[0] == zlib.crc32(
-                body
-            ):
-                _, number, offset_nm, counter = BODY.unpack(body)
-                return Command(number, offset_nm, counter) if number else None
+            command = _command(os.pread(self._descriptor, SIZE, 0))
+            if command is not None:
+                return command if command.number else None
         return None
 
     def close(self) -> None:
@@ -79,3 +96,12 @@ class Mailbox:
 
     def _write(self, body: bytes) -> None:
         os.pwrite(self._descriptor, body + CRC.pack(zlib.crc32(body)), 0)
+
+
+def _command(content: bytes) -> Command | None:
+    """What stands in the file; None if it is damaged."""
+    body = content[: BODY.size]
+    if len(content) < SIZE or CRC.unpack_from(content, BODY.size)[0] != zlib.crc32(body):
+        return None
+    _, number, offset_nm, counter = BODY.unpack(body)
+    return Command(number, offset_nm, counter) if math.isfinite(offset_nm) else None

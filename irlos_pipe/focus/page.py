@@ -26,6 +26,7 @@ MOST_LINES = 40_000  # kept, of exposures of a tenth of a second an hour
 LOOPBACK = "127.0.0.1"
 SHORTEST_TOKEN = 16
 LONGEST_NUMBER = 16  # digits
+MOST_CONNECTIONS, CONNECTION_S = 20, 10.0  # at once, and how long one may say nothing
 
 
 @dataclass(frozen=True)
@@ -80,12 +81,11 @@ class LivePage:
         self._kept = _Kept()
         handler = partial(_Handler, kept=self._kept, settings=settings)
         try:
-            self._server = ThreadingHTTPServer((settings.address, settings.port), handler)
+            self._server = _Server((settings.address, settings.port), handler)
         except OSError as error:
             raise ConfigurationError(
                 f"--page-port {settings.port}: cannot listen on {settings.address}: {error.strerror}"
             ) from None
-        self._server.daemon_threads = True
         self.url = f"http://{settings.address}:{self._server.server_address[1]}/"
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
@@ -104,6 +104,33 @@ class LivePage:
         """Stop listening."""
         self._server.shutdown()
         self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    """Serves few at once; who comes beyond that, or breaks off, is no event."""
+
+    daemon_threads = True
+
+    def __init__(self, *arguments):
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        super().__init__(*arguments)
+
+    def process_request(self, request, client_address) -> None:
+        """Answer a connection in a thread of its own, or close it where there are too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request, client_address) -> None:
+        """Answer a connection."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request, client_address) -> None:
+        """A client that breaks off or sends rubbish is none of the loop's business."""
 
 
 class _Kept:
@@ -131,15 +158,22 @@ class _Kept:
 class _Handler(BaseHTTPRequestHandler):
     """Answers ``/`` with the page, ``/lines?after=N&loop=NAME`` with lines after number N of that name."""
 
+    timeout = CONNECTION_S
+
     def __init__(self, *arguments, kept: _Kept, settings: PageSettings):
         self._kept, self._settings = kept, settings
         super().__init__(*arguments)
 
     def do_GET(self) -> None:
         """Answer a request."""
-        url = urlsplit(self.path)
-        query = parse_qs(url.query)
-        if not self._is_own_host() or not self._is_allowed(query):
+        try:
+            url = urlsplit(self.path)
+            query = parse_qs(url.query)
+            allowed = self._is_own_host() and self._is_allowed(query)
+        except ValueError:
+            self.send_error(HTTPStatus.BAD_REQUEST)
+            return
+        if not allowed:
             self.send_error(HTTPStatus.FORBIDDEN)
         elif url.path == "/":
             self._answer(

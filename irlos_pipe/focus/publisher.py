@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import suppress
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import ConfigurationError
 
 LONGEST_PATH = 100  # a limit of the system
+MOST_CLIENTS = 50  # of more, those that came first are dropped
 
 
 class Publisher:
@@ -25,7 +27,7 @@ class Publisher:
     Raises
     ------
     ConfigurationError
-        If it cannot be made there.
+        If it cannot be made there, or another loop listens there.
     """
 
     def __init__(self, path: Path):
@@ -38,6 +40,8 @@ class Publisher:
             raise ConfigurationError(
                 f"--socket {path}: there is another file; remove it or choose another name"
             )
+        if _is_taken(path):
+            raise ConfigurationError(f"--socket {path}: another loop listens there; choose another name")
         path.unlink(missing_ok=True)
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         before = os.umask(0o177)
@@ -49,6 +53,7 @@ class Publisher:
             os.umask(before)
         self._server.listen()
         self._server.setblocking(False)
+        self._inode = os.stat(path).st_ino
 
     def send(self, line: str) -> None:
         """Send a `line` to all clients."""
@@ -67,13 +72,30 @@ class Publisher:
         """Close all connections and remove the socket."""
         for one in (*self._clients, self._server):
             one.close()
-        self._path.unlink(missing_ok=True)
+        with suppress(OSError):
+            if os.stat(self._path).st_ino == self._inode:  # not that of another loop
+                self._path.unlink()
 
     def _accept(self) -> None:
-        while True:
+        for _ in range(MOST_CLIENTS):
             try:
                 client, _ = self._server.accept()
             except OSError:
                 return
             client.setblocking(False)
             self._clients.append(client)
+            if len(self._clients) > MOST_CLIENTS:
+                self._clients.pop(0).close()
+
+
+def _is_taken(path: Path) -> bool:
+    """Whether somebody listens at a socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.settimeout(1.0)
+        try:
+            client.connect(os.fspath(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except OSError:  # it is there and busy, or may not be opened
+            return True
+    return True

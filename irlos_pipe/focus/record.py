@@ -7,7 +7,7 @@ import math
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any
 
-from irlos_pipe.control.controller import ControllerState
+from irlos_pipe.control.controller import BOOTSTRAP, TRACKING, ControllerState
 from irlos_pipe.files.json import jsonable
 
 SCHEMA, SCHEMA_VERSION = "irlos-focus", 2  # of 1, `sigma_nm` was the error by photons
@@ -15,7 +15,7 @@ SHADOW = "shadow"
 
 # Reasons of the program, beside those of `Focus`.
 WINDOW, LATE, STALE, INCOMPLETE = "window", "late", "stale_calibration", "incomplete"
-FAILED = "failed"
+FAILED, FROZEN, OLD = "failed", "frozen", "old"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +101,7 @@ class Record:
     @property
     def state(self) -> ControllerState:
         """What the controller remembers after this exposure."""
-        mode = "bootstrap" if self.mode == SHADOW else self.mode
+        mode = BOOTSTRAP if self.mode == SHADOW else self.mode
         return ControllerState(self.offset_nm, mode, self.settling, self.outside)
 
 
@@ -120,23 +120,56 @@ def event_line(sequence: int, unix_s: float, event: str) -> str:
     return _line(head | {"after": sequence, "unix_s": unix_s, "event": event})
 
 
-def record_of(line: str) -> Record | None:
+def content_of(line: str | bytes) -> dict[str, Any]:
+    """Return the keys of the `line` of a record or an event.
+
+    Raises
+    ------
+    ValueError
+        If it is neither, or damaged.
+    """
+    try:
+        content: Any = json.loads(line)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise ValueError("not a record of a focus loop")
+    return content
+
+
+def record_of(line: str | bytes) -> Record | None:
     """Return the record in a line; None for an event.
 
     Raises
     ------
     ValueError
-        If the `line` is neither.
+        If the `line` is neither, or states what no loop can go on from.
     """
-    content: Any = json.loads(line)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ValueError("not a record of a focus loop")
+    content = content_of(line)
     if "event" in content:
         return None
-    known = [one for one in fields(Record) if one.name in content or one.default is MISSING]
-    values = {one.name: content[one.name] for one in known}  # older records lack the keys with a default
-    values |= {name: float("nan") for name, value in values.items() if value is None}
-    return Record(**values | {"reasons": tuple(values["reasons"])})
+    try:
+        known = [one for one in fields(Record) if one.name in content or one.default is MISSING]
+        values = {one.name: content[one.name] for one in known}  # older records lack the keys with a default
+        values |= {name: float("nan") for name, value in values.items() if value is None}
+        record = Record(**values | {"reasons": tuple(values["reasons"])})
+        sound = _is_sound(record)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"a damaged record ({error})") from None
+    if not sound:
+        raise ValueError("a damaged record")
+    return record
+
+
+def _is_sound(record: Record) -> bool:
+    """Whether the next exposure can go on from a record."""
+    numbers = (record.sequence, record.exposure, record.counter, record.settling, record.outside)
+    whole = all(type(one) is int and abs(one) < 1 << 63 for one in numbers)
+    told = (*record.reasons, record.recording, record.calibration, record.held)
+    timed = isinstance(record.unix_s, float | int) and isinstance(record.recorded_unix_s, float | int)
+    known = record.mode in (BOOTSTRAP, TRACKING, SHADOW) and all(isinstance(one, str) for one in told)
+    first = record.sequence > 0 and min(record.settling, record.outside) >= 0
+    return whole and known and timed and first and math.isfinite(record.offset_nm)
 
 
 def _line(content: dict[str, Any]) -> str:

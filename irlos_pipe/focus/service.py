@@ -14,6 +14,7 @@ from irlos_pipe.control.exposures import Accumulator, Exposure, Read
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.agreement import exposure_differences, optical_differences
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
+from irlos_pipe.focus.clock import Clock
 from irlos_pipe.focus.exchange import CalibrationWatch
 from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
@@ -21,6 +22,7 @@ from irlos_pipe.focus.mailbox import Command, Mailbox
 from irlos_pipe.focus.notes import SparingNotes
 from irlos_pipe.focus.page import HOUR_S, LivePage, PageSettings
 from irlos_pipe.focus.publisher import Publisher
+from irlos_pipe.focus.record import Record
 from irlos_pipe.focus.source import Arrival, Fault, Source
 from irlos_pipe.product.runfolder import owned_folder, require_free
 
@@ -28,6 +30,7 @@ LOG = logging.getLogger(__name__)
 COMMAND = "command"
 POLL_S = 0.25  # between looks at everything that is no frame
 CLOCK_STEP_S = 0.5
+AHEAD_S = 5.0  # of both clocks of the loop: no read is of the future
 OWN = ("focus.jsonl", COMMAND)
 
 
@@ -97,15 +100,63 @@ class Service:
             _require_window(source, calibration)
             _require_agreement(source, calibration)
             mailbox = stack.enter_context(closing(Mailbox(self.output / COMMAND)))
+            begun = _Beginning.of(journal, mailbox, self.settings, self.output)
             page = None if self.page is None else stack.enter_context(closing(LivePage(self.page)))
             publisher = None if self.socket is None else stack.enter_context(closing(Publisher(self.socket)))
-            running = _Running(self, calibration, journal, mailbox, page, publisher, report)
+            running = _Running(self, calibration, journal, mailbox, begun, page, publisher, report)
             running.begin(source)
             try:
                 running.follow(source, stopped)
             except KeyboardInterrupt:
                 raise Stopped(running.records) from None
             return running.records
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """Where an earlier loop has left off: its last record, and the command where that says otherwise.
+
+    The command is written first, is checked by itself, and is what the telescope has done.
+    """
+
+    last: Record | None
+    command: Command | None = None
+    text: str = ""
+
+    @classmethod
+    def of(cls, journal: Journal, mailbox: Mailbox, settings: LoopSettings, output: Path) -> _Beginning:
+        """Compare them.
+
+        Raises
+        ------
+        InputDataError
+            If the offset that stands cannot be known, or is not within the limit.
+        """
+        last, command = journal.last, mailbox.read()
+        number, offset_nm = (0, 0.0) if last is None else (last.sequence, last.offset_nm)
+        text = f"{journal.damaged} damaged lines at the end of the record" if journal.damaged else ""
+        if settings.shadow:
+            return cls(last, None, text)
+        if command is None and (journal.damaged or (mailbox.damaged and last is None)):
+            raise InputDataError(
+                f"{output}: the offset that stands is not known: the end of the record and the command are "
+                "damaged or lost; bring the telescope to a known focus and choose another output"
+            )
+        if command is not None and (command.number > number or command.offset_nm != offset_nm):
+            number, offset_nm = max(number, command.number), command.offset_nm
+            why = "no record" if last is None else f"the last sound record is number {last.sequence}"
+            text = "; ".join(
+                filter(None, (text, f"{why}; goes on from command {number}, {offset_nm:.1f} nm"))
+            )
+        else:
+            text = "; ".join(filter(None, (text, "the command is damaged" if mailbox.damaged else "")))
+            command = None
+        if abs(offset_nm) > settings.controller.limit_nm:
+            raise InputDataError(
+                f"{output}: the offset that stands, {offset_nm:.1f} nm, is beyond --limit-nm "
+                f"{settings.controller.limit_nm:g}; raise that, or choose another output"
+            )
+        return cls(last, None if command is None else Command(number, offset_nm, command.counter), text)
 
 
 @dataclass
@@ -116,17 +167,25 @@ class _Running:
     calibration: Calibration
     journal: Journal
     mailbox: Mailbox
+    begun: _Beginning
     page: LivePage | None
     publisher: Publisher | None
     report: Callable[[str], None]
     records: int = 0
     damaged: int = 0
+    clock: Clock = field(default_factory=Clock)
     _clock_s: float = field(default_factory=lambda: time.time() - time.monotonic())
 
     def __post_init__(self) -> None:
-        settings, last = self.service.settings, self.journal.last
+        settings, last, command = self.service.settings, self.begun.last, self.begun.command
         self.loop = FocusLoop(self.calibration, settings, last)
+        if command is not None:
+            self.loop.take_over(command.number, command.offset_nm)
         done = () if last is None else (last.exposure, last.unix_s, last.recording)
+        if last is not None and self.clock.ahead_s(last.unix_s) > AHEAD_S:  # of a clock that was wrong
+            done = (last.exposure, math.nan, last.recording)
+        if command is not None and (last is None or not last.recording):
+            done = (command.counter // (settings.reads * settings.counter_step), *done[1:])
         self.accumulator = Accumulator(settings.reads, settings.counter_step, *done)
         self.watch = CalibrationWatch(self.service.calibration, self.calibration)
         self.heard_s, self.silent, self.full = time.monotonic(), False, False
@@ -134,12 +193,15 @@ class _Running:
 
     def begin(self, source: Source) -> None:
         """Say that the loop runs, from where it goes on, and with which calibration."""
-        last = self.journal.last
+        last, command = self.begun.last, self.begun.command
         if self.page is not None:
             for written_s, line in self.journal.recent(time.time() - HOUR_S):
                 self.page.show(line, written_s)
-        text = "started" if last is None else f"started again after record {last.sequence}"
+        number = command.number if command else last.sequence if last else 0
+        text = f"started again after record {number}" if number else "started"
         self.note(f"{text}, calibration {self.calibration.name}")
+        if self.begun.text:
+            self.note(self.begun.text)
         self.note_calibration(self.calibration)
         acquisition = getattr(source, "acquisition", self.calibration.acquisition)
         if against := exposure_differences(acquisition, self.calibration.acquisition):
@@ -162,9 +224,9 @@ class _Running:
 
     def take(self, arrivals: Sequence[Arrival]) -> None:
         """Work on what has arrived."""
-        arrived_s = time.monotonic()
+        arrived_s, taken = time.monotonic(), self.accumulator.taken
         exposures = [exposure for one in arrivals for exposure in self.arrived(one)]
-        self.listen(any(isinstance(one, Read) for one in arrivals), arrived_s)
+        self.listen(self.accumulator.taken > taken, arrived_s)
         if arrived_s - self.heard_s > self.service.flush_after_s:
             exposures += self.accumulator.flush()
         all_count = self.service.every_exposure_counts or self.service.settings.shadow
@@ -175,9 +237,14 @@ class _Running:
     def arrived(self, one: Arrival) -> list[Exposure]:
         """Take what has arrived; return the exposures that are complete with it."""
         if isinstance(one, Read):
-            return self.accumulator.add(one)
+            ahead_s = self.clock.ahead_s(one.unix_s)
+            if not ahead_s > AHEAD_S:
+                return self.accumulator.add(one)
+            one = Fault(
+                f"read {one.counter} is dated {ahead_s:.0f} s ahead of the clock of the loop; not used"
+            )
         if isinstance(one, Fault):
-            self.damaged += 1
+            self.damaged += one.reads
             self.faults.add(one.text)
             return []
         self.note(one.text)
@@ -205,6 +272,7 @@ class _Running:
             last = self.journal.last
             way = "back" if last is None or exposure.first_counter < last.counter else "on"
             self.note(f"the counter of the recorder went {way} to {exposure.first_counter}")
+        closed = not self.loop.open
         record = self.loop.record(exposure, arrived_s, damaged=self.damaged, overtaken=overtaken)
         self.damaged = 0
         if not self.service.settings.shadow:
@@ -214,6 +282,12 @@ class _Running:
         self.show(self.journal.add(record))
         if self.loop.problem:
             self.faults.add(f"exposure {record.exposure} could not be measured: {self.loop.problem}")
+        if exposure.repeated:
+            self.faults.add(
+                f"exposure {record.exposure} repeats pixels of earlier reads: the detector is frozen"
+            )
+        if closed and self.loop.open:
+            self.note(f"the loop is not closed: offsets are {self.loop.open}; held until it is started again")
 
     def show(self, line: str) -> None:
         """Pass the line of a record or an event on to whoever looks."""
@@ -226,6 +300,8 @@ class _Running:
         """Disk, clock and calibration."""
         self.journal.flush()
         self.faults.look()
+        if told := self.journal.news():
+            self.note(told)
         if (self.journal.waiting > 0) != self.full:
             self.full = self.journal.waiting > 0
             problem = self.journal.problem

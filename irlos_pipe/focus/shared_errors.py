@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,13 +45,19 @@ class SharedErrors:
         frames = FrameErrors(results.points[0].sigma_instant_nm, results.chi2_nu, results.nominal_chi2_nu)
         return cls(frames, defocus_nm[chosen], optics_nm)
 
-    def sigma_nm(self, defocus_nm: float, photon_nm: float) -> float:
+    def sigma_nm(
+        self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0
+    ) -> float:
         """Return the standard error of a measurement [nm].
 
         Parameters
         ----------
         defocus_nm, photon_nm : float
             The measurement, and its error by photons and read-out.
+        growth, beside_nm : float
+            By how much the error by photons and of the instant are larger than those of the ramp's frames,
+            and a further error; see `Ordinary.growth`.
         """
         optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
-        return float(self.frames.sigma_nm(np.array([photon_nm]), optics_nm)[0])
+        frames = replace(self.frames, instant_nm=math.hypot(growth * self.frames.instant_nm, beside_nm))
+        return float(frames.sigma_nm(np.array([growth * photon_nm]), optics_nm)[0])

@@ -17,9 +17,12 @@ class Fault:
     ----------
     text : str
         What is wrong and where, in one line.
+    reads : int
+        That it stands for.
     """
 
     text: str
+    reads: int = 1
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.agreement import stated_differences
 from irlos_pipe.focus.journal import Earlier
-from irlos_pipe.focus.source import Arrival, Fault
+from irlos_pipe.focus.source import Arrival, Fault, Notice
 from irlos_pipe.frames.cleaning import find_background
 from irlos_pipe.frames.detector import to_electrons
 from irlos_pipe.frames.recording import Acquisition
@@ -26,6 +27,8 @@ from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path
 POLL_S = 0.02
 PART = "#"  # between the name of a file and that of one of its recordings
 QUIET_S = 0.2  # a file that has not changed for so long is complete
+LARGEST_BYTES = 1 << 30  # of a file that is read: half an hour of reads of 64x64 pixels, 64 a second
+PATIENCE_S, TOLD_S, GIVEN_UP_S = 1.0, 5.0, 60.0  # reading is waited for, told of, and given up
 
 
 class WatchedFolder:
@@ -55,7 +58,8 @@ class WatchedFolder:
         if not root.is_dir():
             raise InputDataError(f"{root}: no such folder; give the one that the recorder writes to")
         self._root, self._instrument, self._calibrated = root, instrument, acquisition
-        self._seen: dict[Path, tuple[int, int]] = {}
+        self._seen: dict[Path, tuple[tuple[int, int], float]] = {}
+        self._due, self._reading = list[Path](), _Reading()
         self._earlier = earlier or Earlier()
         self._read = {one for one in self._files() if earlier is None or self._is_done(one, earlier)}
         self._away = False
@@ -65,13 +69,24 @@ class WatchedFolder:
         until = time.monotonic() + timeout_s
         while True:
             try:
-                complete = self._complete()
+                self._due += self._complete()
             except OSError as error:
                 return self._gone(error, until)
             self._away = False
-            if complete or time.monotonic() >= until:
-                return [read for path in complete for read in self._reads(path)]
+            if (found := self._next()) or time.monotonic() >= until:
+                return found
             time.sleep(POLL_S)
+
+    def _next(self) -> list[Arrival]:
+        """What the files that are due hold, as far as they are read: one after the other, in a thread."""
+        found: list[Arrival] = []
+        while True:
+            found += self._reading.news()
+            if self._reading.is_busy or not self._due:
+                return found
+            path = self._due.pop(0)
+            self._reading = _Reading(path, self._reads)
+            self._reading.wait(PATIENCE_S)
 
     def close(self) -> None:
         """See `Source.close`."""
@@ -116,17 +131,20 @@ class WatchedFolder:
                 stat = path.stat()
             except OSError:  # taken away meanwhile
                 continue
-            state = stat.st_size, stat.st_mtime_ns
-            if self._seen.get(path) == state and time.time_ns() - stat.st_mtime_ns > QUIET_S * 1e9:
+            state, now_s = (stat.st_size, stat.st_mtime_ns), time.monotonic()
+            before, since_s = self._seen.get(path, (None, now_s))
+            if state != before:
+                self._seen[path] = state, now_s
+            elif max(now_s - since_s, time.time() - stat.st_mtime) > QUIET_S:  # it may be dated ahead
                 found.append(path)
                 self._read.add(path)
                 self._seen.pop(path)
-            else:
-                self._seen[path] = state
         return found
 
     def _reads(self, path: Path) -> list[Read | Fault]:
         try:
+            if (size := path.stat().st_size) > LARGEST_BYTES:
+                return [Fault(f"{path}: {size / 2**30:.1f} GiB, more than a recording has; not read")]
             recordings = read_recordings(path, self._instrument)
         except InputDataError as error:
             return [Fault(" ".join(str(error).split()))]
@@ -156,8 +174,46 @@ class WatchedFolder:
         good = ~raw.calibration.bad if raw.calibration.bad is not None else np.ones(raw.window, bool)
         background = find_background(raw.adu, raw.calibration, good)
         images = to_electrons(raw.adu, background.adu, background.flat, self._calibrated.detector.e_per_adu)
-        times = np.full(raw.frames, np.nan) if raw.unix_s is None else raw.unix_s
+        times = np.full(raw.frames, raw.path.stat().st_mtime) if raw.unix_s is None else raw.unix_s
         return [
             Read(int(counter), float(unix_s), image, name)
             for counter, unix_s, image in zip(raw.frame_counter, times, images, strict=True)
         ]
+
+
+class _Reading:
+    """A file that is being read."""
+
+    def __init__(self, path: Path | None = None, read: Callable[[Path], list[Read | Fault]] | None = None):
+        self._path, self._began_s, self._told = path, time.monotonic(), False
+        self._found: list[Read | Fault] = []
+        self._thread: threading.Thread | None = None
+        if path is not None and read is not None:
+            self._thread = threading.Thread(target=lambda: self._found.extend(read(path)), daemon=True)
+            self._thread.start()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether it is waited for."""
+        return self._thread is not None
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for a while."""
+        assert self._thread is not None
+        self._thread.join(timeout_s)
+
+    def news(self) -> list[Arrival]:
+        """Return what it holds, once, or that it takes long; after a minute it is given up."""
+        lasts_s = time.monotonic() - self._began_s
+        if self._thread is None:
+            return []
+        if not self._thread.is_alive():
+            self._thread = None
+            return list(self._found)
+        if lasts_s > GIVEN_UP_S:
+            self._thread = None
+            return [Fault(f"{self._path}: given up after reading for {lasts_s:.0f} s")]
+        if lasts_s > TOLD_S and not self._told:
+            self._told = True
+            return [Notice(f"reading {self._path} since {lasts_s:.0f} s")]
+        return []

@@ -22,12 +22,16 @@ import numpy as np
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.focus.clock import Clock
 from irlos_pipe.focus.page import SHORTEST_TOKEN
 from irlos_pipe.focus.source import Fault
 
 MAGIC, VERSION = b"IRLOSFRM", 1
 HEAD = struct.Struct("<8s3I4xqd")
-LARGEST_SIDE, KEPT = 4096, 1024  # pixels, and messages that wait for the loop
+KEPT = 1024  # messages that wait for the loop
+LARGER = 4  # than a frame of the loop's window, and no message is taken
+TOLD, MOST = 20, 2000  # faults of a poll that are told each, and messages that it takes
+FRESH_S = 10.0  # age of a signed message from which it may be one played back
 
 
 def message_of(read: Read, token: str = "") -> list[bytes]:
@@ -45,7 +49,10 @@ class ZeroMqSource:
     endpoint : str
         ``tcp://ADDRESS:PORT`` or ``ipc://FILE`` to which the recorder has bound a PUB socket.
     token : str
-        With which messages must be signed, empty for none.
+        With which messages must be signed, empty for none. Signed ones must be newer than all before, and not
+        older than seconds: whoever plays messages back has no token.
+    window : (int, int)
+        Rows and columns of the frames.
 
     Raises
     ------
@@ -53,17 +60,17 @@ class ZeroMqSource:
         If pyzmq is not installed, the endpoint is none, or lies beyond this machine and there is no token.
     """
 
-    def __init__(self, endpoint: str, token: str = ""):
+    def __init__(self, endpoint: str, token: str = "", window: tuple[int, int] = (512, 512)):
         _require_near(endpoint, token)
         self._zmq = zmq = _pyzmq(endpoint)
         self._endpoint, self._token, self._context = endpoint, token, zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.set(zmq.RCVHWM, KEPT)
-        self._socket.set(zmq.MAXMSGSIZE, 4 * LARGEST_SIDE**2)
+        self._socket.set(zmq.MAXMSGSIZE, LARGER * 4 * window[0] * window[1] + 4096)
         self._socket.set(zmq.SUBSCRIBE, b"")
         failed = zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
         self._strangers = self._socket.get_monitor_socket(failed)
-        self._named = False
+        self._named, self._newest_s, self._clock = False, -math.inf, Clock()
         try:
             self._socket.connect(endpoint)
         except zmq.ZMQError as error:
@@ -76,8 +83,19 @@ class ZeroMqSource:
         found: list[Read | Fault] = self._faults()
         if not found:
             self._socket.poll(max(0, math.ceil(1e3 * (until - time.monotonic()))))
-        while self._socket.poll(0):
-            found.append(self._frame(self._socket.recv_multipart()))
+        untold, last = 0, ""
+        for _ in range(MOST):
+            if not self._socket.poll(0):
+                break
+            one = self._frame(self._socket.recv_multipart())
+            if isinstance(one, Read) or len(found) < TOLD:
+                found.append(one)
+            else:
+                untold, last = untold + 1, one.text
+        if untold:
+            found.append(
+                Fault(f"{last}; {untold} of the kind at once: frames between them may be lost", untold)
+            )
         return found
 
     def close(self) -> None:
@@ -103,7 +121,16 @@ class ZeroMqSource:
         _, version, rows, columns, counter, unix_s = HEAD.unpack(parts[0])
         if version != VERSION or len(parts[1]) != 4 * rows * columns or not len(parts[1]):
             return Fault(f"{self._endpoint}: a frame of another version or size")
+        if self._token and not self._is_new(unix_s):
+            return Fault(f"{self._endpoint}: a signed frame of before, or without a time; played back?")
         return Read(counter, unix_s, np.frombuffer(parts[1], "<f4").reshape(rows, columns))
+
+    def _is_new(self, unix_s: float) -> bool:
+        """Whether a signed frame is newer than the last one, and of now."""
+        if not (self._newest_s < unix_s and self._clock.off_s(unix_s) < FRESH_S):
+            return False
+        self._newest_s = unix_s
+        return True
 
 
 def _signature(parts: Sequence[bytes], token: str) -> bytes:

@@ -1,5 +1,6 @@
 """The record on disk. Truth: the records that were added; disks filled by a limit on the size of files."""
 
+import json
 import resource
 import sqlite3
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.record import Record, record_of
+from irlos_pipe.focus.record import Record, event_line, record_of
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +97,131 @@ def test_another_file_is_refused_and_left_alone(tmp_path, content):
     with pytest.raises(InputDataError, match="not the record"):
         Journal(tmp_path)
     assert (tmp_path / "focus.jsonl").read_text() == content
+
+
+# -- damage ------------------------------------------------------------------------------------------
+
+
+def recorded(folder, records) -> bytes:
+    journal = Journal(folder)
+    for record in records:
+        journal.add(record)
+    journal.close()
+    return (folder / "focus.jsonl").read_bytes()
+
+
+def found(folder, content: bytes) -> Journal:
+    (folder / "focus.jsonl").write_bytes(content)
+    journal = Journal(folder)
+    journal.close()
+    return journal
+
+
+def test_whatever_byte_of_the_last_line_is_damaged_the_last_sound_record_is_found(tmp_path, records):
+    content = recorded(tmp_path, records[:3])
+    begin = content.rindex(b"\n", 0, -1) + 1
+    for position in range(begin, len(content) - 1, 7):
+        damaged = content[:position] + b"\xff" + content[position + 1 :]
+        journal = found(tmp_path, damaged)
+        assert (journal.last, journal.damaged) == (records[1], 1)
+
+
+def test_wherever_the_file_ends_the_last_whole_record_is_found(tmp_path, records):
+    content = recorded(tmp_path, records[:4])
+    first = content.index(b"\n") + 1
+    for end in range(first, len(content), 97):
+        journal = found(tmp_path, content[:end])
+        assert journal.last == records[content[:end].count(b"\n") - 1]
+        assert journal.damaged == (not content[:end].endswith(b"\n"))
+
+
+def test_a_record_is_found_behind_any_number_of_events_and_damaged_lines(tmp_path, records):
+    content = recorded(tmp_path, records[:2])
+    event = event_line(2, 0.0, "ring: frame 1000 is damaged").encode()
+    journal = found(tmp_path, content + event * 5000 + b"\0" * 200_000 + b"\n" + event)
+    assert (journal.last, journal.damaged) == (records[1], 1)
+    assert rows(tmp_path) == [1, 2]
+
+
+@pytest.mark.parametrize("value", [None, "12", [1.0], {"a": 1}, float("nan"), float("inf")], ids=repr)
+@pytest.mark.parametrize("key", ["offset_nm", "sequence", "exposure", "counter", "settling", "mode"])
+def test_a_record_from_which_no_loop_can_go_on_is_left_out(tmp_path, records, key, value):
+    content = recorded(tmp_path, records[:2])
+    forged = json.loads(records[2].line()) | {key: value}
+    assert found(tmp_path, content + json.dumps(forged).encode() + b"\n").last == records[1]
+    assert rows(tmp_path) == [1, 2]
+
+
+def test_damaged_lines_in_the_middle_are_left_out_everywhere(tmp_path, records):
+    lines_of = recorded(tmp_path, records).splitlines(True)
+    lines_of[2] = b'{"schema": "irlos-focus", "unix_s": [' + b"[" * 100_000 + b"\n"
+    (tmp_path / "focus.sqlite").unlink()
+    (tmp_path / "focus.jsonl").write_bytes(b"".join(lines_of))
+    journal = Journal(tmp_path)
+    assert journal.last == records[-1]
+    assert len(journal.recent(0.0)) == 5
+    assert journal.earlier is not None
+    journal.close()
+    assert rows(tmp_path) == [1, 2, 4, 5, 6]
+
+
+# -- the database ------------------------------------------------------------------------------------
+
+
+def test_a_database_of_noise_or_of_another_shape_is_set_aside_and_made_anew(tmp_path, records):
+    content = recorded(tmp_path, records)
+    for number, harm in enumerate((noise, another_shape), 1):
+        harm(tmp_path / "focus.sqlite")
+        before = (tmp_path / "focus.sqlite").read_bytes()
+        journal = found(tmp_path, content)
+        assert f"focus.sqlite.damaged-{number}" in journal.news()
+        assert (tmp_path / f"focus.sqlite.damaged-{number}").read_bytes() == before
+        Journal(tmp_path).close()
+        assert rows(tmp_path) == [1, 2, 3, 4, 5, 6]
+
+
+def noise(path) -> None:
+    path.write_bytes(b"no database at all" * 100)
+
+
+def another_shape(path) -> None:
+    path.unlink()
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE thesis (chapter TEXT)")
+
+
+def test_a_locked_database_is_left_alone_told_of_and_filled_later(tmp_path, records):
+    recorded(tmp_path, records[:2])
+    with sqlite3.connect(tmp_path / "focus.sqlite", isolation_level=None) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        journal = Journal(tmp_path)
+        journal.add(records[2])
+        assert "locked" in journal.news()
+        other.execute("ROLLBACK")
+    journal.close()
+    assert "up to date again" in journal.news()
+    assert rows(tmp_path) == [1, 2, 3]
+
+
+def test_a_link_is_not_followed(tmp_path, records):
+    other = tmp_path / "other.sqlite"
+    other.touch()
+    output = tmp_path / "loop"
+    output.mkdir()
+    (output / "focus.sqlite").symlink_to(other)
+    recorded(output, records)
+    assert other.read_bytes() == b""
+    assert [record_of(line) for line in lines(output)] == records
+    (output / "focus.jsonl").rename(output / "elsewhere")
+    (output / "focus.jsonl").symlink_to("elsewhere")
+    with pytest.raises(InputDataError, match="cannot be opened"):
+        Journal(output)
+
+
+def test_a_line_of_ours_without_a_time_is_left_out_of_the_hour(tmp_path, records):
+    content = recorded(tmp_path, records[:2])
+    (tmp_path / "focus.jsonl").write_bytes(content + b'{"schema": "irlos-focus", "event": "x"}\n')
+    journal = Journal(tmp_path)
+    assert len(journal.recent(0.0)) == 2
+    assert journal.earlier is not None
+    journal.close()

@@ -5,6 +5,7 @@ import math
 import shutil
 import socket
 import subprocess
+import threading
 import time
 from dataclasses import replace
 from http.client import HTTPConnection
@@ -17,7 +18,7 @@ from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.page import LivePage, PageSettings
+from irlos_pipe.focus.page import MOST_CONNECTIONS, LivePage, PageSettings
 from irlos_pipe.focus.publisher import Publisher
 from irlos_pipe.focus.record import event_line
 
@@ -186,3 +187,58 @@ def test_a_socket_left_behind_is_replaced_and_another_file_is_not(tmp_path):
         Publisher(tmp_path / "file")
     with pytest.raises(ConfigurationError, match="too long"):
         Publisher(tmp_path / ("long" * 40))
+
+
+# -- visitors who mean no good -------------------------------------------------------------------------
+
+
+def raw(page: LivePage, request: bytes) -> bytes:
+    with socket.create_connection(("127.0.0.1", urlsplit(page.url).port), timeout=5) as client:
+        client.sendall(request)
+        return client.recv(1000)
+
+
+@pytest.mark.parametrize(
+    "request_line",
+    [b"GET http://[::bad/ HTTP/1.0\r\n", b"GET / HTTP/1.0\r\nHost: [\r\n"],
+    ids=["address", "host"],
+)
+def test_what_is_no_address_is_a_bad_request_without_a_word(page, capfd, request_line):
+    assert raw(page, request_line + b"\r\n").split()[1] == b"400"
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.slow
+def test_visitors_who_say_nothing_are_few(page):
+    before = threading.active_count()
+    clients = [socket.create_connection(("127.0.0.1", urlsplit(page.url).port), timeout=5) for _ in range(30)]
+    for client in clients:
+        client.sendall(b"GET / HT")
+    time.sleep(0.3)
+    assert threading.active_count() - before <= MOST_CONNECTIONS
+    for client in clients:
+        client.close()
+    until = time.monotonic() + 5
+    while threading.active_count() > before and time.monotonic() < until:
+        time.sleep(0.01)
+    assert answer(page, "/")[0] == 200
+
+
+def test_the_socket_of_a_living_loop_is_not_taken_away(tmp_path):
+    first = Publisher(tmp_path / "s")
+    with pytest.raises(ConfigurationError, match="another loop listens there"):
+        Publisher(tmp_path / "s")
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(tmp_path / "s"))
+        first.send("one\n")
+        assert client.recv(10) == b"one\n"
+    first.close()
+
+
+def test_a_loop_that_ends_leaves_the_socket_of_another_alone(tmp_path):
+    first = Publisher(tmp_path / "s")
+    (tmp_path / "s").unlink()
+    second = Publisher(tmp_path / "s")
+    first.close()
+    assert (tmp_path / "s").is_socket()
+    second.close()

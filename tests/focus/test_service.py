@@ -3,6 +3,7 @@
 import json
 import socket
 import sqlite3
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -330,7 +331,7 @@ def test_what_is_unforeseen_in_a_measurement_is_an_event(tmp_path, monkeypatch):
 
 
 def test_a_wild_counter_is_an_event_and_no_number_of_missing_reads(tmp_path):
-    wild = [[made.read(2**62 + number, 30.0, reads=2)] for number in range(2)]
+    wild = [[replace(made.read(2 + number, 30.0, reads=2), counter=2**62 + number)] for number in range(2)]
     service(tmp_path, [*reads(0, 2), *wild]).run(lambda _: None)
     records, events = lines(tmp_path)
     assert records[1]["reads_missing"] == 0
@@ -381,3 +382,73 @@ def test_frames_exposed_otherwise_are_told(tmp_path):
         "frames exposed otherwise than the calibration says: exposure_s 4, not 1"
         in lines(tmp_path / "loop")[1]
     )
+
+
+# -- clocks, counters and pixels that are not those of now ---------------------------------------------
+
+
+def dated(counter: int, ahead_s: float):
+    return replace(made.read(counter, 30.0, reads=2), unix_s=time.time() + ahead_s)
+
+
+def test_a_read_of_the_future_is_named_and_those_after_it_are_measured(tmp_path):
+    wild = [[dated(10**5 + number, 3600.0)] for number in range(2)]
+    service(tmp_path, [*reads(0, 2), *wild, *reads(2, 8)]).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert [one["exposure"] for one in records] == [0, 1, 2, 3]
+    assert all(one["valid"] for one in records)
+    assert sum("dated 3600 s ahead of the clock of the loop; not used" in event for event in events) == 2
+
+
+@pytest.mark.parametrize("seconds", [-3.15e8, -1e10, 5e6])
+def test_a_clock_that_is_set_puts_no_read_into_the_future(tmp_path, monkeypatch, seconds):
+    real, calls = service_module.time.time, iter(range(10**6))
+    monkeypatch.setattr(service_module.time, "time", lambda: real() + seconds * (next(calls) > 20))
+    arrivals = [[dated(counter, max(seconds, 0.0) * (counter > 20))] for counter in range(20)]
+    service(tmp_path, arrivals).run(lambda _: None)
+    assert [one["valid"] for one in lines(tmp_path)[0]] == [True] * 10
+
+
+def test_reads_that_only_come_late_are_silence(tmp_path, monkeypatch):
+    clock = iter(range(0, 100_000, 2))
+    monkeypatch.setattr(service_module.time, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(service_module, "CLOCK_STEP_S", 1e9)
+    old = [[replace(made.read(counter, 30.0, reads=2), unix_s=0.0)] for counter in range(60)]
+    service(tmp_path, [*reads(100, 104), *old], silent_after_s=50.0).run(lambda _: None)
+    assert any(event.startswith("no frames for 50 s; ") for event in lines(tmp_path)[1])
+
+
+def test_frozen_pixels_command_nothing_and_are_named(tmp_path):
+    frozen = [[replace(made.read(7, 30.0, reads=2), counter=counter)] for counter in range(8, 14)]
+    service(tmp_path, [*reads(0, 8), *frozen, *reads(14, 18)]).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert [one["reasons"] for one in records] == [[]] * 4 + [["frozen"]] * 3 + [[]] * 2
+    assert len({one["offset_nm"] for one in records[3:7]}) == 1
+    assert sum("the detector is frozen" in event for event in events) == 3
+
+
+def test_a_loop_whose_offsets_nothing_answers_stops_and_says_so(tmp_path):
+    service(tmp_path, reads(0, 40)).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert sum("the loop is not closed: offsets are not answered" in event for event in events) == 1
+    held = [one for one in records if one["held"] == "open"]
+    assert len(held) >= 5 and held == records[-len(held) :]
+    assert not any(one["commanded"] for one in held)
+    assert abs(records[-1]["offset_nm"]) < 250.0
+
+
+def test_old_frames_command_nothing_where_that_is_asked_for_but_in_a_shadow(tmp_path):
+    asked = replace(SETTINGS, stale_frames_s=900.0)
+    service(tmp_path / "a", reads(0, 2), settings=asked).run(lambda _: None)
+    assert lines(tmp_path / "a")[0][0]["reasons"] == ["old"]
+    service(tmp_path / "b", reads(0, 2), settings=replace(asked, shadow=True)).run(lambda _: None)
+    assert lines(tmp_path / "b")[0][0]["valid"]
+    service(tmp_path / "c", [[dated(0, -60.0)], [dated(1, -60.0)]], settings=asked).run(lambda _: None)
+    assert lines(tmp_path / "c")[0][0]["valid"]
+
+
+def test_a_calibration_of_the_future_is_as_stale_as_one_of_the_past(tmp_path):
+    settings = replace(SETTINGS, stale_after_s=86400.0)
+    early = [[replace(read, unix_s=made.MADE_UNIX_S - 1e6)] for (read,) in reads(0, 2)]
+    service(tmp_path, early, settings=settings).run(lambda _: None)
+    assert lines(tmp_path)[0][0]["reasons"] == ["stale_calibration"]

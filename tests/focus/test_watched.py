@@ -2,6 +2,7 @@
 
 import os
 import re
+import threading
 import time
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from helpers import sparta_files as sparta
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.focus import watched as watched_module
 from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Fault
 from irlos_pipe.focus.watched import WatchedFolder
@@ -127,3 +129,43 @@ def test_each_recording_is_named_and_those_of_an_earlier_loop_are_not_read_again
     assert [one.recording for one in found] == ["b/b.fits"] * 3 + ["c/c.fits"] * 3
     later = Earlier(time.time() + 10.0)
     assert arrivals(watched(tmp_path, earlier=later)) == []  # there before the first start
+
+
+def test_a_recording_dated_ahead_is_read(tmp_path):
+    source = watched(tmp_path)
+    write(tmp_path / "scan", 5)
+    os.utime(tmp_path / "scan" / "scan.fits", (time.time() + 3600,) * 2)
+    assert [one.counter for one in source.poll(1.0)] == [5, 6, 7]
+
+
+def test_a_file_larger_than_any_recording_is_named_and_the_next_one_read(tmp_path):
+    source = watched(tmp_path)
+    write(tmp_path / "a", 0)
+    write(tmp_path / "b", 5)
+    os.truncate(tmp_path / "a" / "a.fits", 20 << 30)
+    _age(tmp_path / "a" / "a.fits")
+    fault, *rest = arrivals(source)
+    assert "a/a.fits: 20.0 GiB, more than a recording has; not read" in fault.text
+    assert [one.counter for one in rest] == [5, 6, 7]
+
+
+@pytest.mark.slow
+def test_a_file_that_takes_long_is_told_of_and_given_up_and_the_next_one_read(tmp_path, monkeypatch):
+    release, real = threading.Event(), watched_module.read_recordings
+
+    def slow(path, instrument):
+        if path.parent.name == "a":
+            release.wait(30)
+        return real(path, instrument)
+
+    monkeypatch.setattr(watched_module, "read_recordings", slow)
+    for name, value in (("PATIENCE_S", 0.01), ("TOLD_S", 0.1), ("GIVEN_UP_S", 0.3)):
+        monkeypatch.setattr(watched_module, name, value)
+    source = watched(tmp_path)
+    write(tmp_path / "a", 0)
+    write(tmp_path / "b", 5)
+    found = [one for _ in range(12) for one in source.poll(0.05)]
+    release.set()
+    assert "a/a.fits since 0 s" in found[0].text
+    assert "given up" in found[1].text
+    assert [one.counter for one in found[2:]] == [5, 6, 7]

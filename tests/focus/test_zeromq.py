@@ -3,11 +3,12 @@
 import socket
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import focus_loop as made
 
+from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.focus.source import Fault
 from irlos_pipe.focus.zeromq import ZeroMqSource, message_of
@@ -17,7 +18,8 @@ TOKEN = "a token of 24 characters"
 
 
 def read(counter: int):
-    return made.read(counter, 0.0, image_e=np.arange(12, dtype=np.float32).reshape(3, 4) + counter)
+    image_e = np.arange(12, dtype=np.float32).reshape(3, 4) + counter
+    return Read(counter, time.time(), image_e)
 
 
 @pytest.fixture
@@ -47,11 +49,12 @@ def arrived(source: ZeroMqSource, count: int) -> list:
 @pytest.mark.parametrize("token", ["", TOKEN])
 def test_frames_come_out_as_they_went_in(publisher, token):
     source = subscribed(publisher, token)
-    for counter in (5, 6):
-        publisher.send_multipart(message_of(read(counter), token))
-    first, second = arrived(source, 2)
-    assert (first.counter, second.counter, first.unix_s) == (5, 6, read(5).unix_s)
-    np.testing.assert_array_equal(second.image_e, read(6).image_e)
+    sent = [read(5), read(6)]
+    for one in sent:
+        publisher.send_multipart(message_of(one, token))
+    found = arrived(source, 2)
+    assert [(one.counter, one.unix_s) for one in found] == [(one.counter, one.unix_s) for one in sent]
+    np.testing.assert_array_equal(found[1].image_e, sent[1].image_e)
 
 
 def test_nothing_sent_is_nothing_read(publisher):
@@ -125,3 +128,42 @@ def test_without_pyzmq_an_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "zmq", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'irlos_pipe\[zeromq\]'"):
         ZeroMqSource("tcp://127.0.0.1:5555")
+
+
+@pytest.mark.slow
+def test_signed_frames_that_are_played_back_are_refused_however_many_they_are(publisher):
+    source = subscribed(publisher, TOKEN)
+    now = time.time()
+    old = [message_of(replace(read(counter), unix_s=now - 3600 + counter), TOKEN) for counter in range(300)]
+    new = [message_of(replace(read(counter), unix_s=now + 0.001 * counter), TOKEN) for counter in (301, 302)]
+    for message in (new[0], *old, new[0], *old, new[1], new[0], new[1]):
+        publisher.send_multipart(message)
+    found = [one for _ in range(10) for one in source.poll(0.05)]
+    source.close()
+    assert [one.counter for one in found if not isinstance(one, Fault)] == [301, 302]
+    assert sum(one.reads for one in found if isinstance(one, Fault)) == 603
+    assert all("played back" in one.text for one in found if isinstance(one, Fault))
+
+
+@pytest.mark.slow
+def test_a_flood_of_junk_is_counted_and_frames_between_it_are_read(publisher):
+    source = subscribed(publisher)
+    for number in range(500):
+        publisher.send(b"junk")
+        if number % 100 == 0:
+            publisher.send_multipart(message_of(read(number)))
+    found = [one for _ in range(20) for one in source.poll(0.05)]
+    source.close()
+    assert [one.counter for one in found if not isinstance(one, Fault)] == [0, 100, 200, 300, 400]
+    faults = [one for one in found if isinstance(one, Fault)]
+    assert sum(one.reads for one in faults) == 500
+    assert len(faults) < 100
+
+
+def test_messages_far_larger_than_a_frame_are_not_taken(publisher):
+    source = ZeroMqSource(publisher.get_string(zmq.LAST_ENDPOINT), window=(3, 4))
+    assert publisher.poll(5000)
+    publisher.recv()
+    publisher.send_multipart([b"x", b"\0" * 10**6, b""])
+    assert not [one for _ in range(3) for one in source.poll(0.1) if not isinstance(one, Fault)]
+    source.close()

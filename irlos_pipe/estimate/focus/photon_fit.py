@@ -16,9 +16,8 @@ from irlos_pipe.optics.focus_images import FocusImages
 
 ITERATIONS = 20
 HALVINGS = 6  # of a step that would raise the objective
-WITHIN_ROUNDING = (
-    3.0  # foretold fall over the rise that rounding may make, at which a fit that is stuck is done
-)
+# Foretold fall over the rise that rounding may make, at which a stuck fit is done: a tenth of an error.
+WITHIN_ROUNDING = 10.0
 
 
 class Noise(NamedTuple):

@@ -16,6 +16,7 @@ import numpy as np
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.photon_fit import Found, Noise, PhotonFit
 from irlos_pipe.estimate.focus.scan import Candidate, FocusScan
+from irlos_pipe.estimate.focus.unexplained import Unexplained, unexplained
 from irlos_pipe.estimate.tabulated import TILT_REACH_NM
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.focus_images import FocusImages
@@ -82,6 +83,8 @@ class Measurement(NamedTuple):
     chi2_nu, misfit : float
         See `Found`.
     iterations : int
+    beside : Unexplained or None
+        What the image has beside the model.
     """
 
     defocus_nm: float
@@ -95,6 +98,7 @@ class Measurement(NamedTuple):
     chi2_nu: float = math.nan
     misfit: float = math.nan
     iterations: int = 0
+    beside: Unexplained | None = None
 
 
 class Focus:
@@ -145,7 +149,7 @@ class Focus:
 
     def measure(self, image_e: np.ndarray) -> tuple[float, float, bool]:
         """Return defocus, its error [nm RMS], and whether they are to be used; see `measurement`."""
-        return self.measurement(image_e)[:3]
+        return self.solved(image_e)[0][:3]
 
     def measurement(self, image_e: np.ndarray, reads: int = 1) -> Measurement:
         """Measure one image.
@@ -162,7 +166,17 @@ class Focus:
         ValueError
             For an image of another window.
         """
-        return self.solved(image_e, reads)[0]
+        measured, found = self.solved(image_e, reads)
+        if found is None or LOST_STAR in measured.reasons:
+            return measured
+        return measured._replace(beside=self.beside(found, reads))
+
+    def beside(self, found: Found, reads: int = 1) -> Unexplained:
+        """Take apart what the last image has beside its solution, `found` in the sum of some `reads`."""
+        model_e = self.model_e(found)
+        slopes_e = self._images.slopes[:3] * found.x[3]
+        noise = self._noise_of(reads)
+        return unexplained(self._image - model_e, model_e - found.x[4], slopes_e, self._good, *noise)
 
     def solved(self, image_e: np.ndarray, reads: int = 1) -> tuple[Measurement, Found | None]:
         """Return the measurement and the whole solution; `image_e` and `reads` as in `measurement`."""
@@ -173,11 +187,14 @@ class Focus:
         flat[self._bad] = 0.0
         if not np.abs(flat).max() < ABSURD_E:  # NaN is none, either
             return Measurement(math.nan, math.nan, False, (NOT_FINITE,)), None
-        noise = Noise(
-            self.noise.excess_noise_factor, self.noise.floor_e2 * reads + self.noise.shared_e2 * reads**2
-        )
+        noise = self._noise_of(reads)
         best, rival = self._best(flat, noise)
         return self._judged(best, rival, float(flat.max()) / reads, noise), best
+
+    def _noise_of(self, reads: int) -> Noise:
+        """Of the sum of some reads."""
+        floor_e2 = self.noise.floor_e2 * reads + self.noise.shared_e2 * reads**2
+        return Noise(self.noise.excess_noise_factor, floor_e2)
 
     def model_e(self, found: Found) -> np.ndarray:
         """Return the image of a solution, (rows, columns) [e-]."""

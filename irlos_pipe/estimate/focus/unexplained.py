@@ -1,0 +1,156 @@
+"""What an image has that the model of the loop has not: motion, halo, and structure that neither explains.
+
+Right exposures differ from the model by image motion within them and by the AO residual of the moment, which
+moves light from the core into the halo and makes speckles. Motion and halo have known shapes: second
+differences of the model image, and the model image blurred. What is left beside them is small in right
+exposures, in whatever seeing, and not where the optics or the detector are others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+HALO_PX = 4.0  # over which the light of the core is spread to stand for the halo
+FOCUS, ALONG_X, ALONG_Y, ACROSS, HALO = 2, 5, 6, 7, 8  # rows of the shapes
+
+
+class Residual(NamedTuple):
+    """What is left of an image beside the model, and then beside motion and halo.
+
+    Attributes
+    ----------
+    whole_e, rest_e, star_e : ndarray, (pixels,)
+        The one, the other, and the light of the star by the model; 0 in bad pixels.
+    variance_e2 : ndarray, (pixels,)
+        Of the noise.
+    factor : float
+        Variance of the photons' noise over their number.
+    """
+
+    whole_e: np.ndarray
+    rest_e: np.ndarray
+    star_e: np.ndarray
+    variance_e2: np.ndarray
+    factor: float
+
+    @property
+    def level(self) -> float:
+        """Variance of a pixel without light, over the light [e-]."""
+        return float(np.min(self.variance_e2) / max(self.star_e.sum(), 1e-300))
+
+    def structure(self, level: float) -> tuple[float, float, float]:
+        """Return mean squares beyond noise over that of the star: of the rest, its error, and of the whole.
+
+        ``Σ w (r² - V) / Σ w I²`` with ``w = (I / V)²`` sees a misfit that is proportional to the light best.
+
+        Parameters
+        ----------
+        level : float
+            Of the noise for which the weights are the best.
+        """
+        weight = (self.star_e / (self.factor * self.star_e + level * self.star_e.sum())) ** 2
+        light = max(float(weight @ self.star_e**2), 1e-300)
+        noise = float(weight @ self.variance_e2)
+        error = math.sqrt(2.0 * float(weight**2 @ self.variance_e2**2)) / light
+        rest, whole = (float(weight @ one**2) - noise for one in (self.rest_e, self.whole_e))
+        return rest / light, error, whole / light
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What is beside the model in one image.
+
+    Attributes
+    ----------
+    blur_px2, blur_sigma_px2 : float
+        Half the variance of the image motion beyond that of the model along the axis where it differs most,
+        and its error [px²].
+    halo, halo_sigma : float
+        Part of the light that is in the halo, and in the core by the model, and its error.
+    shift_nm, shift_sigma_nm : float
+        By how much the defocus changes if motion and halo are free, and how much of that noise makes [nm].
+    rest : Residual
+    """
+
+    blur_px2: float
+    blur_sigma_px2: float
+    halo: float
+    halo_sigma: float
+    shift_nm: float
+    shift_sigma_nm: float
+    rest: Residual = field(compare=False, repr=False)
+
+
+def unexplained(
+    residual_e: np.ndarray,
+    star_e: np.ndarray,
+    slopes_e: np.ndarray,
+    good: np.ndarray,
+    factor: float,
+    floor_e2: float,
+) -> Unexplained:
+    """Take the residual of a fit apart.
+
+    Parameters
+    ----------
+    residual_e, star_e : ndarray, (rows, columns)
+        Image minus model, and the light of the star in the model [e-].
+    slopes_e : ndarray, (3, rows · columns)
+        Derivatives of the model by tip, tilt and focus [e-/nm].
+    good : ndarray of bool, (rows, columns)
+    factor, floor_e2 : float
+        See `Noise`.
+    """
+    pixels = star_e.size
+    shapes = np.empty((9, pixels))
+    shapes[:3] = slopes_e
+    shapes[3], shapes[4] = star_e.ravel(), 1.0
+    shapes[5:8] = _second_differences(star_e).reshape(3, pixels)
+    shapes[8] = gaussian_filter(star_e, HALO_PX, truncate=3.0, mode="constant").ravel()
+    light_e = np.maximum(star_e.ravel(), 0.0)
+    variance = factor * light_e + floor_e2
+    weighted = shapes * (good.ravel() / variance)
+    scale = 1 / np.sqrt(np.maximum((weighted * shapes).sum(axis=1), 1e-300))
+    normal = (weighted @ shapes.T) * scale * scale[:, None]
+    normal.flat[::10] += 1e-9
+    covariance = np.linalg.inv(normal) * scale * scale[:, None]
+    found = covariance @ (weighted @ residual_e.ravel())
+    fitted = np.linalg.inv(normal[:5, :5])[FOCUS, FOCUS] * scale[FOCUS] ** 2
+    residual_e = residual_e.ravel()
+    rest_e = residual_e - found @ shapes
+    blur_px2, blur_sigma_px2 = _largest(found, covariance)
+    seen = good.ravel()
+    return Unexplained(
+        blur_px2,
+        blur_sigma_px2,
+        float(found[HALO]),
+        math.sqrt(covariance[HALO, HALO]),
+        float(found[FOCUS]),
+        math.sqrt(max(float(covariance[FOCUS, FOCUS] - fitted), 0.0)),
+        Residual(residual_e * seen, rest_e * seen, light_e * seen, variance, factor),
+    )
+
+
+def _largest(found: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Eigenvalue of the motion's tensor that is the largest either way, and its error."""
+    tensor = [[found[ALONG_X], found[ACROSS] / 2], [found[ACROSS] / 2, found[ALONG_Y]]]
+    values, axes = np.linalg.eigh(tensor)
+    index = int(np.abs(values).argmax())
+    x, y = axes[:, index]
+    by = np.zeros(len(found))
+    by[[ALONG_X, ALONG_Y, ACROSS]] = x * x, y * y, x * y
+    return float(values[index]), math.sqrt(max(float(by @ covariance @ by), 0.0))
+
+
+def _second_differences(image: np.ndarray) -> np.ndarray:
+    """By x twice, y twice, and by both, (3, rows, columns)."""
+    wide = np.pad(image, 1)
+    x = wide[1:-1, 2:] + wide[1:-1, :-2] - 2 * image
+    y = wide[2:, 1:-1] + wide[:-2, 1:-1] - 2 * image
+    xy = (wide[2:, 2:] + wide[:-2, :-2] - wide[2:, :-2] - wide[:-2, 2:]) / 4
+    return np.stack([x, y, xy])

@@ -1,0 +1,130 @@
+"""How right exposures fit, as the frames of the run's own ramp have shown it, and what is beyond that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from irlos_pipe.estimate.focus.sensor import Focus
+from irlos_pipe.estimate.focus.unexplained import Unexplained
+
+MISFIT = "misfit"
+FEWEST_FRAMES = 6  # of a ramp that shows how frames fit
+LEVELS_E = np.geomspace(1e-9, 1e2, 23)  # of noise over light, see `Residual.level`
+# Amplitude of structure, and variance of motion, over those of the ramp from which an exposure is another:
+# thousands of right ones, simulated in seeing of 0.3 to 1.3", stay below 2.5 and 3.3 times, halo allowed for.
+STRUCTURE_TIMES, BLUR_TIMES = 3.0, 4.0
+NOISE_TIMES = 4.0  # of the errors by noise, beyond
+WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # of the noise: with more weight for the core, and for what surrounds it
+# Part of the light that the AO residual of a usual night leaves in the halo: speckles grow with it, and it
+# cannot be less than none; and what the worst seeing takes from the core.
+HALO, MOST_HALO = 0.2, 0.5
+USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = (
+    0.02,
+    0.12,
+    0.05,
+    4.0,
+)  # of simulated exposures, without a ramp
+
+
+@dataclass(frozen=True, eq=False)
+class Ordinary:
+    """What right exposures have beside the model.
+
+    Attributes
+    ----------
+    frames : int
+        Of the ramp that has shown it; 0 for values of simulated exposures.
+    structure, largest_structure : ndarray, (levels,)
+        Median and maximum of `Residual.structure` with the weights of each of `LEVELS_E`.
+    blur_px2 : float
+        RMS of the variance of image motion.
+    halo, shift_nm : float
+        Largest halo, and largest shift of the defocus.
+    """
+
+    frames: int
+    structure: np.ndarray
+    largest_structure: np.ndarray
+    blur_px2: float
+    halo: float
+    shift_nm: float
+
+    @classmethod
+    def of(cls, sensor: Focus, images_e: Iterable[np.ndarray]) -> Ordinary:
+        """Return what the frames of a ramp show; those of simulated exposures if they are too few.
+
+        Parameters
+        ----------
+        sensor : Focus
+        images_e : iterable of ndarray, (rows, columns)
+        """
+        seen: list[Unexplained] = []
+        structure: list[list[float]] = []
+        for image_e in images_e:
+            measured, found = sensor.solved(image_e)
+            if found is None or not measured.valid:
+                continue
+            beside = sensor.beside(found)
+            seen.append(beside)
+            structure.append([beside.rest.structure(level)[0] for level in LEVELS_E])
+        if len(seen) < FEWEST_FRAMES:
+            return cls.usual()
+        return cls(
+            len(seen),
+            np.median(structure, axis=0).clip(0),
+            np.max(structure, axis=0).clip(0),
+            math.sqrt(np.mean([one.blur_px2**2 for one in seen])),
+            max(one.halo for one in seen),
+            max(abs(one.shift_nm) for one in seen),
+        )
+
+    @classmethod
+    def usual(cls) -> Ordinary:
+        """Return what simulated exposures in good seeing show."""
+        structure = np.full(len(LEVELS_E), USUAL_STRUCTURE**2)
+        return cls(0, structure, 4 * structure, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM)
+
+    def fits(self, found: Unexplained, largest: float) -> bool:
+        """Return whether an exposure has no more beside the model than right ones may have.
+
+        Parameters
+        ----------
+        found : Unexplained
+        largest : float
+            Part of the light that may at most be unexplained, whatever the ramp shows.
+        """
+        blur_px2 = math.hypot(BLUR_TIMES * self.blur_px2, NOISE_TIMES * found.blur_sigma_px2)
+        noise = NOISE_TIMES * found.halo_sigma
+        if abs(found.blur_px2) > blur_px2 or not -HALO - noise <= found.halo <= MOST_HALO + noise:
+            return False
+        rest = found.rest
+        times = STRUCTURE_TIMES**2 * self._speckled(found)
+        for part in WEIGHTED_AS_FOR:
+            structure, sigma, whole = rest.structure(rest.level * part)
+            most = min(times * self._at(self.structure, rest.level * part), largest**2)
+            sigma *= NOISE_TIMES
+            if structure > math.hypot(most, sigma) or whole > math.hypot(largest**2, sigma):
+                return False
+        return True
+
+    def growth(self, found: Unexplained) -> tuple[float, float]:
+        """Return the growth of errors by structure and halo beyond the ramp's, and one by motion [nm]."""
+        rest = found.rest
+        largest = self._at(self.largest_structure, rest.level)
+        structure, sigma, _ = rest.structure(rest.level)
+        factor2 = self._speckled(found)
+        if largest > 0:
+            factor2 *= max(1.0, (structure - sigma) / largest)
+        beyond_nm2 = found.shift_nm**2 - found.shift_sigma_nm**2 - self.shift_nm**2
+        return math.sqrt(factor2), math.sqrt(max(beyond_nm2, 0.0))
+
+    def _speckled(self, found: Unexplained) -> float:
+        """By how much the light of speckles is more than the ramp's, as far as the halo is surely larger."""
+        return 1 + max(found.halo - 2 * found.halo_sigma - self.halo, 0.0) / HALO
+
+    def _at(self, values: np.ndarray, level: float) -> float:
+        return float(np.interp(math.log(max(level, 1e-300)), np.log(LEVELS_E), values))

@@ -1,0 +1,67 @@
+"""What an image has beside the model. Truth: images moved, spread and spoilt by known amounts."""
+
+import numpy as np
+import pytest
+from helpers import focus_loop as made
+from scipy.ndimage import gaussian_filter, shift
+
+from irlos_pipe.estimate.focus.sensor import LOST_STAR
+
+FLUX_E = 2e6
+
+
+def mean_e(defocus_nm: float = 20.0) -> np.ndarray:
+    """An image without noise, to the precision of one with a hundred million electrons."""
+    return made.image_e(defocus_nm, 0, flux_e=1e9).astype(float) * (FLUX_E / 1e9)
+
+
+def noisy(image_e: np.ndarray, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.poisson(np.maximum(image_e, 0)) + rng.normal(0, 1, image_e.shape)
+
+
+def beside(image_e: np.ndarray):
+    return made.calibration().sensor.measurement(image_e).beside
+
+
+def test_a_right_image_has_nothing_beside_the_model_but_noise():
+    found = [beside(noisy(mean_e(), seed)) for seed in range(20)]
+    pulls = [[one.blur_px2 / one.blur_sigma_px2, one.halo / one.halo_sigma] for one in found]
+    assert np.abs(np.mean(pulls, axis=0)).max() < 2.0
+    structure = [one.rest.structure(one.rest.level) for one in found]
+    assert np.abs(np.mean([value / sigma for value, sigma, _ in structure])) < 1.0
+
+
+@pytest.mark.parametrize("sigma_px", [0.5, 0.7])
+def test_motion_along_one_axis_is_measured_as_half_its_variance(sigma_px):
+    moved = gaussian_filter(mean_e(), (0.0, sigma_px), mode="constant")
+    kernel = gaussian_filter(np.eye(1, 41, 20)[0], sigma_px)
+    variance_px2 = float(kernel @ (np.arange(41) - 20) ** 2)
+    assert beside(noisy(moved)).blur_px2 == pytest.approx(variance_px2 / 2, rel=0.25)
+
+
+def test_light_that_goes_from_the_core_to_the_halo_is_halo():
+    image = mean_e()
+    spread = 0.9 * image + 0.1 * gaussian_filter(image, 4.0, mode="constant")
+    found = beside(noisy(spread))
+    assert found.halo == pytest.approx(0.1, abs=0.03)
+    assert abs(found.blur_px2) < 0.05
+
+
+@pytest.mark.parametrize("part", [0.02, 0.1])
+def test_what_neither_explains_is_structure_of_that_size(part):
+    image, sign = mean_e(), np.where(np.arange(32) % 2, 1.0, -1.0)
+    found = beside(noisy(image * (1 + part * sign * sign[:, None])))
+    structure, sigma, _ = found.rest.structure(found.rest.level)
+    assert structure > 4 * sigma
+    assert np.sqrt(structure) == pytest.approx(part, rel=0.15)
+
+
+def test_a_displaced_star_is_none_of_these():
+    found = beside(noisy(shift(mean_e(), (0.3, -0.2), order=5)))
+    assert abs(found.blur_px2) < 0.05 and abs(found.halo) < 0.03
+
+
+def test_without_a_star_nothing_is_beside_it():
+    measured = made.calibration().sensor.measurement(np.random.default_rng(0).normal(0, 1, made.WINDOW))
+    assert LOST_STAR in measured.reasons and measured.beside is None

@@ -1,0 +1,118 @@
+"""What a loop that is started again begins with. Truth: the command that an earlier loop has left."""
+
+import json
+
+import pytest
+from helpers import focus_loop as made
+
+from irlos_pipe.control.controller import ControllerSettings
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.focus.loop import LoopSettings
+from irlos_pipe.focus.mailbox import Command, Mailbox
+from irlos_pipe.focus.service import Service
+
+SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0))
+
+
+class Listed:
+    def __init__(self, arrivals):
+        self.arrivals = arrivals
+
+    def poll(self, timeout_s):
+        return [self.arrivals.pop(0)] if self.arrivals else None
+
+    def close(self):
+        pass
+
+
+def ran(output, first: int, last: int, settings=SETTINGS) -> list[str]:
+    reads = [made.read(counter, 40.0) for counter in range(first, last)]
+    told: list[str] = []
+    Service(output, made.Ready(output, made.calibration()), settings, lambda *_: Listed(reads)).run(
+        told.append
+    )
+    return told
+
+
+def command(output) -> Command:
+    box = Mailbox(output / "command")
+    found = box.read()
+    box.close()
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def left(tmp_path):
+    ran(tmp_path, 0, 4)
+    return tmp_path
+
+
+def goes_on(output, before: Command) -> None:
+    """The next exposure follows the offset that stood, under the next number."""
+    told = ran(output, 10, 11)
+    after = command(output)
+    assert after.number == before.number + 1
+    assert after.offset_nm == pytest.approx(before.offset_nm + 0.5 * 40.0, abs=3.0)
+    assert any("command 4" in line for line in told) or not told[1].startswith("no record")
+
+
+def lines(output) -> list[bytes]:
+    return (output / "focus.jsonl").read_bytes().splitlines(True)
+
+
+@pytest.mark.parametrize("kept", [0, 1, 2, 3, 4, 5], ids=lambda kept: f"{kept} lines kept")
+def test_whatever_is_lost_of_the_record_the_offset_that_stands_is_kept(left, kept):
+    before = command(left)
+    (left / "focus.jsonl").write_bytes(b"".join(lines(left)[:kept]))
+    goes_on(left, before)
+
+
+def test_without_a_record_it_begins_with_the_command_and_says_so(left):
+    before = command(left)
+    (left / "focus.jsonl").unlink()
+    told = ran(left, 10, 11)
+    assert any(f"no record; goes on from command 4, {before.offset_nm:.1f} nm" in line for line in told)
+    assert command(left).number == 5
+
+
+@pytest.mark.parametrize("value", [1e6, None, "text", float("inf")], ids=repr)
+def test_a_forged_offset_is_not_believed(left, value):
+    before = command(left)
+    content = lines(left)
+    content[4] = json.dumps(json.loads(content[4]) | {"offset_nm": value}).encode() + b"\n"
+    (left / "focus.jsonl").write_bytes(b"".join(content))
+    goes_on(left, before)
+
+
+def test_where_the_end_of_the_record_and_the_command_are_lost_it_refuses(left):
+    (left / "command").unlink()
+    (left / "focus.jsonl").write_bytes(b"".join(lines(left)[:4]) + b"rubbish\n")
+    with pytest.raises(InputDataError, match=r"offset that stands is not known.*another output"):
+        ran(left, 10, 11)
+
+
+def test_a_lost_or_damaged_command_is_no_matter_where_the_record_is_whole(left):
+    before = command(left)
+    content = bytearray((left / "command").read_bytes())
+    content[20] ^= 1
+    (left / "command").write_bytes(content)
+    assert "the command is damaged" in ran(left, 10, 10)
+    (left / "command").unlink()
+    ran(left, 10, 11)
+    assert command(left).offset_nm == pytest.approx(before.offset_nm + 20.0, abs=3.0)
+
+
+def test_an_offset_beyond_the_limit_is_refused(left):
+    narrow = LoopSettings(ControllerSettings(gain=0.5, delay=0, limit_nm=30.0))
+    with pytest.raises(InputDataError, match="beyond --limit-nm 30"):
+        ran(left, 10, 11, narrow)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_no_offset_that_is_no_number_is_written_or_read(tmp_path, value):
+    box = Mailbox(tmp_path / "command")
+    box.write(Command(1, 5.0, 1))
+    with pytest.raises(ValueError, match="offset"):
+        box.write(Command(2, value, 2))
+    assert box.read() == Command(1, 5.0, 1)
