@@ -26,15 +26,13 @@ from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffse
 from irlos_pipe.effects.ghost import Ghost
 from irlos_pipe.effects.high_aperture import HighAperture
 from irlos_pipe.effects.lenslet_images import LensletImages
-from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.effects.pupil_geometry import PupilSizes
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
-from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
+from irlos_pipe.effects.pupil_steps import LowWindEffect, SegmentPiston
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
 from irlos_pipe.effects.seeing_halo import SeeingHalo
-from irlos_pipe.effects.segment_piston import SegmentPiston
 from irlos_pipe.effects.uneven_residual import UnevenResidual
-from irlos_pipe.effects.wavefront import DiversityError, HighOrderNcpa
+from irlos_pipe.effects.wavefront import AmplitudeAberration, DiversityError, HighOrderNcpa
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect

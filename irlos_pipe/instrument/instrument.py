@@ -18,8 +18,7 @@ from irlos_pipe.files.overrides import Override, absolute
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
-from irlos_pipe.instrument.pupil import drawn
-from irlos_pipe.instrument.pupil_checks import require_usable
+from irlos_pipe.instrument.pupil import drawn, require_usable
 
 PROFILES = Path(__file__).parent
 PROFILE_SUFFIXES = (".yaml", ".yml")

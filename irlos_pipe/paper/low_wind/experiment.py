@@ -15,7 +15,7 @@ import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.modes import REPORTED_NOLLS
-from irlos_pipe.effects.low_wind import LowWindEffect
+from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.optics.wavefront import modes_at
 from irlos_pipe.paper.common.broad_band import COADDED, FINE, J_AND_H
