@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import inspect
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 
 from irlos_pipe.effects.anamorphism import Anamorphism
 from irlos_pipe.effects.ao_cutoff import AoCutoff
-from irlos_pipe.effects.base import Effect
+from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.effects.companion import Companion
-from irlos_pipe.effects.declaration import Public
+from irlos_pipe.effects.declaration import Conditions, Public
 from irlos_pipe.effects.detector import (
     BackgroundGradient,
     BadPixels,
@@ -77,6 +78,26 @@ CATALOGUE: dict[str, type[Effect]] = {
 def wider_kinds(name: str) -> list[type[Effect]]:
     """Return the kinds of effect that are a wider form of the one called `name`."""
     return [kind for kind in CATALOGUE.values() if kind.widens == name]
+
+
+def narrower_kinds(name: str) -> list[type[Effect]]:
+    """Return the kind of effect of which the one called `name` is a wider form, or nothing."""
+    return [kind for kind in CATALOGUE.values() if kind.name == CATALOGUE[name].widens]
+
+
+def in_form(kind: type[Effect], conditions: Conditions, values: Sequence[float] | np.ndarray) -> FixedEffect:
+    """Return an effect, all free, where another form of it acts at `values`.
+
+    Parameters
+    ----------
+    kind : type of Effect
+        A wider form begins with its further parameters at zero; a narrower one leaves them out.
+    conditions : Conditions
+    values : sequence of float, (parameters of the other form,)
+    """
+    base = kind.under(conditions)
+    count = len(base.parameters)
+    return FixedEffect(base, [*values, *[0.0] * count][:count], free=[one.name for one in base.parameters])
 
 
 HEAD = """# Effects

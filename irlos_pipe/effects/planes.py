@@ -92,7 +92,6 @@ class LensEffect(Effect):
     """Changes what introduced defocus is; held in the settings of the light path."""
 
     plane = "lens"
-    in_image = False
     found_by = "ramp"
 
     def __init__(self, numerical_aperture: float = 0.0):
@@ -149,7 +148,6 @@ class RampEffect(Effect):
     """
 
     plane = "ramp"
-    in_image = False
     found_by = "ramp"
     separated_by: str = ""
 

@@ -2,8 +2,8 @@
 
 Only what lies near an edge changes. Edges are taken `WIDTH` cells wide: one cell would show the staircase of
 the grid, four would miss what the low-pass lets through. A disc with a hole and vanes has few edges, which
-are followed one by one; any other pupil is drawn twice, which takes 6 to 28 times as long and errs 2 to 5 times
-as much where a stop moves.
+are followed one by one; any other pupil is drawn twice, which takes 6 to 28 times as long and errs 2 to 5
+times as much where a stop moves.
 """
 
 from __future__ import annotations
