@@ -108,13 +108,12 @@ class Effect(Declared):
         raise NotImplementedError
 
     @property
-    def copies(self) -> Sequence[Effect]:
-        """Images of the star that have a focus of their own, each a `planes.CopyOfStar`; here none."""
-        return ()
+    def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
+        """Light paths beside that of the star, each with the effect that stands there in this one's place.
 
-    @property
-    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
-        """Modes of `Optics.by_mode`, each with the effect that stands in the place of this one there."""
+        With a mode they are those of `Optics.by_mode`; without, a `planes.CopyOfStar`: an image of the star
+        that has a focus of its own.
+        """
         return ()
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
@@ -297,18 +296,10 @@ class FixedEffect(Effect):
         return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
 
     @property
-    def copies(self) -> Sequence[Effect]:
-        """See `Effect.copies`."""
-        return [self._as_this(one) for one in self.base.copies]
-
-    @property
-    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
-        """See `Effect.by_mode`."""
-        return [(mode, self._as_this(one)) for mode, one in self.base.by_mode]
-
-    def _as_this(self, other: Effect) -> FixedEffect:
-        """Return another effect with the same parameters, and the same of them held."""
-        return FixedEffect(other, self.values, [self.base.parameters[i].name for i in self.free])
+    def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
+        """See `Effect.further_paths`: with the same parameters held."""
+        names = [self.base.parameters[i].name for i in self.free]
+        return [(mode, FixedEffect(one, self.values, names)) for mode, one in self.base.further_paths]
 
     def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
         """See `Effect.good_pixels`."""

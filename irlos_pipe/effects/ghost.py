@@ -81,9 +81,9 @@ class Ghost(CopiesOfStar):
         return factor / (1 + values[0])
 
     @property
-    def copies(self) -> list[Effect]:
-        """See `Effect.copies`."""
-        return [_Image([self], 0)]
+    def further_paths(self) -> list[tuple[None, Effect]]:
+        """See `Effect.further_paths`."""
+        return [(None, _Image([self], 0))]
 
     @classmethod
     def together(cls, effects: Sequence[Effect]) -> Effect:
@@ -116,9 +116,9 @@ class _Ghosts(SeveralCopies):
     name = Ghost.name
 
     @property
-    def copies(self) -> list[Effect]:
-        """See `Effect.copies`."""
-        return [_Image(self.every, number) for number in range(len(self.every))]
+    def further_paths(self) -> list[tuple[None, Effect]]:
+        """See `Effect.further_paths`."""
+        return [(None, _Image(self.every, number)) for number in range(len(self.every))]
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`: what is left for the star."""

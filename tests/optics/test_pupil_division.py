@@ -16,7 +16,7 @@ from irlos_pipe.optics.pupil_division import (
     petals_of,
     segments_of,
 )
-from irlos_pipe.simulate import petals as simulated
+from irlos_pipe.simulate import aperture as simulated
 
 SEGMENTS = Hexagons(1.2, 0.05, 2, (0, 5))
 

@@ -22,7 +22,7 @@ from irlos_pipe.paper.common.broad_band import COADDED, FINE, J_AND_H
 from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, CubeSample, ObservedCube
 from irlos_pipe.paper.common.observation import conditions_of
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
-from irlos_pipe.simulate.petals import petal_count, petal_index
+from irlos_pipe.simulate.aperture import petal_count, petal_index
 from irlos_pipe.simulate.scene import Scene
 
 PATTERN_STREAM = 4  # child of a sample's seed that the pistons are drawn from
