@@ -70,7 +70,8 @@ class OtfEffect(Effect):
 class CopyOfStar(OtfEffect):
     """A further image of the star that has a focus of its own: the OTF factor of its light path.
 
-    There it stands in the place of the effect among whose `Effect.further_paths` it is, and has its parameters.
+    There it stands in the place of the effect that has it among its `Effect.further_paths`, and has its
+    parameters.
     """
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
