@@ -18,7 +18,7 @@ KeyPath = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 Keys = dict[str, tuple[Any, str]]  # annotation and meaning, by name
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-NO_SECTION = ("model_type", "dataclass_type", "arguments_type")
+NO_SECTION = ("model_type", "dataclass_type", "named_tuple_type", "arguments_type")
 MAX_SHOWN = 60  # characters of a section or list in a message
 
 

@@ -125,7 +125,7 @@ def _with_shared(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str,
     """A recording's `own` sections over the `shared` ones, key by key; null switches a shared one off."""
     merged = {name: shared[name] for name in Shared.model_fields if name in shared} | dict(own)
     for name in merged.keys() & shared.keys() - WHOLE:
-        if merged[name] and shared[name]:
+        if None not in (merged[name], shared[name]):
             merged[name] = {**shared[name], **merged[name]}
     return merged
 
