@@ -283,7 +283,9 @@ def other_forms(
         Kinds of the forms, by the name of what was found.
     """
     conditions, every = fitter.views[0].conditions, [one for one in found if one.base.acts_in is None]
-    pairs = [(one, in_form(kind, conditions, one.values)) for one in every for kind in kinds_of(one.name)]
+    pairs = [
+        (one, in_form(kind, conditions, one.values)) for one in every for kind in kinds_of(one.base.name)
+    ]
     fits = ordered_map(lambda pair: _as_effect(fitter, *pair), pairs)
     return [one for one in fits if np.isfinite(one.fitted.chi2)]
 
