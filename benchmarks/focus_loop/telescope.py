@@ -21,7 +21,6 @@ from irlos_pipe.files.atomic import atomic_file
 from irlos_pipe.paper.common.focus_loop import FrameTable, frame_table
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.readout import electrons
-from irlos_pipe.simulate.recordings.scenes import base_scene
 from irlos_pipe.simulate.recordings.spec import load_spec
 from irlos_pipe.simulate.scene import Sampling, Scene
 
@@ -160,10 +159,8 @@ def _table(scene: Scene, kept: Path, reach_nm: float = REACH_NM, nodes: int = NO
 
 def scene_of(night: Night) -> Scene:
     """Return the reads of the recording of the specification, of another star."""
-    spec = load_spec(night.spec, [], None)
-    scene = base_scene(spec, night.section, spec.recordings[night.section])
     return replace(
-        scene,
+        load_spec(night.spec).scenes[night.section],
         seed=(night.seed, SKY_STREAM),
         frames=SKY_READS,
         exposure_s=1 / night.reads,

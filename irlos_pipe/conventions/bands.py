@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from irlos_pipe.conventions.keys import key
+
 
 @dataclass(frozen=True)
 class Passband:
-    """A box filter.
+    """A box filter: the middle of the box, and its distance to either end."""
 
-    Attributes
-    ----------
-    centre_nm, half_width_nm : float
-        Middle of the box, and its distance to either end [nm].
-    """
-
-    centre_nm: float
-    half_width_nm: float
+    centre_nm: float = key(meaning="centre", ge=500, le=5000)
+    half_width_nm: float = key(meaning="half its width", ge=0, le=1000)
 
     @property
     def limits_nm(self) -> tuple[float, float]:

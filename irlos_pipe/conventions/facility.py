@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
+from irlos_pipe.conventions.keys import Limited, named_row
 from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 
-VibrationLine = tuple[float, float, float]  # frequency [Hz], shares of the variance along x and along y
+
+@named_row
+class VibrationLine(NamedTuple):
+    """One vibration of the telescope."""
+
+    hz: Annotated[float, Limited("frequency", gt=0, le=400)]
+    share_x: Annotated[float, Limited("part of the variance along x", ge=0, le=1)]
+    share_y: Annotated[float, Limited("part of the variance along y", ge=0, le=1)]
 
 
 @dataclass(frozen=True)

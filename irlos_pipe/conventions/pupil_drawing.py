@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from irlos_pipe.conventions.placement import Placement
-from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Part
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Part, Placement
 
 BEYOND_RIM = 1.005  # of the diameter: as far as parts may reach
 

@@ -9,16 +9,76 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 import scipy
 
-from irlos_pipe.conventions.placement import UNMOVED, Placement
-
+Flip = Literal["none", "x", "y"]
 FIRST_DEG = 45.0  # parts are counted anticlockwise from the one nearest to this direction
 SPLINE_MARGIN = 8  # samples of darkness round a map, in which the spline dies out
 CLOSED_GAPS = 0.03  # of the width of a map: narrower gaps between its parts belong to its outline
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Mirrored up and down (or not), then turned anticlockwise about the axis, then moved.
+
+    Attributes
+    ----------
+    rotation_deg : float
+    mirrored : bool
+        Whether y changes its sign first.
+    shift_m : (float, float)
+    """
+
+    rotation_deg: float = 0.0
+    mirrored: bool = False
+    shift_m: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def of(cls, rotation_deg: float, flip: Flip, shift_m: tuple[float, float]) -> Placement:
+        """Return a placement whose `flip` exchanges left and right ("x"), up and down ("y") or nothing.
+
+        `rotation_deg` and `shift_m` are as of the class.
+        """
+        # x changing its sign is y doing so and half a turn
+        return cls(rotation_deg + 180.0 * (flip == "x"), flip != "none", shift_m)
+
+    def then(self, outer: Placement) -> Placement:
+        """Return the placement `outer` of what is placed by this one."""
+        sense = -1 if outer.mirrored else 1
+        x, y = outer.forth(*self.shift_m)
+        return Placement(
+            outer.rotation_deg + sense * self.rotation_deg,
+            self.mirrored != outer.mirrored,
+            (float(x), float(y)),
+        )
+
+    def forth(self, x_m, y_m):
+        """Return where points (`x_m`, `y_m`) of the part as drawn come to lie."""
+        if self == UNMOVED:
+            return x_m, y_m
+        cos, sin = self._cos_sin
+        y_m = -y_m if self.mirrored else y_m
+        return cos * x_m - sin * y_m + self.shift_m[0], sin * x_m + cos * y_m + self.shift_m[1]
+
+    def back(self, x_m, y_m):
+        """Return where points (`x_m`, `y_m`) of the placed part lie on the part as drawn."""
+        if self == UNMOVED:
+            return x_m, y_m
+        cos, sin = self._cos_sin
+        x_m, y_m = x_m - self.shift_m[0], y_m - self.shift_m[1]
+        x_m, y_m = cos * x_m + sin * y_m, cos * y_m - sin * x_m
+        return x_m, (-y_m if self.mirrored else y_m)
+
+    @property
+    def _cos_sin(self) -> tuple[float, float]:
+        turn = np.deg2rad(self.rotation_deg)
+        return float(np.cos(turn)), float(np.sin(turn))
+
+
+UNMOVED = Placement()
 
 
 @dataclass(frozen=True)
@@ -76,6 +136,18 @@ class Part:
     def distance_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """Return how far points (`x_m`, `y_m`) about its own origin lie inside its edge; negative outside."""
         raise NotImplementedError
+
+    def box(self, x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> tuple[slice, slice]:
+        """Return the rows and columns of cells of side `step_m` that a connected part may touch.
+
+        `x_m` is the row, (1, columns), and `y_m` the column, (rows, 1), of their middles.
+        """
+        reach_m = self.radius_m + step_m
+        columns, rows = (
+            slice(*np.searchsorted(axis_m.ravel(), [centre - reach_m, centre + reach_m]))
+            for axis_m, centre in zip((x_m, y_m), self.placement.shift_m, strict=True)
+        )
+        return rows, columns
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from irlos_pipe.diagnosis.allowance import KNOWN, AllowingTask
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import Refit, narrower_form, quick_refits, wider_forms
+from irlos_pipe.diagnosis.refit import Refit, other_forms, quick_refits
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
 from irlos_pipe.diagnosis.without import imitated, without_linearly
-from irlos_pipe.effects import CATALOGUE, Effect
+from irlos_pipe.effects import CATALOGUE, Effect, narrower_kinds, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.labels import label_after
 from irlos_pipe.numerics.parallel import ordered_map
@@ -95,7 +95,9 @@ class NamingTask(AllowingTask):
             if not np.isfinite(present.origin.fitted.chi2):
                 continue
             right = task._explains_its_own(present)
-            rivals = task._rivals(present, dropped) if right else task._wider(present)
+            rivals = (
+                task._rivals(present, dropped) if right else other_forms(task.fitter, [present], wider_kinds)
+            )
             plausible = [one for one in (present, *rivals) if task._explains_its_own(one)]
             one = task._wanted(sorted(plausible, key=lambda one: -one.merit))
             if one is None:
@@ -135,12 +137,10 @@ class NamingTask(AllowingTask):
         others = quick_refits(
             self.fitter, refit.origin, likely
         )  # among them wider forms: of `refit`'s own name
-        forms = [*self._wider(refit), *narrower_form(self.fitter, refit)]
+        forms = [
+            one for kinds in (wider_kinds, narrower_kinds) for one in other_forms(self.fitter, [refit], kinds)
+        ]
         return [*forms, *(one for one in others if one.name not in {refit.name, refit.base.widens})]
-
-    def _wider(self, refit: Refit) -> list[Refit]:
-        """Fits of wider forms of the same effect, as far as they can be made."""
-        return [one for one in wider_forms(self.fitter, refit) if np.isfinite(one.fitted.chi2)]
 
     def _against_without(self, current: Optimum, label: str) -> Refit:
         """The model against itself without one effect."""

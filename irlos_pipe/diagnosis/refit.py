@@ -13,7 +13,7 @@ from irlos_pipe.diagnosis.fitting import EXPLORING, Fitter
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
-from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect, wider_kinds
+from irlos_pipe.effects import Effect, FixedEffect, in_form, wider_kinds
 from irlos_pipe.effects.labels import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -158,7 +158,7 @@ def refits(
         found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
     several = [one for one in found if one.score.elsewhere]
     found = _once_more(fitter, found, _leading(several), _from_elsewhere)
-    found = _joined(fitter, found, ordered_map(partial(_widened, fitter), _with_wider_forms(found)))
+    found = _joined(fitter, found, other_forms(fitter, _leaders(found), wider_kinds))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
 
@@ -172,10 +172,7 @@ def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> li
     near = ordered_map(partial(_near, fitter, origin, iterations=RANKING), scores)
     found = [one for one in near if np.isfinite(one.fitted.chi2)]
     seen = [one for one in found if one.beyond_chance]
-    wider = ordered_map(partial(_widened, fitter), _with_wider_forms(seen))
-    return sorted(
-        [*found, *(one for one in wider if np.isfinite(one.fitted.chi2))], key=lambda one: -one.merit
-    )
+    return sorted([*found, *other_forms(fitter, _leaders(seen), wider_kinds)], key=lambda one: -one.merit)
 
 
 def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
@@ -267,48 +264,30 @@ def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
     return [_explored(fitter, one.origin, other.start()) for other in one.score.elsewhere]
 
 
-def _with_wider_forms(found: Sequence[Refit]) -> list[tuple[Refit, type[Effect]]]:
-    """The best and its rivals, as far as wider forms of them are known, with these."""
-    return [pair for one in found if is_rival(_best(found), one) for pair in _wider_kinds(one)]
+def _leaders(found: Sequence[Refit]) -> list[Refit]:
+    """The best and its rivals."""
+    return [one for one in found if is_rival(_best(found), one)]
 
 
-def _wider_kinds(one: Refit) -> list[tuple[Refit, type[Effect]]]:
-    """What was fitted with each of its wider forms; none of what acts in one moment alone."""
-    return [(one, kind) for kind in wider_kinds(one.name)] if one.base.acts_in is None else []
-
-
-def wider_forms(fitter: Fitter, one: Refit) -> list[Refit]:
-    """Fits of all wider forms of what was fitted.
+def other_forms(
+    fitter: Fitter, found: Sequence[Refit], kinds_of: Callable[[str], Sequence[type[Effect]]]
+) -> list[Refit]:
+    """Fits of other forms of what was found, from where that is: a second image may be out of focus.
 
     Parameters
     ----------
     fitter : Fitter
-    one : Refit
+    found : sequence of Refit
+        Those that act in one moment alone have none.
+    kinds_of : callable
+        Kinds of the forms, by the name of what was found.
     """
-    return ordered_map(partial(_widened, fitter), _wider_kinds(one))
-
-
-def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
-    """A wider form of what was fitted, from where it is: a second image may be out of focus."""
-    one, kind = pair
-    return _as_effect(fitter, one, kind.under(fitter.views[0].conditions).widened(one.values))
-
-
-def narrower_form(fitter: Fitter, one: Refit) -> list[Refit]:
-    """A fit of the effect of which another is a wider form, from where that is; none of other effects.
-
-    Parameters
-    ----------
-    fitter : Fitter
-    one : Refit
-    """
-    if not one.base.widens or one.base.acts_in is not None:
-        return []
-    kind = CATALOGUE[one.base.widens].under(fitter.views[0].conditions)
-    names = [parameter.name for parameter in kind.parameters]
-    effect = FixedEffect(kind, one.values[: len(names)], free=names)  # a wider form adds parameters behind
-    found = _as_effect(fitter, one, effect)
-    return [found] if np.isfinite(found.fitted.chi2) else []
+    conditions, every = fitter.views[0].conditions, [one for one in found if one.base.acts_in is None]
+    pairs = [
+        (one, in_form(kind, conditions, one.values)) for one in every for kind in kinds_of(one.base.name)
+    ]
+    fits = ordered_map(lambda pair: _as_effect(fitter, *pair), pairs)
+    return [one for one in fits if np.isfinite(one.fitted.chi2)]
 
 
 def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:

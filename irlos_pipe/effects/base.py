@@ -6,116 +6,19 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
-from irlos_pipe.effects.declaration import (
-    Belongs,
-    Calibrated,
-    Conditions,
-    FoundBy,
-    Parameter,
-    Plane,
-    Public,
-    Role,
-)
+from irlos_pipe.effects.declaration import Calibrated, Conditions, Declared, Role
 from irlos_pipe.optics.grids import PupilGrid, PupilMode
 
 Values: TypeAlias = "Sequence[float] | np.ndarray | torch.Tensor"
 
 
-class Effect:
-    """What all effects have; the plane says which further class to derive from.
-
-    Class attributes
-    ----------------
-    name : str
-        As recipes and results have it.
-    formula : str
-        What it does: to the field of the pupil P exp(2πi Φ/λ), to the OTF as a factor T(b) at the baseline b,
-        to an image I(a) or a signal s.
-    plane : str
-        Plane of the light path on which it acts.
-    order : int
-        Among effects of the same plane.
-    public : tuple of Public
-        Numbers under their public names and units.
-    options : tuple of Public
-        Choices that are not estimated, arguments of the constructor.
-    derived : tuple of Public
-        What results report besides `public`.
-    usual : bool
-        Whether every on-sky recording has it, so that a model without a measurement takes it as expected.
-    instrumental : bool
-        Whether a calibration can hand it on to a recording of another star at another time.
-    belongs_to : {"instrument", "star", "moment"}
-        With what it changes: recordings share what is the instrument's; another star may have another
-        companion, and another moment another sky.
-    acts_in : frozenset of int or None
-        Of recordings that are diagnosed together, the moments in which this one acts; None: all.
-    fact : bool
-        Whether it corrects what the profile of the instrument states, which is never exact.
-    varies : bool
-        Of a fact: whether it changes with every mounting; others are those of a design.
-    mild : bool
-        Whether a little of it may be in any recording, and it needs no search: facts apart.
-    aberration : bool
-        Whether it is a part of the static wavefront, which a calibration of NCPAs hands on.
-    in_image : bool
-        Whether the model of an image contains it.
-    found_by : {"score", "frames", "noise", "pixels", "ramp"}
-        How a diagnosis finds it: by a score test of the mean image, from estimates of single frames, from
-        the scatter of the frames, pixel by pixel, or from the offsets of a ramp.
-    blurs : {"", "motion", "detector"}
-        What blurs the image, of effects that the mean image hardly distinguishes.
-    speckles : bool
-        Whether it makes frames scatter by more than photon noise.
-    copies_star : bool
-        Whether it adds a displaced image of the star, for which a diagnosis searches the whole window.
-    repeatable : bool
-        Whether a model may have several of its kind.
-    joins : str
-        Of effects with the same word, what `together` makes is one effect; by default those of one name.
-    widens : str
-        Effect of which this is a wider form: a diagnosis tries it where that one is found, and nowhere else.
-    sentence, limit : str
-        What a diagnosis says of one that it found, and of the smallest one that it would have seen; format
-        strings of the public values.
-    look_alike : str
-        The effect it is most easily mistaken for, and what distinguishes the two.
-    reference : str
-    """
-
-    name: str
-    formula: str = ""
-    plane: Plane
-    order: int = 0
-    public: tuple[Public, ...] = ()
-    options: tuple[Public, ...] = ()
-    derived: tuple[Public, ...] = ()
-    usual: bool = False
-    instrumental: bool = True
-    belongs_to: Belongs = "instrument"
-    acts_in: frozenset[int] | None = None
-    fact: bool = False
-    varies: bool = False
-    mild: bool = False
-    aberration: bool = False
-    in_image: bool = True
-    found_by: FoundBy = "score"
-    blurs: Literal["", "motion", "detector"] = ""
-    speckles: bool = False
-    copies_star: bool = False
-    repeatable: bool = False
-    joins: str = ""
-    widens: str = ""
-    sentence: str = ""
-    limit: str = ""
-    look_alike: str = ""
-    reference: str = ""
-    parameters: tuple[Parameter, ...] = ()
+class Effect(Declared):
+    """What all effects have; the plane says which further class to derive from."""
 
     @classmethod
     def under(cls, conditions: Conditions, *args: Any, **options: Any) -> Self:
@@ -205,13 +108,12 @@ class Effect:
         raise NotImplementedError
 
     @property
-    def copies(self) -> Sequence[Effect]:
-        """Images of the star that have a focus of their own, each a `planes.CopyOfStar`; here none."""
-        return ()
+    def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
+        """Light paths beside that of the star, each with the effect that stands there in this one's place.
 
-    @property
-    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
-        """Modes of `Optics.by_mode`, each with the effect that stands in the place of this one there."""
+        With a mode they are those of `Optics.by_mode`; without, a `planes.CopyOfStar`: an image of the star
+        that has a focus of its own.
+        """
         return ()
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
@@ -245,10 +147,6 @@ class Effect:
     def whole(self, start: FixedEffect, sizes: np.ndarray) -> FixedEffect:
         """What a fit begins with whose search found `start` with these `sizes`; here the same."""
         return start
-
-    def widened(self, narrower: np.ndarray) -> FixedEffect:
-        """Return the effect, all free, where it acts as that of `widens` does at the values `narrower`."""
-        raise NotImplementedError(f"{self.name} is not the wider form of another effect")
 
     def acting(self, moment: int) -> bool:
         """Whether the effect acts in a `moment`, see `acts_in`."""
@@ -286,6 +184,11 @@ class Effect:
         return self.fact and all(abs(value - p.null) <= 2 * p.prior_sigma for p, value in told)
 
     @property
+    def in_image(self) -> bool:
+        """Whether the model of an image contains it."""
+        return self.found_by in ("score", "frames")
+
+    @property
     def base(self) -> Effect:
         """The effect itself; of a `FixedEffect`, the effect whose parameters are held."""
         return self
@@ -316,6 +219,15 @@ class Effect:
         return [p.start if p.null is None else p.null for p in self.parameters]
 
 
+def _of_all(method: str) -> Any:
+    """A method of a `FixedEffect`: that of its base, for the values of all parameters."""
+
+    def ours(self: FixedEffect, values: torch.Tensor, *light: Any, **more: Any) -> Any:
+        return getattr(self.base, method)(self.all_values(values), *light, **more)
+
+    return ours
+
+
 class FixedEffect(Effect):
     """An effect with every parameter held at a value, except those named in `free`, which start there.
 
@@ -330,7 +242,7 @@ class FixedEffect(Effect):
     """
 
     def __init__(self, base: Effect, values: Values, free: Sequence[str] = ()):
-        for declared in Effect.__annotations__:
+        for declared in Declared.__annotations__:
             setattr(self, declared, getattr(base, declared))
         self._base = base
         self.values = np.array(np.asarray(values), float)
@@ -374,9 +286,8 @@ class FixedEffect(Effect):
         """See `Effect.expected`."""
         return FixedEffect(self.base, self.values) if self.free else self
 
-    def apply(self, values: torch.Tensor, *light: Any, **more: Any) -> Any:
-        """See `Effect.apply`."""
-        return self.base.apply(self.all_values(values), *light, **more)
+    apply, pushed, opd_nm = _of_all("apply"), _of_all("pushed"), _of_all("opd_nm")
+    defocus_nm = _of_all("defocus_nm")
 
     def slopes(
         self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
@@ -384,31 +295,11 @@ class FixedEffect(Effect):
         """See `Effect.slopes`."""
         return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
 
-    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
-        """See `Effect.pushed`."""
-        return self.base.pushed(self.all_values(values), images_e, changes)
-
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
-        """See `Effect.opd_nm`."""
-        return self.base.opd_nm(self.all_values(values), grid)
-
     @property
-    def copies(self) -> Sequence[Effect]:
-        """See `Effect.copies`."""
-        return [self._as_this(one) for one in self.base.copies]
-
-    @property
-    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
-        """See `Effect.by_mode`."""
-        return [(mode, self._as_this(one)) for mode, one in self.base.by_mode]
-
-    def _as_this(self, other: Effect) -> FixedEffect:
-        """Return another effect with the same parameters, and the same of them held."""
-        return FixedEffect(other, self.values, [self.base.parameters[i].name for i in self.free])
-
-    def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
-        """See `Effect.defocus_nm`."""
-        return self.base.defocus_nm(self.all_values(values))
+    def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
+        """See `Effect.further_paths`: with the same parameters held."""
+        names = [self.base.parameters[i].name for i in self.free]
+        return [(mode, FixedEffect(one, self.values, names)) for mode, one in self.base.further_paths]
 
     def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
         """See `Effect.good_pixels`."""

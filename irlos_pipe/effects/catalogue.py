@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import inspect
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 
 from irlos_pipe.effects.anamorphism import Anamorphism
 from irlos_pipe.effects.ao_cutoff import AoCutoff
-from irlos_pipe.effects.base import Effect
+from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.effects.companion import Companion
-from irlos_pipe.effects.declaration import Public
+from irlos_pipe.effects.declaration import Conditions, Public
 from irlos_pipe.effects.detector import (
     BackgroundGradient,
     BadPixels,
@@ -26,15 +27,13 @@ from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffse
 from irlos_pipe.effects.ghost import Ghost
 from irlos_pipe.effects.high_aperture import HighAperture
 from irlos_pipe.effects.lenslet_images import LensletImages
-from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.effects.pupil_geometry import PupilSizes
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
-from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
+from irlos_pipe.effects.pupil_steps import LowWindEffect, SegmentPiston
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
 from irlos_pipe.effects.seeing_halo import SeeingHalo
-from irlos_pipe.effects.segment_piston import SegmentPiston
 from irlos_pipe.effects.uneven_residual import UnevenResidual
-from irlos_pipe.effects.wavefront import DiversityError, HighOrderNcpa
+from irlos_pipe.effects.wavefront import AmplitudeAberration, DiversityError, HighOrderNcpa
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect
@@ -79,6 +78,26 @@ CATALOGUE: dict[str, type[Effect]] = {
 def wider_kinds(name: str) -> list[type[Effect]]:
     """Return the kinds of effect that are a wider form of the one called `name`."""
     return [kind for kind in CATALOGUE.values() if kind.widens == name]
+
+
+def narrower_kinds(name: str) -> list[type[Effect]]:
+    """Return the kind of effect of which the one called `name` is a wider form, or nothing."""
+    return [kind for kind in CATALOGUE.values() if kind.name == CATALOGUE[name].widens]
+
+
+def in_form(kind: type[Effect], conditions: Conditions, values: Sequence[float] | np.ndarray) -> FixedEffect:
+    """Return an effect, all free, where another form of it acts at `values`.
+
+    Parameters
+    ----------
+    kind : type of Effect
+        A wider form begins with its further parameters at zero; a narrower one leaves them out.
+    conditions : Conditions
+    values : sequence of float, (parameters of the other form,)
+    """
+    base = kind.under(conditions)
+    count = len(base.parameters)
+    return FixedEffect(base, [*values, *[0.0] * count][:count], free=[one.name for one in base.parameters])
 
 
 HEAD = """# Effects

@@ -20,7 +20,52 @@ FAINT = 0.005  # flux of a second image that any camera makes
 INNER_MAS = 30.0  # closer than this the pair is unresolved
 
 
-class Companion(OtfEffect):
+class CopiesOfStar(OtfEffect):
+    """Adds a displaced image of the star; the first parameters are its flux ratio and its place [mas]."""
+
+    copies_star = repeatable = True
+
+    def ordinary(self, values: Values) -> bool:
+        """See `Effect.ordinary`: a faint reflection."""
+        return float(values[0]) <= FAINT
+
+    def unusual(self, values: Values) -> list[str]:
+        """See `Effect.unusual`: unresolved, it stands in for whatever makes the image longer."""
+        close = np.hypot(float(values[1]), float(values[2])) < INNER_MAS
+        return [*super().unusual(values), *(["sep_mas"] if close else [])]
+
+    def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
+        """See `Effect.displaced`: as sharp as the star."""
+        further = [0.0] * (len(self.parameters) - 3)
+        return FixedEffect(self, [0.0, x_mas, y_mas, *further], free=("flux_ratio",))
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[FixedEffect]:
+        """See `Effect.candidates`: one per position on a grid over half the window about the star."""
+        reach = (n / 2 * pixel_scale_mas for n in window[::-1])
+        columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
+        return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]
+
+
+class SeveralCopies(OtfEffect):
+    """Several copies of one star, each with its flux ratio to the star.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        Each a `CopiesOfStar`, some of whose parameters may be held.
+    """
+
+    def __init__(self, effects: Sequence[Effect]):
+        self.every = tuple(effects)
+        self.parameters = tuple(p for one in effects for p in one.parameters)
+
+    def all_of_each(self, values: torch.Tensor) -> list[torch.Tensor]:
+        """Return all parameters of every copy from the free ones, `values`."""
+        pieces = values.split([len(one.parameters) for one in self.every])
+        return [one.all_values(piece) for one, piece in zip(self.every, pieces, strict=True)]
+
+
+class Companion(CopiesOfStar):
     """Second source with the spectrum of the star, as sharp as the star: a binary, or a chance neighbour.
 
     The images of both add, ``(1 + f exp(-2πi b·s/λ)) / (1 + f)`` on the OTF. The total light stays; the
@@ -41,7 +86,6 @@ class Companion(OtfEffect):
         number("sep_mas", "mas", 0.0, 5000.0, role="position"),
         direction("pa_deg"),
     )
-    copies_star = repeatable = True
     sentence = "a second source of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°"
     limit = "a companion of {flux_ratio:.1g}"
     look_alike = "vibration when closer than λ/D; a ghost, which other stars have too"
@@ -80,57 +124,15 @@ class Companion(OtfEffect):
         """See `Effect.values_of`."""
         return [flux_ratio, *components(sep_mas, pa_deg)]
 
-    def ordinary(self, values: Values) -> bool:
-        """See `Effect.ordinary`: a faint reflection."""
-        return float(values[0]) <= FAINT
 
-    def unusual(self, values: Values) -> list[str]:
-        """See `Effect.unusual`."""
-        return [*super().unusual(values), *unresolved(values)]
-
-    def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
-        """See `Effect.displaced`."""
-        return FixedEffect(self, [0.0, x_mas, y_mas], free=("flux_ratio",))
-
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[FixedEffect]:
-        """See `Effect.candidates`: one per position on a grid over half the window about the star."""
-        reach = (n / 2 * pixel_scale_mas for n in window[::-1])
-        columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
-        return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]
-
-
-def unresolved(values: Values) -> list[str]:
-    """Name of the separation of a copy of the star where it is closer than an image resolves, or nothing.
-
-    Such a copy stands in for whatever makes the image longer.
-
-    Parameters
-    ----------
-    values : array_like
-        Flux ratio and position [mas], and what else the copy has.
-    """
-    return ["sep_mas"] if np.hypot(float(values[1]), float(values[2])) < INNER_MAS else []
-
-
-class _Companions(OtfEffect):
-    """Several companions of one star, each with its flux ratio to the star.
-
-    Parameters
-    ----------
-    companions : sequence of Effect
-    """
+class _Companions(SeveralCopies):
+    """Several companions of one star."""
 
     name = Companion.name
 
-    def __init__(self, companions: Sequence[Effect]):
-        self.companions = tuple(companions)
-        self.parameters = tuple(p for one in companions for p in one.parameters)
-
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        pieces = values.split([len(one.parameters) for one in self.companions])
-        pairs = zip(self.companions, pieces, strict=True)
-        every = [companion.all_values(piece) for companion, piece in pairs]
+        every = self.all_of_each(values)
         light = 1 + sum((copy_of_star(one, grid) for one in every), torch.zeros(()))
         return factor * light / (1 + sum(one[0] for one in every))
 

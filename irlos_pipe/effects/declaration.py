@@ -87,6 +87,51 @@ class Public:
     choices: tuple[str, ...] = ()
 
 
+class Declared:
+    """What an effect says of itself as data."""
+
+    # -- what it is --
+    name: str  # as recipes and results have it
+    # What it does: to the field of the pupil P exp(2πi Φ/λ), to the OTF as a factor T(b) at the baseline b,
+    # to an image I(a) or a signal s.
+    formula: str = ""
+    plane: Plane  # of the light path on which it acts
+    order: int = 0  # among effects of the same plane
+    joins: str = ""  # what `together` makes of those with the same word is one effect; by default of one name
+    public: tuple[Public, ...] = ()  # numbers under their public names and units
+    options: tuple[Public, ...] = ()  # choices that are not estimated, arguments of the constructor
+    derived: tuple[Public, ...] = ()  # what results report besides `public`
+    parameters: tuple[Parameter, ...] = ()  # as a solver sees them
+
+    # -- what it belongs to --
+    usual: bool = False  # in every on-sky recording: a model without a measurement takes it as expected
+    instrumental: bool = True  # a calibration can hand it on to a recording of another star at another time
+    belongs_to: Belongs = "instrument"  # another star may have another companion, another moment another sky
+    fact: bool = False  # corrects what the profile of the instrument states, which is never exact
+    varies: bool = False  # a fact that changes with every mounting; others are those of a design
+    aberration: bool = False  # part of the static wavefront, which a calibration of NCPAs hands on
+    repeatable: bool = False  # a model may have several of its kind
+
+    # -- how a diagnosis looks for it --
+    # By a score test of the mean image, from estimates of single frames, from the scatter of the frames,
+    # pixel by pixel, or from the offsets of a ramp; the model of an image contains the first two.
+    found_by: FoundBy = "score"
+    acts_in: frozenset[int] | None = None  # of recordings diagnosed together, the moments; None: all
+    mild: bool = False  # a little of it may be in any recording, and it needs no search: facts apart
+    blurs: Literal["", "motion", "detector"] = ""  # the image, which hardly distinguishes the causes
+    speckles: bool = False  # frames scatter by more than photon noise
+    copies_star: bool = False  # adds a displaced image of the star, for which the whole window is searched
+    widens: str = (
+        ""  # of this effect it is a wider form, with parameters behind; tried only where that is found
+    )
+
+    # -- what a reader is told; format strings of the public values --
+    sentence: str = ""
+    limit: str = ""  # of the smallest one that would have been seen
+    look_alike: str = ""  # what it is most easily mistaken for, and what distinguishes the two
+    reference: str = ""
+
+
 @dataclass(frozen=True)
 class Refraction:
     """What is to be expected of atmospheric dispersion at the mean wavelength.

@@ -147,7 +147,6 @@ class CorrelatedNoise(DetectorEffect):
     belongs_to = "moment"
     order = 4
     instrumental = False
-    in_image = False
     found_by = "noise"
     public = (
         number("e_rms", "e- per frame", 0.0, 1e6),
@@ -196,7 +195,6 @@ class BadPixels(DetectorEffect):
     formula = "s_p → s_p + offset_p for every pixel p listed"
     order = 3
     public = (Public("pixels", "[row, column]", "pixels"),)
-    in_image = False
     found_by = "pixels"
     look_alike = "a companion, or whatever else a single pixel pulls at; its course in time is not the star's"
     reference = "Baarda 1968, A testing procedure for use in geodetic networks (data snooping)"

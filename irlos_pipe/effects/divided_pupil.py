@@ -7,7 +7,7 @@ vane or a gap needs no finer grid than the vane itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -21,11 +21,13 @@ from irlos_pipe.effects.redrawn_pupil import (
     DrawnEffect,
     RedrawnPupil,
     RedrawnTogether,
+    differentiable,
     slopes_of_drawing,
     subsamples_of,
 )
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import Division, band_limited_parts
+from irlos_pipe.optics.pupil_division import amplitudes_of
 
 
 class DividedPupil(DrawnEffect):
@@ -39,36 +41,9 @@ class DividedPupil(DrawnEffect):
         redrawn = any(isinstance(one.base, RedrawnPupil) for one in effects)
         return RedrawnAndDivided(effects) if redrawn else None
 
-    @classmethod
-    def count_in(cls, geometry: PupilGeometry) -> int:
-        """Return the number of parts of a pupil.
-
-        Parameters
-        ----------
-        geometry : PupilGeometry
-        """
-        raise NotImplementedError
-
-    @classmethod
-    def amplitudes_of(cls, geometry: PupilGeometry, samples: int) -> np.ndarray:
-        """Return the amplitude of each part, (parts, n, n).
-
-        Parameters
-        ----------
-        geometry, samples
-            See `pupil.band_limited_pupil`.
-        """
-        raise NotImplementedError
-
-    @classmethod
-    def index_in(cls, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Return the number, from 0, of the part at every point.
-
-        Parameters
-        ----------
-        geometry : PupilGeometry
-        x_m, y_m : ndarray, shapes that broadcast
-        """
+    @staticmethod
+    def parts_of(geometry: PupilGeometry) -> Division:
+        """Return the parts of a pupil `geometry`."""
         raise NotImplementedError
 
     def factors(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
@@ -149,10 +124,11 @@ class RedrawnAndDivided(DrawnEffect):
         drawing = values[self._drawing]
         field = self._redrawn.apply(drawing, field, grid)
         for base, own in self._each(values):
-            if len(drawing):
-                parts = _differentiable_parts().apply(drawing, self._redrawn, type(base), grid)
-            else:
-                parts = _parts(type(base), grid, self._drawn(values, grid))
+            parts = differentiable(
+                drawing,
+                partial(_parts_drawn, self._redrawn, type(base), grid),
+                partial(_part_slopes, self._redrawn, type(base), grid, grid.light),
+            )
             field = _added(field, parts, base.factors(own, grid))
         return field
 
@@ -175,7 +151,7 @@ class RedrawnAndDivided(DrawnEffect):
         slopes = self._redrawn.slopes(drawing, field, grid, every)
         for base, own in self._each(values):
             changes = torch.stack(base.factors(own, grid)) - 1
-            moved = _part_slopes(self._redrawn, type(base), grid, drawing)
+            moved = _part_slopes(self._redrawn, type(base), grid, 1.0, drawing)
             slopes = [
                 slope + grid.light * (changes * parts[:, None]).sum(0)
                 for slope, parts in zip(slopes, moved, strict=True)
@@ -208,11 +184,18 @@ def _added(field: torch.Tensor, parts: torch.Tensor, factors: Sequence[torch.Ten
 def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch.Tensor:
     """Amplitude of each part of a `drawing`, (parts, n, n): as it was told, and what the drawing changes."""
     geometry, samples = grid.geometry, grid.samples
-    parts, told = kind.amplitudes_of(geometry, samples), Drawing(geometry)
+    parts, told = amplitudes_of(kind.parts_of(geometry), geometry, samples), Drawing(geometry)
     if drawing != told:
         drawn = (_drawn_parts(kind, geometry, one, samples) for one in (drawing, told))  # type: ignore[arg-type]
         parts = parts + next(drawn) - next(drawn)
     return torch.as_tensor(np.where(grid.lit, parts, 0) * grid.light)
+
+
+def _parts_drawn(
+    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, values: torch.Tensor
+) -> torch.Tensor:
+    """The same of the drawing that an `effect` makes."""
+    return _parts(kind, grid, effect.redrawn(values.tolist(), Drawing(grid.geometry)))
 
 
 @lru_cache(maxsize=8)
@@ -220,16 +203,16 @@ def _drawn_parts(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing
     """Band-limited amplitude of each part of a pupil that was `told`, as it is drawn, (parts, n, n)."""
     division = _division(kind, told, drawing)
     options: Any = {"stop_m": drawing.stop_m, "subsamples": subsamples_of(told, samples)}
-    return band_limited_parts(drawing.geometry, samples, division.count, division.shares, **options)
+    return band_limited_parts(drawing.geometry, samples, division, **options)
 
 
 def _part_slopes(
-    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, values: torch.Tensor
+    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, light: float, values: torch.Tensor
 ) -> list[torch.Tensor]:
-    """Derivatives of the amplitudes of all parts with respect to each parameter, (parts, n, n) each."""
+    """Derivatives of the amplitudes of all parts, times `light`, by each parameter, (parts, n, n) each."""
     told = Drawing(grid.geometry)
     division = _division(kind, told.geometry, effect.redrawn(values.tolist(), told))
-    return slopes_of_drawing(effect, grid, values, range(len(values)), division)
+    return [light * one for one in slopes_of_drawing(effect, grid, values, range(len(values)), division)]
 
 
 def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch.Tensor:
@@ -240,11 +223,12 @@ def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> to
 
 def _division(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing) -> Division:
     """The parts of a pupil that was `told`, turned as it is drawn."""
+    parts = kind.parts_of(told)
 
     def index(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        return kind.index_in(told, *_before_turning(x_m, y_m, drawing.turned_deg))
+        return parts.index(*_before_turning(x_m, y_m, drawing.turned_deg))
 
-    return Division(index, kind.count_in(told))
+    return Division(index, parts.count)
 
 
 def _before_turning(x_m: np.ndarray, y_m: np.ndarray, turned_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -253,26 +237,3 @@ def _before_turning(x_m: np.ndarray, y_m: np.ndarray, turned_deg: float) -> tupl
         return x_m, y_m
     cosine, sine = np.cos(np.deg2rad(turned_deg)), np.sin(np.deg2rad(turned_deg))
     return cosine * x_m + sine * y_m, cosine * y_m - sine * x_m
-
-
-@cache
-def _differentiable_parts() -> type[torch.autograd.Function]:
-    """Amplitude of each part of a drawing by an effect, (parts, n, n)."""
-
-    class Parts(torch.autograd.Function):
-        @staticmethod
-        def forward(values, effect, kind, grid):
-            return _parts(kind, grid, effect.redrawn(values.tolist(), Drawing(grid.geometry)))
-
-        @staticmethod
-        def setup_context(ctx, inputs, output):
-            values, ctx.effect, ctx.kind, ctx.grid = inputs
-            ctx.values = values.detach()
-
-        @staticmethod
-        def backward(ctx, upstream):
-            slopes = _part_slopes(ctx.effect, ctx.kind, ctx.grid, ctx.values)
-            along = torch.stack([(upstream * slope).sum() for slope in slopes])
-            return along * ctx.grid.light, None, None, None
-
-    return Parts

@@ -218,13 +218,18 @@ class EffectSet:
         return changes
 
     @cached_property
+    def _further_paths(self) -> list[tuple[PupilMode | None, list[Acting], Acting]]:
+        """Modes of further light paths, their effects of the OTF, and the one among these that makes them."""
+        return [
+            (mode, self._with(one, place), (one, piece))
+            for place, (effect, piece) in enumerate(self.at("otf"))
+            for mode, one in effect.further_paths
+        ]
+
+    @property
     def _by_mode(self) -> list[tuple[PupilMode, list[Acting]]]:
         """Modes of `Optics.by_mode`, and the effects on their OTF factors."""
-        return [
-            (mode, self._with(form, place))
-            for place, (effect, _) in enumerate(self.at("otf"))
-            for mode, form in effect.by_mode
-        ]
+        return [(mode, path) for mode, path, _ in self._further_paths if mode]
 
     def _with(self, other: Effect, place: int) -> list[Acting]:
         """Effects of the OTF with another one, of the same parameters, in one `place`."""
@@ -233,14 +238,10 @@ class EffectSet:
 
     # -- copies of the star ------------------------------------------------------------------
 
-    @cached_property
+    @property
     def _copies(self) -> list[tuple[list[Acting], Acting]]:
         """Effects of the OTF on the light path of every copy of the star, and the copy itself among them."""
-        return [
-            (self._with(copy, place), (copy, piece))
-            for place, (effect, piece) in enumerate(self.at("otf"))
-            for copy in effect.copies
-        ]
+        return [(path, copy) for mode, path, copy in self._further_paths if not mode]
 
     def defocus_nm(self, values: torch.Tensor) -> list[torch.Tensor]:
         """Defocus of every copy of the star beyond that of the star, scalars [nm RMS]."""

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
-from irlos_pipe.effects.base import Effect, FixedEffect, Values
-from irlos_pipe.effects.companion import FAINT, Companion, copy_of_star, unresolved
+from irlos_pipe.effects.base import Effect
+from irlos_pipe.effects.companion import Companion, CopiesOfStar, SeveralCopies, copy_of_star
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
 from irlos_pipe.effects.motion import damping
-from irlos_pipe.effects.planes import CopyOfStar, OtfEffect
+from irlos_pipe.effects.planes import CopyOfStar
 from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid
 
@@ -19,7 +19,7 @@ LARGEST_BLUR_MAS = 200.0
 DEFOCUS_SIGMA_NM, LARGEST_DEFOCUS_NM = 200.0, 1000.0
 
 
-class Ghost(OtfEffect):
+class Ghost(CopiesOfStar):
     """Displaced image that a filter or window makes of whatever lies in the field.
 
     Light that two surfaces reflect comes to another focus, elsewhere, and through imperfect glass: the
@@ -47,7 +47,6 @@ class Ghost(OtfEffect):
         number("defocus_nm", "nm RMS, more than the star has", -1000.0, 1000.0, required=False),
         number("blur_mas", "mas RMS per axis, beyond the star's", 0.0, LARGEST_BLUR_MAS, required=False),
     )
-    copies_star = repeatable = True
     sentence = (
         "a ghost of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°, "
         "{defocus_nm:+.0f} nm out of focus and blurred by {blur_mas:.0f} mas"
@@ -82,9 +81,9 @@ class Ghost(OtfEffect):
         return factor / (1 + values[0])
 
     @property
-    def copies(self) -> list[Effect]:
-        """See `Effect.copies`."""
-        return [_Image([self], 0)]
+    def further_paths(self) -> list[tuple[None, Effect]]:
+        """See `Effect.further_paths`."""
+        return [(None, _Image([self], 0))]
 
     @classmethod
     def together(cls, effects: Sequence[Effect]) -> Effect:
@@ -110,55 +109,20 @@ class Ghost(OtfEffect):
         """See `Effect.values_of`: by default as sharp as the star."""
         return [flux_ratio, *components(sep_mas, pa_deg), defocus_nm, blur_mas**2]
 
-    def ordinary(self, values: Values) -> bool:
-        """See `Effect.ordinary`: a faint reflection."""
-        return float(values[0]) <= FAINT
 
-    def unusual(self, values: Values) -> list[str]:
-        """See `Effect.unusual`."""
-        return [*super().unusual(values), *unresolved(values)]
-
-    def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
-        """See `Effect.displaced`."""
-        return FixedEffect(self, [0.0, x_mas, y_mas, 0.0, 0.0], free=("flux_ratio",))
-
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """See `Effect.candidates`: where a companion is looked for."""
-        places = (one.values[1:] for one in Companion().candidates(window, pixel_scale_mas))
-        return [self.displaced(x, y) for x, y in places]
-
-    def widened(self, narrower: np.ndarray) -> FixedEffect:
-        """See `Effect.widened`: as sharp as the companion that was found."""
-        return FixedEffect(self, [*narrower, 0.0, 0.0], free=[p.name for p in self.parameters])
-
-
-class _Ghosts(OtfEffect):
-    """Several ghosts, each with its flux ratio to the star.
-
-    Parameters
-    ----------
-    ghosts : sequence of Effect
-    """
+class _Ghosts(SeveralCopies):
+    """Several ghosts of one star."""
 
     name = Ghost.name
 
-    def __init__(self, ghosts: Sequence[Effect]):
-        self.ghosts = tuple(ghosts)
-        self.parameters = tuple(p for one in ghosts for p in one.parameters)
-
     @property
-    def copies(self) -> list[Effect]:
-        """See `Effect.copies`."""
-        return [_Image(self.ghosts, number) for number in range(len(self.ghosts))]
+    def further_paths(self) -> list[tuple[None, Effect]]:
+        """See `Effect.further_paths`."""
+        return [(None, _Image(self.every, number)) for number in range(len(self.every))]
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`: what is left for the star."""
-        return factor / _light(self._each(values))
-
-    def _each(self, values: torch.Tensor) -> list[torch.Tensor]:
-        """All parameters of every ghost."""
-        pieces = values.split([len(one.parameters) for one in self.ghosts])
-        return [ghost.all_values(piece) for ghost, piece in zip(self.ghosts, pieces, strict=True)]
+        return factor / _light(self.all_of_each(values))
 
 
 class _Image(_Ghosts, CopyOfStar):
@@ -177,14 +141,14 @@ class _Image(_Ghosts, CopyOfStar):
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        every = self._each(values)
+        every = self.all_of_each(values)
         own = every[self.number]
         blurred = torch.exp(-damping(own[4], grid.length2_m2, grid))
         return factor * copy_of_star(own[:3], grid) * blurred / _light(every)
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
         """See `CopyOfStar.defocus_nm`."""
-        return self._each(values)[self.number][3]
+        return self.all_of_each(values)[self.number][3]
 
 
 def _light(every: Sequence[torch.Tensor]) -> torch.Tensor:

@@ -70,7 +70,8 @@ class OtfEffect(Effect):
 class CopyOfStar(OtfEffect):
     """A further image of the star that has a focus of its own: the OTF factor of its light path.
 
-    There it stands in the place of the effect that has it among its `Effect.copies`, and has its parameters.
+    There it stands in the place of the effect that has it among its `Effect.further_paths`, and has its
+    parameters.
     """
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
@@ -92,7 +93,6 @@ class LensEffect(Effect):
     """Changes what introduced defocus is; held in the settings of the light path."""
 
     plane = "lens"
-    in_image = False
     found_by = "ramp"
 
     def __init__(self, numerical_aperture: float = 0.0):
@@ -149,7 +149,6 @@ class RampEffect(Effect):
     """
 
     plane = "ramp"
-    in_image = False
     found_by = "ramp"
     separated_by: str = ""
 

@@ -1,4 +1,4 @@
-"""Parts of the pupil out of step: what `low_wind_effect` and `segment_piston` have in common."""
+"""Parts of the pupil out of step: `low_wind_effect` and `segment_piston`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
+from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.divided_pupil import DividedPupil
 from irlos_pipe.optics.grids import PupilGrid
+from irlos_pipe.optics.pupil_division import petals_of, segments_of
 
 UT4_PETALS = 4
+PISTONS = {"piston_nm": 1}
+PISTONS_AND_SLOPES = {"piston_nm": 1, "tip_nm": 2, "tilt_nm": 3}
 RMS_OF_PISTON, RMS_OF_SLOPES = "piston_rms_nm", "slopes_rms_nm"
 
 
@@ -51,7 +55,7 @@ class PupilSteps(DividedPupil):
     @classmethod
     def under(cls, conditions: Conditions, *, count: int | None = None) -> PupilSteps:
         """See `Effect.under`; `count`, where given, must be the number of parts."""
-        there = cls.count_in(conditions.settings.geometry)
+        there = cls.parts_of(conditions.settings.geometry).count
         if there < 2:
             raise ValueError(f"the pupil is not divided into {cls.part_name}")
         if count not in (None, there):
@@ -133,3 +137,60 @@ def _rms(apart: np.ndarray) -> float:
 def per_part(kinds: Mapping[str, int], unit: str) -> tuple[Public, ...]:
     """Public lists of one number per part for each of the `kinds`, in a `unit`."""
     return tuple(Public(kind, unit, "parts", -3000.0, 3000.0) for kind in kinds)
+
+
+class LowWindEffect(PupilSteps):
+    """Differential piston, tip and tilt of the petals between the vanes.
+
+    In calm nights the vanes cool the air beside them, and the wavefront steps from petal to petal by up to
+    a micrometre; Shack–Hartmann sensors do not see the steps. Each petal has its piston and, as tip and
+    tilt, Noll 2 and 3 of the whole pupil restricted to it. Petals are the connected parts of the clear
+    pupil, however many there are, counted anticlockwise from the one nearest to the +45° diagonal; gaps
+    between segments do not part them, and they turn with vanes that `pupil_misregistration` turns. Piston of
+    the whole pupil does nothing, and common tip and tilt are Noll 2 and 3: the prior decides.
+    """
+
+    name = "low_wind_effect"
+    formula = "Φ → Φ + Σ_p [piston_p + tip_p Z₂ + tilt_p Z₃] on petal p"
+    belongs_to = "moment"
+    parts_of = staticmethod(petals_of)
+    kinds, part_name, sigma_nm = PISTONS_AND_SLOPES, "petals", 300.0
+    public = per_part(PISTONS_AND_SLOPES, "nm, petals anticlockwise from +45°")
+    look_alike = "high_order_ncpa, of which every mode takes a part of the steps"
+    reference = "Milli et al. 2018, SPIE 10703, 107032A; Sauvage et al. 2016, SPIE 9909, 990916"
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: how much petals differ; what they have in common is no low-wind effect."""
+        piston_nm, slopes_nm = self.differences(public)
+        return (
+            f"petals that differ by {piston_nm:.0f} nm RMS in piston and {slopes_nm:.0f} nm in tip and tilt"
+        )
+
+
+class SegmentPiston(PupilSteps):
+    """Piston of the segments of the pupil.
+
+    Segments of a mirror are phased to some tens of nanometres, and sensors that measure slopes do not see
+    what is left. Segments are those that the instrument's profile draws, in the order of their numbers; of a
+    pupil that is not drawn with segments, the petals, for which the low-wind effect has tip and tilt too.
+    Piston of the whole pupil does nothing: the prior decides.
+    """
+
+    name = "segment_piston"
+    formula = "Φ → Φ + piston_p on segment p"
+    parts_of = staticmethod(segments_of)
+    kinds, part_name, sigma_nm = PISTONS, "segments", 150.0
+    public = per_part(PISTONS, "nm, one per segment")
+    look_alike = "high_order_ncpa, of which every mode takes a part of the steps; low_wind_effect"
+    reference = "Chanan et al. 1998, Appl. Opt. 37, 140; van Kooten et al. 2022, ApJ 932, 109"
+
+    @classmethod
+    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
+        """See `Effect.variants`: petals alone are left to the low-wind effect."""
+        if len(conditions.settings.geometry.segments) < 2:
+            raise ValueError("the pupil is not drawn with segments")
+        return super().variants(conditions)
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`."""
+        return f"segments that differ by {self.differences(public)[0]:.0f} nm RMS in piston"

@@ -7,22 +7,27 @@ turned vane that is wider than told is where both say. What gives parts of the p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.effects.base import Effect
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
+from irlos_pipe.effects.base import Effect, FixedEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import Division, band_limited
-from irlos_pipe.optics.pupil_cover import ON_AXIS
+from irlos_pipe.optics.pupil import ON_AXIS, Division, band_limited
 from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
 
 CELL_M = 0.008  # of the drawing
+DIRECTIONS = 8  # of a stop that is looked for
+# Of sizes of hole and vanes, in parts of those that are told.
+SIGMA = 0.1
+LEAST, MOST = 0.3, 2.5
+PLAUSIBLE = (0.5, 1.6)
 
 
 class Drawing(NamedTuple):
@@ -66,8 +71,16 @@ class RedrawnPupil(DrawnEffect):
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
-        change = _differentiable().apply(values, self, grid) if len(values) else _changed(values, self, grid)
+        every = range(len(values))
+        change = differentiable(
+            values, lambda v: self._changed(v, grid), lambda v: slopes_of_drawing(self, grid, v, every)
+        )
         return field + change * grid.light
+
+    def _changed(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        told = Drawing(grid.geometry)
+        drawing = self.redrawn(values.tolist(), told)
+        return torch.tensor(_drawn(drawing, grid.samples) - _drawn(told, grid.samples))
 
     def slopes(
         self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
@@ -114,32 +127,41 @@ class RedrawnTogether(RedrawnPupil):
         return [(one.base, one.all_values(piece).tolist()) for one, piece in pairs]  # type: ignore[misc]
 
 
-@cache
-def _differentiable() -> type[torch.autograd.Function]:
-    """Change of the band-limited amplitude by an effect, (n, n)."""
+def differentiable(
+    values: torch.Tensor,
+    drawn: Callable[[torch.Tensor], torch.Tensor],
+    slopes: Callable[[torch.Tensor], Sequence[torch.Tensor]],
+) -> torch.Tensor:
+    """Return what is `drawn` at `values`, (parameters,), whose derivatives are `slopes`, one per parameter.
 
-    class Change(torch.autograd.Function):
+    Parameters
+    ----------
+    values : tensor, (parameters,)
+    drawn, slopes : callable
+        Of the values.
+    """
+    return _function().apply(values, drawn, slopes) if len(values) else drawn(values)
+
+
+@cache
+def _function() -> type[torch.autograd.Function]:
+    """What `differentiable` applies; torch is loaded late."""
+
+    class Drawn(torch.autograd.Function):
         @staticmethod
-        def forward(values, effect, grid):
-            return _changed(values, effect, grid)
+        def forward(values, drawn, slopes):
+            return drawn(values)
 
         @staticmethod
         def setup_context(ctx, inputs, output):
-            values, ctx.effect, ctx.grid = inputs
+            values, _, ctx.slopes = inputs
             ctx.values = values.detach()
 
         @staticmethod
         def backward(ctx, upstream):
-            slopes = slopes_of_drawing(ctx.effect, ctx.grid, ctx.values, range(len(ctx.values)))
-            return torch.stack([(upstream * slope).sum() for slope in slopes]), None, None
+            return torch.stack([(upstream * slope).sum() for slope in ctx.slopes(ctx.values)]), None, None
 
-    return Change
-
-
-def _changed(values: torch.Tensor, effect: RedrawnPupil, grid: PupilGrid) -> torch.Tensor:
-    told = Drawing(grid.geometry)
-    drawing = effect.redrawn(values.tolist(), told)
-    return torch.tensor(_drawn(drawing, grid.samples) - _drawn(told, grid.samples))
+    return Drawn
 
 
 def slopes_of_drawing(
@@ -184,3 +206,173 @@ def subsamples_of(geometry: PupilGeometry, samples: int) -> int:
         Across the diameter.
     """
     return 2 * int(np.ceil(geometry.diameter_m / samples / CELL_M / 2))
+
+
+class PupilMisregistration(RedrawnPupil):
+    """An internal stop that does not lie on the image of the telescope pupil, and vanes that are turned.
+
+    The stop has the outline and the central hole of the pupil, but no vanes or gaps between segments; light
+    passes where both do. Of a disc, the vanes and other obstructions are turned; of a segmented pupil or a
+    map, all of it.
+
+    Any shift darkens a crescent at the rim and one at the hole, whichever way it goes: the image is not
+    differentiable in (dx, dy) at zero, but it is in (distance ≥ 0, direction).
+
+    Parameters
+    ----------
+    start : (float, float, float)
+        Distance [m], direction and rotation [deg].
+    """
+
+    name = "pupil_misregistration"
+    formula = (
+        "P(u) → P(u; vanes turned by rotation_deg) · S(u − (dx_m, dy_m)); S: stop with outline and hole of P"
+    )
+    fact = varies = True
+    public = (
+        number("dx_m", "m", -1.0, 1.0, role="component"),
+        number("dy_m", "m", -1.0, 1.0, role="component"),
+        number("rotation_deg", "deg of the vanes, anticlockwise", -180.0, 180.0),
+    )
+    look_alike = "amplitude_aberration of Noll 2 and 3, which has no sharp edges"
+    reference = "Dohlen et al. 2006, SPIE 6269, 62690Q; VLT pupil stops"
+
+    def __init__(self, start: tuple[float, float, float] = (0.03, 0.0, 0.0)):
+        distance, direction, rotation = start
+        self.parameters = (
+            Parameter("distance_m", "m", distance, 0.0, 0.3, 0.0, 1.0, plausible=(0.0, 0.5)),
+            Parameter("direction_rad", "rad", np.deg2rad(direction), null=None),
+            Parameter("rotation_deg", "deg", rotation, 0.0, 5.0, -45.0, 45.0, plausible=(-15.0, 15.0)),
+        )
+
+    def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
+        """See `RedrawnPupil.redrawn`."""
+        distance_m, direction_rad, rotation_deg = values
+        stop_m = (float(distance_m * np.cos(direction_rad)), float(distance_m * np.sin(direction_rad)))
+        turned_deg = drawing.turned_deg + rotation_deg
+        return Drawing(turned(drawing.geometry, rotation_deg), stop_m, turned_deg)
+
+    def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
+        """See `RedrawnPupil.edge_slope`."""
+        distance_m, direction_rad, _ = values
+        if index == 2:
+            return edges.turned() * np.pi / 180
+        towards = np.array([np.cos(direction_rad), np.sin(direction_rad)])
+        velocity = towards if index == 0 else distance_m * np.array([-towards[1], towards[0]])
+        return edges.moved((float(velocity[0]), float(velocity[1])))
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Displacement of the stop and rotation of the vanes."""
+        distance, direction, rotation = (float(v) for v in values)
+        return {
+            "dx_m": distance * float(np.cos(direction)),
+            "dy_m": distance * float(np.sin(direction)),
+            "rotation_deg": rotation,
+        }
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: what rounds to nothing is left out."""
+        x, y, turn = (public[key] for key in ("dx_m", "dy_m", "rotation_deg"))
+        turned = f"vanes turned by {turn:+.1f}° against the profile" if round(turn, 1) else ""
+        moved = f"a stop {x:+.3f}, {y:+.3f} m off" if round(x, 3) or round(y, 3) else ""
+        return " and ".join(filter(None, [turned, moved])) or "an internal stop in its place"
+
+    def values_of(self, dx_m: float, dy_m: float, rotation_deg: float) -> list[float]:
+        """See `Effect.values_of`."""
+        return [float(np.hypot(dx_m, dy_m)), float(np.arctan2(dy_m, dx_m)), rotation_deg]
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
+        """See `Effect.candidates`: one per direction of the shift, and the rotation."""
+        angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+        shifts = [FixedEffect(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]
+        return [*shifts, FixedEffect(self, [0.0, 0.0, 0.0], free=("rotation_deg",))]
+
+
+class PupilSizes(RedrawnPupil):
+    """The hole of the pupil and the vanes are larger or smaller than told.
+
+    Drawings of instruments disagree, stops are oversized, and what a camera's stop covers is not what the
+    telescope's mirror does. The sizes are absolute. Vanes of several widths are all wider in the same
+    ratio. The diameter is no parameter: in the image it is the same as the pixel scale, or the wavelength.
+
+    Parameters
+    ----------
+    told : PupilGeometry
+
+    Raises
+    ------
+    ValueError
+        If it has neither a hole nor vanes.
+    """
+
+    name = "pupil_geometry"
+    formula = "P(u) drawn with the hole obscuration_m wide and vanes of mean width vane_width_m"
+    fact = varies = True
+    public = (
+        number("obscuration_m", "m, diameter, not its change", 0.0, 50.0, required=False),
+        number("vane_width_m", "m, mean of all vanes, not its change", 0.0, 5.0, required=False),
+    )
+    look_alike = (
+        "pupil_misregistration, whose stop darkens one side; amplitude_aberration, which has no edges"
+    )
+    reference = "Hayward et al. 2001, PASP 113, 105, on stops and vanes of PHARO"
+
+    def __init__(self, told: PupilGeometry):
+        sizes_m = {"obscuration_m": told.obscuration_m, "vane_width_m": told.vane_width_m}
+        self.told_m = {name: size_m for name, size_m in sizes_m.items() if size_m > 0}
+        if not self.told_m:
+            raise ValueError("the pupil has neither a central obscuration nor vanes")
+        self.parameters = tuple(_size(name, size_m) for name, size_m in self.told_m.items())
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> PupilSizes:
+        """See `Effect.under`."""
+        return cls(conditions.settings.geometry)
+
+    def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
+        """See `RedrawnPupil.redrawn`."""
+        return drawing._replace(geometry=with_sizes(drawing.geometry, **self._named(values)))
+
+    def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
+        """See `RedrawnPupil.edge_slope`."""
+        return edges.obscured() if self.parameters[index].name == "obscuration_m" else edges.widened()
+
+    def values_of(self, obscuration_m: float | None = None, vane_width_m: float | None = None) -> list[float]:
+        """See `Effect.values_of`: what is not given is as told.
+
+        Raises
+        ------
+        ValueError
+            For the size of what the pupil has not.
+        """
+        wanted = {"obscuration_m": obscuration_m, "vane_width_m": vane_width_m}
+        given = {name: size_m for name, size_m in wanted.items() if size_m is not None}
+        missing = sorted({*given} - {*self.told_m})
+        if missing:
+            raise ValueError(f"the pupil has nothing of which {', '.join(missing)} would be the size")
+        return [given.get(name, size_m) for name, size_m in self.told_m.items()]
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: the wanted and the told sizes; what rounds to the told one is left out."""
+        pieces = {"obscuration_m": "a central obscuration of {} m instead of {} m"}
+        pieces["vane_width_m"] = "vanes {} m wide instead of {} m"
+        changed = [
+            pieces[name].format(_text(name, public[name]), _text(name, told))
+            for name, told in self.told_m.items()
+            if _text(name, float(public[name])) != _text(name, told)
+        ]
+        return " and ".join(changed) or "a pupil as told"
+
+    def _named(self, values: Sequence[float]) -> dict[str, float]:
+        return {p.name: value for p, value in zip(self.parameters, values, strict=True)}
+
+
+def _size(name: str, told_m: float) -> Parameter:
+    low, high = (share * told_m for share in (LEAST, MOST))
+    plausible = (PLAUSIBLE[0] * told_m, PLAUSIBLE[1] * told_m)
+    return Parameter(name, "m", told_m, told_m, SIGMA * told_m, low, high, told_m, plausible)
+
+
+def _text(name: str, size_m: float) -> str:
+    """Size as a sentence has it, in metres."""
+    return f"{size_m:.2f}" if name == "obscuration_m" else f"{size_m:.3f}"

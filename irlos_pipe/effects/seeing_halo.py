@@ -132,8 +132,8 @@ class SeeingHalo(OtfEffect):
         return FixedEffect(self, [variance * stronger, *shape, aliasing * stronger])
 
     @property
-    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
-        """See `Effect.by_mode`: motion that goes with coma."""
+    def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
+        """See `Effect.further_paths`: motion that goes with coma."""
         return [(PupilMode(noll), _MovesWithComa(self, noll)) for noll in COMA]
 
     def phrase(self, public: Mapping[str, Any]) -> str:

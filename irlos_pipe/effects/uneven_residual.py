@@ -77,8 +77,8 @@ class UnevenResidual(OtfEffect):
         return UnevenResidual.under(here)
 
     @property
-    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
-        """See `Effect.by_mode`."""
+    def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
+        """See `Effect.further_paths`."""
         return [(PupilMode(noll, of_amplitude=True), _Part(self, i)) for i, noll in enumerate(NOLLS.values())]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
@@ -91,7 +91,7 @@ class UnevenResidual(OtfEffect):
         )
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`: all of it is in `by_mode`."""
+        """See `OtfEffect.apply`: all of it is in `further_paths`."""
         return factor
 
     def slopes(

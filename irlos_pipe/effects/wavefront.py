@@ -1,4 +1,4 @@
-"""Static wavefront beyond the estimated modes: `diversity_error` and `high_order_ncpa`."""
+"""Static changes of the field: `diversity_error`, `high_order_ncpa`, `amplitude_aberration`."""
 
 from __future__ import annotations
 
@@ -148,3 +148,39 @@ class HighOrderNcpa(ZernikeTable, OpdMap):
         self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> Sequence[torch.Tensor]:
         return torch.tensor(grid.modes(self.nolls)[list(wanted)]).unbind()
+
+
+class AmplitudeAberration(ZernikeTable, PupilEffect):
+    """Smooth non-uniform transmission: coatings, vignetting far from the pupil, scintillation that stays.
+
+    The amplitude is multiplied by ``1 + Σ c_k Z_k``.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+    """
+
+    name, table = "amplitude_aberration", "zernike"
+    formula = "P(u) → P(u) · (1 + Σ c_k Z_k(u))"
+    mild = True
+    public = (Public(table, "Noll index: relative amplitude", "zernike", -1.0, 1.0),)
+    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    coefficient = Parameter("", "", 0.0, 0.0, 0.1, -0.5, 0.5, plausible=(-0.3, 0.3))
+    sentence = "a pupil whose amplitude is uneven by {size:.1%} RMS"
+    look_alike = "pupil_misregistration, which has sharp edges; the halo, which is not static"
+    reference = "Jolissaint et al. 2006, JOSA A 23, 382"
+
+    @classmethod
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> AmplitudeAberration:
+        """See `Effect.under`: by default the modes up to spherical, Noll 2 to 11."""
+        return cls(nolls)
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field * (1 + torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1))
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        return [field * mode for mode in torch.tensor(grid.modes(self.nolls)[list(wanted)])]

@@ -14,7 +14,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.effects.anamorphism import Anamorphism
 from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.detector import BackgroundGradient, DetectorNonlinearity, InterpixelCrosstalk
-from irlos_pipe.effects.pupil_stop import PupilMisregistration
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import LinearEstimate, derivatives, frozen_effects, null_model
 from irlos_pipe.optics.psf_settings import PsfSettings

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import placed
+from irlos_pipe.conventions.pupil_parts import Placement
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit

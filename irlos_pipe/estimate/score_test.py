@@ -174,22 +174,14 @@ class _FrozenTransfer(OtfEffect):
     name = "frozen"
 
     def __init__(
-        self,
-        factor: torch.Tensor,
-        copies: Sequence[Effect] = (),
-        by_mode: Sequence[tuple[PupilMode, Effect]] = (),
+        self, factor: torch.Tensor, further_paths: Sequence[tuple[PupilMode | None, _FrozenTransfer]] = ()
     ):
-        self.factor, self._copies, self._by_mode = factor, copies, by_mode
+        self.factor, self._further_paths = factor, further_paths
 
     @property
-    def copies(self) -> Sequence[Effect]:
-        """See `Effect.copies`."""
-        return self._copies
-
-    @property
-    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
-        """See `Effect.by_mode`."""
-        return self._by_mode
+    def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
+        """See `Effect.further_paths`."""
+        return self._further_paths
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
@@ -237,6 +229,6 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
     if optics.transfer is None:
         return fixed
     pairs = zip(optics.copies, held.defocus_nm(NOTHING), strict=True)
-    copies = [_FrozenCopy(one.transfer, nm) for one, nm in pairs if one.transfer is not None]
+    copies = [(None, _FrozenCopy(one.transfer, nm)) for one, nm in pairs if one.transfer is not None]
     by_mode = [(mode, _FrozenTransfer(factor)) for mode, factor in optics.by_mode]
-    return [*fixed, _FrozenTransfer(optics.transfer, copies, by_mode)]
+    return [*fixed, _FrozenTransfer(optics.transfer, [*copies, *by_mode])]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 
@@ -16,6 +16,9 @@ from irlos_pipe.files.yaml import line_of, load_yaml
 
 KeyPath = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
+Keys = dict[str, tuple[Any, str]]  # annotation and meaning, by name
+UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+NO_SECTION = ("model_type", "dataclass_type", "named_tuple_type", "arguments_type")
 MAX_SHOWN = 60  # characters of a section or list in a message
 
 
@@ -127,13 +130,16 @@ def _natural(where: str) -> tuple[str, int]:
 def _explain(problem: dict, model: type[BaseModel], section: KeyPath) -> str:
     loc = problem["loc"]
     dotted = ".".join(map(str, (*section, *loc)))
-    parent = _model_at(model, loc[:-1])
-    if problem["type"] == "extra_forbidden":
-        return f"unknown key '{dotted}'{suggestion(loc[-1], _fields(parent))}"
-    if problem["type"] == "missing":
-        return f"key '{dotted}' is missing{_description(parent, loc)}"
+    keys = _keys_at(model, loc[:-1])
+    if problem["type"] in UNKNOWN:
+        return f"unknown key '{dotted}'{suggestion(loc[-1], keys)}"
+    if problem["type"] in ("missing", "missing_argument"):
+        return f"key '{dotted}' is missing{_meaning(keys, loc)}"
     text = _lower_first(problem["msg"].removeprefix("Input ").removeprefix("Value error, "))
-    return f"{dotted}{_shown(problem['input'])}: {text}{_hint(problem)}{_description(parent, loc)}"
+    text = text.replace("valid tuple", "valid list")  # as YAML calls it
+    if problem["type"] in NO_SECTION:
+        text = "should be a section of 'key: value' lines"
+    return f"{dotted}{_shown(problem['input'])}: {text}{_hint(problem)}{_meaning(keys, loc)}"
 
 
 def _shown(value: Any) -> str:
@@ -151,28 +157,40 @@ def _hint(problem: dict) -> str:
     return ""
 
 
-def _description(model: type[BaseModel] | None, loc: KeyPath) -> str:
-    field = model.model_fields.get(str(loc[-1])) if model and loc else None
-    return f" ({field.description})" if field is not None and field.description else ""
+def _meaning(keys: Keys, loc: KeyPath) -> str:
+    meaning = keys.get(str(loc[-1]), (None, ""))[1] if loc else ""
+    return f" ({meaning})" if meaning else ""
 
 
-def _fields(model: type[BaseModel] | None) -> list[str]:
-    return list(model.model_fields) if model else []
-
-
-def _model_at(model: type[BaseModel] | None, loc: KeyPath) -> type[BaseModel] | None:
-    """Return the pydantic model that holds the keys at `loc`."""
+def _keys_at(form: Any, loc: KeyPath) -> Keys:
+    """Return the keys at `loc` of a section of the `form`."""
+    keys = _keys(form)
     for part in loc:
-        field = model.model_fields.get(str(part)) if model else None
-        # List indices and tags of unions stay within the model found so far.
-        model = _model_in(field.annotation) if field is not None else model
-    return model
+        if str(part) in keys:  # list indices and tags of unions stay within the section found so far
+            keys = _keys(keys[str(part)][0])
+    return keys
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_model_in, get_args(annotation))), None)
+def _keys(annotation: Any) -> Keys:
+    """Return annotation and meaning of each key of the first section in an `annotation`."""
+    if not isinstance(annotation, type) or get_args(annotation):
+        return next(filter(None, map(_keys, get_args(annotation))), {})
+    if issubclass(annotation, BaseModel):
+        return {
+            name: (field.annotation, field.description or "")
+            for name, field in annotation.model_fields.items()
+        }
+    hints = get_type_hints(annotation, include_extras=True)
+    if is_dataclass(annotation):
+        return {
+            name: (hints[field.name], field.metadata.get("description", ""))
+            for field in fields(annotation)
+            if (name := field.metadata.get("alias", field.name))
+        }
+    return {
+        name: (hints[name], hints[name].__metadata__[0].meaning)
+        for name in getattr(annotation, "_fields", ())
+    }
 
 
 def _lower_first(text: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.facility import Facility, VibrationLine
 from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
@@ -18,8 +18,7 @@ from irlos_pipe.files.overrides import Override, absolute
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
-from irlos_pipe.instrument.pupil import drawn
-from irlos_pipe.instrument.pupil_checks import require_usable
+from irlos_pipe.instrument.pupil import drawn, require_usable
 
 PROFILES = Path(__file__).parent
 PROFILE_SUFFIXES = (".yaml", ".yml")
@@ -211,7 +210,9 @@ def _facility(values: _Values, pupil: PupilGeometry) -> Facility:
     amplitude_nm, decay, plateau_nm = map(
         values.number, ("ncpa_amplitude_nm", "ncpa_decay", "ncpa_plateau_nm")
     )
-    lines = tuple((float(hz), float(x), float(y)) for hz, x, y in values.get("vibration_lines", ()))
+    lines = tuple(
+        VibrationLine(float(hz), float(x), float(y)) for hz, x, y in values.get("vibration_lines", ())
+    )
     return Facility(
         pupil=pupil,
         photons_per_s_m15=values.number("photons_per_s_m15"),

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.optics.pupil_blocks import filtered_in_blocks
-from irlos_pipe.optics.pupil_cover import ON_AXIS, across_m, outline_cover, parts_cover, vane_cover
+from irlos_pipe.conventions.pupil_parts import Part
 
+ON_AXIS = (0.0, 0.0)
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 ROWS_AT_A_TIME = 64
 NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()}  # before an aperture
@@ -24,22 +24,40 @@ CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by 
 
 @dataclass(frozen=True)
 class Division:
-    """Parts of a pupil that meet where there is no light.
+    """Parts of a pupil.
 
     Attributes
     ----------
     index : callable
         Number of the part at, or nearest to, points; arrays that broadcast.
     count : int
+    shared : callable, optional
+        See `shares`; without it a cell belongs to the part at its middle.
     """
 
     index: Index
     count: int
+    shared: Shares | None = None
 
     def shares(
         self, x_m: np.ndarray, y_m: np.ndarray, step_m: float
-    ) -> Iterator[tuple[int, slice, np.ndarray]]:
-        """See `band_limited_parts`: a cell belongs to one part."""
+    ) -> Iterable[tuple[int, slice, np.ndarray]]:
+        """Return which light of some cells the parts have that touch them.
+
+        Parameters
+        ----------
+        x_m, y_m : ndarray, (1, columns) and (rows, 1)
+        step_m : float
+            Side of the cells.
+
+        Returns
+        -------
+        iterable of (int, slice, ndarray)
+            Number of a part, a slice of columns, and its share of the light of each cell there.
+        """
+        return self.shared(x_m, y_m, step_m) if self.shared else self._at_middle(x_m, y_m)
+
+    def _at_middle(self, x_m: np.ndarray, y_m: np.ndarray) -> Iterator[tuple[int, slice, np.ndarray]]:
         index = self.index(x_m, y_m)
         for number in np.unique(index).tolist():
             inside = index == number
@@ -135,47 +153,35 @@ def band_limited(
     subsamples : int
         Fine cells per side of a coarse cell.
     """
-    return _filtered(geometry, samples, stop_m, subsamples)
+    fine = fine_centres(geometry, samples, subsamples)
+    filtering = filter_matrix(samples + 2 * PAD, subsamples)
+    if geometry.plain:
+        return _filtered_in_blocks(geometry, fine, filtering, stop_m)
+    return sum(filtering[:, rows] @ (clear @ filtering.T) for rows, clear in _by_rows(geometry, fine, stop_m))
 
 
 def band_limited_parts(
     geometry: PupilGeometry,
     samples: int,
-    count: int,
-    shares: Shares,
+    division: Division,
     *,
     stop_m: tuple[float, float] = ON_AXIS,
     subsamples: int = SUBSAMPLES,
 ) -> np.ndarray:
-    """Return the amplitudes of the parts of a pupil, (count, n, n); their sum is that of the pupil.
+    """Return the amplitudes of the parts of a pupil, (parts, n, n); their sum is that of the pupil.
 
     Parameters
     ----------
     geometry, samples, stop_m, subsamples : see `band_limited`
-    count : int
-        Number of parts.
-    shares : callable
-        ``shares(x_m, y_m, step_m)`` of a row and a column of cells gives, for parts that they touch, the
-        number of the part, a slice of columns, and which share of the light of each cell there is its.
+    division : Division
     """
     fine = fine_centres(geometry, samples, subsamples)
     filtering, step = filter_matrix(samples + 2 * PAD, subsamples), float(fine[1] - fine[0])
-    found = np.zeros((count, len(filtering), len(filtering)))
+    found = np.zeros((division.count, len(filtering), len(filtering)))
     for rows, clear in _by_rows(geometry, fine, stop_m):
-        for number, columns, share in shares(fine[None, :], fine[rows, None], step):
+        for number, columns, share in division.shares(fine[None, :], fine[rows, None], step):
             found[number] += filtering[:, rows] @ ((clear[:, columns] * share) @ filtering[:, columns].T)
     return found
-
-
-def _filtered(
-    geometry: PupilGeometry, samples: int, stop_m: tuple[float, float], subsamples: int
-) -> np.ndarray:
-    """Low-passed clear fraction of the fine cells, (n, n)."""
-    fine = fine_centres(geometry, samples, subsamples)
-    filtering = filter_matrix(samples + 2 * PAD, subsamples)
-    if geometry.plain:
-        return filtered_in_blocks(geometry, fine, filtering, stop_m)
-    return sum(filtering[:, rows] @ (clear @ filtering.T) for rows, clear in _by_rows(geometry, fine, stop_m))
 
 
 def fine_centres(geometry: PupilGeometry, samples: int, subsamples: int) -> np.ndarray:
@@ -233,3 +239,132 @@ def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: fl
     """Take from every sub-cell the fraction that the vane covers; most lie far from it."""
     rows, columns = np.nonzero(np.abs(across_m(vane, x, y)) < vane.width_m / 2 + step)
     clear[rows, columns] *= 1 - vane_cover(vane, x[0, columns], y[rows, 0], step)
+
+
+def _filtered_in_blocks(
+    geometry: PupilGeometry, fine_m: np.ndarray, filtering: np.ndarray, stop_m: tuple[float, float]
+) -> np.ndarray:
+    """Return the low-passed clear fraction of the fine cells of a plain pupil, (n, n).
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+        A disc with, at most, a hole and vanes.
+    fine_m : ndarray, (n · cells,)
+        Centres of the fine cells along either axis [m].
+    filtering : ndarray, (n, n · cells)
+        Low-pass along one axis.
+    stop_m : (float, float)
+        Position of the internal stop.
+    """
+    n = len(filtering)
+    fine, step = fine_m.reshape(n, -1), float(fine_m[1] - fine_m[0])
+    reach_m = (fine.shape[1] / np.sqrt(2) + 1) * step  # of a block; edges are a cell wide
+    x, y = np.meshgrid(fine.mean(1), fine.mean(1))
+    at_vanes = [_touched(vane, x, y, reach_m) for vane in geometry.vanes]
+    rows, columns = np.nonzero(
+        np.logical_or.reduce([_at_a_circle(geometry, x, y, reach_m, stop_m), *at_vanes])
+    )
+    cells_x, cells_y = fine[columns][:, None, :], fine[rows][:, :, None]
+    cells = outline_cover(geometry, cells_x, cells_y, step, stop_m)
+    for vane, there in zip(geometry.vanes, at_vanes, strict=True):
+        own = there[rows, columns]
+        cells[own] *= 1 - vane_cover(vane, cells_x[own], cells_y[own], step)
+    clear = np.empty((n, fine.shape[1]) * 2)
+    clear[:] = outline_cover(geometry, x, y, step, stop_m)[:, None, :, None]
+    clear[rows, :, columns] = cells
+    return filtering @ (clear.reshape(2 * fine_m.shape) @ filtering.T)
+
+
+def _at_a_circle(
+    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, reach_m: float, stop_m: tuple[float, float]
+) -> np.ndarray:
+    """Whether blocks at (`x`, `y`) may lie on a rim or on a hole, of the pupil or of the stop."""
+    found = np.zeros(x.shape, dtype=bool)
+    for x0, y0 in {(0.0, 0.0), stop_m}:
+        radius = np.hypot(x - x0, y - y0)
+        for diameter_m in (geometry.diameter_m, geometry.obscuration_m):
+            found |= np.abs(radius - diameter_m / 2) < reach_m
+    return found
+
+
+def _touched(vane: Vane, x: np.ndarray, y: np.ndarray, reach_m: float) -> np.ndarray:
+    """Whether a `vane` may touch blocks at (`x`, `y`)."""
+    start, length, direction = axis(vane)
+    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
+    beside = np.abs(across_m(vane, x, y)) < vane.width_m / 2 + reach_m
+    return beside & (along > -reach_m) & (along < length + reach_m)
+
+
+def outline_cover(
+    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
+) -> np.ndarray:
+    """Return the fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    x, y, step : ndarray, ndarray, float
+        Centres of the sub-cells and their side [m]; where an aperture is drawn, a row and a column.
+    stop_m : (float, float)
+        See `band_limited`.
+    """
+    largest = smallest = np.sqrt(x**2 + y**2)
+    if stop_m != ON_AXIS:
+        from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
+        largest, smallest = np.maximum(largest, from_stop), np.minimum(smallest, from_stop)
+    if not geometry.aperture:
+        clear = inside((geometry.diameter_m / 2 - largest) / step)
+    else:
+        clear = parts_cover(geometry.aperture, x, y, step)
+        if stop_m != ON_AXIS:
+            stop = [part.outline for part in geometry.aperture]
+            clear = np.minimum(clear, parts_cover(stop, x - stop_m[0], y - stop_m[1], step))
+    if geometry.obscuration_m > 0:
+        clear *= inside((smallest - geometry.obscuration_m / 2) / step)
+    return clear
+
+
+def parts_cover(parts: Sequence[Part], x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+    """Return the fraction of each sub-cell that `parts`, which do not overlap, cover, (rows, columns).
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    x, y : ndarray, (1, columns) and (rows, 1)
+        Centres of the sub-cells [m].
+    step : float
+        Their side [m].
+    """
+    covered = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+    for piece in (piece for part in parts for piece in part.pieces):
+        rows, columns = piece.box(x, y, step)
+        covered[rows, columns] += piece.cover(x[:, columns], y[rows], step)
+    return covered
+
+
+def inside(distance_cells: np.ndarray) -> np.ndarray:
+    """Return the covered fraction of a cell whose centre lies `distance_cells` inside an edge."""
+    return np.clip(distance_cells + 0.5, 0.0, 1.0)
+
+
+def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+    """Return the fraction that a `vane` covers of each sub-cell of side `step` at (`x`, `y`) [m]."""
+    start, length, direction = axis(vane)
+    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
+    across, half = across_m(vane, x, y), vane.width_m / 2
+    width = inside((across + half) / step) + inside((half - across) / step) - 1
+    return np.clip(width, 0, 1) * inside(along / step) * inside((length - along) / step)
+
+
+def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the distance of (`x`, `y`) to the left of the axis of a `vane` [m]."""
+    start, _, direction = axis(vane)
+    return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
+
+
+def axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
+    """Return where a vane starts, its length, and its direction."""
+    start, end = np.array(vane.start_m), np.array(vane.end_m)
+    length = float(np.hypot(*(end - start)))
+    return start, length, (end - start) / length

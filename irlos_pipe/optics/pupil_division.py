@@ -12,7 +12,6 @@ import scipy
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.pupil_parts import anticlockwise_from_first
 from irlos_pipe.optics.pupil import Division, area_weighted_pupil, band_limited_parts, grid_centres
-from irlos_pipe.optics.pupil_cover import box
 
 LABELLED = 1024  # cells across the diameter of the drawing in which connected parts are looked for
 WIDEST_GAP = 0.02  # of the diameter: a vane that ends this close to the rim parts petals all the same
@@ -56,52 +55,46 @@ class Petals:
 
 
 @lru_cache(maxsize=8)
-def petals_of(geometry: PupilGeometry) -> Petals:
+def petals_of(geometry: PupilGeometry) -> Division:
     """Return the petals of a pupil `geometry`; one that is not divided has a single one."""
-    return Petals(geometry)
+    petals = Petals(geometry)
+    return Division(petals.index, petals.count)
 
 
-@lru_cache(maxsize=4)
-def petal_amplitudes(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """Return the band-limited amplitude of every petal, (petals, n, n); their sum is that of the pupil.
+@lru_cache(maxsize=8)
+def segments_of(geometry: PupilGeometry) -> Division:
+    """Return the segments that a pupil `geometry` is drawn with, or else its petals."""
+    pieces = geometry.segments
+    if len(pieces) < 2:
+        return petals_of(geometry)
 
-    `geometry` and `samples` are as of `pupil.band_limited_pupil`.
+    def index(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        return np.argmax([piece.distance_m(*piece.placement.back(x_m, y_m)) for piece in pieces], axis=0)
+
+    return Division(index, len(pieces), partial(_segment_shares, geometry))
+
+
+@lru_cache(maxsize=8)
+def amplitudes_of(division: Division, geometry: PupilGeometry, samples: int) -> np.ndarray:
+    """Return the band-limited amplitude of every part, (parts, n, n); their sum is that of the pupil.
+
+    Parameters
+    ----------
+    division : Division
+        Of `petals_of` or `segments_of` this pupil.
+    geometry, samples
+        See `pupil.band_limited_pupil`.
     """
-    petals = petals_of(geometry)
-    return band_limited_parts(geometry, samples, petals.count, Division(petals.index, petals.count).shares)
-
-
-def segment_count(geometry: PupilGeometry) -> int:
-    """Return the number of segments that a pupil `geometry` is drawn with, or else of its petals."""
-    return len(geometry.segments) if len(geometry.segments) > 1 else petals_of(geometry).count
-
-
-def segment_index(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Return the number of the segment of a `geometry` at, or nearest to, the points (`x_m`, `y_m`)."""
-    if len(geometry.segments) < 2:
-        return petals_of(geometry).index(x_m, y_m)
-    inside_m = [piece.distance_m(*piece.placement.back(x_m, y_m)) for piece in geometry.segments]
-    return np.argmax(inside_m, axis=0)
-
-
-@lru_cache(maxsize=4)
-def segment_amplitudes(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """Return the band-limited amplitude of every segment, (segments, n, n); their sum is that of the pupil.
-
-    `geometry` and `samples` are as of `pupil.band_limited_pupil`.
-    """
-    if len(geometry.segments) < 2:
-        return petal_amplitudes(geometry, samples)
-    return band_limited_parts(geometry, samples, segment_count(geometry), partial(_segment_shares, geometry))
+    return band_limited_parts(geometry, samples, division)
 
 
 def _segment_shares(
     geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray, step_m: float
 ) -> Iterator[tuple[int, slice, np.ndarray]]:
-    """See `pupil.band_limited_parts`; cells on a gap narrower than themselves belong to two segments."""
+    """See `Division.shares`; cells on a gap narrower than themselves belong to two segments."""
     all_covers, found = np.zeros((len(y_m), x_m.shape[1])), []
     for number, piece in enumerate(geometry.segments):
-        rows, columns = box(piece, x_m, y_m, step_m)
+        rows, columns = piece.box(x_m, y_m, step_m)
         cover = np.zeros((len(y_m), columns.stop - columns.start))
         cover[rows] = piece.cover(x_m[:, columns], y_m[rows], step_m)
         all_covers[:, columns] += cover

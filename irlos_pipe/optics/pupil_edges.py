@@ -2,7 +2,8 @@
 
 Only what lies near an edge changes. Edges are taken `WIDTH` cells wide: one cell would show the staircase of
 the grid, four would miss what the low-pass lets through. A disc with a hole and vanes has few edges, which
-are followed one by one; any other pupil is drawn twice.
+are followed one by one; any other pupil is drawn twice, which takes 6 to 28 times as long and errs 2 to 5
+times as much where a stop moves.
 """
 
 from __future__ import annotations
@@ -17,14 +18,19 @@ import scipy
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned, with_sizes
 from irlos_pipe.optics.pupil import (
+    ON_AXIS,
     PAD,
     Division,
+    across_m,
+    axis,
     band_limited,
     band_limited_parts,
     filter_matrix,
     fine_centres,
+    inside,
+    outline_cover,
+    vane_cover,
 )
-from irlos_pipe.optics.pupil_cover import ON_AXIS, across_m, axis, inside, outline_cover, vane_cover
 
 WIDTH = 1.5  # fine cells
 Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -276,9 +282,7 @@ class DrawnTwice(DrawnEdges):
         options: Any = {"stop_m": stop_m, "subsamples": self._subsamples}
         if self.division is None:
             return band_limited(geometry, self._samples, **options)
-        return band_limited_parts(
-            geometry, self._samples, self.division.count, self.division.shares, **options
-        )
+        return band_limited_parts(geometry, self._samples, self.division, **options)
 
 
 Edges = PupilEdges | DrawnTwice

@@ -7,7 +7,7 @@ half as many baselines.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -17,7 +17,7 @@ import numpy as np
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import band_limited_parts, grid_centres
+from irlos_pipe.optics.pupil import Division, band_limited_parts, grid_centres
 
 RINGING = 6  # samples beyond the axes: those left out would change images by 1e-5 of the peak
 DARK, FAINT = 1e-12, 0.02  # of the largest amplitude
@@ -81,13 +81,7 @@ def quarters(pupil: PupilGrid) -> list[Quarter]:
 @lru_cache(maxsize=8)
 def _drawn(geometry: PupilGeometry, samples: int) -> np.ndarray:
     """Amplitudes of the quarters of a pupil, (4, n, n), on the grid of `band_limited_pupil`."""
-
-    def shares(x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator[tuple[int, slice, np.ndarray]]:
-        middle = x_m.shape[1] // 2
-        for number, (up, columns) in enumerate(product((0, 1), (slice(middle), slice(middle, None)))):
-            yield number, columns, (y_m > 0) == up
-
-    return band_limited_parts(geometry, samples, 4, shares)
+    return band_limited_parts(geometry, samples, Division(lambda x_m, y_m: 2 * (y_m > 0) + (x_m > 0), 4))
 
 
 def _weights(whole: np.ndarray, part: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.modes import REPORTED_NOLLS
-from irlos_pipe.effects.low_wind import LowWindEffect
+from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.optics.wavefront import modes_at
 from irlos_pipe.paper import experiment as ex
@@ -24,7 +24,7 @@ from irlos_pipe.paper.common.broad_band import COADDED, FINE, J_AND_H
 from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, ObservedCube
 from irlos_pipe.paper.common.observation import conditions_of
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
-from irlos_pipe.simulate.petals import petal_count, petal_index
+from irlos_pipe.simulate.aperture import petal_count, petal_index
 from irlos_pipe.simulate.scene import Scene
 
 PATTERN_STREAM = 4  # child of a sample's seed that the pistons are drawn from

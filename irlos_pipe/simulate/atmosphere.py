@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.simulate.errors import SceneError, require_known
 
@@ -22,48 +23,34 @@ Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
 
 @dataclass(frozen=True)
 class Sky:
-    """AO residual.
+    """AO residual; its size follows the seeing unless `wfe_nm` is given.
 
-    Attributes
-    ----------
-    seeing_arcsec : float
-        At 500 nm.
-    wfe_nm : float, optional
-        Total residual over the pupil without piston, tip and tilt [nm RMS], a long-term average;
-        the facility's law of the residual gives it if None.
-    shape : str
-        Spectrum inside the correction band: ``power_law``; ``servo_lag``, stretched along the wind;
-        ``aliasing``, rising towards the cut-off; ``non_stationary``, a power law whose strength drifts.
-    slope : float
-        The power law's PSD is ``f**-slope``.
-    wind_m_s, wind_angle_deg : float
-        Angle from +x towards +y.
-    delay_s : float
-        Of the loop; sets the servo lag.
-    drift_rms, drift_s : float
-        Relative RMS of the residual's size in the shape ``non_stationary``, and its correlation time.
-    variance_zernike : mapping
-        Noll modes of the variance inside the correction band over the pupil, beside one; none where it is
-        everywhere alike.
+    Shapes inside the correction band: ``power_law``, a PSD of ``f**-slope``; ``servo_lag``, stretched along
+    the wind; ``aliasing``, rising towards the cut-off; ``non_stationary``, a power law whose strength drifts.
+    `wfe_nm` is a long-term average over the pupil without piston, tip and tilt; `variance_zernike` are Noll
+    modes of the variance inside the band over the pupil, beside one.
     """
 
-    seeing_arcsec: float
-    wfe_nm: float | None = None
-    shape: Shape = "power_law"
-    slope: float = 2.0
-    wind_m_s: float = 10.0
-    wind_angle_deg: float = -20.0
-    delay_s: float = 0.003
-    drift_rms: float = 0.25
-    drift_s: float = 5.0
-    variance_zernike: Mapping[int, float] = field(default_factory=dict)
+    seeing_arcsec: float = key(0.5, "at 500 nm, on SPARTA's scale", ge=0.1, le=4)
+    wfe_nm: float | None = key(None, "total residual, nm RMS", ge=0, le=1000)
+    shape: Shape = key("power_law", "of the spectrum inside the correction band")
+    slope: float = key(2.0, "the power law falls like f**-slope", ge=0, le=6)
+    wind_m_s: float = key(10.0, "wind speed", ge=0, le=100)
+    wind_angle_deg: float = key(-20.0, "from +x towards +y", ge=-720, le=720)
+    delay_s: float = key(0.003, "of the loop; sets the servo lag", gt=0, le=1)
+    drift_rms: float = key(0.25, "relative, of the size in shape non_stationary", ge=0, le=1)
+    drift_s: float = key(5.0, "correlation time of that drift", gt=0, le=1e4)
+    # made by an effect, and no key
+    variance_zernike: Mapping[int, float] = field(
+        default_factory=dict, metadata={"alias": "", "exclude": True}
+    )
 
     def __post_init__(self) -> None:
         require_known("sky.shape", [self.shape], get_args(Shape))
         if self.seeing_arcsec <= 0:
             raise SceneError(f"sky.seeing_arcsec: {self.seeing_arcsec:g} is not positive; leave out the sky")
         if self.wind_m_s == 0 and self.shape in ("servo_lag", "aliasing"):
-            raise SceneError(f"sky.wind_m_s: the shape {self.shape} needs wind; give a speed above 0")
+            raise SceneError(f"shape {self.shape} needs wind; give wind_m_s above 0")
 
     def total_nm(self, law: ResidualLaw) -> float:
         """Return the total residual [nm RMS], by the `law` unless it is given."""

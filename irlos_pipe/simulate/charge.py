@@ -113,7 +113,7 @@ class Pixels:
         self, multiplied_e: np.ndarray, read_noise_e: float, rng: np.random.Generator
     ) -> np.ndarray:
         induced_e = shared(multiplied_e * self.response, self.detector.coupling_fraction)
-        node_e = compressed(induced_e, self.nonlinearity_per_e, self.detector.full_well_e)
+        node_e = compressed(induced_e, self.nonlinearity_per_e, self.detector.full_well_e or np.inf)
         noise_e = read_noise_e * rng.standard_normal(node_e.shape)
         return (
             node_e + noise_e

@@ -4,76 +4,55 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.keys import Limited, key, named_row
 from irlos_pipe.conventions.reads import whole_reads
+from irlos_pipe.simulate.errors import SceneError
 
 ADC_TOP_ADU = 65535.0
-Pixel = tuple[int, int]
+Index = Annotated[int, Limited(ge=0, lt=4096)]
+Pixel = tuple[Index, Index]  # row, column
+
+
+@named_row
+class HotPixel(NamedTuple):
+    """A pixel with a dark current of its own."""
+
+    pixel: Annotated[Pixel, Limited("[row, column]")]
+    e_per_s: Annotated[float, Limited("dark current", ge=0, le=1e9)]
 
 
 @dataclass(frozen=True)
 class DetectorModel:
     """An avalanche photodiode array (SAPHIRA); pixels are (row, column), electrons are photo-electrons.
 
-    Attributes
-    ----------
-    e_per_adu : float
-        Gain [e-/ADU], avalanche gain included.
-    read_noise_e : float
-        Noise of a pixel without light, rounding to whole ADU included [e- RMS per read].
-    read_s : float, optional
-        Exposure of one read [s]; a frame is the sum of as many as fill its exposure. None: of one.
-    pedestal_adu : float
-        Electronic level without light; it carries no shot noise [ADU].
-    fixed_pattern_adu : float
-        Scatter of the pedestal from pixel to pixel [ADU RMS].
-    excess_noise_factor : float
-        F, variance of the photon signal over its Poisson variance; 1.25 is claimed, 1.47 measured.
-    flat_rms : float
-        Scatter of the avalanche gain from pixel to pixel, relative; the flat shows it.
-    flat_error_rms : float
-        Further scatter of the gain, relative, which the flat does not show.
-    dark_e_per_s : float
-        Dark current of every pixel [e-/s].
-    dead : tuple of Pixel
-        Pixels that do not respond to light; the map of dead pixels shows them.
-    hot_e_per_s : tuple of (Pixel, float)
-        Pixels with a dark current of their own [e-/s]; the dark image shows them.
-    crosstalk_fraction : float
-        Charge that diffuses from a pixel to its four neighbours together, before the multiplication.
-    coupling_fraction : float
-        Signal that a pixel induces in its four neighbours together (inter-pixel capacitance), after
-        the multiplication: it correlates the noise, diffusion does not.
-    nonlinearity_per_e : float
-        k of the response ``s (1 - k s)`` [1/e-].
-    full_well_e : float
-        Signal at which a pixel stops collecting [e-].
-    saturation_adu : float
-        Level that nothing exceeds; raw frames end at 65535 in any case [ADU].
-    pattern_seed : int
-        Of everything that is fixed in the detector: pedestal and gain of each pixel.
+    The gain includes that of the avalanche; the excess noise factor is claimed to be 1.25, 1.47 was measured.
+    Diffusion acts before the multiplication, the coupling (inter-pixel capacitance) after it: the one leaves
+    the noise of neighbours independent, the other correlates it. Raw frames end at 65535 in any case.
     """
 
-    e_per_adu: float = 0.5
-    read_noise_e: float = 1.0
-    pedestal_adu: float = 200.0
-    fixed_pattern_adu: float = 0.0
-    excess_noise_factor: float = 1.0
-    flat_rms: float = 0.0
-    flat_error_rms: float = 0.0
-    dark_e_per_s: float = 0.0
-    dead: tuple[Pixel, ...] = ()
-    hot_e_per_s: tuple[tuple[Pixel, float], ...] = ()
-    crosstalk_fraction: float = 0.0
-    coupling_fraction: float = 0.0
-    nonlinearity_per_e: float = 0.0
-    full_well_e: float = float("inf")
-    saturation_adu: float = float("inf")
-    pattern_seed: int = 0
-    read_s: float | None = None
+    e_per_adu: float = key(0.5, "photo-electrons per ADU", gt=0, le=1000)
+    read_noise_e: float = key(1.0, "RMS per pixel and read, rounding included", ge=0, le=1000)
+    pedestal_adu: float = key(200.0, "level without light", ge=0, le=60000)
+    fixed_pattern_adu: float = key(0.0, "scatter of the level between pixels", ge=0, le=5000)
+    excess_noise_factor: float = key(1.0, "photon variance over Poisson's", ge=1, le=5)
+    flat_rms: float = key(0.0, "scatter of the gain between pixels, relative", ge=0, le=0.5)
+    flat_error_rms: float = key(0.0, "scatter of the gain that no flat shows", ge=0, le=0.5)
+    dark_e_per_s: float = key(0.0, "dark current of every pixel", ge=0, le=1e6)
+    dead: tuple[Pixel, ...] = key((), "[row, column] of pixels that the map of dead pixels shows")
+    hot_e_per_s: tuple[HotPixel, ...] = key((), "pixels that the dark shows: {pixel, e_per_s}", alias="hot")
+    crosstalk_fraction: float = key(0.0, "charge diffusing to the 4 neighbours", ge=0, le=0.5)
+    coupling_fraction: float = key(0.0, "signal induced in the 4 neighbours", ge=0, le=0.5)
+    nonlinearity_per_e: float = key(0.0, "k of the response s (1 - k s)", ge=0, le=1e-3)
+    full_well_e: float | None = key(None, "signal at which a pixel stops collecting", gt=0)
+    saturation_adu: float = key(float("inf"), "end of the converter", gt=0, le=ADC_TOP_ADU)
+    pattern_seed: int = key(0, "seed of what is fixed in the detector", ge=0)
+    read_s: float | None = key(
+        None, "exposure of a read, of which a frame is the sum; one read if left out", gt=0, le=600
+    )
 
     def reads(self, exposure_s: float) -> int:
         """Return the number of reads that are added up to an exposure of `exposure_s`.
@@ -98,8 +77,8 @@ class DetectorModel:
         """
         rest_e2 = self.read_noise_e**2 - self.e_per_adu**2 / 12
         if rest_e2 < 0:
-            raise ConfigurationError(
-                f"detector: read_noise_e = {self.read_noise_e:g} is below the noise of rounding, "
+            raise SceneError(
+                f"read_noise_e = {self.read_noise_e:g} is below the noise of rounding to whole ADU, "
                 f"e_per_adu/sqrt(12) = {self.e_per_adu / 12**0.5:.3g} e-; raise it, or lower e_per_adu"
             )
         return float(np.sqrt(rest_e2))

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irlos_pipe.conventions.bands import Passband
+from irlos_pipe.conventions.keys import key
+from irlos_pipe.simulate.errors import SceneError
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,11 @@ class Band(Passband):
     with 58.09 and 83.91 nm three Gauss–Legendre nodes would lie at 1170, 1215, 1260 and 1560, 1625, 1690 nm.
     """
 
-    share: float = 1.0
+    share: float = key(1.0, "photons, any scale", gt=0, le=1e6)
+
+    def __post_init__(self) -> None:
+        if self.half_width_nm > self.centre_nm / 2:
+            raise SceneError("half_width_nm is more than half of centre_nm")
 
     @classmethod
     def of(cls, passband: Passband, share: float = 1.0) -> Band:

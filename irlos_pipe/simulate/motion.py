@@ -9,6 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from irlos_pipe.conventions.facility import VibrationLine
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.simulate.errors import SceneError
 
 SHORTEST_STEP_S = 1 / 800  # eight samples per period of the fastest line of UT4
@@ -16,24 +17,22 @@ SHORTEST_STEP_S = 1 / 800  # eight samples per period of the fastest line of UT4
 
 @dataclass(frozen=True)
 class Motion:
-    """Long-term statistics of the image motion.
+    """Long-term statistics of the image motion; without `lines` of its own it has those of the facility.
 
-    Attributes
-    ----------
-    rms_mas : float
-        Per axis, over a long time.
-    lines : tuple of (frequency_hz, share_x, share_y), optional
-        Vibrations; the wander has the rest of the variance. By default those of the facility.
-    wander_hz : float
-        Corner frequency of the wander.
-    line_coherence_s : float
-        Time over which a vibration keeps its phase; its line is ``1 / (π coherence)`` wide.
+    The slow wander has what the lines leave of the variance; a line is ``1 / (π coherence)`` wide.
     """
 
-    rms_mas: float = 7.0
-    lines: tuple[VibrationLine, ...] | None = None
-    wander_hz: float = 4.0
-    line_coherence_s: float = 1.0
+    rms_mas: float = key(7.0, "per axis", ge=0, le=200)
+    lines: tuple[VibrationLine, ...] | None = key(None, "vibrations: {hz, share_x, share_y}")
+    wander_hz: float = key(4.0, "corner frequency of the slow wander", gt=0, le=200)
+    line_coherence_s: float = key(1.0, "time over which a line keeps its phase", gt=0, le=1e4)
+
+    def __post_init__(self) -> None:
+        for line in range(1, 3):
+            total = sum(one[line] for one in self.lines or ())
+            if total > 1:
+                axis = VibrationLine._fields[line]
+                raise SceneError(f"lines: the values of {axis} add up to {total:g}, more than 1")
 
 
 class MotionSeries:
@@ -53,8 +52,6 @@ class MotionSeries:
     def __init__(self, motion: Motion, lines: Sequence[VibrationLine], rng: np.random.Generator):
         table = np.array(lines if motion.lines is None else motion.lines, float).reshape(-1, 3)
         shares = np.vstack([1 - table[:, 1:].sum(axis=0), table[:, 1:]])
-        if np.any(shares < 0):
-            raise SceneError("motion.lines: the shares of the variance exceed 1 along one axis; lower them")
         self._rms_mas = motion.rms_mas * np.sqrt(shares)  # (components, 2)
         decay = np.append(2 * np.pi * motion.wander_hz, np.full(len(table), 1 / motion.line_coherence_s))
         self._rate = -decay + 2j * np.pi * np.append(0.0, table[:, 0])  # (components,) [1/s]

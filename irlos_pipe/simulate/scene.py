@@ -11,6 +11,7 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.simulate.atmosphere import Sky
@@ -31,22 +32,15 @@ RANDOM_STREAMS = ("sky", "motion", "effects", "focus_stage")
 
 @dataclass(frozen=True)
 class Sampling:
-    """Fineness of the computation; the tests budget each default.
+    """Fineness of the computation, for tests and for checks of the accuracy; the tests budget each default.
 
-    Attributes
-    ----------
-    pupil_samples : int, optional
-        Across the diameter; by default `STATIC_PUPIL_SAMPLES`, or `MOVING_PUPIL_SAMPLES` with a sky.
-    points_per_band : int
-        Wavelengths of the Gauss–Legendre rule in every band.
-    step_s : float
-        Longest time between two screens of the AO residual [s]. Screens 0.01 s apart make the mean
-        residual of a frame scatter by 5 % more than continuous exposure.
+    Without `pupil_samples`: `STATIC_PUPIL_SAMPLES`, or `MOVING_PUPIL_SAMPLES` with a sky. Screens of the AO
+    residual 0.01 s apart make the mean residual of a frame scatter by 5 % more than continuous exposure.
     """
 
-    pupil_samples: int | None = None
-    points_per_band: int = 4
-    step_s: float = 0.01
+    pupil_samples: int | None = key(None, "across the diameter", ge=32, le=1024)
+    points_per_band: int = key(4, "wavelengths per band", ge=1, le=41)
+    step_s: float = key(0.01, "longest time between instantaneous images", ge=1e-4, le=10)
 
 
 @dataclass(frozen=True)

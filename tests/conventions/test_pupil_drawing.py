@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
-from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Polygon, Samples
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Placement, Polygon, Samples
 
 POINTS = (np.array([0.3, -1.2, 2.0]), np.array([0.7, 0.1, -0.4]))
 

@@ -40,13 +40,13 @@ from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import CATALOGUE, FixedEffect, Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import Vibration
 from irlos_pipe.effects.public_errors import public_sigma
 from irlos_pipe.effects.public_values import measured
 from irlos_pipe.effects.pupil_places import PhaseBump
-from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
-from irlos_pipe.effects.wavefront import HighOrderNcpa
+from irlos_pipe.effects.pupil_steps import LowWindEffect
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
+from irlos_pipe.effects.wavefront import AmplitudeAberration, HighOrderNcpa
 from irlos_pipe.frames.noise import NoiseModel
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)

@@ -33,12 +33,12 @@ from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import Refit, is_rival, narrower_form, quick_refits, refits
+from irlos_pipe.diagnosis.refit import Refit, is_rival, other_forms, quick_refits, refits
 from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import View
-from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects import CATALOGUE, FixedEffect, in_form, narrower_kinds
 from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
 from irlos_pipe.effects.public_errors import public_sigma
@@ -236,12 +236,12 @@ def test_a_sharp_ghost_is_tried_as_the_companion_that_it_is_as_well():
     training = cube(image(effect=companion, values=(0.02, 150.0, 40.0))).training
     origin = optimum(training)
     (score,) = scores(origin, only("companion"))
-    start = ghost.widened(np.array([0.02, 145.0, 45.0]))
+    start = in_form(type(ghost), CONDITIONS, [0.02, 145.0, 45.0])
     refit = Refit(score, origin, fitted(training, [start]), "ghost")
-    (narrower,) = narrower_form(fitter_of(training), refit)
+    (narrower,) = other_forms(fitter_of(training), [refit], narrower_kinds)
     assert narrower.name == "companion"
     assert narrower.public["flux_ratio"] == pytest.approx(0.02, rel=0.02)
     assert narrower.public["sep_mas"] == pytest.approx(np.hypot(150, 40), abs=1)
     assert narrower.gain == pytest.approx(refit.gain, rel=1e-3)
     assert narrower.merit > refit.merit  # fewer parameters explain as much
-    assert narrower_form(fitter_of(training), narrower) == []
+    assert other_forms(fitter_of(training), [narrower], narrower_kinds) == []

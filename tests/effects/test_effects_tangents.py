@@ -13,9 +13,7 @@ from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.effects import CATALOGUE, Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.pupil_geometry import PupilSizes
-from irlos_pipe.effects.pupil_stop import PupilMisregistration
-from irlos_pipe.effects.redrawn_pupil import RedrawnPupil
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes, RedrawnPupil
 from irlos_pipe.estimate.score_test import frozen_effects
 from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.psf import PsfModel

@@ -11,7 +11,7 @@ from helpers import optics_cases as cases
 
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.pupil_stop import PupilMisregistration
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2

@@ -7,7 +7,7 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.low_wind import LowWindEffect
+from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.estimate import cube_fit
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions

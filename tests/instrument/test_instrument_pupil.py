@@ -19,7 +19,7 @@ from irlos_pipe.instrument.facts import FACTS
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
-from irlos_pipe.optics.pupil_division import petals_of, segment_count
+from irlos_pipe.optics.pupil_division import petals_of, segments_of
 
 KECK_MAP = SHARED / "realdata/keck_nirc2/keck_pupil_open2_240px.fits"
 STATED = {"source": "a test", "status": "assumed"}
@@ -55,7 +55,7 @@ def map_file(folder, values, **header):
 )
 def test_the_profiles_that_ship(name, petals, segments, diameter_m, cutoff_per_m, scale_mas):
     instrument = load_instrument(name)
-    assert (petals_of(instrument.pupil).count, segment_count(instrument.pupil)) == (petals, segments)
+    assert (petals_of(instrument.pupil).count, segments_of(instrument.pupil).count) == (petals, segments)
     assert instrument.pupil.diameter_m == diameter_m
     assert instrument.facility.cutoff_per_m == cutoff_per_m
     assert instrument.defaults["pixel_scale_mas"] == scale_mas

@@ -20,7 +20,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.instrument.profile import ModeEntry, SeeingScaleEntry
 from irlos_pipe.instrument.pupil import MapEntry, PupilSection, TurnRule, VaneEntry
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.pupil_division import petals_of, segment_count
+from irlos_pipe.optics.pupil_division import petals_of, segments_of
 
 PAGE = REPOSITORY / "docs/instruments.md"
 MARKED = re.compile(r"(<!-- made by .*? -->\n).*?(\n<!-- end -->)", re.DOTALL)
@@ -46,7 +46,7 @@ def instrument(tmp_path):
 
 
 def test_the_example_is_the_telescope_that_the_page_describes(instrument):
-    assert (petals_of(instrument.pupil).count, segment_count(instrument.pupil)) == (3, 18)
+    assert (petals_of(instrument.pupil).count, segments_of(instrument.pupil).count) == (3, 18)
     assert instrument.pupil.obstructions[0].placement.shift_m == pytest.approx((-1.1, 0.4))
     assert instrument.defaults["pixel_scale_mas"] == 17.6
     assert instrument.on("2021-01-01").defaults["pixel_scale_mas"] == 18.0

@@ -9,7 +9,7 @@ import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_sizes
 from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
 from irlos_pipe.effects.motion import TipTiltJitter
-from irlos_pipe.effects.pupil_geometry import PupilSizes
+from irlos_pipe.effects.redrawn_pupil import PupilSizes
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import LensletArray, apart, light_path

@@ -10,9 +10,8 @@ from helpers.optics_cases import UT4
 from helpers.reference_psf import reference
 from scipy.special import j1
 
-from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.conventions.pupil_parts import Circle
+from irlos_pipe.conventions.pupil_parts import Circle, Placement
 from irlos_pipe.optics.fourier_matrices import require_resolved
 from irlos_pipe.optics.pupil import (
     CLEAN_BAND,

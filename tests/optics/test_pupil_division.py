@@ -8,18 +8,15 @@ import numpy as np
 import pytest
 from helpers.optics_cases import UT4
 
-from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
-from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Hexagons, Samples
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Hexagons, Placement, Samples
 from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited_pupil, grid_centres
 from irlos_pipe.optics.pupil_division import (
-    petal_amplitudes,
+    amplitudes_of,
     petals_of,
-    segment_amplitudes,
-    segment_count,
-    segment_index,
+    segments_of,
 )
-from irlos_pipe.simulate import petals as simulated
+from irlos_pipe.simulate import aperture as simulated
 
 SEGMENTS = Hexagons(1.2, 0.05, 2, (0, 5))
 
@@ -73,7 +70,7 @@ def test_vanes_wider_than_a_cell_or_not_part_petals_whose_light_adds_up():
     for width_m in (0.002, 0.3):
         vanes = tuple(replace(vane, width_m=width_m) for vane in UT4.vanes)
         geometry = replace(UT4, vanes=vanes)
-        parts = petal_amplitudes(geometry, 64)
+        parts = amplitudes_of(petals_of(geometry), geometry, 64)
         assert parts.shape[0] == 4
         assert np.allclose(parts.sum(0), band_limited_pupil(geometry, 64)[1], atol=1e-12)
         right, top, left, bottom = parts.sum((1, 2))
@@ -83,8 +80,8 @@ def test_vanes_wider_than_a_cell_or_not_part_petals_whose_light_adds_up():
 @pytest.mark.parametrize("angle_deg", [0.0, 37.0])
 def test_segments_are_those_drawn_and_their_light_adds_up(angle_deg):
     geometry = turned(PupilGeometry(6.5, 1.0, aperture=(SEGMENTS,)), angle_deg)
-    parts = segment_amplitudes(geometry, 64)
-    assert segment_count(geometry) == len(parts) == 17
+    parts = amplitudes_of(segments_of(geometry), geometry, 64)
+    assert segments_of(geometry).count == len(parts) == 17
     assert np.allclose(parts.sum(0), band_limited_pupil(geometry, 64)[1], atol=1e-12)
     whole = np.sqrt(3) / 2 * 1.2**2 / (6.5 / 64) ** 2
     assert parts[6:].sum((1, 2)) == pytest.approx(np.full(11, whole), rel=1e-3)
@@ -101,7 +98,7 @@ def test_segments_are_numbered_ring_by_ring_from_the_diagonal():
 def test_numbers_of_segments_turn_and_flip_with_the_pupil():
     geometry, placement = PupilGeometry(7.0, aperture=(SEGMENTS,)), Placement.of(20.0, "x", (0.1, 0.05))
     xy = np.array([piece.placement.shift_m for piece in geometry.segments]).T
-    assert segment_index(geometry, *xy).tolist() == list(range(17))
+    assert segments_of(geometry).index(*xy).tolist() == list(range(17))
     carried = placed(geometry, placement)
-    assert segment_index(carried, *placement.forth(*xy)).tolist() == list(range(17))
+    assert segments_of(carried).index(*placement.forth(*xy)).tolist() == list(range(17))
     assert simulated.segment_index(carried, *placement.forth(*xy)).tolist() == list(range(17))

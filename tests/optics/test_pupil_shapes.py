@@ -12,13 +12,12 @@ from helpers.optics_cases import ncpa_nm, settings, vector
 from helpers.polygon_images import area_m2, hexagon, polygon_image
 from helpers.reference_psf import ReferenceImager, hcipy
 
-from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
-from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Polygon, Samples
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Placement, Polygon, Samples
 from irlos_pipe.optics.grids import Optics, PupilGrid
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited, grid_centres
-from irlos_pipe.optics.pupil_division import segment_amplitudes
+from irlos_pipe.optics.pupil_division import amplitudes_of, segments_of
 from irlos_pipe.optics.pupil_edges import pupil_edges
 
 NOLLS = tuple(range(2, 30))
@@ -136,7 +135,11 @@ def test_pistons_of_segments_agree_with_analysis():
     model = PsfModel(case, (4,), dtype=torch.float64)
     grid = PupilGrid.of(KECK_LIKE, case.pupil_samples, [1645e-9])
     phases = np.exp(2j * np.pi * pistons_nm / 1645.0)
-    field = np.tensordot(phases, segment_amplitudes(KECK_LIKE, case.pupil_samples), 1) * grid.lit * grid.light
+    field = (
+        np.tensordot(phases, amplitudes_of(segments_of(KECK_LIKE), KECK_LIKE, case.pupil_samples), 1)
+        * grid.lit
+        * grid.light
+    )
     image = model.images(vector({}, (4,)), Optics(torch.as_tensor(field)[None]))[0].numpy()
     assert disagreement(image, truth) <= 3e-5
 

@@ -17,7 +17,7 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.effects.base import PupilEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS
-from irlos_pipe.simulate.effects.low_wind import LowWindEffect
+from irlos_pipe.simulate.effects.pupil import LowWindEffect
 from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.exposure import expose, telescope_of, with_effective_sky
 from irlos_pipe.simulate.light import Band

@@ -10,9 +10,8 @@ import torch
 from helpers.optics_cases import settings, vector
 from helpers.simulated_scenes import NCPA_NM, image
 
-from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
-from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Polygon, Samples
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Placement, Polygon, Samples
 from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
 from irlos_pipe.effects.declaration import Conditions
 from irlos_pipe.instrument.instrument import load_instrument

@@ -44,11 +44,9 @@ def _copies(optimum: Optimum, wanted: Effect) -> list[tuple[float, float]]:
     fitted, found = optimum.fitted, []
     moments = [view.moment for view in fitted.views if wanted.acting(view.moment)]
     for effect, label in zip(fitted.effects, fitted.problem.effects.labels, strict=True):
-        names = [parameter.name for parameter in effect.base.parameters]
-        beside = any(effect.acting(moment) for moment in moments)
-        if beside and "x_mas" in names and effect.base.plane == "otf":
-            values = fitted.values_of(label)
-            found.append((values[names.index("x_mas")], values[names.index("y_mas")]))
+        if effect.copies_star and any(effect.acting(moment) for moment in moments):
+            _, x_mas, y_mas, *_ = fitted.values_of(label)
+            found.append((x_mas, y_mas))
     return found
 
 

@@ -19,13 +19,14 @@ from irlos_pipe.simulate.effects.detector import (
 from irlos_pipe.simulate.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 from irlos_pipe.simulate.effects.ghost import Ghost
 from irlos_pipe.simulate.effects.high_aperture import HighAperture
-from irlos_pipe.simulate.effects.low_wind import LowWindEffect, SegmentPiston
 from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.simulate.effects.pupil_stop import (
+from irlos_pipe.simulate.effects.pupil import (
     AmplitudeAberration,
+    LowWindEffect,
     PupilMisregistration,
     PupilSizes,
     PupilSpot,
+    SegmentPiston,
 )
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
 from irlos_pipe.simulate.effects.uneven_residual import UnevenResidual

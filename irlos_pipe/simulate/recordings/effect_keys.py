@@ -12,14 +12,28 @@ from math import isfinite
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import AfterValidator, AliasChoices, Field, create_model, model_validator
+from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field, create_model, model_validator
 
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
+from irlos_pipe.simulate.detector import Pixel
 from irlos_pipe.simulate.effects.base import Own, SimulatedEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
 from irlos_pipe.simulate.errors import SceneError
-from irlos_pipe.simulate.recordings.section_keys import Pixel, Section, require_nolls
+
+
+class Section(BaseModel):
+    """Base of all sections of a spec: unknown keys and values that are not finite are refused."""
+
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def require_nolls(values: dict[int, float]) -> dict[int, float]:
+    """Return `values` by Noll index, all from 2 to 1000."""
+    for noll in values:
+        if not 2 <= noll <= 1000:
+            raise ValueError(f"{noll} is no Noll index from 2 to 1000")
+    return values
 
 
 class EffectSection(Section):

@@ -1,36 +1,132 @@
-"""The keys of a simulation spec for one recording, or one series of them."""
+"""The keys of a simulation spec. Units are in the keys.
+
+A section that the scene has as well is the scene's own class, whose fields say what a key means and may be.
+Here is what a scene lacks: drawn aberrations, changes of the instrument's facts, and series of recordings.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
-
-from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.conventions.reads import whole_reads
-from irlos_pipe.simulate.detector import outside_window
-from irlos_pipe.simulate.effects.base import RecordingSetup
-from irlos_pipe.simulate.effects.catalogue import effects_of
-from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
-from irlos_pipe.simulate.recordings.section_keys import (
-    AberrationKeys,
-    BandKeys,
-    BandName,
-    Degrees,
-    DetectorKeys,
-    DiversityKeys,
-    LensletKeys,
-    MotionKeys,
-    Nanometres,
-    PupilKeys,
-    SamplingKeys,
-    Section,
-    SkyKeys,
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
 )
-from irlos_pipe.simulate.scene import LENSLET_WINDOW
+
+from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.keys import key
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel, outside_window
+from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate.light import Band
+from irlos_pipe.simulate.motion import Motion
+from irlos_pipe.simulate.recordings.effect_keys import EffectKeys, Section, require_nolls
+from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling
+
+FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
+LARGEST_NM = 10_000.0
+BandName = Literal["narrow_h", "j", "h", "j_h"]
+Nanometres = Annotated[float, Field(ge=-LARGEST_NM, le=LARGEST_NM)]
+Zernikes = Annotated[dict[int, Nanometres], AfterValidator(require_nolls)]
+Degrees = Annotated[float, Field(ge=-720, le=720)]
+
+
+class AberrationKeys(Section):
+    """Static aberrations: drawn by the NCPA law, or given."""
+
+    total_nm: float | None = Field(None, ge=0, le=5000, description="RMS of the drawn modes together, nm")
+    modes: int = Field(50, ge=2, le=500, description="number of drawn modes, from Noll 2 on")
+    zernike_nm: Zernikes | None = Field(None, description="Noll index: nm RMS, instead of a draw")
+    tail_nm: float = Field(0.0, ge=0, le=1000, description="RMS of every mode of a further, drawn tail")
+    tail_nolls: tuple[int, int] = Field((52, 200), description="first and last Noll index of the tail")
+
+    @model_validator(mode="after")
+    def _tail(self) -> AberrationKeys:
+        first, last = self.tail_nolls
+        if not 2 <= first <= last <= 1000:
+            raise ValueError("tail_nolls: give the first and the last Noll index, from 2 to 1000")
+        return self
+
+    @model_validator(mode="after")
+    def _one_way(self) -> AberrationKeys:
+        if (self.total_nm is None) == (self.zernike_nm is None):
+            raise ValueError("give either total_nm (drawn from the seed) or zernike_nm, Noll index: nm RMS")
+        return self
+
+
+class PupilKeys(Section):
+    """The pupil as it is, where it differs from that of the instrument's profile, which nobody is told."""
+
+    obscuration_m: float = Field(ge=0, description="diameter of the central hole")
+
+
+class DiversityKeys(Section):
+    """The aberration put in on purpose; the side-car states it."""
+
+    source: str = Field("lens", min_length=1, description="what introduces it: lens or mirror")
+    zernike: Zernikes = Field({6: -170.0}, description="Noll index: nm RMS")
+
+
+FourNumbers = tuple[float, float, float, float]
+
+
+class LensletKeys(Section):
+    """Errors of the four lenslets: lower left, lower right, upper left, upper right."""
+
+    x_mas: FourNumbers = Field((0.0,) * 4, description="displacement of their images along x")
+    y_mas: FourNumbers = Field((0.0,) * 4, description="the same along y")
+    flux: FourNumbers = Field((0.0,) * 4, description="light beyond their share, relative")
+
+    @model_validator(mode="after")
+    def _small(self) -> LensletKeys:
+        if max(map(abs, (*self.x_mas, *self.y_mas))) > 1000 or max(map(abs, self.flux)) > 0.9:
+            raise ValueError("displacements are at most 1000 mas, and changes of the light at most 0.9")
+        return self
+
+    @property
+    def tilts_mas(self) -> tuple[tuple[float, float], ...]:
+        """Displacements (x, y) of the images."""
+        return tuple(zip(self.x_mas, self.y_mas, strict=True))
+
+
+@dataclass(frozen=True)
+class SkyKeys(Sky):
+    """AO residual, and what of the instrument's facility it changes."""
+
+    cutoff_per_m: float | None = key(
+        None, "1 / (2 actuator pitch); that of the instrument if left out", ge=0.2, le=1000
+    )
+    outer_scale_m: float | None = key(
+        None, "outer scale of the turbulence; the instrument's if left out", ge=1, le=1000
+    )
+
+    def completed(self, facility: Facility) -> SkyKeys:
+        """Return the section with what it leaves out taken from the `facility`."""
+        absent = [name for name in FACILITY_KEYS if getattr(self, name) is None]
+        return replace(self, **{name: getattr(facility, name) for name in absent})
+
+    @property
+    def residual(self) -> Sky:
+        """The AO residual alone."""
+        return Sky(**{field.name: getattr(self, field.name) for field in fields(Sky)})
+
+
+@dataclass(frozen=True)
+class DetectorKeys(DetectorModel):
+    """Detector constants of a recording, which is written in whole ADU."""
+
+    saturation_adu: float = key(ADC_TOP_ADU, "end of the converter", gt=0, le=ADC_TOP_ADU)
+
+    def __post_init__(self) -> None:
+        _ = self.analogue_noise_e
+        if self.pedestal_adu >= self.saturation_adu:
+            raise SceneError("pedestal_adu must be below saturation_adu")
 
 
 def _kind(value: Any) -> str:
@@ -39,8 +135,7 @@ def _kind(value: Any) -> str:
 
 # One value or a list of them; thanks to the tags a wrong one is reported once, not for each possibility.
 Bands = Annotated[
-    Annotated[BandName, Tag("one")]
-    | Annotated[list[BandKeys], Field(min_length=1, max_length=100), Tag("list")],
+    Annotated[BandName, Tag("one")] | Annotated[list[Band], Field(min_length=1, max_length=100), Tag("list")],
     Discriminator(_kind),
 ]
 Defocus = Annotated[
@@ -70,10 +165,10 @@ class Shared(Section):
     diversity: DiversityKeys | None = Field(None, description="aberration put in on purpose")
     pupil: PupilKeys | None = Field(None, description="what of the pupil differs from the profile")
     sky: SkyKeys | None = Field(None, description="AO residual; left out on the bench")
-    motion: MotionKeys | None = Field(None, description="image motion; left out on the bench")
+    motion: Motion | None = Field(None, description="image motion; left out on the bench")
     detector: DetectorKeys | None = Field(None, description="detector constants")
     effects: EffectKeys | None = Field(None, description="effects that the side-car does not state")
-    sampling: SamplingKeys | None = Field(None, description="how finely the light is computed")
+    sampling: Sampling | None = Field(None, description="how finely the light is computed")
 
 
 class RecordingKeys(Shared):
@@ -111,9 +206,7 @@ class RecordingKeys(Shared):
     @model_validator(mode="before")
     @classmethod
     def _mapping(cls, value: Any) -> Any:
-        if not isinstance(value, dict):
-            raise ValueError("should be a section of 'key: value' lines")
-        if str(value.get("mode", "")).startswith("20x20_"):
+        if isinstance(value, dict) and str(value.get("mode", "")).startswith("20x20_"):
             return {"window": LENSLET_WINDOW, "layout": "muse_raw"} | value
         return value
 
@@ -142,7 +235,6 @@ class RecordingKeys(Shared):
             self._time_problem(),
             self._layout_problem(),
             self._pixel_problem(),
-            self._reads_problem(),
             self._sky_problem(),
         )
         if any(found):
@@ -169,16 +261,6 @@ class RecordingKeys(Shared):
             )
         return ""
 
-    def _reads_problem(self) -> str:
-        """Say that reads do not fill the exposure; the detector may be shared, so asked when it is in."""
-        if self.detector is None or self.detector.read_s is None:
-            return ""
-        try:
-            whole_reads(self.exposure_s, self.detector.read_s)
-        except ConfigurationError as problem:
-            return f"detector.read_s: {problem}"
-        return ""
-
     def _layout_problem(self) -> str:
         if self.layout == "muse_raw" and (self.offsets_nm or self.angles_deg):
             return "layout: muse_raw holds one cube; use layout: recorder for a series"
@@ -201,34 +283,13 @@ class RecordingKeys(Shared):
             return ""
         named = {
             "detector.dead": self.detector.dead,
-            "detector.hot": [hot.pixel for hot in self.detector.hot],
+            "detector.hot": [hot.pixel for hot in self.detector.hot_e_per_s],
         }
         return next(filter(None, (outside_window(key, own, self.window) for key, own in named.items())), "")
 
-    def with_shared(self, shared: Shared) -> RecordingKeys:
-        """Return this recording with the shared sections filled in below its own."""
-        merged = {name: self._merged(name, shared) for name in Shared.model_fields}
-        own = {name: getattr(self, name) for name in self.model_fields_set}
-        return RecordingKeys.model_validate({**own, **{k: v for k, v in merged.items() if v is not None}})
-
     def completed(self, facility: Facility) -> RecordingKeys:
         """Return this recording with what sky and motion leave out taken from the `facility`."""
-        sections = {"sky": self.sky, "motion": self.motion}
-        known = {name: section.completed(facility) for name, section in sections.items() if section}
+        known: dict[str, Any] = {"sky": self.sky and self.sky.completed(facility)}
+        if self.motion is not None and self.motion.lines is None:
+            known["motion"] = replace(self.motion, lines=facility.vibration_lines)
         return self.model_copy(update=known)
-
-    def misfit(self, geometry: PupilGeometry) -> str:
-        """Say which effect does not fit the recording or the pupil; asked when the shared sections are in."""
-        bands = {"j_h": 2}.get(self.bands, 1) if isinstance(self.bands, str) else len(self.bands)
-        diversity_nm = self.diversity.zernike if self.diversity else {}
-        setup = RecordingSetup(geometry, bands, self.window, diversity_nm)
-        effects = effects_of(self.effects.given() if self.effects else {})
-        return next(filter(None, (effect.misfit(setup) for effect in effects)), "")
-
-    def _merged(self, name: str, shared: Shared) -> Section | None:
-        """A section given here goes over the shared one; given as null, it switches that one off."""
-        own, below = getattr(self, name), getattr(shared, name)
-        if name not in self.model_fields_set:
-            return below
-        # aberrations are one thing: half of a draw and half of a list make no sense
-        return own if own is None or isinstance(own, AberrationKeys) else own.over(below)

@@ -14,25 +14,19 @@ from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects.base import FocusStageEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS
 from irlos_pipe.simulate.light import Band
-from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm, draw_tail_nm
-from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
-from irlos_pipe.simulate.recordings.section_keys import (
+from irlos_pipe.simulate.recordings.recording_keys import (
     FACILITY_KEYS,
     AberrationKeys,
-    BandKeys,
-    DetectorKeys,
     LensletKeys,
-    MotionKeys,
     PupilKeys,
-    SkyKeys,
+    RecordingKeys,
 )
-from irlos_pipe.simulate.recordings.spec import Spec
 from irlos_pipe.simulate.scene import Sampling, Scene
 
 BANDS = {
@@ -45,8 +39,16 @@ PRESENT = "2024-02-11"  # day of recordings whose start is not given
 THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
 
 
-def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
-    """Return what all recordings of the section `name` of `spec`, with its `keys`, have in common.
+def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys) -> Scene:
+    """Return what all recordings of the section `name`, with its `keys`, have in common.
+
+    Parameters
+    ----------
+    instrument : Instrument
+    seed : int
+        Of the spec, from which aberrations are drawn.
+    name : str
+    keys : RecordingKeys
 
     Raises
     ------
@@ -57,9 +59,9 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
     diversity = keys.diversity
     scene = Scene(
         name=name,
-        facility=_facility(spec.instrument.facility, name, keys),
+        facility=_facility(instrument.facility, keys),
         bands=_bands(keys.bands),
-        seed=(spec.seed,),
+        seed=(seed,),
         frames=keys.frames,
         exposure_s=keys.exposure_s,
         role=keys.role,
@@ -71,18 +73,18 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
         lenslets=keys.lenslets,
         lenslet_tilts_mas=(keys.lenslet_images or LensletKeys()).tilts_mas,
         lenslet_flux=(keys.lenslet_images or LensletKeys()).flux,
-        pixel_scale_mas=_pixel_scale_mas(spec, name, keys),
+        pixel_scale_mas=_pixel_scale_mas(instrument, keys),
         pupil_rotation_deg=keys.pupil_rotation_deg,
-        ncpa_nm=_aberrations(keys.ncpa, spec, "ncpa"),
-        rotating_nm=_aberrations(keys.rotating, spec, "rotating"),
+        ncpa_nm=_aberrations(keys.ncpa, instrument, seed, "ncpa"),
+        rotating_nm=_aberrations(keys.rotating, instrument, seed, "rotating"),
         diversity_nm=dict(diversity.zernike) if diversity else {},
         diversity_source=diversity.source if diversity else "none",
-        sky=_sky(keys.sky),
-        motion=_motion(keys.motion),
-        sky_e_per_s=_sky_e_per_s(spec, name, keys),
+        sky=keys.sky and keys.sky.residual,
+        motion=keys.motion,
+        sky_e_per_s=_sky_e_per_s(instrument, keys),
         effects=_within_scene(keys),
-        detector=_detector(keys.detector),
-        sampling=Sampling(**dict(keys.sampling)) if keys.sampling else Sampling(),
+        detector=keys.detector or DetectorModel(),
+        sampling=keys.sampling or Sampling(),
     )
     _require_unfolded(scene)
     _require_correction_band(scene)
@@ -94,7 +96,7 @@ def _require_unfolded(scene: Scene) -> None:
     needed = scene.needed_samples
     if needed > scene.pupil_samples:
         raise ConfigurationError(
-            f"recordings.{scene.name}: a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
+            f"a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
             f"needs {needed} samples across the pupil; give sampling.pupil_samples >= {needed}, "
             "or a smaller window"
         )
@@ -106,7 +108,7 @@ def _require_correction_band(scene: Scene) -> None:
     needed = math.ceil(2 * cutoff_per_m * diameter_m)
     if scene.sky is not None and scene.sampling.pupil_samples is None and needed > scene.pupil_samples:
         raise ConfigurationError(
-            f"recordings.{scene.name}: sky.cutoff_per_m = {cutoff_per_m:g} needs {needed} samples across the "
+            f"sky.cutoff_per_m = {cutoff_per_m:g} needs {needed} samples across the "
             f"pupil; give sampling.pupil_samples >= {needed}, or a lower cut-off"
         )
 
@@ -121,46 +123,44 @@ def _within_scene(keys: RecordingKeys) -> dict[str, Mapping[str, Any]]:
     }
 
 
-def _aberrations(keys: AberrationKeys | None, spec: Spec, what: str) -> dict[int, float]:
+def _aberrations(
+    keys: AberrationKeys | None, instrument: Instrument, seed: int, what: str
+) -> dict[int, float]:
     """Coefficients; the draw is the same for all recordings of a spec."""
     if keys is None:
         return {}
     modes_nm = dict(keys.zernike_nm or {})
     if keys.total_nm is not None:
-        rng = np.random.default_rng([spec.seed, number(what)])
-        modes_nm = draw_ncpa_nm(rng, spec.instrument.facility.ncpa_law, keys.total_nm, keys.modes)
+        rng = np.random.default_rng([seed, number(what)])
+        modes_nm = draw_ncpa_nm(rng, instrument.facility.ncpa_law, keys.total_nm, keys.modes)
     if keys.tail_nm:
-        rng = np.random.default_rng([spec.seed, number(f"{what} tail")])
+        rng = np.random.default_rng([seed, number(f"{what} tail")])
         for noll, value_nm in draw_tail_nm(rng, keys.tail_nm, *keys.tail_nolls).items():
             modes_nm[noll] = modes_nm.get(noll, 0.0) + value_nm
     return modes_nm
 
 
-def _bands(bands: str | list[BandKeys]) -> tuple[Band, ...]:
+def _bands(bands: str | list[Band]) -> tuple[Band, ...]:
     if isinstance(bands, str):
         return BANDS[bands]
     total = sum(band.share for band in bands)
-    return tuple(Band(band.centre_nm, band.half_width_nm, band.share / total) for band in bands)
+    return tuple(replace(band, share=band.share / total) for band in bands)
 
 
-def _pixel_scale_mas(spec: Spec, name: str, keys: RecordingKeys) -> float:
-    scale = keys.pixel_scale_mas or _mode_scale_mas(spec, name, keys)
+def _pixel_scale_mas(instrument: Instrument, keys: RecordingKeys) -> float:
+    scale = keys.pixel_scale_mas or _mode_scale_mas(instrument, keys)
     if scale is None:
-        raise ConfigurationError(
-            f"recordings.{name}: the profile {spec.instrument.name} has no default pixel_scale_mas; give one"
-        )
+        raise ConfigurationError(f"the profile {instrument.name} has no default pixel_scale_mas; give one")
     return scale
 
 
-def _mode_scale_mas(spec: Spec, name: str, keys: RecordingKeys) -> float | None:
+def _mode_scale_mas(instrument: Instrument, keys: RecordingKeys) -> float | None:
     """The profile's usual scale; with lenslets, that of the mode on the day of the recording."""
     if keys.lenslets == 1:
-        return spec.instrument.defaults.get("pixel_scale_mas")
-    modes = spec.instrument.on(keys.start[:10] if keys.start else PRESENT).modes
+        return instrument.defaults.get("pixel_scale_mas")
+    modes = instrument.on(keys.start[:10] if keys.start else PRESENT).modes
     if keys.mode not in modes:
-        raise ConfigurationError(
-            f"recordings.{name}: mode: the profile {spec.instrument.name} has no '{keys.mode}'"
-        )
+        raise ConfigurationError(f"mode: the profile {instrument.name} has no '{keys.mode}'")
     return modes[keys.mode].pixel_scale_mas
 
 
@@ -170,60 +170,36 @@ def _throughput(keys: RecordingKeys) -> float:
     return default if keys.throughput is None else keys.throughput
 
 
-def _facility(facility: Facility, name: str, keys: RecordingKeys) -> Facility:
+def _facility(facility: Facility, keys: RecordingKeys) -> Facility:
     """The instrument's facility with what the sections `sky` and `pupil` change of it."""
     given = {name: getattr(keys.sky, name) for name in FACILITY_KEYS} if keys.sky else {}
     if keys.pupil is not None:
-        given["pupil"] = _pupil(facility.pupil, name, keys.pupil)
+        given["pupil"] = _pupil(facility.pupil, keys.pupil)
     return replace(facility, **{name: value for name, value in given.items() if value is not None})
 
 
-def _pupil(pupil: PupilGeometry, name: str, keys: PupilKeys) -> PupilGeometry:
+def _pupil(pupil: PupilGeometry, keys: PupilKeys) -> PupilGeometry:
     """The profile's pupil with what the section `pupil` changes of it."""
     if keys.obscuration_m >= pupil.diameter_m:
         raise ConfigurationError(
-            f"recordings.{name}: pupil.obscuration_m = {keys.obscuration_m:g} leaves nothing of a pupil of "
+            f"pupil.obscuration_m = {keys.obscuration_m:g} leaves nothing of a pupil of "
             f"{pupil.diameter_m:g} m; give less"
         )
     return replace(pupil, obscuration_m=keys.obscuration_m)
 
 
-def _sky_e_per_s(spec: Spec, name: str, keys: RecordingKeys) -> float:
+def _sky_e_per_s(instrument: Instrument, keys: RecordingKeys) -> float:
     """Light of the sky in a pixel, as given or by the profile [e-/s]."""
     if not isinstance(keys.sky_e_per_s, str):
         return keys.sky_e_per_s
-    facility, scale_mas = spec.instrument.facility, _pixel_scale_mas(spec, name, keys)
+    facility, scale_mas = instrument.facility, _pixel_scale_mas(instrument, keys)
     if not facility.sky_mag_per_arcsec2:
         raise ConfigurationError(
-            f"recordings.{name}: the profile {spec.instrument.name} states no sky_mag_per_arcsec2; give "
-            "sky_e_per_s as a number"
+            f"the profile {instrument.name} states no sky_mag_per_arcsec2; give sky_e_per_s as a number"
         )
     spectrum = [(band.centre_nm, band.share) for band in _bands(keys.bands)]
     photons_per_s_m0 = facility.photons_per_s_m15 * 10 ** (0.4 * 15) * _throughput(keys)
     return facility.sky_photons_per_s(spectrum, photons_per_s_m0, scale_mas) / keys.lenslets**2
-
-
-def _sky(keys: SkyKeys | None) -> Sky | None:
-    return None if keys is None else Sky(**keys.model_dump(exclude=set(FACILITY_KEYS)))
-
-
-def _motion(keys: MotionKeys | None) -> Motion | None:
-    if keys is None:
-        return None
-    given = dict(keys)
-    lines = given.pop("lines")
-    if lines is not None:
-        given["lines"] = tuple((line.hz, line.share_x, line.share_y) for line in lines)
-    return Motion(**given)
-
-
-def _detector(keys: DetectorKeys | None) -> DetectorModel:
-    if keys is None:
-        return DetectorModel()
-    given = dict(keys)
-    hot = tuple((one.pixel, one.e_per_s) for one in given.pop("hot"))
-    full_well_e = given.pop("full_well_e") or float("inf")
-    return DetectorModel(**given | {"dead": tuple(keys.dead), "hot_e_per_s": hot, "full_well_e": full_well_e})
 
 
 def number(name: str) -> int:

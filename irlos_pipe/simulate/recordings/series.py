@@ -11,7 +11,7 @@ from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.effects.focus_stage import reached_nm
 from irlos_pipe.simulate.recordings.planned import LOOP_HZ, Defocus, Planned
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
-from irlos_pipe.simulate.recordings.scenes import base_scene, number
+from irlos_pipe.simulate.recordings.scenes import number
 from irlos_pipe.simulate.recordings.spec import Spec
 
 FIRST_START_UNIX_S = 1_707_618_000
@@ -39,7 +39,7 @@ def plan_recordings(spec: Spec) -> list[Planned]:
 
 def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[Planned]:
     """Recordings of one section of the spec."""
-    scene = base_scene(spec, name, keys)
+    scene = spec.scenes[name]
     hidden = keys.effects.given() if keys.effects else {}
     rng = np.random.default_rng([spec.seed, number(name), number("focus stage")])
     duration_s = MOVE_S + int(np.ceil(scene.frames * scene.period_s))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import SIMULATIONS, named_file
 from irlos_pipe.files.validation import ValidationErrors
@@ -17,8 +18,11 @@ from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.simulate.recordings.planned import DOUBLE
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys, Shared
+from irlos_pipe.simulate.recordings.scenes import base_scene
+from irlos_pipe.simulate.scene import Scene
 
 SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
+WHOLE = {"ncpa", "rotating"}  # half of a draw and half of a list make no sense
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # becomes the name of a folder
 
 
@@ -42,6 +46,8 @@ class Spec:
         Name of the profile, or the absolute path of its file.
     recordings : dict of str to RecordingKeys
         By name, the shared sections filled in.
+    scenes : dict of str to Scene
+        What all recordings of such a section have in common.
     """
 
     name: str
@@ -50,6 +56,7 @@ class Spec:
     instrument_name: str
     instrument: Instrument
     recordings: dict[str, RecordingKeys]
+    scenes: dict[str, Scene]
 
     def resolved_yaml(self) -> str:
         """Return the spec with every default explicit; it makes the same recordings again."""
@@ -60,7 +67,8 @@ class Spec:
             "seed": self.seed,
         }
         recordings = {
-            name: keys.model_dump(mode="json", exclude_none=True) for name, keys in self.recordings.items()
+            name: keys.model_dump(mode="json", exclude_none=True, by_alias=True)
+            for name, keys in self.recordings.items()
         }
         return yaml_text(head | {"recordings": recordings})
 
@@ -98,13 +106,28 @@ def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> S
     for name in keys.recordings:
         _check_name(name, errors)
     instrument_name, instrument = checked_instrument(keys.instrument, absolute(path).parent, errors)
-    recordings = {name: _filled_in(name, keys, instrument, errors) for name in keys.recordings}
+    recordings, scenes = {}, {}
+    for name, own in data["recordings"].items():
+        merged = errors.validated(_with_shared(own, data), RecordingKeys, ("recordings", name))
+        if merged is None or instrument is None:
+            continue
+        recordings[name] = merged.completed(instrument.facility)
+        try:
+            scenes[name] = base_scene(instrument, keys.seed, name, recordings[name])
+        except ConfigurationError as problem:
+            errors.add(("recordings", name), f"recordings.{name}: {problem}")
     errors.raise_if_any()
     assert instrument is not None, "what is wrong has been reported"
-    complete = {
-        name: one.completed(instrument.facility) for name, one in recordings.items() if one is not None
-    }
-    return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, complete)
+    return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, recordings, scenes)
+
+
+def _with_shared(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
+    """A recording's `own` sections over the `shared` ones, key by key; null switches a shared one off."""
+    merged = {name: shared[name] for name in Shared.model_fields if name in shared} | dict(own)
+    for name in merged.keys() & shared.keys() - WHOLE:
+        if None not in (merged[name], shared[name]):
+            merged[name] = {**shared[name], **merged[name]}
+    return merged
 
 
 def _check_name(name: str, errors: ValidationErrors) -> None:
@@ -114,17 +137,3 @@ def _check_name(name: str, errors: ValidationErrors) -> None:
             f"recordings.{name}: becomes the name of a folder; use letters, digits and . _ + : - "
             f"(no '{DOUBLE}'), beginning with a letter or digit",
         )
-
-
-def _filled_in(
-    name: str, keys: SpecKeys, instrument: Instrument | None, errors: ValidationErrors
-) -> RecordingKeys | None:
-    try:
-        complete = keys.recordings[name].with_shared(keys)
-    except ValidationError as error:
-        errors.add_invalid(error, RecordingKeys, ("recordings", name))
-        return None
-    problem = complete.misfit(instrument.pupil) if instrument else ""
-    if problem:
-        errors.add(("recordings", name), f"recordings.{name}: {problem}")
-    return complete

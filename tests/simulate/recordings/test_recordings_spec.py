@@ -187,13 +187,14 @@ def test_a_recording_changes_shared_sections_key_by_key_for_itself_alone(tmp_pat
         "own": CUBE | {"sky": {"slope": 1.5}, "detector": {"e_per_adu": 2.0},
                        "effects": {"vibration": {"sigma_mas": 5}}},
         "bench": CUBE | {"sky": None, "effects": None},
+        "same": CUBE | {"sky": {}, "effects": {"plate_scale": None}},
     }  # fmt: skip
     shared = {
         "sky": {"seeing_arcsec": 0.8},
         "detector": {"read_noise_e": 3.0},
         "effects": {"plate_scale": {"fraction": 0.01}},
     }
-    plain, own, bench = (
+    plain, own, bench, same = (
         one.scene for one in plan_recordings(loaded(tmp_path, spec_of(recordings, **shared)))
     )
     assert (plain.sky.seeing_arcsec, plain.sky.slope, plain.detector.e_per_adu) == (0.8, 2.0, 0.5)
@@ -201,6 +202,7 @@ def test_a_recording_changes_shared_sections_key_by_key_for_itself_alone(tmp_pat
     assert (own.detector.e_per_adu, own.detector.read_noise_e) == (2.0, 3.0)
     assert own.effects.keys() == {"plate_scale", "vibration"} and plain.effects.keys() == {"plate_scale"}
     assert bench.sky is None and not bench.effects and bench.detector.read_noise_e == 3.0
+    assert same.sky == plain.sky and not same.effects
 
 
 def test_the_command_line_wins_over_the_file(tmp_path):
@@ -254,6 +256,5 @@ def test_a_pupil_may_differ_from_the_profile_in_its_hole(tmp_path):
 
 
 def test_a_hole_as_wide_as_the_pupil_is_refused(tmp_path):
-    spec = loaded(tmp_path, spec_of({"one": CUBE}, pupil={"obscuration_m": 8.0}))
-    with pytest.raises(ConfigurationError, match=r"recordings\.one: pupil\.obscuration_m = 8 leaves nothing"):
-        plan_recordings(spec)
+    (line,) = refusal(tmp_path, spec_of({"one": CUBE}, pupil={"obscuration_m": 8.0}))
+    assert "recordings.one: pupil.obscuration_m = 8 leaves nothing" in line and line.startswith("spec.yaml:")

@@ -1,0 +1,46 @@
+"""What a dataclass says about its values where files give them: the meaning of a key, and its limits.
+
+The standard library alone, so that science can say it; pydantic reads it where the files are checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import MISSING, field
+from typing import Any, TypeVar
+
+Row = TypeVar("Row", bound=type)
+
+
+def key(default: Any = MISSING, meaning: str = "", **how: Any) -> Any:
+    """Return the field of a dataclass that a file gives.
+
+    Parameters
+    ----------
+    default : object, optional
+        Its value where the file is silent; without one it must be given.
+    meaning : str
+        For messages and references.
+    **how
+        Of pydantic's ``Field``: limits such as ``ge``; ``alias``, the key where it is not the field's name.
+    """
+    return field(default=default, metadata={"description": meaning, **how})
+
+
+class Limited:
+    """The same for a value within a tuple: ``Annotated[int, Limited("row", ge=0)]``."""
+
+    def __init__(self, meaning: str = "", **limits: float):
+        self.meaning, self.limits = meaning, limits
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], dict]) -> dict:
+        return handler(source) | self.limits
+
+
+def named_row(row: Row) -> Row:
+    """Let a named tuple be written as a mapping, as files give it."""
+    how = {"type": "function-plain", "function": row._asdict}  # type: ignore[attr-defined]
+    row.__get_pydantic_core_schema__ = classmethod(  # type: ignore[attr-defined]
+        lambda cls, source, handler: handler(source) | {"serialization": how}
+    )
+    return row
