@@ -14,7 +14,7 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
+from irlos_pipe.paper.common.focus_loop import FrameTable, frame_table
 
 from benchmarks.focus_loop.telescope import Night, scene_of
 from irlos_pipe.files.atomic import atomic_file
