@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 LIGHT_PATH = {
     "ingest": "irlos_pipe.stages.ingest.stage",
-    "prior": "irlos_pipe.stages.prior.stage",
+    "prior": "irlos_pipe.stages.prior",
     "calibrate": "irlos_pipe.stages.calibrate.stage",
     "lift": "irlos_pipe.stages.lift.stage",
     "sensitivity": "irlos_pipe.stages.sensitivity.stage",
     "correct": "irlos_pipe.stages.correct.stage",
-    "derotator": "irlos_pipe.stages.derotator.stage",
-    "modes": "irlos_pipe.stages.modes.stage",
+    "derotator": "irlos_pipe.stages.derotator",
+    "modes": "irlos_pipe.stages.modes",
     "diagnose": "irlos_pipe.stages.diagnose.stage",
 }
 # Experiments of the paper on simulated data, each a stage of its own recipe, in the order of the paper.

@@ -6,7 +6,7 @@ import math
 from typing import ClassVar
 
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
-from irlos_pipe.stages.derotator.results import SplitRow
+from irlos_pipe.stages.derotator import SplitRow
 
 
 class PartsWfe(ResultsPart):

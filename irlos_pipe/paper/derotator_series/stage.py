@@ -24,7 +24,7 @@ from irlos_pipe.paper.derotator_series.results import DerotatorSeriesResults as 
 from irlos_pipe.paper.derotator_series.results import MethodRow, PartsWfe
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.derotator.output import SplitOutput, map_of
+from irlos_pipe.stages.derotator import SplitOutput, map_of
 
 NAME = Results.stage
 VERSION = 4
@@ -117,9 +117,8 @@ def _truth_arrays(ctx: StageContext[Config], truth: Truth, found: Sequence[Array
     arrays: dict[str, Quantity] = {}
     for name, part_nm in (("rotating", truth.rotating_nm), ("fixed", truth.fixed_nm)):
         seen = {noll: value for noll, value in part_nm.items() if noll > 3}
-        arrays[f"truth/maps/{name}_nm"] = map_of(
-            pupil, list(seen), np.array(list(seen.values())), "simulated"
-        )
+        map_nm = map_of(pupil, list(seen), np.array(list(seen.values())))
+        arrays[f"truth/maps/{name}_nm"] = Quantity(map_nm, "nm", "simulated, without tip and tilt")
     arrays["mean_image_e"] = Quantity(np.stack([one["mean_image_e"] for one in found]), "e-", "of a frame")
     return arrays
 

@@ -6,7 +6,7 @@ import math
 from typing import ClassVar
 
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
-from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow
+from irlos_pipe.stages.sensitivity.stage import CriterionRow, CurveRow
 
 
 class VariantCurve(CurveRow):

@@ -21,9 +21,10 @@ from irlos_pipe.paper.faint.experiment import (
 )
 from irlos_pipe.paper.faint.results import ExposureGroup, FaintCriterion, VariantCurve
 from irlos_pipe.paper.faint.results import FaintResults as Results
+from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.sensitivity.work import UNITS
+from irlos_pipe.stages.sensitivity.stage import CURVE
 
 NAME = Results.stage
 VERSION = 9
@@ -127,7 +128,7 @@ def _curve(key: str, curve: Curve, criterion: Criterion) -> VariantCurve:
         label=variant.name,
         modes=list(variant.modes),
         calibrated=bool(variant.ncpa),
-        **{name: getattr(curve, name).tolist() for name in UNITS},
+        **{name: getattr(curve, name).tolist() for name in CURVE},
         trials=curve.trials,
         limit_mag=curve.limit_mag,
         one_read_bound_mag=curve.bound_mag(criterion),
@@ -135,16 +136,13 @@ def _curve(key: str, curve: Curve, criterion: Criterion) -> VariantCurve:
 
 
 def _arrays(groups: list[ExposureGroup]) -> dict[str, Quantity]:
-    return {
-        f"{group.exposure_s:g}/{curve.key}/{name}": Quantity(
-            np.array(getattr(curve, name)),
-            unit,
-            f"{curve.label}, {len(curve.modes)} modes, {group.exposure_s:g} s",
-        )
-        for group in groups
-        for curve in group.curves
-        for name, unit in UNITS.items()
-    }
+    arrays: dict[str, Quantity] = {}
+    for group in groups:
+        for curve in group.curves:
+            values = {name: getattr(curve, name) for name in CURVE}
+            note = f"{curve.label}, {len(curve.modes)} modes, {group.exposure_s:g} s"
+            arrays |= declared(CURVE, values, note, below=f"{group.exposure_s:g}/{curve.key}/")
+    return arrays
 
 
 def _line(group: ExposureGroup) -> str:

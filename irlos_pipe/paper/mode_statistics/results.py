@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from irlos_pipe.product.results import Number, StageResults
-from irlos_pipe.stages.modes.results import LawRow
+from irlos_pipe.stages.modes import LawRow
 
 
 class ModeStatisticsResults(StageResults):

@@ -24,7 +24,7 @@ from irlos_pipe.paper.mode_statistics.experiment import (
 from irlos_pipe.paper.mode_statistics.results import ModeStatisticsResults as Results
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.modes.results import LawRow
+from irlos_pipe.stages.modes import LawRow
 
 NAME = Results.stage
 VERSION = 2
