@@ -1,7 +1,7 @@
 """The stages a recipe can name, in the order of the light path.
 
-A module `stage` declares a stage: settings, results, what it needs. The module `work` beside it does the work
-and is imported when the stage runs; so recipes are checked, planned and explained without PyTorch.
+The module of a stage declares it: settings, results, arrays, checks, what it needs. What needs PyTorch is
+imported when the stage runs; so recipes are checked, planned and explained without it.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class StageOutput:
 
 
 class Stage(Protocol):
-    """A module ``stage`` of this package: what can stand in a recipe.
+    """The module of a stage: what can stand in a recipe.
 
     Attributes
     ----------

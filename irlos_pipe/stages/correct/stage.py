@@ -10,9 +10,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
-from irlos_pipe.effects import SeeingHalo, fixed_optics
 from irlos_pipe.frames.recording import PROFILE, Recording
-from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm, rms_and_pv
+from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card
 from irlos_pipe.product.product import Check
@@ -88,21 +87,6 @@ class StrehlRow(ResultsPart):
     without: Number = math.nan
 
 
-class MapRow(ResultsPart):
-    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm].
-
-    Attributes
-    ----------
-    rms_nm : float
-        RMS about the mean over the clear pupil.
-    pv_nm : float
-        Peak to valley over the clear pupil.
-    """
-
-    rms_nm: Number = math.nan
-    pv_nm: Number = math.nan
-
-
 class CorrectResults(StageResults):
     """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them.
 
@@ -116,7 +100,7 @@ class CorrectResults(StageResults):
         Strehl ratio predicted without and with the offsets.
     strehl_budget : list of StrehlRow
         What each part of the model costs the image before the correction; the whole model first.
-    wavefront_before, wavefront_after : MapRow
+    wavefront_before, wavefront_after : MapSize
         RMS and peak to valley of the maps of the wavefront, without tip and tilt.
     resolution_mas : float
         λ/D at the mean wavelength.
@@ -130,8 +114,8 @@ class CorrectResults(StageResults):
     strehl_before: Number = math.nan
     strehl_after: Number = math.nan
     strehl_budget: list[StrehlRow] = []
-    wavefront_before: MapRow = MapRow()
-    wavefront_after: MapRow = MapRow()
+    wavefront_before: MapSize = MapSize()
+    wavefront_after: MapSize = MapSize()
     resolution_mas: Number = math.nan
     mirror: MirrorRow | None = None
 
@@ -165,8 +149,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             strehl_before=prediction.strehl_before,
             strehl_after=prediction.strehl_after,
             strehl_budget=[StrehlRow(**asdict(one)) for one in budget],
-            wavefront_before=_map_row(before_nm),
-            wavefront_after=_map_row(after_nm),
+            wavefront_before=MapSize.of(before_nm),
+            wavefront_after=MapSize.of(after_nm),
             resolution_mas=prediction.resolution_px * scale_mas,
         ),
         _checks(ctx, recording, prediction),
@@ -207,6 +191,8 @@ def _checks(ctx: StageContext[Config], recording: Recording, prediction: Predict
 
     Only where the seeing of the recording is told, and the calibration has not measured the residual.
     """
+    from irlos_pipe.effects import SeeingHalo
+
     acquisition = recording.acquisition
     told = acquisition.sources.get("seeing_arcsec", PROFILE) != PROFILE
     if not told or SeeingHalo.name in results_of(CalibrateResults, ctx.products["calibrate"]).effects:
@@ -226,6 +212,7 @@ def _predict(
     ctx: StageContext[Config], recording: Recording, nolls: list[int], zernike_nm: np.ndarray
 ) -> tuple[Prediction, list[StrehlPart]]:
     """Images before and after the correction, and what every part of the model takes of the Strehl ratio."""
+    from irlos_pipe.effects import fixed_optics
     from irlos_pipe.estimate.correction import predict_correction, seen_and_left_nm
     from irlos_pipe.estimate.strehl_budget import strehl_budget
     from irlos_pipe.stages.model.effects import calibrated_effects
@@ -289,8 +276,3 @@ def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
             cut = prediction.transfer(image, axis)
             arrays |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
     return arrays
-
-
-def _map_row(map_nm: np.ndarray) -> MapRow:
-    rms_nm, pv_nm = rms_and_pv(map_nm)
-    return MapRow(rms_nm=rms_nm, pv_nm=pv_nm)

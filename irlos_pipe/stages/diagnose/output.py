@@ -16,7 +16,7 @@ from irlos_pipe.diagnosis.sentence import sentence
 from irlos_pipe.diagnosis.sharing import Sharing, Together
 from irlos_pipe.diagnosis.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
-from irlos_pipe.optics.wavefront import rms_and_pv
+from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.diagnose.results import (
@@ -26,7 +26,6 @@ from irlos_pipe.stages.diagnose.results import (
     DiagnoseResults,
     FrameCounts,
     GapRow,
-    MapRow,
     ModesChange,
     NoiseRow,
     OwnValueRow,
@@ -93,9 +92,7 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         drift_significance=result.drift_significance,
         frames=FrameCounts(training=result.frames[0], held_out=result.frames[1]),
         held_out=result.held_out,
-        added_wavefront=MapRow(
-            **dict(zip(("rms_nm", "pv_nm"), rms_and_pv(result.pictures.added_opd_nm), strict=True))
-        ),
+        added_wavefront=MapSize.of(result.pictures.added_opd_nm),
         zernike_nm=ModesChange(before=modes[0], after=modes[1]),
         sigma_nm=_by_noll(result, result.modes_sigma_nm),
         seconds=round(result.seconds, 3),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
+from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
 
 ARRAYS = {
@@ -307,21 +308,6 @@ class WhereRow(ResultsPart):
     extent_mas: Number = math.nan
 
 
-class MapRow(ResultsPart):
-    """RMS about the mean, and peak to valley, of a map over the clear pupil [nm].
-
-    Attributes
-    ----------
-    rms_nm : float
-        RMS about the mean over the clear pupil.
-    pv_nm : float
-        Peak to valley over the clear pupil.
-    """
-
-    rms_nm: Number = math.nan
-    pv_nm: Number = math.nan
-
-
 class RestRow(ResultsPart):
     """What the model still misses, see `diagnosis.rest.Rest`.
 
@@ -399,7 +385,7 @@ class DiagnoseResults(StageResults):
         Image motion over its expectation; drift in σ.
     held_out : str
         ``frames`` or ``pixels``: what no fit has seen.
-    added_wavefront : MapRow
+    added_wavefront : MapSize
         RMS and peak to valley of the wavefront that what was found adds.
     zernike_nm : ModesChange
         Total static wavefront [nm RMS]; `sigma_nm` its standard errors.
@@ -438,7 +424,7 @@ class DiagnoseResults(StageResults):
     drift_significance: Number = math.nan
     frames: FrameCounts = FrameCounts()
     held_out: str = "frames"
-    added_wavefront: MapRow = MapRow()
+    added_wavefront: MapSize = MapSize()
     zernike_nm: ModesChange = ModesChange()
     sigma_nm: ByNoll = {}
     defocus_error_nm: Change = Change()

@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.blocks import mean_frame, picked
-from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import results_of
-from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.stages.ingest.results import RECORDING, ROOT, IngestResults
+
+if TYPE_CHECKING:
+    from irlos_pipe.frames.cleaning import Cleaned
+    from irlos_pipe.readers.raw_file import RawRecording
 
 # Attributes of a recording that are arrays of the product. Those with a default are single numbers, of which
 # a product of an earlier version may lack some.
