@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from irlos_pipe.estimate.ramp_quality import (
     nominal_frame_chi2,
 )
 from irlos_pipe.product.declared import declared
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
@@ -52,7 +52,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), optics_nm)
     converged = float(fit.result.solution.converged.double().mean())
     return StageOutput(
-        declared(ARRAYS, _arrays(ramp, fit, summary, sigma_nm) | _curve_arrays(curve)),
+        _arrays(ramp, fit, summary, sigma_nm) | _curve_arrays(curve),
         _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm, optics_nm).model_copy(
             update={"twin": _twin(ramp, typical, curve)}
         ),
@@ -233,13 +233,13 @@ def _offsets(summary: RampSummary) -> list[Offset]:
     ]
 
 
-def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray) -> dict[str, Any]:
+def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray) -> dict[str, Quantity]:
     introduced, shape = ramp.data.introduced_nm, ramp.recordings[0].window
     model = fit.result.model_e.numpy()
     groups = [introduced == value for value in summary.offsets_nm]
     measured = np.array([ramp.data.images_e.numpy()[g].mean(0, dtype=float) for g in groups])
     modelled = np.array([model[g].mean(0) for g in groups]).reshape(-1, *shape)
-    return {
+    values = {
         "introduced_nm": introduced,
         "defocus_nm": (fit.defocus_nm, sigma_nm),
         "noll": fit.result.nolls,
@@ -252,12 +252,13 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray
         "measured_per_offset_e": measured,
         "model_per_offset_e": modelled,
     }
+    return declared(ARRAYS, values)
 
 
-def _curve_arrays(curve: FocusCurve | None) -> dict[str, np.ndarray]:
+def _curve_arrays(curve: FocusCurve | None) -> dict[str, Quantity]:
     if curve is None:
         return {}
-    return {"curve_defocus_nm": curve.focus_nm, "curve_chi2_nu": curve.chi2_nu}
+    return declared(ARRAYS, {"curve_defocus_nm": curve.focus_nm, "curve_chi2_nu": curve.chi2_nu})
 
 
 def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:
