@@ -20,20 +20,24 @@ MAY_IMPORT = {
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
     "estimate": {"conventions", "frames", "numerics", "optics", "effects"},
-    "diagnosis": {"conventions", "frames", "numerics", "optics", "effects", "estimate"},
+    "diagnosis": {
+        "conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnosis.records",
+    },
+    # What results.json holds of a diagnosis, for those who read it without the science.
+    "diagnosis.records": {"conventions"},
     # The simulator shares no line of optics with the model that is fitted to its images.
     "simulate": {"conventions"},
     "simulate.recordings": {"conventions", "effects", "files", "instrument", "product", "simulate"},
     "product": {"conventions", "files"},
     "stages": {
         "conventions", "files", "frames", "instrument", "readers", "numerics", "optics", "effects",
-        "estimate", "diagnosis", "product",
+        "estimate", "diagnosis", "diagnosis.records", "product",
     },
     "recipe": {"conventions", "files", "instrument", "stages"},
     "reference": {"conventions", "effects", "files", "instrument", "product", "readers", "recipe", "stages"},
     "report": {
         "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
-        "product", "stages",
+        "diagnosis.records", "product", "stages",
     },
     "pipeline": {"conventions", "files", "numerics", "product", "recipe", "stages", "report"},
     "paper": {
@@ -61,7 +65,8 @@ MAY_IMPORT = {
 }  # fmt: skip
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
 SCIENCE = (
-    "conventions", "control", "frames", "numerics", "optics", "effects", "estimate", "diagnosis", "simulate",
+    "conventions", "control", "frames", "numerics", "optics", "effects", "estimate", "diagnosis",
+    "diagnosis.records", "simulate",
 )  # fmt: skip
 SCIENCE_MAY_USE = {
     "__future__", "abc", "collections", "concurrent", "contextlib", "contextvars", "copy", "dataclasses",

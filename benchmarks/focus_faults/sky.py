@@ -14,10 +14,10 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from irlos_pipe.paper.common.focus_loop import FrameTable, frame_table
 
 from benchmarks.focus_loop.telescope import Night, scene_of
 from irlos_pipe.files.atomic import atomic_file
+from irlos_pipe.paper.common.focus_loop import FrameTable, frame_table
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.scene import Scene
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from irlos_pipe.diagnosis.ambiguity import Alternative, alternatives
+from irlos_pipe.diagnosis.ambiguity import alternatives
 from irlos_pipe.diagnosis.checks.drift import Drift
 from irlos_pipe.diagnosis.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnosis.cube import Cube
@@ -17,10 +17,10 @@ from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, gap_between, p
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit, other_forms
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.verdict import Ranked
 from irlos_pipe.effects import narrower_kinds
 from irlos_pipe.effects.labels import label_of, occurrences
 

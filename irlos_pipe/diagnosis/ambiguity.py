@@ -3,44 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
 SURE = 3.0  # Vuong's statistic on the held-out frames
 LIKENESS = 0.9
 LARGEST_SET = 3
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """A name that cannot be distinguished from the best one.
-
-    Attributes
-    ----------
-    name : str
-    reason : str
-    separated_by : str
-        What separates the two.
-    likeness : float
-        |cos| between what the two add to the image, beyond what the fitted parameters imitate.
-    second_recording : str
-        How a further recording differs with which they are least alike.
-    likeness_then : float
-        |cos| with that recording.
-    """
-
-    name: str
-    reason: str
-    separated_by: str
-    likeness: float
-    second_recording: str = ""
-    likeness_then: float = float("nan")
 
 
 def alternatives(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> list[Alternative]:

@@ -21,9 +21,10 @@ from irlos_pipe.diagnosis.grade import judged, share_at_its_place
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Advice
 from irlos_pipe.diagnosis.rest import rest_of
 from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.second_recording import Advice, SecondRecordings
+from irlos_pipe.diagnosis.second_recording import SecondRecordings
 from irlos_pipe.diagnosis.tried import tried
 from irlos_pipe.diagnosis.verdict import (
     COMPLETE,

@@ -6,39 +6,14 @@ the even part of the wavefront. Odd modes imitate the rest: behind a strong AO r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.joint_fit import POINTING
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.records import OppositeSide
 from irlos_pipe.diagnosis.starts import direction_of, other_sides
-
-
-@dataclass(frozen=True)
-class OppositeSide:
-    """A fit with an effect on its opposite side that these data do not exclude.
-
-    Attributes
-    ----------
-    public : dict
-        Its parameters there, under public names.
-    phrase : str
-        The effect there, as a sentence names it.
-    chi2_rise : float
-        χ² and priors there over those of the model, in units of their scatter; negative if it fits better.
-    wavefront_change_nm : float
-        RMS by which the wavefronts of both fits differ, tip and tilt apart.
-    """
-
-    public: Mapping[str, Any]
-    phrase: str
-    chi2_rise: float
-    wavefront_change_nm: float
 
 
 def opposite_side(fitter: Fitter, final: Optimum, label: str, sure: float) -> OppositeSide | None:

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from irlos_pipe.diagnosis.checks.fine_structure import FineStructure
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
+from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SMOOTH_PX = 1.0  # of the residual, before its strongest part is looked for

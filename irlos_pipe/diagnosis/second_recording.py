@@ -8,9 +8,8 @@ beyond the fitted parameters, and of the likeness of two names, says whether it 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +21,7 @@ from irlos_pipe.diagnosis.effect_sizes import detectable, within_reach
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.records import Advice
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Score, whitened_shapes
 from irlos_pipe.effects import Conditions
@@ -31,25 +31,6 @@ from irlos_pipe.numerics.parallel import ordered_map
 OUT_OF_FOCUS_NM = 200.0
 BANDS = {"J": J, "H": H}
 COLOURS = 3
-
-
-@dataclass(frozen=True)
-class Advice:
-    """A further recording that shows an effect.
-
-    Attributes
-    ----------
-    recording : str
-        How it differs from the first.
-    observability : float
-        Part of the power of the effect's derivative that the fitted parameters cannot imitate then, 1 − R².
-    smallest : dict
-        Public size that would be seen then.
-    """
-
-    recording: str
-    observability: float
-    smallest: dict[str, Any]
 
 
 class SecondRecordings:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from irlos_pipe.diagnosis.acceptance import Accepted, Options, Search
+from irlos_pipe.diagnosis.records import Ranked
 from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.verdict import Outcome, Ranked, Tried
+from irlos_pipe.diagnosis.verdict import Outcome, Tried
 from irlos_pipe.effects import CATALOGUE
 
 ELSEWHERE = {

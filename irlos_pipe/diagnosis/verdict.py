@@ -8,15 +8,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from irlos_pipe.diagnosis.ambiguity import Alternative
-from irlos_pipe.diagnosis.checks.fine_structure import FineStructure
 from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.cube import HeldOutKind
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.moments import Moments
-from irlos_pipe.diagnosis.opposite import OppositeSide
+from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
 from irlos_pipe.diagnosis.rest import Rest
-from irlos_pipe.diagnosis.second_recording import Advice
 from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.public_values import measured
@@ -29,29 +26,6 @@ PARTIAL: Final = "partial"
 RESEMBLES: Final = "resembles"
 Grade = Literal["none", "complete", "partial", "resembles", "unknown"]
 Outcome = Literal["named", "nearest", "modelled", "adjusted", "fitted", "scored", "absorbed", "not tried"]
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """One family as it stood when a name was chosen.
-
-    Attributes
-    ----------
-    gain : float
-        Fall of χ² by the fit.
-    explained : float
-        Part of the excess that it explains.
-    significance : float
-        In Gaussian σ.
-    held_out_z : float
-        Vuong's statistic for the first of all against it, on data that no fit has seen.
-    """
-
-    name: str
-    gain: float
-    explained: float
-    significance: float
-    held_out_z: float = float("nan")
 
 
 @dataclass(frozen=True)

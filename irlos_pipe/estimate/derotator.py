@@ -8,12 +8,14 @@ so only their sum is measured; tip and tilt are where the star lies, and left ou
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from irlos_pipe.conventions.modes import TIP_TILT
+from irlos_pipe.conventions.numbers import Number
 from irlos_pipe.optics.rotation import partner, rotation_matrix
 from irlos_pipe.optics.zernike import noll_to_nm
 
@@ -240,10 +242,10 @@ class Consistency:
         From the errors of the estimates alone.
     """
 
-    measured_nm: float
-    turned_back_nm: float
-    without_fixed_nm: float
-    expected_nm: float
+    measured_nm: Number = math.nan
+    turned_back_nm: Number = math.nan
+    without_fixed_nm: Number = math.nan
+    expected_nm: Number = math.nan
 
 
 def consistency(series: Series, split: Split) -> Consistency:

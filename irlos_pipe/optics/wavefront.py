@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.numbers import Number
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
@@ -28,10 +31,26 @@ def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -
     return np.where(lit, np.tensordot(zernike_nm, zernike_basis(nolls, *_disc(len(lit))), 1), np.nan)
 
 
-def rms_and_pv(map_nm: np.ndarray) -> tuple[float, float]:
-    """Return the RMS about the mean and the peak to valley of a map, NaN where there is no light."""
-    lit = map_nm[np.isfinite(map_nm)]
-    return (float(lit.std()), float(np.ptp(lit))) if lit.size else (float("nan"), float("nan"))
+@dataclass(frozen=True)
+class MapSize:
+    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm].
+
+    Attributes
+    ----------
+    rms_nm : float
+        RMS about the mean over the clear pupil.
+    pv_nm : float
+        Peak to valley over the clear pupil.
+    """
+
+    rms_nm: Number = math.nan
+    pv_nm: Number = math.nan
+
+    @classmethod
+    def of(cls, map_nm: np.ndarray) -> MapSize:
+        """Return the size of `map_nm`, which is NaN where there is no light."""
+        lit = map_nm[np.isfinite(map_nm)]
+        return cls(float(lit.std()), float(np.ptp(lit))) if lit.size else cls()
 
 
 def modes_at(nolls: Sequence[int], lit: np.ndarray) -> np.ndarray:

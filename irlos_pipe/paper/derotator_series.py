@@ -28,7 +28,7 @@ from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.stages.derotator.output import SplitOutput, map_of
+from irlos_pipe.stages.derotator import SplitOutput, map_of
 
 LARGEST_PULL = 1.5  # error over quoted error
 PARTS = {"rotating": "turns with the derotator", "fixed": "does not turn"}
@@ -249,7 +249,8 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
     pupil, truth, found = ctx.instrument.pupil, truth_of(ctx), {}
     for part in PARTS:
         seen = {noll: value for noll, value in getattr(truth, f"{part}_nm").items() if noll > 3}
-        found[f"truth/maps/{part}_nm"] = map_of(pupil, list(seen), np.array(list(seen.values())), "simulated")
+        map_nm = map_of(pupil, list(seen), np.array(list(seen.values())))
+        found[f"truth/maps/{part}_nm"] = ex.Quantity(map_nm, "nm", "simulated, without tip and tilt")
     images = np.stack(list(rows.mean_image_e[rows.method == DEFAULT]))
     found["mean_image_e"] = ex.Quantity(images, "e-", "of a frame")
     for method, split in splits(rows).items():

@@ -15,7 +15,7 @@ from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.cube import ObservedCube
 from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, Variant, frames_per_method
 from irlos_pipe.report.section_modes import Points, strength_plot
-from irlos_pipe.stages.modes.results import LawRow
+from irlos_pipe.stages.modes import LawRow
 
 INTRODUCED = 51  # highest Noll mode of the simulated NCPAs
 FIRST_FITTED = 4  # tip and tilt hold the residual image motion of a finite cube

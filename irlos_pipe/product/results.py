@@ -11,16 +11,16 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.numbers import Number as Number
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.files.regular import read_regular
 from irlos_pipe.product.product import Product
 
-Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 ByNoll = dict[int, Number]  # coefficients [nm RMS] by Noll index, which is text in JSON
 # Values of an effect's parameters by name, as `describe` of the effect gives them: numbers, words, or
 # lists and tables of numbers.

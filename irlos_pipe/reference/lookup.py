@@ -9,11 +9,10 @@ from itertools import groupby
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import aligned, suggestion
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
-from irlos_pipe.reference.arrays import array_entries
+from irlos_pipe.reference.declared import array_entries, check_entries
 from irlos_pipe.reference.entry import Entry
 from irlos_pipe.reference.keys import fact_entries, key_entries
 from irlos_pipe.reference.numbers import number_entries
-from irlos_pipe.reference.quality import check_entries
 from irlos_pipe.reference.terms import term_entries
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 

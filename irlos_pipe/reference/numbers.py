@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator
-from typing import Any, get_args
+from dataclasses import fields, is_dataclass
+from typing import Any, get_args, get_type_hints
 
 from irlos_pipe.product.results import ResultsPart
 from irlos_pipe.reference.entry import Entry
@@ -34,15 +35,15 @@ def number_entries() -> Iterator[Entry]:
         yield from _entries(STAGES[stage].Results, (stage,))
 
 
-def _entries(model: type[ResultsPart], above: tuple[str, ...]) -> Iterator[Entry]:
+def _entries(model: type, above: tuple[str, ...]) -> Iterator[Entry]:
     told = told_of(model)
-    for key, field in model.model_fields.items():
+    for key, annotation in fields_of(model).items():
         unit = UNITS.get(key.rpartition("_")[2], "")
-        lines = [field.description or told.get(key) or _of_the_part(field.annotation)]
+        lines = [told.get(key) or _of_the_part(annotation)]
         lines += [f"unit: {unit}"] if unit else []
         name = (*above, key)
         yield Entry("number", ".".join(name), "\n".join([*lines, "in results.json under stages"]))
-        for inner in models_in(field.annotation):
+        for inner in models_in(annotation):
             if len(above) < 4:
                 yield from _entries(inner, name)
 
@@ -54,7 +55,15 @@ def _of_the_part(annotation: Any) -> str:
     return ELSEWHERE.sub("", text)
 
 
-def told_of(model: type[ResultsPart]) -> dict[str, str]:
+def fields_of(model: type[Any]) -> dict[str, Any]:
+    """Return the annotations of what a `model` writes, by key: pydantic's, or a dataclass of science."""
+    if issubclass(model, ResultsPart):
+        return {key: field.annotation for key, field in model.model_fields.items()}
+    hints = get_type_hints(model)
+    return {field.name: hints[field.name] for field in fields(model)}
+
+
+def told_of(model: type) -> dict[str, str]:
     """Return what the docstrings of a `model` and its bases say of the attributes, by name."""
     found: dict[str, str] = {}
     for kind in reversed(model.__mro__):
@@ -65,9 +74,9 @@ def told_of(model: type[ResultsPart]) -> dict[str, str]:
     return found
 
 
-def models_in(annotation: Any) -> Iterator[type[ResultsPart]]:
+def models_in(annotation: Any) -> Iterator[type]:
     """Yield the models that a field with this `annotation` may hold."""
-    if isinstance(annotation, type) and issubclass(annotation, ResultsPart):
+    if isinstance(annotation, type) and (is_dataclass(annotation) or issubclass(annotation, ResultsPart)):
         yield annotation
     for part in get_args(annotation):
         yield from models_in(part)

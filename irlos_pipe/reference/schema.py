@@ -13,7 +13,7 @@ from irlos_pipe.product.compared import Comparison
 from irlos_pipe.product.printed import Printed, RunStatus, ShownProduct, ShownRun, Validation, Versions
 from irlos_pipe.product.results import ResultsPart, RunResults
 from irlos_pipe.product.scored import Score
-from irlos_pipe.reference.numbers import models_in, told_of
+from irlos_pipe.reference.numbers import fields_of, models_in, told_of
 from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
@@ -97,9 +97,9 @@ def _schema_of(model: type[ResultsPart], prefix: str = "", *, required: bool = F
     return schema
 
 
-def _parts(model: type[ResultsPart]) -> Iterator[type[ResultsPart]]:
-    for field in model.model_fields.values():
-        for inner in models_in(field.annotation):
+def _parts(model: type) -> Iterator[type]:
+    for annotation in fields_of(model).values():
+        for inner in models_in(annotation):
             yield inner
             yield from _parts(inner)
 

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views
 from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.effect_words import parameter_rows
@@ -21,7 +22,7 @@ from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, is_known, mode_label, number, plural, with_error
 from irlos_pipe.report.wavefront_plots import wavefront_map
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
-from irlos_pipe.stages.correct.results import CorrectResults, MapRow
+from irlos_pipe.stages.correct.stage import CorrectResults
 
 STAGE = "calibrate"
 MODES_IN_TIME = 5
@@ -171,7 +172,7 @@ def _maps(run: RunData) -> list[Figure]:
     ]
 
 
-def _sizes(row: MapRow) -> str:
+def _sizes(row: MapSize) -> str:
     return f"{number(row.rms_nm, '.0f', 'nm RMS')}, {number(row.pv_nm, '.0f', 'nm PV')}"
 
 

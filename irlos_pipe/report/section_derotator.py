@@ -11,7 +11,7 @@ from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Widt
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
 from irlos_pipe.report.wavefront_plots import FEW_COLUMNS, common_limit_nm, wavefront_grid
-from irlos_pipe.stages.derotator.results import DerotatorResults, PartRow, SplitRow
+from irlos_pipe.stages.derotator import DerotatorResults, PartRow, SplitRow
 
 STAGE = "derotator"
 ROWS = {"measured_nm": "as measured", "turned_back_nm": "turned back", "residual_nm": "residual"}

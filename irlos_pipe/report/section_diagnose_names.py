@@ -8,11 +8,12 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.report.content import Figure, Table
 from irlos_pipe.report.drawing import BLUE, ORANGE, svg
 from irlos_pipe.report.effect_words import MOST_ROWS, Row, parameter_rows, shortened
 from irlos_pipe.report.text import MISSING, number
-from irlos_pipe.stages.diagnose.results import AlternativeRow, DiagnoseResults, RankedRow, StepRow
+from irlos_pipe.stages.diagnose.results import DiagnoseResults, StepRow
 
 BAR_IN, WIDTH_IN = 0.24, 3.9
 FEW = 3  # candidates, below which a table shows all
@@ -54,7 +55,7 @@ def candidate_tables(results: DiagnoseResults) -> list[Table]:
     return tables
 
 
-def _candidate(first: RankedRow, row: RankedRow) -> tuple[str, ...]:
+def _candidate(first: Ranked, row: Ranked) -> tuple[str, ...]:
     return (
         row.name,
         number(row.explained, ".1%"),
@@ -123,7 +124,7 @@ def _step_rows(step: StepRow) -> list[tuple[str, ...]]:
     ]
 
 
-def _what_separates(other: AlternativeRow) -> str:
+def _what_separates(other: Alternative) -> str:
     """What separates two effects, and the second recording in which they are least alike."""
     if not other.second_recording:
         return other.separated_by
@@ -131,7 +132,7 @@ def _what_separates(other: AlternativeRow) -> str:
     return f"{other.separated_by}; a second recording {other.second_recording} (|cos| then {cosine})"
 
 
-def ranking_bars(name: str, ranking: Sequence[RankedRow]) -> Markup:
+def ranking_bars(name: str, ranking: Sequence[Ranked]) -> Markup:
     """Draw what every candidate of a `ranking` explains, the best on top; `name` is unique in the page."""
     explained = np.nan_to_num([row.explained for row in ranking])
     rows = np.arange(len(ranking))

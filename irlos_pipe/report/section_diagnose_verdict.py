@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Literal
 
+from irlos_pipe.diagnosis.records import Ranked
 from irlos_pipe.report.content import KeyNumber, Table
 from irlos_pipe.report.effect_words import in_one_line, parameter_rows
 from irlos_pipe.report.text import is_known, number, plural
-from irlos_pipe.stages.diagnose.results import DiagnoseResults, RankedRow, StepRow
+from irlos_pipe.stages.diagnose.results import DiagnoseResults, StepRow
 
 Mark = Literal["good", "bad"]
 VERDICTS = {"none": "nothing missing", "effect": "named", "unknown": "unknown"}
@@ -154,11 +155,11 @@ def _runner_up(results: DiagnoseResults) -> Iterator[KeyNumber]:
             yield KeyNumber("Runner-up", value, _deficit(step, other))
 
 
-def _second(step: StepRow) -> RankedRow | None:
+def _second(step: StepRow) -> Ranked | None:
     return step.ranking[1] if len(step.ranking) > 1 else None
 
 
-def _deficit(step: StepRow, other: RankedRow) -> str:
+def _deficit(step: StepRow, other: Ranked) -> str:
     if other.name in step.indistinguishable:
         return f"these data do not distinguish it from {step.effect.replace('_', ' ')}"
     first = step.ranking[0]

@@ -14,7 +14,7 @@ from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
-from irlos_pipe.stages.modes.results import LawRow, ModesResults, NumberScan
+from irlos_pipe.stages.modes import LawRow, ModesResults, NumberScan
 
 STAGE = "modes"
 SIZE_IN = (5.2, 3.6)

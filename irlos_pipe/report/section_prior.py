@@ -11,7 +11,7 @@ from irlos_pipe.report.content import Block, Figure, Section
 from irlos_pipe.report.drawing import BLUE, FAINT, INK, MANY, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
-from irlos_pipe.stages.prior.results import PriorResults
+from irlos_pipe.stages.prior import PriorResults
 
 STAGE = "prior"
 SIZE_IN = (4.4, 2.9)

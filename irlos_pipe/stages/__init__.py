@@ -1,8 +1,8 @@
 """The stages a recipe can name, in the order of the light path.
 
-A module `stage` declares a stage: settings, results, what it needs. The module `work` beside it does the work
-and is imported when the stage runs; so recipes are checked, planned and explained without PyTorch. An
-experiment of the paper is one module, whose `EXPERIMENT` is the stage.
+The module of a stage declares it: settings, results, arrays, checks, what it needs. What needs PyTorch is
+imported when the stage runs; so recipes are checked, planned and explained without it. An experiment
+of the paper is one module, whose `EXPERIMENT` is the stage.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 LIGHT_PATH = {
     "ingest": "irlos_pipe.stages.ingest.stage",
-    "prior": "irlos_pipe.stages.prior.stage",
+    "prior": "irlos_pipe.stages.prior",
     "calibrate": "irlos_pipe.stages.calibrate.stage",
     "lift": "irlos_pipe.stages.lift.stage",
     "sensitivity": "irlos_pipe.stages.sensitivity.stage",
     "correct": "irlos_pipe.stages.correct.stage",
-    "derotator": "irlos_pipe.stages.derotator.stage",
-    "modes": "irlos_pipe.stages.modes.stage",
+    "derotator": "irlos_pipe.stages.derotator",
+    "modes": "irlos_pipe.stages.modes",
     "diagnose": "irlos_pipe.stages.diagnose.stage",
 }
 # Experiments of the paper on simulated data, each a stage of its own recipe, in the order of the paper.

@@ -94,7 +94,7 @@ class StageOutput:
 
 
 class Stage(Protocol):
-    """A module ``stage`` of this package: what can stand in a recipe.
+    """The module of a stage: what can stand in a recipe.
 
     Attributes
     ----------
@@ -107,6 +107,7 @@ class Stage(Protocol):
 
     It may further define
 
+    - ``ARRAYS`` and ``CHECKS``: the arrays of its product and its checks, see `product.declared`;
     - ``NEEDS``: names of stages that must come before it in a recipe (default none);
     - ``READS``: names of the earlier stages whose products it looks at (default all of them).
       A change of any other stage does not redo it;

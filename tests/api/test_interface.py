@@ -14,7 +14,7 @@ import irlos_pipe
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.quantity import SPELLINGS
-from irlos_pipe.reference.arrays import ARRAYS
+from irlos_pipe.stages import LIGHT_PATH, STAGES
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT
 
 SAMPLE = REPOSITORY / "data_samples" / "ramp" / "offset_00"
@@ -92,7 +92,10 @@ def test_an_array_is_handed_on_as_data_with_uncertainty_and_unit():
     assert data.meta["description"] == "wavefront"
 
 
-@pytest.mark.parametrize("unit", sorted({unit.removesuffix("±").strip() for unit, _, _ in ARRAYS.values()}))
+UNITS = {unit.removesuffix("±").strip() for name in LIGHT_PATH for unit, _, _ in STAGES[name].ARRAYS.values()}
+
+
+@pytest.mark.parametrize("unit", sorted(UNITS))
 def test_every_unit_of_a_product_stands_in_a_table(unit):
     quantity = Quantity(np.ones(2), unit, "")
     table = Product("calibrate", {"numbers": quantity}, {}).table()

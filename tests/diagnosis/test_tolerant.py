@@ -73,9 +73,9 @@ def test_the_opposite_side_is_said_where_nothing_tells_the_sides_apart():
     )
     assert abs(side.chi2_rise) < 4.0
     for key in ("dx_m", "dy_m"):
-        assert side.public[key] == pytest.approx(-true[key], abs=0.01)
+        assert side.parameters[key] == pytest.approx(-true[key], abs=0.01)
         assert found[key] == pytest.approx(true[key], abs=0.01)
-    assert side.public["rotation_deg"] == pytest.approx(true["rotation_deg"], abs=0.5)
+    assert side.parameters["rotation_deg"] == pytest.approx(true["rotation_deg"], abs=0.5)
     sized = Adjusted(FixedEffect(STOP, TRUE), true, {}, opposite=side, label=STOP.name, significance=9.0)
     assert sized.phrase.startswith("vanes turned by +1.0°") and side.phrase in sized.phrase
 

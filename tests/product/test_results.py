@@ -9,9 +9,12 @@ import pytest
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.diagnosis.records import FineStructure
+from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import RunResults, read_run_results, results_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.lift.results import LiftResults, Line
 
@@ -72,3 +75,21 @@ def test_a_file_that_is_not_results_is_refused_with_its_name(tmp_path, content):
 def test_the_schema_keeps_its_name():
     content = {"schema": "irlos-results", "schema_version": 1, "recipe": "a", "status": "ok", "stages": {}}
     assert RunResults.model_validate(content).as_json() == content
+
+
+def test_a_part_that_science_declares_is_written_and_read_like_the_others():
+    results = DiagnoseResults(fine_structure=FineStructure(ratio=math.nan, significance=2.0))
+    assert results.as_json() == {"fine_structure": {"ratio": None, "significance": 2.0}}
+    content = {"fine_structure": {"ratio": None, "unheard_of": 1}}
+    read = results_of(DiagnoseResults, Product("diagnose", {}, content)).fine_structure
+    assert math.isnan(read.ratio) and read.significance == 0.0
+
+
+def test_two_numbers_are_a_value_with_its_error_only_where_an_error_is_declared():
+    table = {"noll": ("", "mode", "index"), "parts/<part>": ("nm ±", "mode", "part")}
+    arrays = declared(table, {"noll": (2, 3), "parts/fixed": ([1.0, 2.0], [0.1, 0.2])}, "mean")
+    assert arrays["noll"].value.tolist() == [2, 3] and arrays["noll"].error is None
+    fixed = arrays["parts/fixed"]
+    assert (fixed.unit, fixed.description, list(fixed.error)) == ("nm", "part; mean", [0.1, 0.2])
+    with pytest.raises(KeyError):
+        declared(table, {"nol": (2, 3)})

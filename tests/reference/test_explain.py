@@ -7,8 +7,8 @@ from conftest import invoke
 from helpers.paths import PACKAGE
 
 from irlos_pipe.effects.catalogue import CATALOGUE
+from irlos_pipe.product.declared import Checks
 from irlos_pipe.reference.lookup import all_entries, explain, overview
-from irlos_pipe.reference.quality import CHECKS
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 NAMED = re.compile(r"Check\(\s*f?\"(?:\{prefix\})?([\w ]+)\"")
@@ -51,8 +51,13 @@ def test_every_explanation_says_more_than_the_name():
     assert [name for name, text in texts.items() if text.lower().rstrip(".") in ("", words[name])] == []
 
 
+def declared(stage: str) -> Checks:
+    return getattr(STAGES[stage], "CHECKS", {})
+
+
 def test_every_check_of_a_stage_is_explained_and_its_limit_is_a_key():
     made = {name for path in (PACKAGE / "stages").rglob("*.py") for name in NAMED.findall(path.read_text())}
-    assert made - {name.partition(".")[2] for name in CHECKS} == set()
+    limits = {(stage, name): key for stage in LIGHT_PATH for name, (_, key) in declared(stage).items()}
+    assert made - {name for _, name in limits} == set()
     keys = {entry.name for entry in all_entries() if entry.kind == "key of a recipe"}
-    assert {key for _, key in CHECKS.values() if key} <= keys
+    assert {f"{stage}.{key}" for (stage, _), key in limits.items() if key} <= keys

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import AsinhNorm
 
+from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.zernike import zernike
 from irlos_pipe.product.product import Product, Quantity
@@ -29,8 +30,8 @@ from irlos_pipe.report.text import (
     rounded_by_error,
     with_error,
 )
-from irlos_pipe.stages.diagnose.results import AlternativeRow, Change, DiagnoseResults, StepRow
-from irlos_pipe.stages.sensitivity.results import CurveRow
+from irlos_pipe.stages.diagnose.results import Change, DiagnoseResults, StepRow
+from irlos_pipe.stages.sensitivity.stage import CurveRow
 
 NAN = float("nan")
 
@@ -315,7 +316,7 @@ def test_the_tile_of_chi2_says_whose_fit_it_means(nearest, note):
 
 def test_tables_of_sentences_are_broken_into_lines():
     """Not distinguished, and checks of quality: their sentences are wider than any page."""
-    other = AlternativeRow(name="spectrum", reason="they change the image alike")
+    other = Alternative(name="spectrum", reason="they change the image alike")
     (table,) = separation_tables(DiagnoseResults(steps=[StepRow(effect="plate_scale", alternatives=[other])]))
     assert table.title == "Not distinguished" and table.prose
 

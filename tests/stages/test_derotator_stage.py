@@ -10,9 +10,9 @@ from helpers.experiment_stage import section_of
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.report.section_derotator import derotator_section
+from irlos_pipe.stages import derotator as derotator
 from irlos_pipe.stages.calibrate import stage as calibrate
-from irlos_pipe.stages.derotator import stage as derotator
-from irlos_pipe.stages.derotator.results import PartRow
+from irlos_pipe.stages.derotator import PartRow
 
 ANGLES = (0.0, 40.0, 110.0, 160.0)
 EACH = {"input": "cube", "each": True, "highest_noll": 15, "prior_scale": None}

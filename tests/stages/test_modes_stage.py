@@ -7,8 +7,8 @@ from helpers.experiment_stage import section_of
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.report.section_modes import modes_section
+from irlos_pipe.stages import modes as modes
 from irlos_pipe.stages.calibrate import stage as calibrate
-from irlos_pipe.stages.modes import stage as modes
 
 ANGLES = (0.0, 50.0, 120.0)
 NUMBERS = (6, 10, 15, 21)

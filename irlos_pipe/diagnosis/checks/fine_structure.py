@@ -11,14 +11,13 @@ structure of theirs: what counts is what the data have, and what the model leave
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.diagnosis.cube import Stack
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.optics.psf_settings import PsfSettings
 
@@ -26,22 +25,6 @@ MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: wh
 FADED = 0.1  # of its middle, below which the window is left out
 REGRESSIONS, SURELY = 4, 5.0  # of the flat's error; standard errors from which it is believed
 MIN_SHARE = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
-
-
-@dataclass(frozen=True)
-class FineStructure:
-    """Power beyond the cut-off.
-
-    Attributes
-    ----------
-    ratio : float
-        Measured over what noise leaves there; 1 where the pixels are too coarse or too few to show it.
-    significance : float
-        Of its excess, in Gaussian σ; of few frames no excess is significant, however strong it is.
-    """
-
-    ratio: float = 1.0
-    significance: float = 0.0
 
 
 def fine_structure(optimum: Optimum) -> FineStructure:

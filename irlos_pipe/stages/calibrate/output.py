@@ -13,19 +13,14 @@ from irlos_pipe.effects.public_values import measured, rows_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.optics.image_quality import correlations
+from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of, motion_line
-from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Tail, Twin
-from irlos_pipe.stages.model.effects import effect_arrays
+from irlos_pipe.stages.calibrate.results import ARRAYS, CalibrateResults, Estimate, Tail, Twin
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes
 
 LABEL_WIDTH = 24  # of what stands before numbers in lines for the terminal; the longest effect has 22
-COVARIANCE = {
-    "frames": "from the scatter over frames and the misfit",
-    "few_frames": "from the noise model, the misfit, and the scatter of few frames",
-    "noise": "from the noise model and the misfit",
-}
 
 
 def joint_output(
@@ -60,8 +55,8 @@ def joint_output(
         untested=untested_by_cubes(acquisition.diversity, not_told(result)),
         compare=[Estimate(**estimate_keys(other)) for other in others],
     )
-    arrays = arrays_of(result) | effect_arrays(result.effect_values)
-    return StageOutput(arrays, results, checks_of(limits, result), summary=_summary(result, others))
+    summary = _summary(result, others)
+    return StageOutput(arrays_of(result), results, checks_of(limits, result), summary=summary)
 
 
 def not_told(result: Calibration) -> str:
@@ -128,33 +123,24 @@ def counts(status: Sequence[str]) -> dict[str, int]:
     return {name: list(status).count(name) for name in sorted(set(status))}
 
 
-def arrays_of(result: Calibration) -> dict[str, Quantity]:
-    """Return the arrays of one estimate."""
-    own = reported(result.nolls)
-    left = (
-        {}
-        if result.left is None
-        else {
-            "left_frequency": Quantity(result.left.at, "D/λ", "spatial frequency of the residual"),
-            "left_power": Quantity(result.left.value, "", "power of the residual over its standard error"),
-        }
-    )
-    return left | {
-        "noll": Quantity(np.array(result.nolls), "", "Noll index of every estimated mode"),
-        "zernike_nm": Quantity(
-            result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
-        ),
-        "modes_nm": Quantity(result.fitted_modes_nm, "nm", "modes without the part of effects in the pupil"),
-        "covariance_nm2": Quantity(result.covariance_nm2, "nm2", COVARIANCE[result.errors_from]),
-        "correlation": Quantity(
-            correlations(result.covariance_nm2[own, own]), "", "correlation of the reported modes"
-        ),
-        "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
-        "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),
-        "iterations": Quantity(result.iterations, "", "of every fit"),
-        "mean_image_e": Quantity(result.mean_image_e, "e-", "mean of the used frames", result.sigma_image_e),
-        "model_image_e": Quantity(result.model_image_e, "e-", "its model"),
+def arrays_of(result: Calibration, below: str = "") -> dict[str, Quantity]:
+    """Return the arrays of one estimate, the `result`, in the group `below`."""
+    own, left = reported(result.nolls), result.left
+    values: dict[str, Any] = {} if left is None else {"left_frequency": left.at, "left_power": left.value}
+    values |= {
+        "noll": result.nolls,
+        "zernike_nm": (result.zernike_nm, result.sigma_nm),
+        "modes_nm": result.fitted_modes_nm,
+        "covariance_nm2": result.covariance_nm2,
+        "correlation": correlations(result.covariance_nm2[own, own]),
+        "frames_nm": result.frames_nm,
+        "frame_status": np.array(result.frame_status, dtype=object),
+        "iterations": result.iterations,
+        "mean_image_e": (result.mean_image_e, result.sigma_image_e),
+        "model_image_e": result.model_image_e,
+        **{f"effects/{name}": parameters for name, parameters in result.effect_values.items()},
     }
+    return declared(ARRAYS, values, below=below)
 
 
 def effect_lines(effects: dict[str, dict], sigma: dict[str, dict] | None = None) -> list[str]:

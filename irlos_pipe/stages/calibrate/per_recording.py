@@ -15,8 +15,8 @@ import numpy as np
 from irlos_pipe.effects.public_values import mean_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Acquisition
-from irlos_pipe.product.product import Product, Quantity
-from irlos_pipe.product.results import results_of
+from irlos_pipe.product.declared import declared
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.output import (
     arrays_of,
@@ -29,11 +29,8 @@ from irlos_pipe.stages.calibrate.output import (
     wfe_nm,
 )
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
-from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeRow
-from irlos_pipe.stages.model.effects import effect_arrays
+from irlos_pipe.stages.calibrate.results import ARRAYS, CUBES, CalibrateResults, CubeRow
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, untested_by_cubes
-
-ROOT = "cubes"
 
 
 @dataclass(frozen=True)
@@ -44,29 +41,6 @@ class Cube:
     acquisition: Acquisition
     seeing_arcsec: float
     result: Calibration
-
-
-@dataclass(frozen=True)
-class CubeEstimate:
-    """Estimate of one cube, as read from a product.
-
-    Attributes
-    ----------
-    nolls : tuple of int
-    zernike_nm, sigma_nm : ndarray, (modes,)
-    covariance_nm2 : ndarray, (modes, modes)
-    frames_nm : ndarray, (frames, modes)
-    mean_image_e : ndarray, (rows, columns)
-    """
-
-    name: str
-    derotator_angle_deg: float
-    nolls: tuple[int, ...]
-    zernike_nm: np.ndarray
-    sigma_nm: np.ndarray
-    covariance_nm2: np.ndarray
-    frames_nm: np.ndarray
-    mean_image_e: np.ndarray
 
 
 def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) -> StageOutput:
@@ -82,8 +56,7 @@ def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) 
     mean = _Mean(cubes)
     arrays = mean.arrays()
     for cube in cubes:
-        own = arrays_of(cube.result) | effect_arrays(cube.result.effect_values)
-        arrays |= {f"{ROOT}/{cube.name}/{name}": quantity for name, quantity in own.items()}
+        arrays |= arrays_of(cube.result, f"{CUBES}/{cube.name}/")
     why = [not_told(cube.result) for cube in cubes]
     results = CalibrateResults(
         **mean.results(),
@@ -92,27 +65,6 @@ def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) 
     )
     checks = [check for cube in cubes for check in checks_of(limits, cube.result, f"{cube.name}: ")]
     return StageOutput(arrays, results, checks, summary=_summary(mean, cubes), failures=failures)
-
-
-def cube_estimates(product: Product) -> list[CubeEstimate]:
-    """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording."""
-    return [_estimate(product, row) for row in results_of(CalibrateResults, product).cubes]
-
-
-def _estimate(product: Product, row: CubeRow) -> CubeEstimate:
-    def own(name: str) -> Quantity:
-        return product.arrays[f"{ROOT}/{row.name}/{name}"]
-
-    return CubeEstimate(
-        row.name,
-        row.derotator_angle_deg,
-        tuple(int(noll) for noll in own("noll").value),
-        own("zernike_nm").value,
-        np.asarray(own("zernike_nm").error),
-        own("covariance_nm2").value,
-        own("frames_nm").value,
-        own("mean_image_e").value,
-    )
 
 
 def _row(cube: Cube) -> CubeRow:
@@ -143,17 +95,15 @@ class _Mean:
         self.effects = mean_of([one.effects for one in self.all])
 
     def arrays(self) -> dict[str, Quantity]:
-        text = "mean over the cubes: static wavefront without the diversity"
-        effect_values = {
-            name: np.mean([one.effect_values[name] for one in self.all], axis=0)
-            for name in self.first.effect_values
+        values = {
+            "noll": self.nolls,
+            "zernike_nm": (self.zernike_nm, self.sigma_nm),
+            "modes_nm": self.modes_nm,
+            "covariance_nm2": self.covariance_nm2,
         }
-        return {
-            "noll": Quantity(np.array(self.nolls), "", "Noll index of every estimated mode"),
-            "zernike_nm": Quantity(self.zernike_nm, "nm", text, self.sigma_nm),
-            "modes_nm": Quantity(self.modes_nm, "nm", "modes without the part of effects in the pupil"),
-            "covariance_nm2": Quantity(self.covariance_nm2, "nm2", "from the scatter over frames"),
-        } | effect_arrays(effect_values)
+        for name in self.first.effect_values:
+            values[f"effects/{name}"] = np.mean([one.effect_values[name] for one in self.all], axis=0)
+        return declared(ARRAYS, values, "mean over the cubes")
 
     def results(self) -> dict[str, Any]:
         return estimate_keys(self.first) | {

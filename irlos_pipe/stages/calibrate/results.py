@@ -3,9 +3,66 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import ClassVar
 
-from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
+import numpy as np
+
+from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.results import (
+    ByNoll,
+    EffectValues,
+    Number,
+    ResultsPart,
+    StageResults,
+    results_of,
+)
+
+CUBES = "cubes"  # group of the arrays of every recording, with `each`
+ARRAYS = {
+    "noll": ("", "mode", "Noll index of every estimated mode"),
+    "zernike_nm": ("nm ±", "mode", "static wavefront without the diversity"),
+    "modes_nm": ("nm", "mode", "modes without the part of effects in the pupil"),
+    "covariance_nm2": ("nm2", "mode, mode", "covariance of the modes; `errors_from` says what it is from"),
+    "frames_nm": ("nm", "frame, mode", "coefficients of every frame"),
+    "frame_status": ("", "fit", "outcome of every fit"),
+    "iterations": ("", "fit", "iterations of every fit"),
+    "mean_image_e": ("e- ±", "y, x", "mean of the used frames"),
+    "model_image_e": ("e-", "y, x", "model of the mean image"),
+    "correlation": ("", "mode, mode", "correlation of the reported modes"),
+    "left_frequency": ("D/λ", "frequency", "spatial frequency of the residual"),
+    "left_power": ("", "frequency", "power of the residual over its standard error"),
+    "effects/<effect>": ("", "parameter", "parameters of the effect, as it declares them"),
+    "cubes/<name>/<array>": ("", "", "arrays of one recording, with calibrate.each"),
+}
+CHECKS = {
+    "converged fits": ("part of the fits that converged", "min_converged"),
+    "chi2 of the mean image": (
+        "reduced χ² of the mean image against what the scatter of the frames lets expect; a larger one says "
+        "that the model lacks something",
+        "max_chi2_nu",
+    ),
+    "noise as told": ("scatter of the frames over the variance that detector and star are told to have", ""),
+    "window": ("smaller side of the window in λ/D", "min_window"),
+    "motion of the star": (
+        "how far the star moves from frame to frame, over the smaller side of the window; before they are "
+        "averaged, the frames are moved back",
+        "max_motion",
+    ),
+    "frames": ("number of frames, where they scatter by more than noise", "min_frames"),
+    "frames of one kind": (
+        "kurtosis of the frames along what they differ by most: small where two stars or pointings are mixed",
+        "",
+    ),
+    "orientation": (
+        "how much of the mirrored pupil the mean image shows: 0 as told, 1 if the images are mirrored",
+        "",
+    ),
+    "twin solution": (
+        "whether the sign of the even modes is known: 1 if the twin, which has it reversed, is excluded",
+        "",
+    ),
+}
 
 
 class Tail(ResultsPart):
@@ -199,3 +256,47 @@ class CalibrateResults(Estimate, StageResults):
         """Return an estimated `parameter` of an `effect` as a number; NaN where there is none."""
         value = self.effects.get(effect, {}).get(parameter)
         return float(value) if isinstance(value, (int, float)) else math.nan
+
+
+@dataclass(frozen=True)
+class CubeEstimate:
+    """Estimate of one cube, as read from a product.
+
+    Attributes
+    ----------
+    nolls : tuple of int
+    zernike_nm, sigma_nm : ndarray, (modes,)
+    covariance_nm2 : ndarray, (modes, modes)
+    frames_nm : ndarray, (frames, modes)
+    mean_image_e : ndarray, (rows, columns)
+    """
+
+    name: str
+    derotator_angle_deg: float
+    nolls: tuple[int, ...]
+    zernike_nm: np.ndarray
+    sigma_nm: np.ndarray
+    covariance_nm2: np.ndarray
+    frames_nm: np.ndarray
+    mean_image_e: np.ndarray
+
+
+def cube_estimates(product: Product) -> list[CubeEstimate]:
+    """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording."""
+    return [_estimate(product, row) for row in results_of(CalibrateResults, product).cubes]
+
+
+def _estimate(product: Product, row: CubeRow) -> CubeEstimate:
+    def own(name: str) -> Quantity:
+        return product.arrays[f"{CUBES}/{row.name}/{name}"]
+
+    return CubeEstimate(
+        row.name,
+        row.derotator_angle_deg,
+        tuple(int(noll) for noll in own("noll").value),
+        own("zernike_nm").value,
+        np.asarray(own("zernike_nm").error),
+        own("covariance_nm2").value,
+        own("frames_nm").value,
+        own("mean_image_e").value,
+    )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.config import Config
+from irlos_pipe.stages.calibrate.results import ARRAYS, CHECKS
 from irlos_pipe.stages.calibrate.results import CalibrateResults as Results
 
-__all__ = ["Config", "Results", "run"]
+__all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
 
 NAME = "calibrate"
 VERSION = 24

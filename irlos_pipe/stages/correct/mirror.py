@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,21 +11,41 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.optics.wavefront import clear_pupil
+from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.results import Number, ResultsPart
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.correct.config import Config
-from irlos_pipe.stages.correct.mirror_file import read_modes
-from irlos_pipe.stages.correct.results import MirrorRow
+from irlos_pipe.stages.correct.mirror_file import MirrorFile, read_modes
 
 SIGN = (
     "offset: add it to the reference of the mode to cancel the aberration; in the unit of the table of "
     "modes, whose maps are OPD in nm; diversity, piston, tip and tilt not included"
 )
+ARRAYS = {"mirror_offset": ("±", "mode", SIGN)}
 
 
-def in_mirror_modes(ctx: StageContext[Config], output: StageOutput) -> StageOutput:
+class MirrorRow(ResultsPart):
+    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`.
+
+    Attributes
+    ----------
+    modes : int
+        Number of modes of its table.
+    offset : list of float
+        Offset of each, in the unit of the table.
+    before_nm, after_nm : float
+        RMS over the clear pupil without piston, tip and tilt: of the estimated wavefront, and of what
+        the modes cannot make of it [nm].
+    """
+
+    modes: int = 0
+    offset: list[Number] = []
+    before_nm: Number = math.nan
+    after_nm: Number = math.nan
+
+
+def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
     """Return the output of the stage with the offsets of a mirror's modes, as arrays, results and files.
 
     Parameters
@@ -39,8 +60,8 @@ def in_mirror_modes(ctx: StageContext[Config], output: StageOutput) -> StageOutp
     InputDataError
         If the table cannot be used.
     """
-    assert ctx.config.mirror_modes is not None, "a table of modes is named"
-    path = Path(ctx.config.mirror_modes.file)
+    named: MirrorFile = ctx.config.mirror_modes
+    path = Path(named.file)
     maps_nm = read_modes(path)
     arrays = ctx.products["calibrate"].arrays
     nolls, zernike_nm, covariance_nm2 = (
@@ -51,7 +72,7 @@ def in_mirror_modes(ctx: StageContext[Config], output: StageOutput) -> StageOutp
         found = mirror_offsets(maps_nm, nolls.tolist(), zernike_nm, covariance_nm2, lit, ctx.config.gain)
     except ValueError as problem:
         raise InputDataError(f"{path}: {problem}") from None
-    table = _table(ctx.config, path, found)
+    table = _table(named, ctx.config.gain, found)
     row = MirrorRow(
         modes=len(found.value),
         offset=found.value.tolist(),
@@ -64,15 +85,14 @@ def in_mirror_modes(ctx: StageContext[Config], output: StageOutput) -> StageOutp
     )
     return replace(
         output,
-        arrays=output.arrays | {"mirror_offset": Quantity(found.value, "", SIGN, found.sigma)},
+        arrays=output.arrays | declared(ARRAYS, {"mirror_offset": (found.value, found.sigma)}),
         results=output.results.model_copy(update={"mirror": row}),
         files=output.files | {"mirror.csv": table, "mirror.fits": table},
         summary=[*output.summary, line],
     )
 
 
-def _table(config: Config, path: Path, found: MirrorOffsets) -> Table:
-    assert config.mirror_modes is not None, "a table of modes is named"
+def _table(named: MirrorFile, gain: float, found: MirrorOffsets) -> Table:
     columns = (
         Column("mode", "", np.arange(len(found.value)), "index in the table, from 0"),
         Column("offset", "", found.value, "to be added to the reference", ".6g"),
@@ -80,9 +100,9 @@ def _table(config: Config, path: Path, found: MirrorOffsets) -> Table:
     )
     facts = (
         Card("IRLOS SIGN", "offset cancels NCPA", "add it to the reference"),
-        Card("IRLOS BASIS", path.name, "table of modes"),
-        Card("IRLOS BASIS SHA256", config.mirror_modes.sha256[:32], "first 32 digits"),
-        Card("IRLOS GAIN", config.gain, "part of the aberration corrected"),
+        Card("IRLOS BASIS", Path(named.file).name, "table of modes"),
+        Card("IRLOS BASIS SHA256", named.sha256[:32], "first 32 digits"),
+        Card("IRLOS GAIN", gain, "part of the aberration corrected"),
         Card("ESO QC MIRROR BEFORE", found.before_nm, "[nm] RMS over the clear pupil"),
         Card("ESO QC MIRROR AFTER", found.after_nm, "[nm] RMS that the modes cannot make"),
     )

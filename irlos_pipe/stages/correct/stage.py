@@ -2,20 +2,277 @@
 
 from __future__ import annotations
 
-from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.correct.config import Config
-from irlos_pipe.stages.correct.results import CorrectResults as Results
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-__all__ = ["Config", "Results", "run"]
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
+from irlos_pipe.frames.recording import PROFILE, Recording
+from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
+from irlos_pipe.product.declared import declared
+from irlos_pipe.product.header import Card
+from irlos_pipe.product.product import Check
+from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults, results_of
+from irlos_pipe.product.table import Column, Table
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.correct.mirror import ARRAYS as MIRROR_ARRAYS
+from irlos_pipe.stages.correct.mirror import MirrorRow, in_mirror_modes
+from irlos_pipe.stages.correct.mirror_file import MirrorFile, mirror_file
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+
+if TYPE_CHECKING:
+    from irlos_pipe.estimate.correction import Offsets, Prediction
+    from irlos_pipe.estimate.strehl_budget import StrehlPart
 
 NAME = "correct"
 VERSION = 6
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
+MAP_SAMPLES = 160
+SIGN = (
+    "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
+    "diversity not included"
+)
+ARRAYS = {
+    "noll": ("", "mode", "Noll index"),
+    "offset_nm": ("nm ±", "mode", SIGN),
+    "wavefront_before_nm": ("nm", "y, x", "estimated wavefront without tip and tilt"),
+    "wavefront_after_nm": ("nm", "y, x", "what the offsets leave of it"),
+    "before": ("", "y, x", "unit-flux image without correction"),
+    "after": ("", "y, x", "unit-flux image with the offsets applied"),
+    "perfect": ("", "y, x", "unit-flux image without aberration"),
+    "radius_mas": ("mas", "ring", "radius of the rings"),
+    "profile_before": ("", "ring", "mean of each ring, without correction"),
+    "profile_after": ("", "ring", "mean of each ring, with the offsets applied"),
+    "encircled_radius_mas": ("mas", "radius", "radius of circles about the star"),
+    "encircled_<image>": ("", "radius", "part of the light within a circle"),
+    "otf_x_frequency": ("D/λ", "frequency", "spatial frequency along x"),
+    "otf_y_frequency": ("D/λ", "frequency", "spatial frequency along y"),
+    "otf_x_<image>": ("", "frequency", "modulus of the OTF along x"),
+    "otf_y_<image>": ("", "frequency", "modulus of the OTF along y"),
+} | MIRROR_ARRAYS
+CHECKS = {"predicted Strehl": ("predicted Strehl against the best that the AO residual leaves", "")}
+
+
+class Config(StageConfig):
+    """Settings of the correction."""
+
+    input: str = Field("calibration", description="recipe input whose configuration the prediction uses")
+    gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
+    mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = Field(
+        None, description="FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
+    )
+
+
+class StrehlRow(ResultsPart):
+    """What one part of the model does to the Strehl ratio, see `estimate.strehl_budget.StrehlPart`.
+
+    Attributes
+    ----------
+    name : str
+        Part of the model: all of it, its modes, or an effect.
+    wfe_nm : float
+        RMS of its modes; NaN of an effect.
+    alone, without : float
+        Strehl ratio with nothing else in the model, and with all else but this part.
+    """
+
+    name: str = ""
+    wfe_nm: Number = math.nan
+    alone: Number = math.nan
+    without: Number = math.nan
+
+
+class CorrectResults(StageResults):
+    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them.
+
+    Attributes
+    ----------
+    offset_nm : dict of int to float
+        Modal offsets to add to the reference, by Noll index [nm RMS]: −NCPA, without the diversity.
+    sign : str
+        What the sign of the offsets means, in words.
+    strehl_before, strehl_after : float
+        Strehl ratio predicted without and with the offsets.
+    strehl_budget : list of StrehlRow
+        What each part of the model costs the image before the correction; the whole model first.
+    wavefront_before, wavefront_after : MapSize
+        RMS and peak to valley of the maps of the wavefront, without tip and tilt.
+    resolution_mas : float
+        λ/D at the mean wavelength.
+    mirror : MirrorRow or None
+        The same correction in the modes of a mirror, where their table was given.
+    """
+
+    stage: ClassVar[str] = "correct"
+    offset_nm: ByNoll = {}
+    sign: str = ""
+    strehl_before: Number = math.nan
+    strehl_after: Number = math.nan
+    strehl_budget: list[StrehlRow] = []
+    wavefront_before: MapSize = MapSize()
+    wavefront_after: MapSize = MapSize()
+    resolution_mas: Number = math.nan
+    mirror: MirrorRow | None = None
+
+
+Results = CorrectResults
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Write the offsets as CSV and FITS, and predict the image before and after the correction."""
-    from irlos_pipe.stages.correct.work import run as work
+    from irlos_pipe.estimate.correction import modal_offsets
 
-    return work(ctx)
+    arrays = ctx.products["calibrate"].arrays
+    nolls = [int(n) for n in arrays["noll"].value]
+    zernike, sigma = np.array(arrays["zernike_nm"].value, float), np.array(arrays["zernike_nm"].error, float)
+    offsets = modal_offsets(nolls, zernike, sigma, ctx.config.gain)
+    recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
+    prediction, budget = _predict(ctx, recording, nolls, zernike)
+    table = _table(ctx, offsets, prediction)
+    before_nm, after_nm = _maps_nm(ctx, nolls, zernike)
+    scale_mas = recording.acquisition.pixel_scale_mas or math.nan
+    output = StageOutput(
+        declared(
+            ARRAYS,
+            {"wavefront_before_nm": before_nm, "wavefront_after_nm": after_nm}
+            | _arrays(offsets, prediction)
+            | _curves(prediction, scale_mas),
+        ),
+        CorrectResults(
+            offset_nm=dict(zip(offsets.nolls.tolist(), offsets.value_nm.tolist(), strict=True)),
+            sign=SIGN,
+            strehl_before=prediction.strehl_before,
+            strehl_after=prediction.strehl_after,
+            strehl_budget=[StrehlRow(**asdict(one)) for one in budget],
+            wavefront_before=MapSize.of(before_nm),
+            wavefront_after=MapSize.of(after_nm),
+            resolution_mas=prediction.resolution_px * scale_mas,
+        ),
+        _checks(ctx, recording, prediction),
+        files={"correction.csv": table, "correction.fits": table},
+        summary=[
+            f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
+            f"predicted, {len(offsets.nolls)} offsets in correction.csv and correction.fits"
+        ],
+    )
+    return output if ctx.config.mirror_modes is None else in_mirror_modes(ctx, output)
+
+
+def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) -> Table:
+    """The offsets as they are handed on, with what they mean and how good they are."""
+    calibration = results_of(CalibrateResults, ctx.products["calibrate"])
+    columns = (
+        Column("noll", "", offsets.nolls, "Noll index"),
+        Column("offset_nm", "nm", offsets.value_nm, "to be added to the reference", ".4f"),
+        Column("sigma_nm", "nm", offsets.sigma_nm, "1-sigma error", ".4f"),
+    )
+    facts = (
+        Card("IRLOS SIGN", "offset = -NCPA", "add it to the reference"),
+        Card("IRLOS BASIS", "Zernike, Noll", "indices and order"),
+        Card("IRLOS NORM", "unit RMS over the unobscured disc"),
+        Card("IRLOS PUPIL DIAMETER", float(ctx.instrument.pupil.diameter_m), "[m] of the disc"),
+        Card("IRLOS GAIN", ctx.config.gain, "part of the aberration corrected"),
+        Card("ESO QC NCPA RMS", calibration.wfe_nm, "[nm] NCPAs, Noll 2-30"),
+        Card("ESO QC NCPA RMS SIGMA", calibration.wfe_sigma_nm, "[nm]"),
+        Card("ESO QC CHI2 NU", calibration.chi2_nu, "of the mean image"),
+        Card("ESO QC STREHL BEFORE", prediction.strehl_before, "predicted"),
+        Card("ESO QC STREHL AFTER", prediction.strehl_after, "predicted with the offsets"),
+    )
+    return Table("MODAL_OFFSETS", "IRLOS_MODAL_OFFSETS", columns, SIGN, facts)
+
+
+def _checks(ctx: StageContext[Config], recording: Recording, prediction: Prediction) -> list[Check]:
+    """A Strehl ratio predicted without the AO residual may not exceed what the residual alone leaves.
+
+    Only where the seeing of the recording is told, and the calibration has not measured the residual.
+    """
+    from irlos_pipe.effects import SeeingHalo
+
+    acquisition = recording.acquisition
+    told = acquisition.sources.get("seeing_arcsec", PROFILE) != PROFILE
+    if not told or SeeingHalo.name in results_of(CalibrateResults, ctx.products["calibrate"]).effects:
+        return []
+    seeing, law = acquisition.seeing_arcsec or math.nan, ctx.instrument.facility.residual_law
+    wavelengths_nm, weights = np.array(acquisition.spectrum).T
+    wavelength_nm = float(wavelengths_nm @ weights / weights.sum())
+    limit = float(np.exp(-((2 * np.pi * law.wfe_nm(seeing) / wavelength_nm) ** 2)))
+    message = (
+        f"Strehl {prediction.strehl_after:.3f} is predicted without the AO residual, which leaves at best "
+        f"{limit:.3f} ({seeing:.2f} arcsec): put seeing_halo into the model"
+    )
+    return [Check("predicted Strehl", prediction.strehl_after, "", None, limit, message)]
+
+
+def _predict(
+    ctx: StageContext[Config], recording: Recording, nolls: list[int], zernike_nm: np.ndarray
+) -> tuple[Prediction, list[StrehlPart]]:
+    """Images before and after the correction, and what every part of the model takes of the Strehl ratio."""
+    from irlos_pipe.effects import fixed_optics
+    from irlos_pipe.estimate.correction import predict_correction, seen_and_left_nm
+    from irlos_pipe.estimate.strehl_budget import strehl_budget
+    from irlos_pipe.stages.model.effects import calibrated_effects
+    from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
+
+    product = ctx.products["calibrate"]
+    seeing = seeing_arcsec(ctx.instrument, recording.acquisition)
+    effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
+    settings = psf_settings(ctx.instrument, ctx.model, recording)
+    fitted_nm = np.array(product.arrays["modes_nm"].value, float)
+    gain = np.where(np.array(nolls) <= HIGHEST_REPORTED_NOLL, ctx.config.gain, 0.0)
+    prediction = predict_correction(
+        settings,
+        nolls,
+        fitted_nm,
+        zernike_nm,
+        gain,
+        lambda model: fixed_optics(list(effects.values()), model.grids),
+    )
+    now_nm, _ = seen_and_left_nm(nolls, fitted_nm, zernike_nm, gain)
+    return prediction, strehl_budget(settings, nolls, _parts(nolls, now_nm), effects)
+
+
+def _parts(nolls: list[int], modes_nm: np.ndarray) -> dict[str, np.ndarray]:
+    """The modes that are corrected, and those beyond, where there are any."""
+    first = np.array(nolls) <= HIGHEST_REPORTED_NOLL
+    parts = {f"Noll 4–{HIGHEST_REPORTED_NOLL}": np.where(first, modes_nm, 0.0)}
+    beyond = {f"Noll {HIGHEST_REPORTED_NOLL + 1}–{nolls[-1]}": np.where(first, 0.0, modes_nm)}
+    return parts | ({} if first.all() else beyond)
+
+
+def _maps_nm(
+    ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Maps of the wavefront before and after the correction, without tip and tilt."""
+    seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike_nm)
+    left = np.where(np.isin(nolls, REPORTED_NOLLS), (1 - ctx.config.gain) * seen, seen)
+    lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
+    return opd_maps_nm(nolls, seen, lit), opd_maps_nm(nolls, left, lit)
+
+
+def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:
+    images = {name: getattr(prediction, name) for name in ("before", "after", "perfect")}
+    return images | {
+        "noll": offsets.nolls,
+        "offset_nm": (offsets.value_nm, offsets.sigma_nm),
+        "radius_mas": prediction.radius_mas,
+        "profile_before": prediction.profile_before,
+        "profile_after": prediction.profile_after,
+    }
+
+
+def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
+    """Encircled energy and cuts through the OTF of the predicted images."""
+    arrays: dict[str, Any] = {}
+    for name in ("before", "after", "perfect"):
+        image = getattr(prediction, name)
+        energy = prediction.encircled(image)
+        arrays |= {"encircled_radius_mas": energy.at * pixel_scale_mas, f"encircled_{name}": energy.value}
+        for axis, letter in ((1, "x"), (0, "y")):
+            cut = prediction.transfer(image, axis)
+            arrays |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
+    return arrays

@@ -14,25 +14,21 @@ from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.rest import Rest
 from irlos_pipe.diagnosis.sentence import sentence
 from irlos_pipe.diagnosis.sharing import Sharing, Together
-from irlos_pipe.diagnosis.verdict import Diagnosis, Sized, Step
+from irlos_pipe.diagnosis.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
-from irlos_pipe.optics.wavefront import rms_and_pv
+from irlos_pipe.optics.wavefront import MapSize
+from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.diagnose.results import (
+    ARRAYS,
     AdjustedRow,
-    AdviceRow,
-    AlternativeRow,
     Change,
     DiagnoseResults,
-    FineStructureRow,
     FrameCounts,
     GapRow,
-    MapRow,
     ModesChange,
     NoiseRow,
-    OppositeRow,
     OwnValueRow,
-    RankedRow,
     RestRow,
     SharingRow,
     StarRow,
@@ -56,10 +52,6 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         With which they were taken, Noll: nm RMS.
     """
     noise, modes = result.noise, [_by_noll(result, one) for one in result.modes_nm]
-    advice = {
-        name: AdviceRow(recording=one.recording, survival=one.observability, smallest=one.smallest)
-        for name, one in result.advice.items()
-    }
     return DiagnoseResults(
         untested=untested_by_cubes(diversity_nm, LOOKED_AT_ELSEWHERE),
         verdict=result.verdict,
@@ -78,7 +70,7 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
                 phrase=one.phrase,
                 parameters=one.public,
                 sigma=one.sigma,
-                opposite=_opposite(one),
+                opposite=one.opposite,
             )
             for one in result.adjusted
         ],
@@ -89,20 +81,18 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         untestable=list(result.untestable),
         recordings=_stars(result.together),
         sharing=[_sharing(one) for one in result.together.sharing] if result.together else [],
-        second_recording=advice,
+        second_recording=dict(result.advice),
         mdb=result.mdb,
         model=MODEL_FILE,
         noise=NoiseRow(**asdict(noise), holds=noise.holds, text=noise.text),
-        fine_structure=FineStructureRow(**asdict(result.fine)),
+        fine_structure=result.fine,
         chi2_nu=Change.of(result.chi2_nu),
         excess_sigma=Change.of(result.excess_sigma),
         motion_ratio=result.motion_ratio,
         drift_significance=result.drift_significance,
         frames=FrameCounts(training=result.frames[0], held_out=result.frames[1]),
         held_out=result.held_out,
-        added_wavefront=MapRow(
-            **dict(zip(("rms_nm", "pv_nm"), rms_and_pv(result.pictures.added_opd_nm), strict=True))
-        ),
+        added_wavefront=MapSize.of(result.pictures.added_opd_nm),
         zernike_nm=ModesChange(before=modes[0], after=modes[1]),
         sigma_nm=_by_noll(result, result.modes_sigma_nm),
         seconds=round(result.seconds, 3),
@@ -146,7 +136,7 @@ def _step(step: Step, together: Together | None = None) -> StepRow:
     return StepRow(
         effect=step.label,
         indistinguishable=[other.name for other in step.alternatives],
-        alternatives=[AlternativeRow(**asdict(other)) for other in step.alternatives],
+        alternatives=list(step.alternatives),
         parameters=step.public,
         sigma=step.sigma,
         phrase=step.phrase,
@@ -157,24 +147,11 @@ def _step(step: Step, together: Together | None = None) -> StepRow:
         held_out_z=step.preference,
         gap_before=step.gap.before,
         gap_after=step.gap.after,
-        ranking=[RankedRow(**asdict(one)) for one in step.ranking],
+        ranking=list(step.ranking),
         share=step.share,
         unusual=step.unusual,
         recordings=[] if together is None else step.found_in(together.moments),
-        opposite=_opposite(step),
-    )
-
-
-def _opposite(one: Sized) -> OppositeRow | None:
-    """The opposite side of an effect, where it is not excluded."""
-    side = one.opposite
-    if side is None:
-        return None
-    return OppositeRow(
-        parameters=dict(side.public),
-        phrase=side.phrase,
-        chi2_rise=side.chi2_rise,
-        wavefront_change_nm=side.wavefront_change_nm,
+        opposite=step.opposite,
     )
 
 
@@ -198,22 +175,19 @@ def _by_noll(result: Diagnosis, values: np.ndarray) -> dict[int, float]:
 
 def diagnose_arrays(result: Diagnosis) -> dict[str, Quantity]:
     """Return images, maps and modes of a diagnosis of cubes."""
-    pictures, before, after = result.pictures, *result.modes_nm
-    return {
-        "measured_e": Quantity(
-            pictures.measured_e, "e-", "mean of the held-out frames", _finite(pictures.sigma_e)
-        ),
-        "before_e": Quantity(pictures.before_e, "e-", "predicted by the model as it was"),
-        "after_e": Quantity(pictures.after_e, "e-", "predicted by the model with what was found"),
-        "leading_mode": Quantity(pictures.leading, "sigma", "leading mode of the residual over the frames"),
-        "added_opd_nm": Quantity(pictures.added_opd_nm, "nm", "wavefront that was added, pupil plane"),
-        "added_amplitude": Quantity(pictures.added_amplitude, "", "amplitude that was added, pupil plane"),
-        "noll": Quantity(np.array(result.nolls), "", "Noll index of every mode in the model"),
-        "zernike_before_nm": Quantity(before, "nm", "total static wavefront, model as it was"),
-        "zernike_after_nm": Quantity(
-            after, "nm", "total static wavefront, with what was found", result.modes_sigma_nm
-        ),
+    pictures, (before, after) = result.pictures, result.modes_nm
+    values = {
+        "measured_e": (pictures.measured_e, _finite(pictures.sigma_e)),
+        "before_e": pictures.before_e,
+        "after_e": pictures.after_e,
+        "leading_mode": pictures.leading,
+        "added_opd_nm": pictures.added_opd_nm,
+        "added_amplitude": pictures.added_amplitude,
+        "noll": result.nolls,
+        "zernike_before_nm": before,
+        "zernike_after_nm": (after, result.modes_sigma_nm),
     }
+    return declared(ARRAYS, values)
 
 
 def _finite(sigma_e: np.ndarray) -> np.ndarray:

@@ -14,15 +14,17 @@ from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
 from irlos_pipe.diagnosis.ramp.gap import ramp_gap
 from irlos_pipe.diagnosis.ramp.light_path import LightPathName
+from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.diagnosis.verdict import EFFECT
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
-from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.declared import declared
+from irlos_pipe.product.product import Product
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.lens import wanted_lens
 from irlos_pipe.stages.diagnose.output import MODEL_FILE, gap_row
 from irlos_pipe.stages.diagnose.quality import checks_of
-from irlos_pipe.stages.diagnose.results import AlternativeRow, Change, DiagnoseResults, StepRow
+from irlos_pipe.stages.diagnose.results import ARRAYS, Change, DiagnoseResults, StepRow
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
 
 
@@ -54,7 +56,10 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
         gap = replace(gap, before=lens.comparison.gap[0], after=lens.comparison.gap[1])
     results = _results(ramp, result, lens, gap, estimated, corrected, time.perf_counter() - began)
     output = StageOutput(
-        _arrays(ramp, estimated, corrected),
+        declared(
+            ARRAYS,
+            {"commanded_nm": ramp.commanded_nm, "corrected_nm": corrected, "estimated_nm": estimated},
+        ),
         results,
         checks_of(results),
         summary=_summary(result, lens, gap),
@@ -143,7 +148,7 @@ def _step(one: RampName, gap: Gap) -> StepRow:
         effect=one.name,
         indistinguishable=[other.name for other in one.alternatives],
         alternatives=[
-            AlternativeRow(name=other.name, reason=reason, separated_by=other.separated_by)
+            Alternative(name=other.name, reason=reason, separated_by=other.separated_by)
             for other in one.alternatives
         ],
         parameters=one.public,
@@ -182,14 +187,6 @@ def _stage_sentence(result: RampDiagnosis) -> str:
     if not result.names:
         return "The focus stage does what is commanded."
     return f"The ramp needs {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
-
-
-def _arrays(ramp: Ramp, estimated: np.ndarray, corrected: np.ndarray) -> dict[str, Quantity]:
-    return {
-        "commanded_nm": Quantity(ramp.commanded_nm, "nm", "commanded defocus, frames in order of time"),
-        "corrected_nm": Quantity(corrected, "nm", "introduced defocus with what was found"),
-        "estimated_nm": Quantity(estimated, "nm", "estimate of every frame"),
-    }
 
 
 def _summary(result: RampDiagnosis, lens: LightPathName | None, gap: Gap) -> list[str]:

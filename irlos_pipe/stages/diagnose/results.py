@@ -6,7 +6,37 @@ import math
 from collections.abc import Sequence
 from typing import ClassVar
 
+from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
+from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
+
+ARRAYS = {
+    "measured_e": ("e- ±", "y, x", "mean of the held-out frames"),
+    "before_e": ("e-", "y, x", "predicted by the model as it was"),
+    "after_e": ("e-", "y, x", "predicted by the model with what was found"),
+    "leading_mode": ("sigma", "y, x", "leading mode of the residual over the frames"),
+    "added_opd_nm": ("nm", "y, x of the pupil", "wavefront that was added"),
+    "added_amplitude": ("", "y, x of the pupil", "amplitude that was added"),
+    "noll": ("", "mode", "Noll index of every mode in the model"),
+    "zernike_before_nm": ("nm", "mode", "total static wavefront, model as it was"),
+    "zernike_after_nm": ("nm ±", "mode", "total static wavefront, with what was found"),
+    "encircled_radius_mas": ("mas", "radius", "radius of circles about the star"),
+    "encircled_<image>": ("", "radius", "part of the light within a circle"),
+    "otf_x_frequency": ("D/λ", "frequency", "spatial frequency along x"),
+    "otf_y_frequency": ("D/λ", "frequency", "spatial frequency along y"),
+    "otf_x_<image>": ("", "frequency", "modulus of the OTF along x"),
+    "otf_y_<image>": ("", "frequency", "modulus of the OTF along y"),
+    "left_frequency": ("D/λ", "frequency", "spatial frequency of the residual"),
+    "left_power_<model>": ("", "frequency", "power of the residual over its standard error"),
+    "commanded_nm": ("nm", "frame", "of a ramp: commanded defocus"),
+    "corrected_nm": ("nm", "frame", "of a ramp: introduced defocus with what was found"),
+    "estimated_nm": ("nm", "frame", "of a ramp: estimate of every frame"),
+}
+CHECKS = {
+    "frames of one kind": ("as that of `calibrate`", ""),
+    "motion of the star": ("as that of `calibrate`", ""),
+    "everything explained": ("whether the verdict leaves nothing significant unexplained", ""),
+}
 
 
 class GapRow(ResultsPart):
@@ -26,57 +56,6 @@ class GapRow(ResultsPart):
     after: Number = math.nan
     floor: Number = math.nan
     shrink: Number = math.nan
-
-
-class AlternativeRow(ResultsPart):
-    """An effect not distinguished from the one found, see `diagnosis.ambiguity.Alternative`.
-
-    Attributes
-    ----------
-    name : str
-        Name of the effect.
-    reason : str
-        Why the two are not distinguished.
-    separated_by : str
-        What separates the two.
-    likeness : float
-        |cos| between what the two add to the image, beyond what the fitted parameters imitate; 1: alike.
-    second_recording : str
-        How a further recording differs with which they are least alike.
-    likeness_then : float
-        |cos| with that recording.
-    """
-
-    name: str = ""
-    reason: str = ""
-    separated_by: str = ""
-    likeness: Number = math.nan
-    second_recording: str = ""
-    likeness_then: Number = math.nan
-
-
-class RankedRow(ResultsPart):
-    """A candidate when an effect was chosen, see `diagnosis.verdict.Ranked`.
-
-    Attributes
-    ----------
-    name : str
-        Name of the candidate.
-    gain : float
-        Fall of χ² by the fit.
-    explained : float
-        Part of the excess over noise that it explains.
-    significance : float
-        Significance in Gaussian σ.
-    held_out_z : float
-        Vuong's statistic for the first of all against it, on data that no fit has seen.
-    """
-
-    name: str = ""
-    gain: Number = math.nan
-    explained: Number = math.nan
-    significance: Number = math.nan
-    held_out_z: Number = math.nan
 
 
 class TriedRow(ResultsPart):
@@ -102,27 +81,6 @@ class TriedRow(ResultsPart):
     reason: str = ""
 
 
-class OppositeRow(ResultsPart):
-    """A fit with the effect on its opposite side, see `diagnosis.opposite.OppositeSide`.
-
-    Attributes
-    ----------
-    parameters : dict
-        Values there by name of the parameter.
-    phrase : str
-        The effect there, as a sentence names it.
-    chi2_rise : float
-        χ² and priors there over those of the model, in units of their scatter.
-    wavefront_change_nm : float
-        RMS by which the wavefronts of both fits differ, tip and tilt apart.
-    """
-
-    parameters: EffectValues = {}
-    phrase: str = ""
-    chi2_rise: Number = math.nan
-    wavefront_change_nm: Number = math.nan
-
-
 class AdjustedRow(ResultsPart):
     """An effect that makes the final model fit better and is not named.
 
@@ -134,7 +92,7 @@ class AdjustedRow(ResultsPart):
         The effect with its size and error, as a sentence names it.
     parameters, sigma : dict
         Values and standard errors by name of the parameter.
-    opposite : OppositeRow or None
+    opposite : OppositeSide or None
         Its opposite side, where these data do not exclude that.
     """
 
@@ -142,7 +100,7 @@ class AdjustedRow(ResultsPart):
     phrase: str = ""
     parameters: EffectValues = {}
     sigma: EffectValues = {}
-    opposite: OppositeRow | None = None
+    opposite: OppositeSide | None = None
 
 
 class StepRow(ResultsPart):
@@ -154,7 +112,7 @@ class StepRow(ResultsPart):
         Name of the effect.
     indistinguishable : list of str
         Names of the `alternatives`.
-    alternatives : list of AlternativeRow
+    alternatives : list of Alternative
         Effects that these data do not distinguish from it.
     parameters, sigma : dict
         Values and standard errors by name of the parameter.
@@ -170,7 +128,7 @@ class StepRow(ResultsPart):
         Vuong's statistic on the held-out frames.
     gap_before, gap_after : float
         Gap without and with it.
-    ranking : list of RankedRow
+    ranking : list of Ranked
         Candidates when it was chosen, the best first.
     share : float
         Part of its own signal that the final model explains where that signal lies.
@@ -178,13 +136,13 @@ class StepRow(ResultsPart):
         Parameters beyond what is usual for the effect.
     recordings : list of str
         Where it was found; empty: in all.
-    opposite : OppositeRow or None
+    opposite : OppositeSide or None
         Its opposite side, where these data do not exclude that.
     """
 
     effect: str = ""
     indistinguishable: list[str] = []
-    alternatives: list[AlternativeRow] = []
+    alternatives: list[Alternative] = []
     parameters: EffectValues = {}
     sigma: EffectValues = {}
     phrase: str = ""
@@ -195,11 +153,11 @@ class StepRow(ResultsPart):
     held_out_z: Number = math.nan
     gap_before: Number = math.nan
     gap_after: Number = math.nan
-    ranking: list[RankedRow] = []
+    ranking: list[Ranked] = []
     share: Number = math.nan
     unusual: list[str] = []
     recordings: list[str] = []
-    opposite: OppositeRow | None = None
+    opposite: OppositeSide | None = None
 
 
 class OwnValueRow(ResultsPart):
@@ -268,24 +226,6 @@ class StarRow(ResultsPart):
     sigma_nm: Number = math.nan
 
 
-class AdviceRow(ResultsPart):
-    """A second recording that shows an effect, see `diagnosis.second_recording.Advice`.
-
-    Attributes
-    ----------
-    recording : str
-        What the second recording should be, in words.
-    survival : float
-        Part of the signature of the effect that the fitted parameters cannot imitate there.
-    smallest : dict
-        Smallest detectable size of the effect with it, by name of the parameter.
-    """
-
-    recording: str = ""
-    survival: Number = math.nan
-    smallest: EffectValues = {}
-
-
 class NoiseRow(ResultsPart):
     """Whether the noise model holds, see `diagnosis.checks.noise.NoiseVerdict`.
 
@@ -306,21 +246,6 @@ class NoiseRow(ResultsPart):
     faint_ratio: Number = math.nan
     holds: bool = True
     text: str = ""
-
-
-class FineStructureRow(ResultsPart):
-    """Structure finer than the telescope can make, see `diagnosis.checks.fine_structure.FineStructure`.
-
-    Attributes
-    ----------
-    ratio : float
-        Power of the residual beyond the cut-off D/λ, over what noise leaves there.
-    significance : float
-        Of its excess, in standard deviations.
-    """
-
-    ratio: Number = math.nan
-    significance: Number = math.nan
 
 
 class Change(ResultsPart):
@@ -381,21 +306,6 @@ class WhereRow(ResultsPart):
     x_mas: Number = math.nan
     y_mas: Number = math.nan
     extent_mas: Number = math.nan
-
-
-class MapRow(ResultsPart):
-    """RMS about the mean, and peak to valley, of a map over the clear pupil [nm].
-
-    Attributes
-    ----------
-    rms_nm : float
-        RMS about the mean over the clear pupil.
-    pv_nm : float
-        Peak to valley over the clear pupil.
-    """
-
-    rms_nm: Number = math.nan
-    pv_nm: Number = math.nan
 
 
 class RestRow(ResultsPart):
@@ -463,7 +373,7 @@ class DiagnoseResults(StageResults):
         Stars and nights, where there are several; `sharing` says what they share.
     sharing : list of SharingRow
         Which effects stars and nights share.
-    second_recording : dict of str to AdviceRow
+    second_recording : dict of str to Advice
         A second recording that would show it, by effect of `untestable`.
     mdb : dict of str to dict
         Smallest detectable size of every effect that was not found.
@@ -475,7 +385,7 @@ class DiagnoseResults(StageResults):
         Image motion over its expectation; drift in σ.
     held_out : str
         ``frames`` or ``pixels``: what no fit has seen.
-    added_wavefront : MapRow
+    added_wavefront : MapSize
         RMS and peak to valley of the wavefront that what was found adds.
     zernike_nm : ModesChange
         Total static wavefront [nm RMS]; `sigma_nm` its standard errors.
@@ -503,18 +413,18 @@ class DiagnoseResults(StageResults):
     untestable: list[str] = []
     recordings: list[StarRow] = []
     sharing: list[SharingRow] = []
-    second_recording: dict[str, AdviceRow] = {}
+    second_recording: dict[str, Advice] = {}
     mdb: dict[str, EffectValues] = {}
     model: str = ""
     noise: NoiseRow | None = None
-    fine_structure: FineStructureRow | None = None
+    fine_structure: FineStructure | None = None
     chi2_nu: Change = Change()
     excess_sigma: Change = Change()
     motion_ratio: Number = math.nan
     drift_significance: Number = math.nan
     frames: FrameCounts = FrameCounts()
     held_out: str = "frames"
-    added_wavefront: MapRow = MapRow()
+    added_wavefront: MapSize = MapSize()
     zernike_nm: ModesChange = ModesChange()
     sigma_nm: ByNoll = {}
     defocus_error_nm: Change = Change()

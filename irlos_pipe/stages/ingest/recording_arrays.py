@@ -4,43 +4,27 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import MISSING, asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.blocks import mean_frame, picked
-from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import results_of
-from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.stages.ingest.results import IngestResults
+from irlos_pipe.stages.ingest.results import RECORDING, ROOT, IngestResults
 
-ROOT = "recordings"
-# attribute: unit and description of its array
-STORED = {
-    "images_e": ("e-", "signal above background (frame, y, x)"),
-    "used": ("", "frame is used"),
-    "reason": ("", "why a frame is not used"),
-    "good": ("", "pixel is good (y, x)"),
-    "time_s": ("s", "time since the first frame"),
-    "frame_counter": ("", "counter of the recorder"),
-    "introduced_defocus_nm": ("nm", "introduced defocus, RMS"),
-    "background_variance_e2": ("e-2", "variance per pixel beyond read noise and photons of the star"),
-    "dark_variance_e2": ("e-2", "variance per pixel of the dark image, the same in every frame"),
-    "frames_missing": ("", "frames the recorder lost"),
-    "start_unix_s": ("s", "time of the first frame since 1970"),
-}
-ARRAYS = {name: name for name in STORED} | {"good": "pixel_mask"}  # as they are called in the product
-LATER = ("dark_variance_e2",)  # products of ingest's first version have none
-SCALARS = {
-    "background_variance_e2": float,
-    "dark_variance_e2": float,
-    "frames_missing": int,
-    "start_unix_s": float,
-}
+if TYPE_CHECKING:
+    from irlos_pipe.frames.cleaning import Cleaned
+    from irlos_pipe.readers.raw_file import RawRecording
+
+# Attributes of a recording that are arrays of the product. Those with a default are single numbers, of which
+# a product of an earlier version may lack some.
+STORED = [one for one in fields(Recording) if one.name not in ("name", "input", "acquisition")]
+CALLED = {one.name: one.name for one in STORED} | {"good": "pixel_mask"}
 
 
 @dataclass(frozen=True)
@@ -70,18 +54,10 @@ def prefix_of(recording: Recording) -> str:
 
 def arrays_from_recording(recording: Recording) -> dict[str, Quantity]:
     """Return everything that a recording holds, and the mean of its frames, as arrays of the product."""
-    prefix = prefix_of(recording)
-    arrays = {
-        f"{prefix}/{ARRAYS[name]}": Quantity(np.asarray(getattr(recording, name)), unit, description)
-        for name, (unit, description) in STORED.items()
-    }
-    acquisition = np.asarray(json.dumps(asdict(recording.acquisition), sort_keys=True), dtype=object)
-    return arrays | {
-        f"{prefix}/acquisition": Quantity(
-            acquisition, "", "how it was taken, and where each key came from (JSON)"
-        ),
-        f"{prefix}/mean_e": Quantity(recording.mean_e, "e-", "mean of the used frames (y, x)"),
-    }
+    values = {name: getattr(recording, attribute) for attribute, name in CALLED.items()}
+    told = json.dumps(asdict(recording.acquisition), sort_keys=True)
+    values |= {"acquisition": np.asarray(told, dtype=object), "mean_e": recording.mean_e}
+    return declared(RECORDING, values, below=f"{prefix_of(recording)}/")
 
 
 def arrays_of(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
@@ -96,19 +72,15 @@ def arrays_of(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict
     raw : RawRecording
         What it was made from.
     """
-    prefix, background = prefix_of(recording), cleaned.background
-    hits = np.stack([cleaned.hits.frame, cleaned.hits.row, cleaned.hits.column], axis=1)
-    return arrays_from_recording(recording) | {
-        f"{prefix}/raw_adu": Quantity(raw.adu, "ADU", "counts as recorded (frame, y, x)"),
-        f"{prefix}/background_adu": Quantity(background.adu, "ADU", "subtracted from the counts (y, x)"),
-        f"{prefix}/flat": Quantity(background.flat, "", "relative response, divided out (y, x)"),
-        f"{prefix}/cosmic_hits": Quantity(hits, "", "replaced pixels: frame, row, column"),
-        f"{prefix}/screened_e": Quantity(
-            _screened_e(recording, cleaned, raw),
-            "e-",
-            "mean signal of the pixels in bad_pixels_found, as they were recorded",
-        ),
+    hits = cleaned.hits
+    own = {
+        "raw_adu": raw.adu,
+        "background_adu": cleaned.background.adu,
+        "flat": cleaned.background.flat,
+        "cosmic_hits": np.stack([hits.frame, hits.row, hits.column], axis=1),
+        "screened_e": _screened_e(recording, cleaned, raw),
     }
+    return arrays_from_recording(recording) | declared(RECORDING, own, below=f"{prefix_of(recording)}/")
 
 
 def found_bad(recording: Recording, raw: RawRecording) -> np.ndarray:
@@ -187,12 +159,12 @@ def _stored_keys(product: Product) -> Iterator[tuple[str, str]]:
 
 def _recording(product: Product, owner: str, name: str) -> Recording:
     prefix = f"{ROOT}/{owner}/{name}"
-    stored: dict[str, Any] = {
-        name: product.arrays[f"{prefix}/{array}"].value
-        for name, array in ARRAYS.items()
-        if name not in LATER or f"{prefix}/{array}" in product.arrays
-    }
-    stored |= {key: kind(stored[key]) for key, kind in SCALARS.items() if key in stored}
+    stored: dict[str, Any] = {}
+    for one in STORED:
+        array, single = f"{prefix}/{CALLED[one.name]}", one.default is not MISSING
+        if array in product.arrays or not single:
+            value = product.arrays[array].value
+            stored[one.name] = value.item() if single else value
     return Recording(name=name, input=owner, acquisition=_acquisition(product, prefix), **stored)
 
 

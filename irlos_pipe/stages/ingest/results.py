@@ -8,6 +8,39 @@ from typing import ClassVar
 from irlos_pipe.product.observed import Observed
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
 
+ROOT = "recordings"
+# Arrays of a recording.
+RECORDING = {
+    "images_e": ("e-", "frame, y, x", "signal above background"),
+    "mean_e": ("e-", "y, x", "mean of the used frames"),
+    "raw_adu": ("ADU", "frame, y, x", "counts as recorded"),
+    "used": ("", "frame", "whether a frame is used"),
+    "reason": ("", "frame", "why a frame is not used"),
+    "pixel_mask": ("", "y, x", "whether a pixel is good"),
+    "time_s": ("s", "frame", "time since the first frame"),
+    "start_unix_s": ("s", "", "time of the first frame since 1970"),
+    "frame_counter": ("", "frame", "counter of the recorder"),
+    "frames_missing": ("", "", "frames that the recorder lost"),
+    "introduced_defocus_nm": ("nm", "frame", "introduced defocus, RMS"),
+    "background_adu": ("ADU", "y, x", "subtracted from the counts"),
+    "background_variance_e2": ("e-2", "", "variance per pixel beyond read noise and photons of the star"),
+    "dark_variance_e2": ("e-2", "", "variance per pixel of the dark image, the same in every frame"),
+    "flat": ("", "y, x", "relative response, divided out"),
+    "cosmic_hits": ("", "hit, 3", "replaced pixels: frame, row, column"),
+    "screened_e": ("e-", "pixel", "mean signal of the pixels in bad_pixels_found, as they were recorded"),
+    "acquisition": ("", "", "how it was taken, and where each key came from (JSON)"),
+}
+ARRAYS = {f"{ROOT}/<input>/<name>/{name}": what for name, what in RECORDING.items()}
+CHECKS = {
+    "rejected": ("part of the frames that cannot be used", "max_rejected_fraction"),
+    "saturated": ("part of the frames that are saturated", "max_saturated_fraction"),
+    "missing": ("part of the frames that the recorder lost", "max_missing_fraction"),
+    "bad_pixels": ("part of the window that is masked", "max_bad_pixel_fraction"),
+    "centring": ("distance of the star from the window's centre", "max_centre_offset_fraction"),
+    "flux": ("signal of the star above the level of the sky, or dark", ""),
+    "told": ("what was told of the recording and its frames contradict beyond doubt", ""),
+}
+
 
 class NoiseRow(ResultsPart):
     """A constant of the detector, of a frame; the read noise as measured includes that of dark and sky.

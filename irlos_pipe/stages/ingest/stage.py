@@ -10,9 +10,10 @@ from irlos_pipe.conventions.errors import NothingToDo
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.ingest.config import Config
+from irlos_pipe.stages.ingest.results import ARRAYS, CHECKS
 from irlos_pipe.stages.ingest.results import IngestResults as Results
 
-__all__ = ["Config", "Results", "files_of", "problems", "run"]
+__all__ = ["ARRAYS", "CHECKS", "Config", "Results", "files_of", "problems", "run"]
 
 NAME = "ingest"
 VERSION = 12

@@ -7,6 +7,35 @@ from typing import ClassVar
 
 from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
 
+ARRAYS = {
+    "noll": ("", "mode", "estimated modes"),
+    "zernike_nm": ("nm ±", "frame, mode", "estimates, errors of photon noise"),
+    "covariance_nm2": ("nm2", "frame, mode, mode", "covariance of the estimates"),
+    "defocus_nm": ("nm ±", "frame", "estimated introduced defocus"),
+    "introduced_nm": ("nm", "frame", "introduced defocus, frames in order of time"),
+    "start_nm": ("nm", "frame, mode", "start of every frame"),
+    "chi2_nu": ("", "frame", "χ²/ν of every frame"),
+    "model_e": ("e-", "frame, y, x", "model of every frame"),
+    "offsets_nm": ("nm", "offset", "the offsets of the ramp"),
+    "measured_per_offset_e": ("e-", "offset, y, x", "mean frame of every offset"),
+    "model_per_offset_e": ("e-", "offset, y, x", "mean model of every offset"),
+    "curve_defocus_nm": ("nm", "value", "defocus at which one frame was held"),
+    "curve_chi2_nu": ("", "value", "χ²/ν of the best fit of that frame with this defocus"),
+}
+CHECKS = {
+    "converged frames": ("part of the frames whose fit converged", "min_converged"),
+    "scatter about the line": ("RMS of the estimates about a straight line", "max_residual_nm"),
+    "slope": ("slope of the estimated against the introduced defocus", "max_slope_error"),
+    "chi2 of the frames": (
+        "median reduced χ² of the frames against what their scatter lets expect",
+        "max_chi2_ratio",
+    ),
+    "error": ("RMS of estimated minus introduced defocus", "max_error_nm"),
+    "gain by the NCPAs": (
+        "error with the NCPAs, which may not be worse than without them by more than their errors excuse",
+        "",
+    ),
+}
 DECISIVE = 10.0  # evidence from which the twin counts as excluded: odds of 150 to 1
 
 

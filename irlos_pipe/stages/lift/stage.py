@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.results import ARRAYS, CHECKS
 from irlos_pipe.stages.lift.results import LiftResults as Results
 
-__all__ = ["Config", "Results", "run"]
+__all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
 
 NAME = "lift"
 VERSION = 16

@@ -18,6 +18,7 @@ from irlos_pipe.estimate.ramp_quality import (
     instant_error_nm,
     nominal_frame_chi2,
 )
+from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
@@ -33,7 +34,7 @@ from irlos_pipe.stages.lift.quality import (
     offset_text,
     unexplained_offset_nm,
 )
-from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point, Twin
+from irlos_pipe.stages.lift.results import ARRAYS, LiftResults, Line, Offset, Point, Twin
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
 
@@ -262,33 +263,26 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray
     groups = [introduced == value for value in summary.offsets_nm]
     measured = np.array([ramp.data.images_e.numpy()[g].mean(0, dtype=float) for g in groups])
     modelled = np.array([model[g].mean(0) for g in groups]).reshape(-1, *shape)
-    return {
-        "introduced_nm": Quantity(introduced, "nm", "introduced defocus, frames in order of time"),
-        "defocus_nm": Quantity(fit.defocus_nm, "nm", "estimated introduced defocus", sigma_nm),
-        "noll": Quantity(np.array(fit.result.nolls), "", "estimated modes"),
-        "zernike_nm": Quantity(
-            fit.result.zernike_nm.numpy(),
-            "nm",
-            "estimates (frame, mode), errors of photon noise",
-            fit.result.sigma_nm.numpy(),
-        ),
-        "covariance_nm2": Quantity(fit.result.covariance_nm2.numpy(), "nm2", "per frame"),
-        "chi2_nu": Quantity(fit.result.chi2_nu.numpy(), "", "per frame"),
-        "model_e": Quantity(model.astype(np.float32), "e-", "model of every frame"),
-        "start_nm": Quantity(fit.start_nm.numpy(), "nm", "start of every frame"),
-        "offsets_nm": Quantity(summary.offsets_nm, "nm", "the offsets of the ramp"),
-        "measured_per_offset_e": Quantity(measured, "e-", "mean frame of every offset"),
-        "model_per_offset_e": Quantity(modelled, "e-", "mean model of every offset"),
+    values = {
+        "introduced_nm": introduced,
+        "defocus_nm": (fit.defocus_nm, sigma_nm),
+        "noll": fit.result.nolls,
+        "zernike_nm": (fit.result.zernike_nm.numpy(), fit.result.sigma_nm.numpy()),
+        "covariance_nm2": fit.result.covariance_nm2.numpy(),
+        "chi2_nu": fit.result.chi2_nu.numpy(),
+        "model_e": model.astype(np.float32),
+        "start_nm": fit.start_nm.numpy(),
+        "offsets_nm": summary.offsets_nm,
+        "measured_per_offset_e": measured,
+        "model_per_offset_e": modelled,
     }
+    return declared(ARRAYS, values)
 
 
 def _curve_arrays(curve: FocusCurve | None) -> dict[str, Quantity]:
     if curve is None:
         return {}
-    return {
-        "curve_defocus_nm": Quantity(curve.focus_nm, "nm", "defocus at which one frame was held"),
-        "curve_chi2_nu": Quantity(curve.chi2_nu, "", "of the best fit of that frame with this defocus"),
-    }
+    return declared(ARRAYS, {"curve_defocus_nm": curve.focus_nm, "curve_chi2_nu": curve.chi2_nu})
 
 
 def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:

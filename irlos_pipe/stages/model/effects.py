@@ -14,7 +14,7 @@ from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedE
 from irlos_pipe.effects.labels import labels_of
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.model.effect_entry import EffectEntry
@@ -131,14 +131,6 @@ def good_pixels(effects: Sequence[Effect], window: tuple[int, int]) -> np.ndarra
 
 
 # -- handing estimated effects from one product to the next ------------------------------------
-
-
-def effect_arrays(effect_values: dict[str, np.ndarray]) -> dict[str, Quantity]:
-    """Solver's parameters of every effect as arrays of a product."""
-    return {
-        f"effects/{name}": Quantity(values, "", "parameters of the effect, in the order of its declaration")
-        for name, values in effect_values.items()
-    }
 
 
 def calibrated_effects(

@@ -4,13 +4,44 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from irlos_pipe.frames.exposure_noise import ExposureNoise
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.stages.lift.input import Ramp
-from irlos_pipe.stages.sensitivity.results import NoiseRow
+from irlos_pipe.product.results import Number, ResultsPart
+
+if TYPE_CHECKING:
+    from irlos_pipe.instrument.instrument import Instrument
+    from irlos_pipe.stages.lift.input import Ramp
+
+
+class NoiseRow(ResultsPart):
+    """Noise of the dimmed frames, beside that of exposures of one read without sky.
+
+    Attributes
+    ----------
+    reads : int
+        Reads in an exposure.
+    exposure_s : float
+        Exposure of a frame.
+    read_noise_e : float
+        Read noise of one read.
+    excess_noise_factor : float
+        Variance of the photons over that of Poisson.
+    sky_e, dark_e : float
+        Electrons of sky and of dark current in a pixel of an exposure.
+    floor_e2, one_read_floor_e2 : float
+        Variance of a pixel without star.
+    """
+
+    reads: int | None = None
+    exposure_s: Number = math.nan
+    read_noise_e: Number = math.nan
+    excess_noise_factor: Number = math.nan
+    sky_e: Number = math.nan
+    dark_e: Number = math.nan
+    floor_e2: Number = math.nan
+    one_read_floor_e2: Number = math.nan
 
 
 @dataclass(frozen=True)

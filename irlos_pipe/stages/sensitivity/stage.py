@@ -2,20 +2,305 @@
 
 from __future__ import annotations
 
-from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.sensitivity.config import Config
-from irlos_pipe.stages.sensitivity.results import SensitivityResults as Results
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-__all__ = ["Config", "Results", "run"]
+import numpy as np
+from pydantic import Field, field_validator
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.product.declared import declared
+from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.results import Number, ResultsPart, StageResults
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.lift.config import Mode
+from irlos_pipe.stages.sensitivity.effort import announce
+from irlos_pipe.stages.sensitivity.noise import NoiseRow, Noises, noises_of
+
+if TYPE_CHECKING:
+    from irlos_pipe.estimate.sensitivity import Curve
+    from irlos_pipe.stages.lift.input import Ramp
 
 NAME = "sensitivity"
 VERSION = 9
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
+CURVE = {
+    "mag_j": ("mag", "magnitude", "J magnitude of the dimmed star"),
+    "median_abs_error_nm": ("nm", "magnitude", "median of |estimated − introduced|"),
+    "p16_nm": ("nm", "magnitude", "16th percentile of |estimated − introduced|"),
+    "p84_nm": ("nm", "magnitude", "84th percentile of |estimated − introduced|"),
+    "crb_nm": ("nm", "magnitude", "Cramér–Rao bound, 1σ"),
+    "one_read_crb_nm": ("nm", "magnitude", "the same for one read without sky"),
+    "failures": ("", "magnitude", "estimates that failed"),
+}
+ARRAYS = {f"curves/<n>/{name}": what for name, what in CURVE.items()}
+
+
+class Config(StageConfig):
+    """Settings of the sensitivity scan."""
+
+    input: str = Field("ramp", description="recipe input that holds the ramp")
+    max_defocus_nm: float = Field(
+        170.0, gt=0, description="frames with a larger introduced defocus are left out"
+    )
+    mag_step: float = Field(1.0, ge=0.05, le=5, description="step of the magnitude grid")
+    faintest_mag_j: float = Field(
+        19.0, ge=0, le=30, description="end of the magnitude grid, which begins at the magnitude of the ramp"
+    )
+    realisations: int = Field(5, ge=1, le=1000, description="noise realisations per frame and magnitude")
+    frames_per_offset: int = Field(2, ge=1, le=1000, description="number of frames used of every offset")
+    modes: tuple[tuple[Mode, ...], ...] = Field(
+        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)),
+        max_length=20,
+        description="sets of Noll modes to be estimated",
+    )
+    calibrated: tuple[bool, ...] = Field(
+        (True, False), description="whether the NCPAs are known: with, without, or both"
+    )
+    limit_nm: float = Field(30.0, gt=0, description="largest median error at the limiting magnitude [nm RMS]")
+    limit_failures: float = Field(
+        0.1, ge=0, le=1, description="largest part of failures at the limiting magnitude"
+    )
+
+    noise: Literal["reads", "recorded"] = Field(
+        "reads",
+        description="noise of the dimmed frames: of all the reads of an exposure, with sky and dark current; "
+        "or as the frames were recorded, which in simulations may be one read without sky",
+    )
+
+    @field_validator("modes")
+    @classmethod
+    def _focus_among_them(cls, modes: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
+        if any(4 not in one for one in modes):
+            raise ValueError("every set of modes must hold 4 (defocus)")
+        return modes
+
+
+class CurveRow(ResultsPart):
+    """One curve over the magnitudes `mag_j`.
+
+    Attributes
+    ----------
+    calibrated : bool
+        Whether the NCPAs are part of the known wavefront.
+    modes : list of int
+        Estimated modes (Noll).
+    mag_j : list of float
+        J magnitudes, to which the frames were dimmed.
+    median_abs_error_nm, p16_nm, p84_nm : list of float
+        Percentiles of |estimated − introduced| defocus.
+    crb_nm, one_read_crb_nm : list of float
+        Cramér–Rao bound, 1σ; and of exposures of one read without sky.
+    failures : list of int
+        Estimates that failed, of `trials` per magnitude.
+    trials : int
+        Estimates per magnitude.
+    limit_mag : float
+        Faintest magnitude that meets the criterion; NaN if none does.
+    one_read_bound_mag : float
+        Limiting magnitude of an efficient estimate from exposures of one read without sky.
+    """
+
+    calibrated: bool = False
+    modes: list[int] = []
+    mag_j: list[Number] = []
+    median_abs_error_nm: list[Number] = []
+    p16_nm: list[Number] = []
+    p84_nm: list[Number] = []
+    crb_nm: list[Number] = []
+    one_read_crb_nm: list[Number] = []
+    failures: list[int] = []
+    trials: int | None = None
+    limit_mag: Number = math.nan
+    one_read_bound_mag: Number = math.nan
+
+    @property
+    def at_the_end(self) -> bool:
+        """Whether the magnitudes end before the criterion is missed."""
+        return bool(self.mag_j) and self.limit_mag == self.mag_j[-1]
+
+
+class CriterionRow(ResultsPart):
+    """What a limiting magnitude keeps: largest median error, and largest part of failures.
+
+    Attributes
+    ----------
+    median_abs_error_nm : float
+        Largest median of |estimated − introduced| defocus.
+    failures : float
+        Largest part of the estimates that may fail.
+    """
+
+    median_abs_error_nm: Number = math.nan
+    failures: Number = math.nan
+
+
+class SensitivityResults(StageResults):
+    """One curve per combination of modes and calibration.
+
+    Attributes
+    ----------
+    crb_note : str
+        How the Cramér–Rao bounds compare with the median errors.
+    """
+
+    stage: ClassVar[str] = "sensitivity"
+    curves: list[CurveRow] = []
+    criterion: CriterionRow = CriterionRow()
+    noise: NoiseRow = NoiseRow()
+    crb_note: str = ""
+
+
+Results = SensitivityResults
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Scan every combination of modes and calibration."""
-    from irlos_pipe.stages.sensitivity.work import run as work
+    from irlos_pipe.stages.lift.input import read_ramp
 
-    return work(ctx)
+    ramp = read_ramp(ctx, ctx.config.input)
+    bright = ramp.acquisition.mag_j
+    if bright is None:
+        raise InputDataError(
+            f"{ramp.recordings[0].name}: mag_j is missing; give it in acquisition.yaml, "
+            "the magnitudes of the dimmed frames are counted from it"
+        )
+    magnitudes = np.arange(bright, ctx.config.faintest_mag_j + 1e-9, ctx.config.mag_step)
+    if len(magnitudes) == 0:
+        raise InputDataError(
+            f"sensitivity.faintest_mag_j {ctx.config.faintest_mag_j} is brighter than the ramp's "
+            f"own m_J {bright}: frames can only be dimmed"
+        )
+    chosen = _choose(ramp, ctx.config)
+    noises = noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
+    combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
+    window = ramp.recordings[0].window
+    announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
+    with ctx.progress(total=len(combinations) * len(magnitudes), desc="sensitivity") as bar:
+        curves = [
+            _curve(ctx, ramp, chosen, calibrated, nolls, magnitudes, noises, bar.update)
+            for calibrated, nolls in combinations
+        ]
+    return _output(ctx.config, combinations, curves, noises.row(ramp.acquisition.exposure_s))
+
+
+def _choose(ramp: Ramp, config: Config) -> np.ndarray:
+    """Numbers of the frames used: the first few of every offset within reach."""
+    introduced = ramp.data.introduced_nm
+    chosen = [
+        i
+        for value in np.unique(introduced[np.abs(introduced) <= config.max_defocus_nm])
+        for i in np.flatnonzero(introduced == value)[: config.frames_per_offset]
+    ]
+    if not chosen:
+        raise InputDataError(
+            f"no frame of the ramp has |introduced defocus| <= {config.max_defocus_nm} nm; "
+            "raise sensitivity.max_defocus_nm"
+        )
+    return np.array(sorted(chosen))
+
+
+def _curve(
+    ctx: StageContext[Config],
+    ramp: Ramp,
+    chosen: np.ndarray,
+    calibrated: bool,
+    nolls: tuple[int, ...],
+    magnitudes: np.ndarray,
+    noises: Noises,
+    report: Callable[[int], None],
+) -> Curve:
+    """One curve; the model of each bright frame gives the noise-free signal and the start."""
+    from irlos_pipe.estimate.lift_options import LiftOptions
+    from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
+    from irlos_pipe.estimate.sensitivity import Criterion, scan
+    from irlos_pipe.stages.lift.input import calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
+
+    ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
+    model = ramp_model(ctx, ramp, nolls, ncpa_nm)
+    start = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
+    data = RampData(
+        ramp.data.images_e[chosen], ramp.data.good, ramp.data.noise, ramp.data.introduced_nm[chosen]
+    )
+    effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
+    bright = fit_ramp(model, data, start, LiftOptions(), effects)
+    criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
+    return scan(
+        bright.model,
+        data,
+        bright.result.model_e,
+        float(magnitudes[0]),
+        magnitudes,
+        ctx.config.realisations,
+        start,
+        criterion,
+        ctx.seed,
+        faint=noises.faint,
+        one_read=noises.one_read,
+        near_nm=bright.result.zernike_nm,
+        report=report,
+    )
+
+
+def _output(
+    config: Config,
+    combinations: Sequence[tuple[bool, tuple[int, ...]]],
+    curves: Sequence[Curve],
+    noise: NoiseRow,
+) -> StageOutput:
+    from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion
+
+    rows: list[CurveRow] = []
+    arrays: dict[str, Quantity] = {}
+    for number, ((calibrated, nolls), curve) in enumerate(zip(combinations, curves, strict=True)):
+        values = {name: getattr(curve, name) for name in CURVE}
+        note = f"NCPAs {'added' if calibrated else 'left out'}, {len(nolls)} modes"
+        arrays |= declared(CURVE, values, note, below=f"curves/{number}/")
+        own = CurveRow(
+            calibrated=calibrated,
+            modes=list(nolls),
+            trials=curve.trials,
+            limit_mag=curve.limit_mag,
+            one_read_bound_mag=curve.bound_mag(Criterion(config.limit_nm, config.limit_failures)),
+            **{name: value.tolist() for name, value in values.items()},
+        )
+        rows.append(own)
+    results = SensitivityResults(
+        curves=rows,
+        criterion=CriterionRow(median_abs_error_nm=config.limit_nm, failures=config.limit_failures),
+        noise=noise,
+        crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
+    )
+    return StageOutput(arrays, results, summary=_lines(config, rows, noise))
+
+
+def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[str]:
+    lines = [
+        f"Noise           {noise_text(noise)}",
+        f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
+    ]
+    for row in rows:
+        ncpas = "with" if row.calibrated else "without"
+        lines.append(f"  {ncpas} NCPAs, {len(row.modes)} modes: {_limit_text(row)}")
+    return lines
+
+
+def noise_text(noise: NoiseRow) -> str:
+    """Return the noise of the dimmed frames in words."""
+    if noise.reads is None:
+        return f"{noise.floor_e2:.3g} e⁻² per pixel, as recorded"
+    ratio = noise.floor_e2 / noise.one_read_floor_e2
+    sky = (noise.sky_e + noise.dark_e) * noise.excess_noise_factor
+    return (
+        f"{noise.reads} reads of {noise.read_noise_e:.2g} e⁻ in {noise.exposure_s:g} s, sky and dark "
+        f"{sky:.2g} e⁻²: {noise.floor_e2:.3g} e⁻² per pixel, {ratio:.3g} times that of one read without sky"
+    )
+
+
+def _limit_text(row: CurveRow) -> str:
+    """Limiting magnitude as text; with ≥ where the grid ends before the criterion is missed."""
+    if not math.isfinite(row.limit_mag):
+        return "not reached at any magnitude"
+    return f"m_J {'≥ ' if row.at_the_end else ''}{row.limit_mag:.1f}"

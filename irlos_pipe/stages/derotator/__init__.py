@@ -1,1 +1,0 @@
-"""Stage `derotator`: NCPAs before and after the derotator."""

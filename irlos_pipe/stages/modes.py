@@ -1,0 +1,343 @@
+"""Stage `modes`: how strong the modes are (paper, appendix A), and how many to estimate (appendix B)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
+from irlos_pipe.product.declared import declared
+from irlos_pipe.product.results import Number, ResultsPart, StageResults, results_of
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeEstimate, cube_estimates
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+
+if TYPE_CHECKING:
+    from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter
+    from irlos_pipe.estimate.mode_number import Choice, ModeScan
+    from irlos_pipe.frames.recording import Recording
+
+NAME = "modes"
+VERSION = 4
+NEEDS = ("ingest", "calibrate")
+READS = ("ingest", "calibrate")
+ARRAYS = {
+    "noll": ("", "mode", "Noll index"),
+    "std_nm": ("nm ±", "mode", "RMS over the draws, about zero"),
+    "noise_nm": ("nm", "mode", "part of it due to the errors of the estimates"),
+    "frame_std_nm": ("nm", "mode", "over the frames of a cube: AO residual and noise, no NCPAs"),
+    "law/<law>": ("nm", "mode", "law of the estimates, and of the NCPAs without their errors"),
+    "numbers/highest_noll": ("", "number", "modes Noll 2 to this"),
+    "numbers/noll": ("", "mode", "modes that are compared"),
+    "numbers/zernike_nm": ("nm", "cube, number, half, mode", "estimates"),
+    "numbers/misfit": ("", "cube, number, block", "χ²/ν of unseen frames"),
+    "numbers/excess": ("±", "number", "held-out χ²/ν above the least"),
+}
+MIN_MODES = 4
+
+
+class Config(StageConfig):
+    """Settings of the mode statistics."""
+
+    same_ncpas: bool = Field(
+        False, description="whether the cubes have the same NCPAs, and so count as one draw of every mode"
+    )
+    law_highest_noll: int | None = Field(
+        None,
+        ge=7,
+        le=HIGHEST_NOLL,
+        description="highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
+    )
+    numbers: tuple[int, ...] = Field(
+        (21, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
+    )
+    cubes: int = Field(
+        4, ge=0, description="number of cubes, from the first, that the numbers of modes are tried on"
+    )
+
+    @field_validator("numbers")
+    @classmethod
+    def _rising(cls, numbers: tuple[int, ...]) -> tuple[int, ...]:
+        if (
+            len(numbers) < 2
+            or list(numbers) != sorted(set(numbers))
+            or numbers[0] < 4
+            or numbers[-1] > HIGHEST_NOLL
+        ):
+            raise ValueError(f"give at least two rising numbers between 4 and {HIGHEST_NOLL}")
+        return numbers
+
+
+class LawRow(ResultsPart):
+    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`.
+
+    Attributes
+    ----------
+    A_nm, A_sigma_nm : float
+        Amplitude A of the law, and its standard error [nm RMS].
+    B, B_sigma : float
+        Decay B per mode, and its standard error.
+    C_nm, C_sigma_nm : float
+        Plateau C, and its standard error [nm RMS].
+    deviance_nu : float
+        Deviance over what draws from the law would give; near 1 where it holds.
+    plateau_noll : int or None
+        Noll index from which the exponential is below a tenth of the plateau.
+    """
+
+    A_nm: Number = math.nan
+    B: Number = math.nan
+    C_nm: Number = math.nan
+    A_sigma_nm: Number = math.nan
+    B_sigma: Number = math.nan
+    C_sigma_nm: Number = math.nan
+    deviance_nu: Number = math.nan
+    plateau_noll: int | None = None
+
+    @classmethod
+    def of(cls, law: ModeLaw) -> LawRow:
+        """Return the parameters of a `law` with their errors."""
+        a, b, c = law.sigma
+        return cls(
+            A_nm=law.a_nm,
+            B=law.decay,
+            C_nm=law.plateau_nm,
+            A_sigma_nm=a,
+            B_sigma=b,
+            C_sigma_nm=c,
+            deviance_nu=law.deviance_nu,
+            plateau_noll=law.plateau_noll,
+        )
+
+
+class NumberScan(ResultsPart):
+    """Fits with several numbers of modes; lists are over `highest_noll`.
+
+    Attributes
+    ----------
+    cubes : int
+        Cubes that the numbers were tried on.
+    highest_noll : list of int
+        Highest Noll index of each fit.
+    held_out_chi2_nu, fitted_chi2_nu : list of float
+        Reduced χ² of unseen frames, and of those fitted.
+    excess, excess_sigma : list of float
+        Held-out χ²/ν above the least, with its error.
+    change_nm : list of float
+        RMS difference of the reported modes from the estimate with the recommended number.
+    halves_nm : list of float
+        Error from the difference of the two halves of the frames.
+    best, recommended : int
+        Highest Noll index with the least χ², and the least one that is as good within the error.
+    """
+
+    cubes: int = 0
+    highest_noll: list[int] = []
+    held_out_chi2_nu: list[Number] = []
+    excess: list[Number] = []
+    excess_sigma: list[Number] = []
+    fitted_chi2_nu: list[Number] = []
+    change_nm: list[Number] = []
+    halves_nm: list[Number] = []
+    best: int = 0
+    recommended: int = 0
+
+
+class ModesResults(StageResults):
+    """Strength of the modes and their number.
+
+    Attributes
+    ----------
+    method : str
+        How the modes of the cubes were estimated.
+    cubes : int
+        Cubes that the law was fitted to.
+    draws : int
+        Independent sets of NCPAs among the `cubes`.
+    laws : dict of str to LawRow
+        ``estimates`` as they are, and ``ncpas`` without the errors of the estimates.
+    numbers : NumberScan or None
+        None where no cube has frames enough.
+    """
+
+    stage: ClassVar[str] = "modes"
+    method: str = ""
+    cubes: int = 0
+    draws: int = 0
+    laws: dict[str, LawRow] = {}
+    numbers: NumberScan | None = None
+
+
+Results = ModesResults
+
+
+def run(ctx: StageContext[Config]) -> StageOutput:
+    """Fit a law to the scatter of the modes, and try several numbers of modes."""
+    from irlos_pipe.estimate.mode_law import fit_mode_law
+    from irlos_pipe.estimate.mode_number import MIN_FRAMES, choose
+
+    cubes = cube_estimates(ctx.products["calibrate"])
+    if not cubes:
+        raise ConfigurationError("modes needs the cubes one by one: set calibrate.each to true")
+    scatter = _scatter(cubes, ctx.config.same_ncpas)
+    fitted = _fitted(scatter, ctx.config.law_highest_noll)
+    start = ctx.instrument.facility.ncpa_law
+    laws = {
+        "estimates": fit_mode_law(scatter, fitted, start, remove_noise=False),
+        "ncpas": fit_mode_law(scatter, fitted, start, remove_noise=True),
+    }
+    arrays = _scatter_arrays(cubes, scatter, laws)
+    lines = _law_lines(scatter.draws, int(fitted.sum()), laws)
+    scans, numbers = _scans(ctx, MIN_FRAMES), None
+    if scans:
+        choice = choose(np.concatenate([scan.misfit for scan in scans], axis=1))
+        arrays |= _scan_arrays(scans, choice)
+        numbers = _numbers(scans, choice)
+        lines += _number_lines(numbers)
+    else:
+        lines.append(f"  number of modes not tried: no cube has {MIN_FRAMES} used frames")
+    results = ModesResults(
+        method=results_of(CalibrateResults, ctx.products["calibrate"]).method,
+        cubes=len(cubes),
+        draws=scatter.draws,
+        laws={name: LawRow.of(law) for name, law in laws.items()},
+        numbers=numbers,
+    )
+    return StageOutput(declared(ARRAYS, arrays), results, summary=lines)
+
+
+# -- appendix A ----------------------------------------------------------------------------------
+
+
+def _scatter(cubes: list[CubeEstimate], same_ncpas: bool) -> ModeScatter:
+    from irlos_pipe.estimate.mode_law import mode_scatter
+
+    zernike_nm, sigma_nm = (np.stack([getattr(c, key) for c in cubes]) for key in ("zernike_nm", "sigma_nm"))
+    if same_ncpas:
+        zernike_nm = zernike_nm.mean(axis=0, keepdims=True)
+        sigma_nm = np.sqrt(np.mean(sigma_nm**2, axis=0, keepdims=True) / len(cubes))
+    return mode_scatter(cubes[0].nolls, zernike_nm, sigma_nm)
+
+
+def _fitted(scatter: ModeScatter, highest_noll: int | None) -> np.ndarray:
+    """Modes the law is fitted to: no tip and tilt."""
+    nolls = np.array(scatter.nolls)
+    fitted = ~np.isin(nolls, TIP_TILT) & (nolls <= (highest_noll or nolls[-1]))
+    if fitted.sum() < MIN_MODES:
+        raise ConfigurationError(
+            f"a law needs at least {MIN_MODES} modes beyond tilt: raise calibrate.highest_noll to "
+            f"{TIP_TILT[-1] + MIN_MODES} or more"
+        )
+    return fitted
+
+
+def _law_lines(draws: int, modes: int, laws: Mapping[str, ModeLaw]) -> list[str]:
+    texts = {"estimates": "of the estimates", "ncpas": "without their errors"}
+    return [
+        f"Modes           std(i) = A exp(−B i) + C, i = 0 for Noll 2, "
+        f"from {draws} {'draw' if draws == 1 else 'draws'} of {modes} modes",
+        *(
+            f"  {texts[name]}: A {law.a_nm:.0f} ± {law.sigma[0]:.0f} nm, B {law.decay:.3f} ± "
+            f"{law.sigma[1]:.3f}, C {law.plateau_nm:.1f} ± {law.sigma[2]:.1f} nm"
+            for name, law in laws.items()
+        ),
+    ]
+
+
+def _scatter_arrays(
+    cubes: list[CubeEstimate], scatter: ModeScatter, laws: Mapping[str, ModeLaw]
+) -> dict[str, Any]:
+    several = [cube.frames_nm for cube in cubes if len(cube.frames_nm) > 1]
+    variances = [np.nanvar(one, axis=0, ddof=1) for one in several] or [np.full(len(scatter.nolls), np.nan)]
+    return {
+        "noll": scatter.nolls,
+        "std_nm": (scatter.std_nm, scatter.std_sigma_nm),
+        "noise_nm": scatter.noise_nm,
+        "frame_std_nm": np.sqrt(np.mean(variances, axis=0)),
+        **{f"law/{name}_nm": law(scatter.nolls) for name, law in laws.items()},
+    }
+
+
+# -- appendix B ----------------------------------------------------------------------------------
+
+
+def _scans(ctx: StageContext[Config], least_frames: int) -> list[ModeScan]:
+    """Scan of the first cubes that have enough frames."""
+    stored = CalibrateConfig(**ctx.products["calibrate"].config)
+    recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], stored.input)]
+    usable = [r for r in recordings if r.frames >= least_frames][: ctx.config.cubes]
+    fits = 2 * len(ctx.config.numbers) * len(usable)
+    with ctx.progress(total=fits, desc="number of modes") as bar:
+        return [_scan(ctx, recording, stored, bar.update) for recording in usable]
+
+
+def _scan(
+    ctx: StageContext[Config],
+    recording: Recording,
+    stored: CalibrateConfig,
+    report: Callable[[int], None],
+) -> ModeScan:
+    from irlos_pipe.estimate.mode_number import scan_mode_numbers
+    from irlos_pipe.stages.calibrate.input import cube_input
+
+    options = stored.options(ctx.instrument.facility.ncpa_law)
+    cube = cube_input(ctx, [recording], options)
+    return scan_mode_numbers(
+        cube.frames,
+        cube.settings,
+        options,
+        ctx.config.numbers,
+        cube.effects,
+        device=ctx.device,
+        report=report,
+    )
+
+
+def _numbers(scans: Sequence[ModeScan], choice: Choice) -> NumberScan:
+    highest = scans[0].highest_nolls
+    return NumberScan(
+        cubes=len(scans),
+        highest_noll=list(highest),
+        held_out_chi2_nu=np.mean([scan.misfit.mean(axis=1) for scan in scans], axis=0).tolist(),
+        excess=choice.excess.tolist(),
+        excess_sigma=choice.excess_sigma.tolist(),
+        fitted_chi2_nu=np.mean([scan.fitted_chi2_nu for scan in scans], axis=0).tolist(),
+        change_nm=_rms_over_cubes(_changes_nm(scans, choice.recommended)).tolist(),
+        halves_nm=_rms_over_cubes([scan.halves_nm for scan in scans]).tolist(),
+        best=highest[choice.best],
+        recommended=highest[choice.recommended],
+    )
+
+
+def _changes_nm(scans: Sequence[ModeScan], index: int) -> Iterator[np.ndarray]:
+    """RMS difference from the estimate with one of the numbers, (numbers,) per cube."""
+    for scan in scans:
+        yield np.sqrt(np.sum((scan.mean_nm - scan.mean_nm[index]) ** 2, axis=1))
+
+
+def _rms_over_cubes(values: Iterable[np.ndarray]) -> np.ndarray:
+    return np.sqrt(np.mean(np.square(list(values)), axis=0))
+
+
+def _number_lines(numbers: NumberScan) -> list[str]:
+    index = numbers.highest_noll.index(numbers.recommended)
+    return [
+        f"  {numbers.recommended - 1} modes (Noll 2–{numbers.recommended}) suffice for unseen frames: "
+        f"χ²/ν {numbers.held_out_chi2_nu[index]:.3f}, smallest with Noll {numbers.best}"
+    ]
+
+
+def _scan_arrays(scans: Sequence[ModeScan], choice: Choice) -> dict[str, Any]:
+    return {
+        "numbers/highest_noll": scans[0].highest_nolls,
+        "numbers/noll": scans[0].nolls,
+        "numbers/zernike_nm": np.stack([scan.zernike_nm for scan in scans]),
+        "numbers/misfit": np.stack([scan.misfit for scan in scans]),
+        "numbers/excess": (choice.excess, choice.excess_sigma),
+    }

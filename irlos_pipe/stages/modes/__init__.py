@@ -1,1 +1,0 @@
-"""Stage `modes`: strength and number of the modes."""

@@ -1,0 +1,159 @@
+"""Stage `prior`: defocus of every frame of a ramp from the elongation of its image."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.late import torch
+from irlos_pipe.product.declared import declared
+from irlos_pipe.product.product import Check
+from irlos_pipe.product.results import Number, ResultsPart, StageResults
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+
+if TYPE_CHECKING:
+    from irlos_pipe.estimate.elongation import ElongationLaw
+    from irlos_pipe.frames.recording import Recording
+
+NAME = "prior"
+VERSION = 2
+NEEDS = ("ingest",)
+READS = ("ingest",)
+ARRAYS = {
+    "defocus_nm": ("nm", "frame", "prior of the defocus, frames in order of time"),
+    "introduced_nm": ("nm", "frame", "introduced defocus"),
+    "ratio": ("", "frame", "axis ratio of the fitted Gaussian, first over second axis"),
+}
+CHECKS = {
+    "failed Gaussian fits": (
+        "part of the frames whose elongation could not be measured",
+        "max_failed_fraction",
+    )
+}
+
+
+class Config(StageConfig):
+    """Settings of the elongation prior."""
+
+    input: str = Field("ramp", description="recipe input whose frames get a prior")
+    max_failed_fraction: float = Field(0.1, ge=0, le=1, description="QC limit on Gaussian fits that fail")
+
+
+class DefocusPrior(ResultsPart):
+    """Prior of the defocus of one frame.
+
+    Attributes
+    ----------
+    name : str
+        Recording, in which the frame has the number `frame`.
+    frame : int
+        Number of the frame in its recording, from 0.
+    introduced_nm : float
+        Defocus introduced by the focus stage.
+    defocus_nm : float
+        Defocus by the law, from the widths of the image.
+    """
+
+    name: str = ""
+    frame: int = 0
+    introduced_nm: Number = math.nan
+    defocus_nm: Number = math.nan
+
+
+class PriorResults(StageResults):
+    """The law defocus = `A` (σ1/σ2 − 1) + `B` [nm], and what it gives for every frame.
+
+    Attributes
+    ----------
+    A, B : float
+        Slope and constant of the law [nm]; σ1 and σ2 are the widths of the image along the two axes.
+    angle_deg : float
+        Direction of the first axis, from +x towards +y.
+    valid_nm : (float, float)
+        Range of defocus of the law.
+    law_residual_nm : float
+        RMS departure of the law from the model.
+    """
+
+    stage: ClassVar[str] = NAME
+    A: Number = math.nan
+    B: Number = math.nan
+    angle_deg: Number = math.nan
+    valid_nm: tuple[Number, Number] = (math.nan, math.nan)
+    law_residual_nm: Number = math.nan
+    estimates: list[DefocusPrior] = []
+
+
+Results = PriorResults
+
+
+def run(ctx: StageContext[Config]) -> StageOutput:
+    """Calibrate A and B from the model and apply them to every used frame."""
+    from irlos_pipe.estimate.elongation import axis_ratios
+    from irlos_pipe.stages.model.effects import good_pixels, model_effects
+    from irlos_pipe.stages.model.recording_settings import used_in_time_order
+
+    recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
+    first = recordings[0]
+    try:
+        law = _law(ctx, first)
+    except ValueError as problem:
+        raise InputDataError(f"{first.name}: {problem}; leave the stage `prior` out for such data") from None
+    listed = good_pixels(model_effects(ctx.instrument, ctx.model, first), first.window)
+    ratios = [
+        axis_ratios(torch.as_tensor(one.images_e), torch.as_tensor(one.good & listed), law.angle_deg)
+        for one in recordings
+    ]
+    ctx.log.info(
+        "elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm
+    )
+    return _output(ctx.config, recordings, law, ratios)
+
+
+def _law(ctx: StageContext[Config], recording: Recording) -> ElongationLaw:
+    from irlos_pipe.effects import expected, fixed_optics
+    from irlos_pipe.estimate.elongation import calibrate_law
+    from irlos_pipe.optics.psf import PsfModel
+    from irlos_pipe.stages.model.effects import model_effects
+    from irlos_pipe.stages.model.recording_settings import psf_settings
+
+    model = PsfModel(psf_settings(ctx.instrument, ctx.model, recording), [4], device=ctx.device)
+    effects = expected(model_effects(ctx.instrument, ctx.model, recording))
+    return calibrate_law(model, fixed_optics(effects, model.grids))
+
+
+def _output(
+    config: Config, recordings: list[Recording], law: ElongationLaw, ratios: list[np.ndarray]
+) -> StageOutput:
+    ratio, defocus_nm = np.concatenate(ratios), np.concatenate([law.defocus_nm(one) for one in ratios])
+    introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
+    frames = [(one.name, frame) for one in recordings for frame in range(one.frames)]
+    results = PriorResults(
+        A=law.A,
+        B=law.B,
+        angle_deg=law.angle_deg,
+        valid_nm=law.valid_nm,
+        law_residual_nm=law.residual_nm,
+        estimates=[
+            DefocusPrior(name=name, frame=frame, introduced_nm=introduced, defocus_nm=value)
+            for (name, frame), introduced, value in zip(
+                frames, introduced_nm.tolist(), defocus_nm.tolist(), strict=True
+            )
+        ],
+    )
+    failed = float(np.mean(~np.isfinite(ratio)))
+    message = f"{failed:.0%} of the Gaussian fits did not converge"
+    low, high = law.valid_nm
+    return StageOutput(
+        declared(ARRAYS, {"ratio": ratio, "defocus_nm": defocus_nm, "introduced_nm": introduced_nm}),
+        results,
+        [Check("failed Gaussian fits", failed, "", None, config.max_failed_fraction, message)],
+        summary=[
+            f"Prior           defocus = {law.A:.0f} (σ1/σ2 − 1) {law.B:+.0f} nm, "
+            f"valid {low:.0f}…{high:.0f} nm"
+        ],
+    )

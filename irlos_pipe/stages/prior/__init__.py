@@ -1,1 +1,0 @@
-"""Stage `prior`: defocus of a ramp from the elongation of its images."""
