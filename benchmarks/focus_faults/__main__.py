@@ -23,7 +23,7 @@ from benchmarks.focus_faults.table import hours_table, summary, table, write_pag
 from benchmarks.focus_loop.demo import calibrated
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 
-REPORTED_SEED = 3  # of the reported run; the limits of the loop rest on the skies of seeds 1 and 2
+REPORTED_SEED = 4  # of the reported run; the limits of the loop rest on the skies of seeds 1 to 3
 HOUR_MAGNITUDES = (8.0, 12.0, 15.0, 17.0, 18.5)
 
 

@@ -26,7 +26,7 @@ from irlos_pipe.focus.source import Arrival
 START_UNIX_S = 1.75e9
 FIRST_COUNTER = 5000
 DELAY, GAIN = 1, 0.4
-THERMAL_NM = 0.3  # drift per exposure, beside the sodium layer's
+THERMAL_NM = 0.1  # drift per exposure, beside the sodium layer's
 
 
 class FakeTime:

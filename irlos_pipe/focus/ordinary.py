@@ -9,25 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from irlos_pipe.estimate.focus.sensor import Focus
-from irlos_pipe.estimate.focus.unexplained import Unexplained
+from irlos_pipe.estimate.focus.unexplained import Structure, Unexplained
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # of a ramp that shows how frames fit
-LEVELS_E = np.geomspace(1e-9, 1e2, 23)  # of noise over light, see `Residual.level`
 # Amplitude of structure, and variance of motion, over those of the ramp from which an exposure is another:
-# thousands of right ones, simulated in seeing of 0.3 to 1.3", stay below 2.5 and 3.3 times, halo allowed for.
-STRUCTURE_TIMES, BLUR_TIMES = 3.0, 4.0
-NOISE_TIMES = 4.0  # of the errors by noise, beyond
+# thousands of right ones, simulated in seeing of 0.3 to 1.3", stay below 3.2 and 3.3 times, halo allowed for.
+# Motion matters where it imitates more defocus than this many times the most that the ramp shows.
+STRUCTURE_TIMES, BLUR_TIMES, SHIFT_TIMES = 4.0, 4.0, 3.0
+NOISE_TIMES = 5.0  # of the errors by noise, beyond
 WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # of the noise: with more weight for the core, and for what surrounds it
 # Part of the light that the AO residual of a usual night leaves in the halo: speckles grow with it, and it
 # cannot be less than none; and what the worst seeing takes from the core.
 HALO, MOST_HALO = 0.2, 0.5
-USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = (
-    0.02,
-    0.12,
-    0.05,
-    4.0,
-)  # of simulated exposures, without a ramp
+USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.0024, 0.12, 0.05, 4.0  # without a ramp
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +33,8 @@ class Ordinary:
     ----------
     frames : int
         Of the ramp that has shown it; 0 for values of simulated exposures.
-    structure, largest_structure : ndarray, (levels,)
-        Median and maximum of `Residual.structure` with the weights of each of `LEVELS_E`.
+    structure, largest_structure : ndarray, (weights,)
+        Median and maximum of the rest, see `Structure`, with each of the weights `WEIGHTED_AS_FOR`.
     blur_px2 : float
         RMS of the variance of image motion.
     halo, shift_nm : float
@@ -70,7 +65,7 @@ class Ordinary:
                 continue
             beside = sensor.beside(found)
             seen.append(beside)
-            structure.append([beside.rest.structure(level)[0] for level in LEVELS_E])
+            structure.append([one.rest for one in _structures(beside)])
         if len(seen) < FEWEST_FRAMES:
             return cls.usual()
         return cls(
@@ -85,7 +80,7 @@ class Ordinary:
     @classmethod
     def usual(cls) -> Ordinary:
         """Return what simulated exposures in good seeing show."""
-        structure = np.full(len(LEVELS_E), USUAL_STRUCTURE**2)
+        structure = np.full(len(WEIGHTED_AS_FOR), USUAL_STRUCTURE**2)
         return cls(0, structure, 4 * structure, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM)
 
     def fits(self, found: Unexplained, largest: float) -> bool:
@@ -99,26 +94,22 @@ class Ordinary:
         """
         blur_px2 = math.hypot(BLUR_TIMES * self.blur_px2, NOISE_TIMES * found.blur_sigma_px2)
         noise = NOISE_TIMES * found.halo_sigma
-        if abs(found.blur_px2) > blur_px2 or not -HALO - noise <= found.halo <= MOST_HALO + noise:
+        moved = abs(found.blur_px2) > blur_px2 or not -HALO - noise <= found.halo <= MOST_HALO + noise
+        if moved and abs(found.shift_nm) > SHIFT_TIMES * self.shift_nm:
             return False
-        rest = found.rest
         times = STRUCTURE_TIMES**2 * self._speckled(found)
-        for part in WEIGHTED_AS_FOR:
-            structure, sigma, whole = rest.structure(rest.level * part)
-            most = min(times * self._at(self.structure, rest.level * part), largest**2)
-            sigma *= NOISE_TIMES
-            if structure > math.hypot(most, sigma) or whole > math.hypot(largest**2, sigma):
+        for usual, one in zip(self.structure, _structures(found), strict=True):
+            sigma, most = NOISE_TIMES * one.sigma, largest**2 * one.star
+            if one.rest > math.hypot(min(times * usual, most), sigma) or one.whole > math.hypot(most, sigma):
                 return False
         return True
 
     def growth(self, found: Unexplained) -> tuple[float, float]:
         """Return the growth of errors by structure and halo beyond the ramp's, and one by motion [nm]."""
-        rest = found.rest
-        largest = self._at(self.largest_structure, rest.level)
-        structure, sigma, _ = rest.structure(rest.level)
+        structure, largest = found.rest.structure(found.rest.level), self.largest_structure[0]
         factor2 = self._speckled(found)
         if largest > 0:
-            factor2 *= max(1.0, (structure - sigma) / largest)
+            factor2 *= max(1.0, (structure.rest - structure.sigma) / largest)
         beyond_nm2 = found.shift_nm**2 - found.shift_sigma_nm**2 - self.shift_nm**2
         return math.sqrt(factor2), math.sqrt(max(beyond_nm2, 0.0))
 
@@ -126,5 +117,6 @@ class Ordinary:
         """By how much the light of speckles is more than the ramp's, as far as the halo is surely larger."""
         return 1 + max(found.halo - 2 * found.halo_sigma - self.halo, 0.0) / HALO
 
-    def _at(self, values: np.ndarray, level: float) -> float:
-        return float(np.interp(math.log(max(level, 1e-300)), np.log(LEVELS_E), values))
+
+def _structures(found: Unexplained) -> list[Structure]:
+    return [found.rest.structure(found.rest.level * part) for part in WEIGHTED_AS_FOR]

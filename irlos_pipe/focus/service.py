@@ -272,7 +272,7 @@ class _Running:
             last = self.journal.last
             way = "back" if last is None or exposure.first_counter < last.counter else "on"
             self.note(f"the counter of the recorder went {way} to {exposure.first_counter}")
-        closed = not self.loop.open
+        closed, clipped = not self.loop.open, self.journal.last is not None and self.journal.last.clipped
         record = self.loop.record(exposure, arrived_s, damaged=self.damaged, overtaken=overtaken)
         self.damaged = 0
         if not self.service.settings.shadow:
@@ -286,6 +286,8 @@ class _Running:
             self.faults.add(
                 f"exposure {record.exposure} repeats pixels of earlier reads: the detector is frozen"
             )
+        if record.clipped and not clipped:
+            self.note(f"the offset has reached its limit, {record.offset_nm:.0f} nm")
         if closed and self.loop.open:
             self.note(f"the loop is not closed: offsets are {self.loop.open}; held until it is started again")
 

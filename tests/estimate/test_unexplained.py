@@ -29,7 +29,7 @@ def test_a_right_image_has_nothing_beside_the_model_but_noise():
     pulls = [[one.blur_px2 / one.blur_sigma_px2, one.halo / one.halo_sigma] for one in found]
     assert np.abs(np.mean(pulls, axis=0)).max() < 2.0
     structure = [one.rest.structure(one.rest.level) for one in found]
-    assert np.abs(np.mean([value / sigma for value, sigma, _ in structure])) < 1.0
+    assert np.abs(np.mean([one.rest / one.sigma for one in structure])) < 1.0
 
 
 @pytest.mark.parametrize("sigma_px", [0.5, 0.7])
@@ -52,9 +52,23 @@ def test_light_that_goes_from_the_core_to_the_halo_is_halo():
 def test_what_neither_explains_is_structure_of_that_size(part):
     image, sign = mean_e(), np.where(np.arange(32) % 2, 1.0, -1.0)
     found = beside(noisy(image * (1 + part * sign * sign[:, None])))
-    structure, sigma, _ = found.rest.structure(found.rest.level)
-    assert structure > 4 * sigma
-    assert np.sqrt(structure) == pytest.approx(part, rel=0.15)
+    seen = found.rest.structure(found.rest.level)
+    assert seen.rest > 5 * seen.sigma
+    assert np.sqrt(seen.rest / seen.star) == pytest.approx(part, rel=0.15)
+
+
+@pytest.mark.parametrize("defocus_nm", [0.0, 300.0, 600.0])
+def test_structure_of_speckles_is_the_same_however_wide_the_image_is(defocus_nm):
+    light = mean_e(defocus_nm)
+    found = []
+    for seed in range(8):
+        grain = np.random.default_rng([seed, 4]).standard_normal(light.shape)
+        speckles = (
+            0.004 * np.sqrt(light.clip(0) * light.sum()) * grain
+        )  # of light that lies on a constant halo
+        beside_it = beside(noisy(light + speckles, seed))
+        found.append(beside_it.rest.structure(beside_it.rest.level).rest)
+    assert np.sqrt(np.mean(found)) == pytest.approx(0.004, rel=0.15)
 
 
 def test_a_displaced_star_is_none_of_these():

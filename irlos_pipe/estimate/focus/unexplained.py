@@ -43,22 +43,35 @@ class Residual(NamedTuple):
         """Variance of a pixel without light, over the light [e-]."""
         return float(np.min(self.variance_e2) / max(self.star_e.sum(), 1e-300))
 
-    def structure(self, level: float) -> tuple[float, float, float]:
-        """Return mean squares beyond noise over that of the star: of the rest, its error, and of the whole.
+    def structure(self, level: float) -> Structure:
+        """Return how much light is beside the model.
 
-        ``Σ w (r² - V) / Σ w I²`` with ``w = (I / V)²`` sees a misfit that is proportional to the light best.
+        Speckles that lie on the star's light have a variance of that times the light of the halo. So squares
+        are summed with ``w = (I / V)²``, which sees them best, and divided by ``Σ w I · Σ I``: for speckles
+        the result depends neither on how wide the image is nor on how bright.
 
         Parameters
         ----------
         level : float
             Of the noise for which the weights are the best.
         """
-        weight = (self.star_e / (self.factor * self.star_e + level * self.star_e.sum())) ** 2
-        light = max(float(weight @ self.star_e**2), 1e-300)
+        flux_e = self.star_e.sum()
+        weight = (self.star_e / (self.factor * self.star_e + level * flux_e)) ** 2
+        light = max(float(weight @ self.star_e * flux_e), 1e-300)
         noise = float(weight @ self.variance_e2)
-        error = math.sqrt(2.0 * float(weight**2 @ self.variance_e2**2)) / light
+        error = math.sqrt(2.0 * float(weight**2 @ self.variance_e2**2))
         rest, whole = (float(weight @ one**2) - noise for one in (self.rest_e, self.whole_e))
-        return rest / light, error, whole / light
+        star = float(weight @ self.star_e**2)
+        return Structure(*(one / light for one in (rest, whole, star, error)))
+
+
+class Structure(NamedTuple):
+    """Mean squares beyond noise: of the rest, of the whole, and of the star itself; and their error."""
+
+    rest: float
+    whole: float
+    star: float
+    sigma: float
 
 
 @dataclass(frozen=True)
