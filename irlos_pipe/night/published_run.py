@@ -32,8 +32,8 @@ class PublishedRun:
 
     @property
     def published(self) -> bool:
-        """Whether there is a complete set of products."""
-        return self.path.is_dir()
+        """Whether there is a complete set of products, made by a run and not by somebody else."""
+        return RunFolder(self.path).recipe.is_file()
 
     @property
     def work_folder(self) -> Path:
@@ -51,8 +51,7 @@ class PublishedRun:
         for folder in (self.path.parent.parent, self.path.parent):
             if folder.is_symlink():
                 raise IrlosError(f"{folder}: is a link, through which nothing is written; put a folder there")
-        own = self.path.is_symlink() or RunFolder(self.path).recipe.is_file()
-        if self.path.exists() and not own:
+        if self.path.exists() and not self.published:
             raise IrlosError(f"{self.path}: is in the way; it was not made by irlos night, move it elsewhere")
         try:
             self._fill_work_folder()

@@ -12,7 +12,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import read_recordings, recording_files
 
 IRLOS = load_instrument("irlos")
-CUBE = counts(star(12, 12), 3)
+CUBE = counts(star(24, 24), 3)
 RECIPE = "recipe: x\ninputs: {cube: in}\nstages: [ingest]\ningest: {acquisition: {role: psf}}\n"
 
 

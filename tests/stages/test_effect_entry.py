@@ -11,11 +11,10 @@ from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects.public_values import mean_of, rows_of
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.product.product import Product
+from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
-    effect_arrays,
     good_pixels,
     image_effects,
     model_effects,
@@ -96,12 +95,16 @@ def test_an_effect_that_means_nothing_for_a_recording_is_an_error_of_the_recipe(
         effects_of(entry, diversity=diversity)
 
 
+def _arrays(effect_values):
+    return {f"effects/{name}": Quantity(np.array(values), "", "") for name, values in effect_values.items()}
+
+
 def test_what_two_companions_were_calibrated_to_is_handed_on_to_the_same_two():
     second = STRONG["companion"] | {"sep_mas": 150.0}
     entries = ("companion", {"companion": second | {"fit": True}}, {"tip_tilt_jitter": {"sigma_mas": 8.0}})
     model, cube = ModelConfig(effects=entries), recording({6: -170.0})
     found = {"companion": [0.03, 90.0, -20.0], "companion_2": [0.01, -60.0, 120.0]}
-    product = Product("calibrate", effect_arrays({k: np.array(v) for k, v in found.items()}), {"effects": {}})
+    product = Product("calibrate", _arrays(found), {"effects": {}})
     known = calibrated_effects(product, IRLOS, model, cube, 0.8, same_star=True)
     assert {label: effect.values.tolist() for label, effect in known.items()} == found | {
         "tip_tilt_jitter": [64.0]
@@ -144,6 +147,6 @@ def test_a_fixed_effect_has_the_values_of_the_recipe():
 def test_a_calibration_with_other_parameters_than_the_present_effect_has_is_refused():
     model, cube = ModelConfig(effects=("seeing_halo",)), recording({6: -170.0})
     fewer = {"seeing_halo": np.array([8000.0, 2.0, 0.0, 0.0, 0.0, 0.0])}
-    product = Product("calibrate", effect_arrays(fewer), {"effects": {}})
+    product = Product("calibrate", _arrays(fewer), {"effects": {}})
     with pytest.raises(InputDataError, match=r"seeing_halo has 6 parameters.*calibrate again"):
         calibrated_effects(product, IRLOS, model, cube, 0.8)

@@ -89,17 +89,20 @@ def frame_table(scene: Scene, reach_nm: float, nodes: int) -> FrameTable:
 class Sensor(Protocol):
     """What measures the defocus of images.
 
-    ``bound_nm`` is the Cramér–Rao bound at zero defocus of an image with `seen_e` electrons in the window,
-    ``photon_noise_nm`` the noise of a measurement without an AO residual [nm RMS].
+    Noise is that of an image with `seen_e` electrons in the window [nm RMS].
     """
 
     def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
         """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
         ...
 
-    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float: ...
+    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
+        """Return the Cramér–Rao bound at zero defocus."""
+        ...
 
-    def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float: ...
+    def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float:
+        """Return the noise of a measurement without an AO residual."""
+        ...
 
 
 @dataclass(frozen=True)
