@@ -7,7 +7,7 @@ import pytest
 from helpers.paths import PACKAGE
 
 MIN_DOCUMENTED = 0.9
-# Experiments of the paper are read from top to bottom; their functions have the same few parameters everywhere.
+# Experiments of the paper are read from top to bottom; their functions have the same parameters everywhere.
 PACKAGES = sorted(
     path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists() and path.name != "paper"
 )
