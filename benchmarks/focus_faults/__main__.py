@@ -41,8 +41,9 @@ def main(output: Path, seed: int, only: str, with_hours: bool, docs: bool) -> No
     began_s = time.monotonic()
     verdicts = [work() for _, work in tqdm(_chosen(skies, calibration, trials, only), desc="cases")]
     (output / "verdicts.json").write_text(json.dumps([asdict(one) for one in verdicts], indent=1))
-    text = f"{table(verdicts)}\n\n{summary(verdicts)}"
-    click.echo(text)
+    click.echo(table(verdicts))
+    text = f"{summary(verdicts)}\n\n{table(verdicts, used_only=True)}"
+    click.echo(summary(verdicts))
     if with_hours:
         found = [
             judge_hour(name, seeing, mag_j, changes, skies, calibration, trials / "hours" / name)

@@ -11,8 +11,8 @@ from benchmarks.pages import put
 PAGE = Path(__file__).parents[2] / "docs" / "focus.md"
 
 
-def table(verdicts: Sequence[Verdict]) -> str:
-    """Return the table of families in Markdown."""
+def table(verdicts: Sequence[Verdict], *, used_only: bool = False) -> str:
+    """Return the table of families in Markdown, or of those of which anything was used or is not as asked."""
     groups: dict[tuple[bool, str, str], list[Verdict]] = {}
     for one in verdicts:
         family = "damaged in one place" if one.kind == "files" else one.family
@@ -22,6 +22,8 @@ def table(verdicts: Sequence[Verdict]) -> str:
         "|---|---|---:|---:|---:|---:|---:|---|",
     ]
     for (_, kind, family), found in sorted(groups.items(), key=lambda item: item[0]):
+        if used_only and not any(one.commanded_right or one.failed for one in found):
+            continue
         counts = [
             sum(getattr(one, name) for one in found)
             for name in ("bad", "commanded_right", "commanded_wrongly", "refused")

@@ -18,7 +18,7 @@ TREND_GAIN = 0.1  # of the slope, relative
 DRIFT_NM = 2.0  # per exposure that a disturbance may drift; the focus of a telescope takes minutes for that
 MEMORIES = np.array([40, 200])[:, None, None]  # exposures: quickly, and in much noise
 FEWEST, LEAST_NM = 4, 5.0  # exposures, and the error of a forecast from which one matters
-DECISIVE = 15.0  # natural logarithm of the odds; in 700 simulated hours of closed loops it stays below 9
+DECISIVE = 15.0  # natural logarithm of the odds; in 135 simulated hours of closed loops it stays below 9
 
 
 class Response:

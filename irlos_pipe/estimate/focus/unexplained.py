@@ -128,8 +128,9 @@ def unexplained(
     light_e = np.maximum(star_e.ravel(), 0.0)
     variance = factor * light_e + floor_e2
     weighted = shapes * (good.ravel() / variance)
-    scale = 1 / np.sqrt(np.maximum((weighted * shapes).sum(axis=1), 1e-300))
-    normal = (weighted @ shapes.T) * scale * scale[:, None]
+    normal = weighted @ shapes.T
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+    normal *= scale * scale[:, None]
     normal.flat[::10] += 1e-9
     covariance = np.linalg.inv(normal) * scale * scale[:, None]
     found = covariance @ (weighted @ residual_e.ravel())
