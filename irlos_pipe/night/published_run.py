@@ -33,7 +33,8 @@ class PublishedRun:
     @property
     def published(self) -> bool:
         """Whether there is a complete set of products, made by a run and not by somebody else."""
-        return RunFolder(self.path).recipe.is_file()
+        linked = self.path.is_symlink() and self.path.is_dir()  # moved away, or by an earlier version
+        return linked or RunFolder(self.path).recipe.is_file()
 
     @property
     def work_folder(self) -> Path:
