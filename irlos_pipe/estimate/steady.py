@@ -69,10 +69,8 @@ class Motion:
         total = np.square(self.places_px).sum()
         time = count - count.mean()
         drift = np.square(time @ self.places_px).sum() / np.square(time).sum() / total
-        before = np.cumsum(self.places_px, axis=0)[
-            :-1
-        ]  # a step behind frame n explains |Σ|² (1/n + 1/(N - n))
-        steps = np.square(before).sum(axis=1) * (1 / count[1:] + 1 / count[:0:-1]) / total
+        before = np.square(np.cumsum(self.places_px, axis=0)[:-1]).sum(axis=1)
+        steps = before * (1 / count[1:] + 1 / count[:0:-1]) / total  # Σ² (1/n + 1/(N - n)) for a step at n
         if max(drift, steps.max()) < ORDERED:
             return "moves from frame to frame"
         return "drifts" if drift >= steps.max() else f"jumps after frame {int(steps.argmax()) + 1}"
