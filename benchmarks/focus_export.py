@@ -18,7 +18,7 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from benchmarks.focus_latency import NOISE, WINDOW, Times, prepared, timed
-from irlos_pipe.estimate.focus.scan import FocusScan
+from irlos_pipe.estimate.focus.photon_fit import FocusScan
 from irlos_pipe.estimate.focus.sensor import Focus
 from irlos_pipe.optics.focus_images import FocusImages
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.optics_error import optics_sigma_nm
-from irlos_pipe.estimate.ramp_quality import FrameErrors, instant_error_nm, nominal_frame_chi2
+from irlos_pipe.estimate.lift_errors import FrameErrors, instant_error_nm, nominal_frame_chi2, optics_sigma_nm
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.common.broad_band import COARSE
 from irlos_pipe.paper.common.cube import CubeSample, ObservedCube

@@ -14,9 +14,9 @@ import torch
 
 from irlos_pipe.conventions.bands import H, J
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.centroids import modes_of_centroids_nm
-from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
+from irlos_pipe.estimate.lenslets import modes_of_centroids_nm
 from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from irlos_pipe.diagnosis.ambiguity import alternatives
-from irlos_pipe.diagnosis.checks.drift import Drift
-from irlos_pipe.diagnosis.checks.motion import MOVING, motion_ratio
+from irlos_pipe.diagnosis.checks.drift import MOVING, Drift, motion_ratio
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, gap_between, preference
+from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, alternatives, gap_between, preference
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options

@@ -1,18 +1,27 @@
-"""A model as a fit left it: its parameters, its images, and its effects to continue from."""
+"""One wavefront and one set of effects fitted to the mean images of several recordings, and what a fit left.
+
+Tip, tilt, flux and background are those of each recording. Recordings of other moments, of another star or
+night, have effects of their own, and a wavefront that differs from the common one by a drift: small changes
+of every mode with a Gaussian prior. The parameter vector is that of the first recording with the drifts and
+the other recordings' own numbers between the effects and its flux and background.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.joint_fit import JointFit
+from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect, FixedEffect, Parameter
+from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE, CheapGradientProblem
 from irlos_pipe.numerics.solution import Solution
 
 
@@ -133,3 +142,173 @@ def _free(effect: Effect) -> list[Parameter]:
     """Free parameters as the effect itself declares them."""
     free = {parameter.name for parameter in effect.parameters}
     return [parameter for parameter in effect.base.parameters if parameter.name in free]
+
+
+OWN = 4  # tip, tilt, flux and background
+POINTING = 2  # modes that belong to each recording
+
+
+class JointFit(CheapGradientProblem):
+    """Least-squares problem for the solver; one member.
+
+    Parameters
+    ----------
+    parts : sequence of ImageFit
+        One per recording, with the same modes, Noll 2 and 3 first, and those effects that act in it.
+    effects : EffectSet, optional
+        All effects, those of single moments included; by default those of the first recording.
+    moments : sequence of int, optional
+        The moment of each recording; by default the same.
+    drift_nm : float
+        Prior σ of the change of every mode from the common wavefront to that of a moment; of no use where
+        there is one moment.
+    tolerance : float
+        Fall of χ² still ahead at which the fit is done, in units of χ²/ν where the model misfits.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[ImageFit],
+        effects: EffectSet | None = None,
+        moments: Sequence[int] = (),
+        drift_nm: float = DRIFT_NM,
+        tolerance: float = CHI2_TOLERANCE,
+    ):
+        self.parts, self.tolerance = tuple(parts), tolerance
+        self.model = parts[0].model
+        self.effects = self.model.effects if effects is None else effects
+        self.moments = tuple(moments) or (0,) * len(parts)
+        self.layout = replace(parts[0].layout, effects=self.effects.parameters)
+        shared, modes = self.layout.size - 2, len(self.layout.nolls)
+        drifting = sorted({*self.moments}) if len({*self.moments}) > 1 else []
+        starts = (shared + number * (modes - POINTING) for number in range(len(drifting)))
+        self.drifts = {
+            moment: list(range(begin, begin + modes - POINTING))
+            for moment, begin in zip(drifting, starts, strict=True)
+        }
+        begin_own = shared + len(drifting) * (modes - POINTING)
+        self.size = begin_own + OWN * (len(parts) - 1) + 2
+        self.columns = []
+        for number, moment in enumerate(self.moments):
+            begin = begin_own + OWN * (number - 1)
+            tip, tilt, flux, background = (
+                range(begin, begin + OWN) if number else (0, 1, self.size - 2, self.size - 1)
+            )
+            acting = [modes + column for column in self.effects.columns_in(moment)]
+            self.columns.append([tip, tilt, *range(POINTING, modes), *acting, flux, background])
+        ends = torch.tensor([0, *(part.images.shape[-1] for part in parts)]).cumsum(0).tolist()
+        self.pixels = [slice(a, b) for a, b in pairwise(ends)]
+        good = sum(int((part.root_weight > 0).sum()) for part in parts)
+        self.freedom = max(1, good - self.size)
+        self.lower, self.upper = (self._spread(bound) for bound in ("lower", "upper"))
+        self.prior_mean, self.prior_precision = (
+            self._spread(name, 0)[None] for name in ("prior_mean", "prior_precision")
+        )
+        for columns in self.drifts.values():
+            self.lower[columns], self.upper[columns] = -torch.inf, torch.inf
+            self.prior_precision[:, columns] = drift_nm**-2
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """Rows and columns, the same in all recordings."""
+        return self.model.psf.settings.window
+
+    @property
+    def own(self) -> list[int]:
+        """Columns of what belongs to single recordings, four after the other for each."""
+        return [column for number in range(len(self.parts)) for column in self.own_of(number)]
+
+    def own_of(self, number: int) -> list[int]:
+        """Columns of tip, tilt, flux and background of recording `number`."""
+        return [self.columns[number][i] for i in (0, 1, -2, -1)]
+
+    @property
+    def tail(self) -> int:
+        """Number of parameters behind the effects."""
+        return self.size - self.layout.effect_values.stop
+
+    def part(self, x: torch.Tensor, number: int) -> torch.Tensor:
+        """Parameter vector of recording `number`, (1, its parameters), out of the whole vector `x`."""
+        at = x[:, self.columns[number]]
+        drift = self.drifts.get(self.moments[number])
+        if drift is None:
+            return at
+        modes = slice(POINTING, len(self.layout.nolls))
+        changed = at[:, modes] + x[:, drift]
+        return torch.cat([at[:, :POINTING], changed, at[:, modes.stop :]], dim=1)
+
+    # -- Problem -----------------------------------------------------------------------------
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """See `ImageFit.negligible`."""
+        return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
+
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """See `Problem.objective`: half of χ² plus that of the prior, (1,)."""
+        value = _half_chi2(x - self.prior_mean, self.prior_precision)
+        for number, part in enumerate(self.parts):
+            at = self.part(x, number)
+            own_prior = _half_chi2(at - part.prior_mean, part.prior_precision)
+            value = value + part.objective(at, which) - own_prior
+        return value
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """See `Problem.normal_equations`: with the Gauss–Newton Hessian."""
+        offset = x - self.prior_mean
+        value = _half_chi2(offset, self.prior_precision)
+        gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
+        for number, part in enumerate(self.parts):
+            at = self.part(x, number)
+            own_value, own_gradient, own_hessian = part.normal_equations(at, which)
+            precision, miss = part.prior_precision, at - part.prior_mean
+            value = value + own_value - _half_chi2(miss, precision)
+            rows, columns = self._pairs(number)
+            slope = own_gradient - precision * miss
+            curvature = own_hessian - torch.diag_embed(precision)
+            gradient.index_add_(1, columns, slope[:, rows])
+            wide = torch.zeros(1, len(slope[0]), self.size, dtype=torch.float64)
+            wide.index_add_(2, columns, curvature[:, :, rows])
+            hessian.index_add_(1, columns, wide[:, rows])
+        return value, gradient, hessian
+
+    # -- images ------------------------------------------------------------------------------
+
+    def predict(self, x: torch.Tensor) -> torch.Tensor:
+        """Mean images of all recordings [e-], one after the other, (pixels,)."""
+        pairs = enumerate(self.parts)
+        return torch.cat([part.predict(self.part(x, number))[0].cpu() for number, part in pairs])
+
+    def predict_and_jacobian(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean images (pixels,) and derivatives (parameters, pixels)."""
+        images, jacobian = [], torch.zeros(self.size, self.pixels[-1].stop, dtype=torch.float64)
+        for number, part in enumerate(self.parts):
+            image, own = part.predict_and_jacobian(self.part(x, number))
+            images.append(image[0].cpu())
+            rows, columns = self._pairs(number)
+            jacobian[columns, self.pixels[number]] = own[0].cpu().double()[rows]
+        return torch.cat(images), jacobian
+
+    @torch.no_grad()
+    def chi2(self, x: torch.Tensor) -> torch.Tensor:
+        """χ² of all mean images together at `x`."""
+        left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
+        return torch.stack(list(left)).sum()
+
+    def _pairs(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Parameters of recording `number`, and the columns of the whole vector that each is the sum of."""
+        columns, drift = self.columns[number], self.drifts.get(self.moments[number], [])
+        rows = [*range(len(columns)), *range(POINTING, POINTING + len(drift))]
+        return torch.tensor(rows), torch.tensor([*columns, *drift])
+
+    def _spread(self, name: str, member: int | None = None) -> torch.Tensor:
+        """A number per parameter of the parts as one vector; what they share is that of the first."""
+        spread = torch.zeros(self.size, dtype=torch.float64)
+        for part, columns in reversed(list(zip(self.parts, self.columns, strict=True))):
+            own = getattr(part, name)
+            spread[columns] = own if member is None else own[member]
+        return spread
+
+
+def _half_chi2(offset: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
+    """Half the χ² of parameters against their prior, (1,)."""
+    return 0.5 * (precision * offset**2).sum(1)

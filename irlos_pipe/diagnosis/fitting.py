@@ -10,16 +10,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.joint_fit import POINTING, JointFit
+from irlos_pipe.diagnosis.fitted import POINTING, Fitted, JointFit
 from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
-from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.starts import start_tilts_nm
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.numerics.levenberg_marquardt import solve

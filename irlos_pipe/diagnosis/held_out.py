@@ -1,4 +1,4 @@
-"""Models evaluated on frames or pixels that no fit has seen.
+"""Models evaluated on frames or pixels that no fit has seen, and which other names these allow.
 
 What belongs to single frames, tip, tilt, flux and background, is refitted linearly to frames; all else is
 frozen.
@@ -6,6 +6,7 @@ frozen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ import torch
 
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.records import Alternative
+from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
 
 @dataclass(frozen=True)
@@ -102,3 +106,42 @@ def noise_floor(judge: HeldOutEvaluation) -> float:
 def gap_between(before: HeldOutEvaluation, after: HeldOutEvaluation) -> Gap:
     """Gaps of the models `before` and `after` on the same frames."""
     return Gap(before.gap, after.gap, noise_floor(before))
+
+
+SURE = 3.0  # Vuong's statistic on the held-out frames
+LIKENESS = 0.9
+LARGEST_SET = 3
+
+
+def alternatives(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> list[Alternative]:
+    """Names that are not significantly worse than the first of `ranked`.
+
+    `judges`: the evaluation of each on the held-out frames.
+    """
+    best = ranked[0]
+    found = []
+    for other, judge in zip(ranked[1:], judges[1:], strict=True):
+        z = preference(judges[0], judge)
+        deficit = (other.fitted.chi2 - best.fitted.chi2) / best.score.inflation
+        if deficit < CLEARLY_LESS or (z < SURE and other.gain > EXPLAINS_AS_MUCH * best.gain):
+            found.append(_alternative(best, other, z))
+    return sorted(found, key=lambda one: -one.likeness)[: LARGEST_SET - 1]
+
+
+def likeness(one: Fitted, other: Fitted, before: Optimum) -> float:
+    """|cos| of the changes of the image that models `one` and `other` make.
+
+    They are projected off the fitted parameters of the model `before`.
+    """
+    changes = torch.stack(
+        [(fitted.image_e - before.fitted.image_e) * before.root for fitted in (one, other)], dim=1
+    )
+    gram = before.norm2(changes)
+    return float(gram[0, 1].abs() / (gram[0, 0] * gram[1, 1]).clamp_min(1e-300).sqrt())
+
+
+def _alternative(best: Refit, other: Refit, z: float) -> Alternative:
+    cosine = likeness(best.fitted, other.fitted, best.origin)
+    alike = "they change the image alike" if cosine > LIKENESS else "both explain the excess as well"
+    reason = f"{alike} (|cos| {cosine:.3f}), and the held-out frames do not decide (z {z:.1f})"
+    return Alternative(other.name, reason, best.base.look_alike, cosine)

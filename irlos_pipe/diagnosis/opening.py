@@ -13,13 +13,11 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.cube import Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted, JointFit
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.joint_fit import JointFit
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.open_fit import open_basis
-from irlos_pipe.estimate.tail_law import TailLaw
+from irlos_pipe.estimate.open_fit import TailLaw, open_basis
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,10 @@
-"""A model without some of its effects: where the others would go, and which it needs, by a linear model."""
+"""A model without some of its effects: where the others would go, and which it needs, by a linear model.
+
+Of many effects fitted together those that are not needed are taken out one by one, linearly. At the optimum
+of a joint fit the estimates β have a covariance C. Holding some of them, b, at zero raises χ² by ``βᵦᵀ C_bb⁻¹
+βᵦ`` and moves the others by ``−C_ab C_bb⁻¹ βᵦ`` (Wald 1943, Trans. AMS 54, 426): effects that imitate each
+other lose significance only until one of them is gone.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +16,6 @@ import torch
 
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
-from irlos_pipe.diagnosis.elimination import needed
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 
@@ -104,3 +109,43 @@ def _chi2_at(fitted: Fitted, x: torch.Tensor) -> float:
     except ValueError:
         return float("inf")
     return chi2 if np.isfinite(chi2) else float("inf")
+
+
+def needed(
+    columns: Mapping[str, Sequence[int]],
+    estimates: np.ndarray,
+    covariance: np.ndarray,
+    significance: Callable[[float, int], float],
+    sure: float,
+) -> list[str]:
+    """Names of the effects that are significant when all that are not have been taken out.
+
+    Parameters
+    ----------
+    columns : mapping of str to sequence of int
+        Parameters of every effect in question.
+    estimates : ndarray, (parameters,)
+        Distance from where each parameter has no effect.
+    covariance : ndarray, (parameters, parameters)
+    significance : callable
+        In Gaussian σ, from the rise of χ² and the number of parameters.
+    sure : float
+        Below which an effect is taken out.
+    """
+    left = dict(columns)
+    beta, cov = np.array(estimates, float), np.array(covariance, float)
+    while left:
+        found = {name: significance(_rise(beta, cov, own), len(own)) for name, own in left.items()}
+        least = min(found, key=lambda name: found[name])
+        if found[least] > sure:
+            break
+        own = list(left.pop(least))
+        gain = cov[:, own] @ np.linalg.pinv(cov[np.ix_(own, own)])
+        beta, cov = beta - gain @ beta[own], cov - gain @ cov[own]
+    return list(left)
+
+
+def _rise(beta: np.ndarray, cov: np.ndarray, own: Sequence[int]) -> float:
+    """Rise of χ² without some parameters."""
+    own = list(own)
+    return float(beta[own] @ np.linalg.pinv(cov[np.ix_(own, own)]) @ beta[own])

@@ -20,11 +20,10 @@ from irlos_pipe.diagnosis.grade import much_is_left
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.open_facts import open_facts
-from irlos_pipe.diagnosis.opposite import opposite_side
+from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.sharing import together
 from irlos_pipe.diagnosis.splitting import hold_out_of
-from irlos_pipe.diagnosis.together import together
 from irlos_pipe.diagnosis.tolerant import SETTLED, TolerantTask
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Adjusted, Diagnosis, Step
 from irlos_pipe.diagnosis.view import Exposures

@@ -13,27 +13,21 @@ from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.labels import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.calibration_errors import ErrorsFrom, errors_of
+from irlos_pipe.estimate.calibration_errors import ErrorsFrom, NominalChi2, effect_errors, errors_of
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
-from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, Motion, mean_variance_e2
 from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
-from irlos_pipe.estimate.effect_errors import effect_errors
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
-from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
-from irlos_pipe.estimate.lacking import Lacking, lacking
 from irlos_pipe.estimate.methods import (
     Report,
     linear_estimates,
     scheme_of,
 )
-from irlos_pipe.estimate.nominal_chi2 import NominalChi2
-from irlos_pipe.estimate.open_fit import Opened, open_basis
+from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
-from irlos_pipe.estimate.orientation import Mirrored, mirrored
+from irlos_pipe.estimate.residual import Lacking, Mirrored, kurtosis_of_frames, lacking, mirrored
 from irlos_pipe.estimate.score_test import best_start
-from irlos_pipe.estimate.steady import Motion
-from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings

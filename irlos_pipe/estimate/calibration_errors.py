@@ -1,21 +1,44 @@
 """Errors of a calibration: from the scatter of the frames, grown by what the model misfits.
 
-Too few frames say little of their scatter: their errors are those of the noise model (`few_frames`), and
+Too few frames say little of their scatter: their errors are those of the noise model, and
 where they scatter beyond it, as behind an AO system, those of the scatter besides, widened as Student's t
 asks for three standard deviations.
+
+Of one image or a few, what the model misfits beyond noise, an error of its own or speckles that did
+not average out, is counted as further noise of the same kind: variances grow by χ²/ν. A prior does not
+become weaker by that, so with the inverse Hessian C, its part P from the prior and the factor s,
+``cov = C (s (C⁻¹ - P) + P) C``.
+
+What χ²/ν of a mean image is nominal, that of a model which lacks nothing, follows from the frames as well.
+The weights of a mean image count every pixel's scatter by itself. Scatter that pixels share, as that of
+speckles, is partly followed by the modes, so that χ²/ν of a right model is 1 for photon noise and less for
+speckles, by an amount that depends on brightness, seeing and number of frames. The frames tell it. With the
+whitened deviations ``d_i`` of N frames from their mean, and the matrix R that takes the part out which the
+fitted parameters would follow,
+
+    E[χ²] = τ Σ |R d_i|² / (N (N − 1)),     Var[χ²] = 2 τ² tr(Σ²) / N²,
+
+where Σ is the covariance of ``R d`` and τ the autocorrelation time of the frames. An unbiased estimate of
+tr(Σ²) is the mean of ``(R d_i · R d_j)²`` over pairs (Bai & Saranadasa 1996, Statistica Sinica 6, 311).
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+import torch
 from scipy.special import ndtr, stdtrit
 
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean
-from irlos_pipe.estimate.few_frames import covariance_from_noise
+from irlos_pipe.effects.effect_set import EffectSet
+from irlos_pipe.effects.public_errors import public_sigma
+from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
+from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.frames.blocks import blocks
+from irlos_pipe.numerics.solution import INVALID, Solution
 
 ErrorsFrom = Literal["frames", "few_frames", "noise"]
 SIGNIFICANT = 5.0  # standard deviations by which few frames have to scatter beyond noise
@@ -59,3 +82,230 @@ def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:
 def widening(count: int) -> float:
     """Return the factor on the standard error of the mean of `count` values, which know little of it."""
     return float(stdtrit(count - 1, ndtr(KEPT_SIGMA))) / KEPT_SIGMA
+
+
+LEAST_FRAMES = 4  # whose scatter is looked at
+BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
+NUMERICAL = 0.15  # part of it: complete models leave up to 1.14, by errors of the discretisation
+SHARED = 0.15  # part of it: the noise of the dark is read off the frames, to a fifth of their scatter
+LONGEST = 512  # frames of which all pairs are looked at; of more, runs of neighbours are averaged
+
+
+@dataclass(frozen=True)
+class NominalChi2:
+    """Expected χ²/ν of a model that lacks nothing, and its standard deviation from cube to cube."""
+
+    value: float
+    sigma: float
+
+    @property
+    def least(self) -> float:
+        """Below this χ²/ν is neither by chance nor by the error of the noise that all frames share."""
+        return max(0.0, (1 - SHARED) * self.value - BY_CHANCE * self.sigma)
+
+    @property
+    def most(self) -> float:
+        """Above this χ²/ν is neither by chance nor by errors of the discretisation."""
+        return (1 + NUMERICAL) * self.value + BY_CHANCE * self.sigma
+
+
+@dataclass(frozen=True)
+class Part:
+    """A mean image among those that are fitted together.
+
+    Attributes
+    ----------
+    frames : Frames
+        Of fewer than `LEAST_FRAMES` the noise model takes the place of the scatter.
+    jacobian : tensor, (its parameters, pixels)
+        Derivatives of the model image [e- per unit of the parameter].
+    columns : sequence of int, (its parameters,)
+        Where they stand among the parameters of all parts.
+    """
+
+    frames: Frames
+    jacobian: torch.Tensor
+    columns: Sequence[int]
+
+
+def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor) -> NominalChi2:
+    """Return the χ²/ν that the mean of `frames` would have about a model that lacks nothing.
+
+    Parameters
+    ----------
+    frames, jacobian
+        See `Part`.
+    precision : tensor, (parameters,)
+        Of the prior, 0 where there is none.
+    """
+    return nominal_chi2_of([Part(frames, jacobian, range(len(precision)))], precision)
+
+
+def nominal_chi2_of(parts: Sequence[Part], precision: torch.Tensor) -> NominalChi2:
+    """Return the χ²/ν of mean images fitted together about a model that lacks nothing.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    precision : tensor, (parameters of all,)
+        Of the prior, 0 where there is none.
+    """
+    whitened = [_Whitened.of(part) for part in parts]
+    data = torch.zeros(len(precision), len(precision), dtype=torch.float64)
+    for one in whitened:
+        data[one.place[:, None], one.place] += one.columns.mT @ one.columns
+    gain = torch.linalg.pinv(data + torch.diag(precision.double()), hermitian=True)
+    used = sum(one.used for one in whitened)
+    freedom = max(used - len(precision), 1)
+    followed = gain @ data
+    white = used - 2 * float(torch.trace(followed)) + float((followed * followed.mT).sum())
+    expected, variance = 0.0, 0.0
+    for part, one in zip(parts, whitened, strict=True):
+        share = white * one.used / used
+        if len(part.frames.images_e) < LEAST_FRAMES:
+            expected, variance = expected + share, variance + 2 * share
+            continue
+        own, deviation = _of_scatter(one.products(part.frames, gain, data))
+        shared = float((part.frames.noise.shared_e2 * one.root**2).sum()) * share / one.used
+        expected, variance = expected + own + shared, variance + deviation**2
+    return NominalChi2(expected / freedom, float(np.sqrt(variance)) / freedom)
+
+
+@dataclass(frozen=True)
+class _Whitened:
+    """Derivatives of a mean image in units of its noise: (pixels, its parameters), and where these stand."""
+
+    root: torch.Tensor
+    columns: torch.Tensor
+    place: torch.Tensor
+
+    @classmethod
+    def of(cls, part: Part) -> _Whitened:
+        variance = mean_variance_e2(part.frames).flatten()
+        usable = part.frames.good.flatten() & torch.isfinite(variance)
+        root = torch.where(usable, variance**-0.5, 0.0)
+        return cls(root, (part.jacobian.double().cpu() * root).mT, torch.tensor(list(part.columns)))
+
+    @property
+    def used(self) -> int:
+        return int((self.root > 0).sum())
+
+    def products(self, frames: Frames, gain: torch.Tensor, data: torch.Tensor) -> torch.Tensor:
+        """Products of what deviations of the frames leave in all images, (frames, frames).
+
+        Whitened deviations d less what the parameters of all images follow: ``R d · R d'``.
+        """
+        images, mean = frames.images_e.flatten(1), frames.mean_e.flatten()
+        runs = torch.arange(len(images)).tensor_split(min(len(images), LONGEST))
+        whitened = torch.empty(len(runs), len(self.root), dtype=torch.float64)
+        for block in blocks(len(runs)):
+            some = torch.stack([images[run].mean(0, dtype=torch.float64) for run in runs[block]])
+            whitened[block] = torch.where(self.root > 0, (some - mean) * self.root, 0.0)
+        felt = whitened @ self.columns
+        moved = felt @ gain[self.place]
+        return whitened @ whitened.mT - 2 * moved[:, self.place] @ felt.mT + moved @ data @ moved.mT
+
+
+def _of_scatter(products: torch.Tensor) -> tuple[float, float]:
+    """Expected χ² of the mean of frames with these products, and its standard deviation."""
+    count = len(products)
+    squares = products.diagonal()
+    time = _autocorrelation_time(products)
+    expected = time * float(squares.sum()) / (count * (count - 1))
+    pairs = float(products.square().sum() - squares.square().sum()) / (count * (count - 1))
+    of_one = time / count * float(squares.std()) / np.sqrt(count)
+    return expected, float(np.hypot(np.sqrt(2 * pairs) * time / count, of_one))
+
+
+def _autocorrelation_time(products: torch.Tensor) -> float:
+    """Integrated autocorrelation time of vectors from their products, as `cube.autocorrelation_time`."""
+    count = len(products)
+    if count < 8:
+        return 1.0
+    total = float(products.diagonal().mean())
+    rho = [float(products.diagonal(lag).mean()) / total for lag in range(1, count // 4 * 2 + 1)]
+    time = 1.0
+    for first, second in zip(rho[::2], rho[1::2], strict=True):
+        if first + second <= 0:
+            break
+        time += 2 * (first + second)
+    return time
+
+
+def covariance_from_noise(problem: ImageFit, solution: Solution) -> np.ndarray:
+    """Return the covariance of the whole static wavefront, the mean over the fits [nm²], (modes, modes).
+
+    Parameters
+    ----------
+    problem : ImageFit
+        Its weights are those of the noise.
+    solution : Solution
+        Of the problem.
+    """
+    usable = [member for member, status in enumerate(solution.status) if status != INVALID]
+    values, covariance = solution.values[usable], solution.covariance[usable]
+    misfit = problem.members(torch.tensor(usable)).reduced_chi2(values).clamp_min(1.0)[:, None, None]
+    precision = torch.diag_embed(problem.prior_precision[usable])
+    scaled = misfit * covariance - (misfit - 1) * (covariance @ precision @ covariance)
+    _, read = whole_wavefront(problem, values[0])
+    return (read @ (scaled.mean(0) / len(usable)) @ read.mT).numpy()
+
+
+def effect_errors(
+    frames: Frames, problem: ImageFit, solution: Solution, misfit: float
+) -> dict[str, dict[str, Any]]:
+    """Return the errors of the public values of the effects, by label: from the scatter of the frames.
+
+    Of too few frames from the noise model. Both grow by the misfit.
+
+    Parameters
+    ----------
+    frames : Frames
+    problem : ImageFit
+        Of these frames, with one member.
+    solution : Solution
+    misfit : float
+        See `calibration_errors.errors_of`.
+    """
+    layout, x = problem.layout, solution.values[:1]
+    if not problem.model.effects.parameters:
+        return {}
+    covariance = solution.covariance[0][layout.effect_values]
+    if frames.show_scatter:
+        _, jacobian = problem.predict_and_jacobian(x)
+        weight = problem.root_weight[0].double().mean(0) ** 2
+        gain = covariance @ (jacobian[0].double() * weight).cpu()
+        of_effects = covariance_of_mean(responses(frames, gain).numpy())
+    else:
+        of_effects = covariance[:, layout.effect_values].numpy()
+    return public_errors(problem.model.effects, x[0, layout.effect_values], max(1.0, misfit) * of_effects)
+
+
+def public_errors(effects: EffectSet, values: torch.Tensor, covariance: np.ndarray) -> dict[str, dict]:
+    """Return the errors of the public values of `effects`, by label, those without free parameters left out.
+
+    Parameters
+    ----------
+    effects : EffectSet
+    values : tensor, (parameters,)
+        Of all free parameters.
+    covariance : ndarray, (parameters, parameters)
+    """
+    found = {}
+    for label, effect in zip(effects.labels, effects.effects, strict=True):
+        columns = effects.columns_of(label)
+        if columns:
+            every = effect.all_values(values[columns]).numpy()
+            full = np.zeros((len(every), len(every)))
+            full[np.ix_(effect.free, effect.free)] = covariance[np.ix_(columns, columns)]
+            found[label] = public_sigma(effect.base, every, full)
+    return found
+
+
+def responses(frames: Frames, gain: torch.Tensor) -> torch.Tensor:
+    """Return what `gain` (parameters, pixels) makes of every frame less the mean, (frames, parameters)."""
+    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
+    series = torch.empty(len(images), len(gain), dtype=torch.float64)
+    for block in blocks(len(images)):
+        series[block] = (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
+    return series

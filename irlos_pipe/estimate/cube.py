@@ -1,4 +1,11 @@
-"""The frames of a calibration cube, and how well their mean is known."""
+"""The frames of a calibration cube: where the star is in each, and how well their mean is known.
+
+The star may move from frame to frame. Frames are moved by whole pixels, which keeps their noise as it is.
+What remains, half a pixel at most, is taken out of their signal alone: every frame i gets ``T(0) - T(δ_i)``,
+the mean image T of the steady frames at rest less the same displaced by the rest δ_i of its place; T follows
+by iteration from the mean of frames so corrected. An image whose pixels sample it (λ/D ≥ 2 px) is displaced
+by a phase in its spectrum; of coarser pixels the rest stays in the frames, as image motion.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +13,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.fft
 import torch
 
-from irlos_pipe.estimate.steady import Motion
-from irlos_pipe.frames.blocks import frame_flux, frame_variance, mean_frame
+from irlos_pipe.frames.blocks import blocks, frame_flux, frame_variance, mean_frame
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.screening import star_peaks
 
 FRAMES_OF_SCATTER = 16  # whose scatter says how uncertain their mean is; of fewer, the noise model does
 LOCAL_PX = 5  # side of the square over which scatter is averaged
@@ -138,3 +146,181 @@ def covariance_of_mean(series: np.ndarray) -> np.ndarray:
     inflation = np.sqrt(autocorrelation_time(series))
     covariance = np.atleast_2d(np.cov(series, rowvar=False)) / len(series)
     return covariance * inflation[:, None] * inflation[None, :]
+
+
+# RMS motion in λ/D up to which frames stay as they are. The part of the OTF by which motion of this size
+# differs from a Gaussian one of the same variance is (2π · 0.1 · ½)⁴ / 24 at most, 4e-4 at half the cut-off.
+STILL = 0.1
+SAMPLED_PX = 2.0  # λ/D from which pixels sample the image
+PASSED = 1.1  # of the cut-off at the mean wavelength, which bands have on their blue side
+SHOWN = 8.0  # peak over noise from which a frame shows where the star is
+ROUNDS = 3  # of template and places, and of the mean image at rest; either gains a digit in each
+SEEN = 0.75  # part of the frames that have to show a pixel; in the others the mean stands in its place
+ORDERED = 0.8  # part of the variance of the places that a drift or a step has to explain to be named
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Places of the star in the frames of a cube.
+
+    Attributes
+    ----------
+    places_px : ndarray, (frames, 2)
+        (x, y) from their mean.
+    error_px : float
+        Standard error of a place, of one coordinate.
+    """
+
+    places_px: np.ndarray
+    error_px: float
+
+    @property
+    def rest_px(self) -> np.ndarray:
+        """The place (x, y) at which the frames are steadied: that from which whole pixels leave the least.
+
+        It is the mean of the places as phases of a pixel.
+        """
+        return np.angle(np.exp(2j * np.pi * self.places_px).mean(axis=0)) / (2 * np.pi)
+
+    @property
+    def rms_px(self) -> float:
+        """RMS motion beyond the errors, of the coordinate along which it is larger."""
+        return float(np.sqrt(max(0.0, self.places_px.var(axis=0).max() - self.error_px**2)))
+
+    @property
+    def largest_px(self) -> float:
+        """Largest distance between two places along one coordinate."""
+        return float(np.ptp(self.places_px, axis=0).max())
+
+    @property
+    def course(self) -> str:
+        """How the star moves, in words."""
+        count = np.arange(len(self.places_px))
+        total = np.square(self.places_px).sum()
+        time = count - count.mean()
+        drift = np.square(time @ self.places_px).sum() / np.square(time).sum() / total
+        before = np.square(np.cumsum(self.places_px, axis=0)[:-1]).sum(axis=1)
+        steps = before * (1 / count[1:] + 1 / count[:0:-1]) / total  # Σ² (1/n + 1/(N - n)) for a step at n
+        if max(drift, steps.max()) < ORDERED:
+            return "moves from frame to frame"
+        return "drifts" if drift >= steps.max() else f"jumps after frame {int(steps.argmax()) + 1}"
+
+
+def steadied(
+    images_e: np.ndarray, good: np.ndarray, noise: NoiseModel, resolution_px: float
+) -> tuple[np.ndarray, np.ndarray, Motion | None]:
+    """Return the frames with the star at one place, within half a pixel of the mean one, if it moves.
+
+    Parameters
+    ----------
+    images_e : ndarray, (frames, rows, columns)
+    good : ndarray of bool, (rows, columns)
+    noise : NoiseModel
+    resolution_px : float
+        λ/D in pixels.
+
+    Returns
+    -------
+    images_e, good : ndarray
+        Those given where the star does not move.
+    motion : Motion or None
+    """
+    motion = _motion(images_e, good, noise, STILL * resolution_px) if len(images_e) > 1 else None
+    if motion is None:
+        return images_e, good, None
+    displaced_px = motion.places_px - motion.rest_px
+    whole = np.rint(displaced_px).astype(int)
+    moved, seen = _moved_back(images_e, whole), _moved_back(np.broadcast_to(good, images_e.shape), whole)
+    count = seen.sum(axis=0)
+    rest = displaced_px - whole if resolution_px >= SAMPLED_PX else np.zeros(whole.shape)
+    template = np.where(count > 0, np.where(seen, moved, 0).sum(axis=0) / np.maximum(count, 1), 0)
+    for _ in range(ROUNDS):
+        at_rest = np.where(seen, moved + _differences(template, rest, resolution_px), template)
+        template = mean_frame(at_rest)
+    return at_rest.astype(images_e.dtype), count >= SEEN * len(images_e), motion
+
+
+def _motion(images_e: np.ndarray, good: np.ndarray, noise: NoiseModel, negligible_px: float) -> Motion | None:
+    """Places of the star, or None if they are not shown, or their RMS is `negligible_px` at most."""
+    snr = star_peaks(np.where(good, images_e, 0)).snr
+    typical = int(np.argsort(snr)[len(snr) // 2])
+    if snr[typical] < SHOWN:
+        return None
+    one = images_e[typical]
+    spectrum = scipy.fft.rfft2(np.where(good, one - np.median(one[good]), 0))
+    for turn in range(ROUNDS):
+        places, spectrum = _correlated(images_e, good, spectrum, steps=2 * (turn + 1))
+        if places.std(axis=0).max() <= negligible_px / 2:
+            return None
+    mean = scipy.fft.irfft2(spectrum, good.shape)
+    slopes = np.square(np.gradient(mean))
+    errors = np.sqrt((slopes * noise.scatter_e2(mean)).sum(axis=(1, 2))) / slopes.sum(axis=(1, 2))
+    motion = Motion(places, float(errors.max()))
+    return motion if motion.rms_px > negligible_px else None
+
+
+def _correlated(
+    images: np.ndarray, good: np.ndarray, template: np.ndarray, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places (x, y) of images where they correlate best with a template, and the mean of them moved back.
+
+    The best pixel is followed by Newton steps. Template and mean are spectra; places are from their mean.
+    """
+    rows, columns = good.shape
+    fy, fx = _frequencies(good.shape)
+    twice = np.where((fx == 0) | (fx == np.pi), 1.0, 2.0)  # columns that stand for two in half a spectrum
+    found, total = np.empty((len(images), 2)), np.zeros_like(template, complex)
+    for block in blocks(len(images)):
+        level = np.median(images[block][:, good], axis=1)[:, None, None]
+        spectra = scipy.fft.rfft2(np.where(good, images[block] - level, 0))
+        cross = spectra * np.conj(template)
+        best = scipy.fft.irfft2(cross, good.shape).reshape(len(cross), -1).argmax(axis=1)
+        y, x = np.unravel_index(best, good.shape)
+        places = np.stack([_from_zero(x, columns), _from_zero(y, rows)], axis=1).astype(float)
+        for _ in range(steps):
+            at = twice * cross * _phases(fy, fx, places)
+            gradient = -np.stack([(f * at.imag).sum((1, 2)) for f in (fx, fy)], axis=1)
+            xx, yy, xy = (-(factor * at.real).sum((1, 2)) for factor in (fx**2, fy**2, fx * fy))
+            hessian = np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)
+            places -= np.clip(np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0], -0.5, 0.5)
+        found[block] = places
+        total += (spectra * _phases(fy, fx, places)).sum(axis=0)
+    middle = found.mean(axis=0)
+    return found - middle, total * _phases(fy, fx, -middle[None])[0] / len(images)
+
+
+def _from_zero(index: np.ndarray, size: int) -> np.ndarray:
+    """Displacements of a periodic correlation, the smaller of the two that an index stands for."""
+    return (index + size // 2) % size - size // 2
+
+
+def _moved_back(images: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Images moved back by whole pixels (x, y); 0 where nothing was recorded."""
+    moved = np.zeros(images.shape, images.dtype)
+    rows, columns = images.shape[1:]
+    for one, image, (x, y) in zip(moved, images, whole.tolist(), strict=True):
+        one[max(0, -y) : rows - max(0, y), max(0, -x) : columns - max(0, x)] = image[
+            max(0, y) : rows + min(0, y), max(0, x) : columns + min(0, x)
+        ]
+    return moved
+
+
+def _differences(template: np.ndarray, rest: np.ndarray, resolution_px: float) -> np.ndarray:
+    """Template at rest less the same displaced by (x, y), for every place, (frames, rows, columns).
+
+    What the optics cannot make is left out of the template: it is noise, which the iteration would amplify.
+    """
+    fy, fx = _frequencies(template.shape)
+    spectrum = np.where(np.hypot(fy, fx) <= 2 * np.pi * PASSED / resolution_px, scipy.fft.rfft2(template), 0)
+    return scipy.fft.irfft2(spectrum * (1 - _phases(fy, fx, -rest)), template.shape)
+
+
+def _frequencies(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies of half a spectrum along y and x [rad/px]."""
+    rows, columns = shape
+    return 2 * np.pi * scipy.fft.fftfreq(rows)[:, None], 2 * np.pi * scipy.fft.rfftfreq(columns)
+
+
+def _phases(fy: np.ndarray, fx: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Factors of spectra whose images are moved back from places (x, y), (places, rows, columns)."""
+    return np.exp(1j * (fx * places[:, 0, None, None] + fy * places[:, 1, None, None]))

@@ -10,13 +10,11 @@ import torch
 
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_errors import NominalChi2, nominal_chi2
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
-from irlos_pipe.estimate.lbfgs import solve_lbfgs
+from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
 from irlos_pipe.estimate.methods import EVERY_FRAME, Report, scheme_of, start_at_centroids
-from irlos_pipe.estimate.nominal_chi2 import NominalChi2, nominal_chi2
-from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.starts import (
     START_HIGHEST_NOLL,
     a_wave_off,
@@ -24,7 +22,8 @@ from irlos_pipe.estimate.starts import (
     is_plausible,
     median_of_frames_nm,
 )
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
 from irlos_pipe.optics.light_path import LightPath
 
 FIRST = torch.zeros(1, dtype=torch.int64)  # member of a batch
@@ -158,3 +157,49 @@ def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Nomin
     """
     _, jacobian = problem.predict_and_jacobian(values)
     return nominal_chi2(frames, jacobian[0], problem.prior_precision[0])
+
+
+HISTORY = 20
+GRADIENT_TOLERANCE = 1e-2  # in units of one standard error
+
+
+def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int = 300) -> Solution:
+    """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
+
+    The variables are scaled by the curvature at the start, so that nm, electrons and
+    variances are of one size.
+
+    Parameters
+    ----------
+    problem : ImageFit
+    start : tensor, (batch, parameters)
+    max_iterations : int
+    """
+    everyone = torch.arange(len(start))
+    _, _, hessian = problem.normal_equations(start, everyone)
+    scale = torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
+    u = torch.zeros_like(start, requires_grad=True)
+    optimiser = torch.optim.LBFGS(
+        [u],
+        max_iter=max_iterations,
+        history_size=HISTORY,
+        line_search_fn="strong_wolfe",
+        tolerance_grad=GRADIENT_TOLERANCE,
+        tolerance_change=1e-12,
+    )
+
+    def closure() -> torch.Tensor:
+        optimiser.zero_grad()
+        total = problem.objective(start + scale * u, everyone).sum()
+        total.backward()
+        return total
+
+    optimiser.step(closure)
+    x = (start + scale * u.detach()).clamp(problem.lower, problem.upper)
+    evaluations = optimiser.state[u]["n_iter"]
+    value, gradient, hessian = problem.normal_equations(x, everyone)
+    small = (gradient.abs() * scale).amax(1) < 10 * GRADIENT_TOLERANCE * (2 * value).clamp_min(1).sqrt()
+    finite = torch.isfinite(value)
+    outcome = zip(small, finite, strict=True)
+    status = [CONVERGED if s and f else MAX_ITERATIONS if f else INVALID for s, f in outcome]
+    return Solution(x, scaled_inverse(hessian), status, torch.full((len(start),), evaluations), value)

@@ -28,8 +28,8 @@ import torch
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.cube_fit import FIRST, CubeFit, Fit
-from irlos_pipe.estimate.lacking import lacking
 from irlos_pipe.estimate.open_fit import Opened, OpenFit, settled, widened
+from irlos_pipe.estimate.residual import lacking
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
 

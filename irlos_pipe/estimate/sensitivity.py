@@ -8,12 +8,12 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import alike
 from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
 MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
 
@@ -253,3 +253,34 @@ def _percentiles(error: np.ndarray) -> tuple[float, float, float]:
         return float("nan"), float("nan"), float("nan")
     median, low, high = np.percentile(error, [50, 15.87, 84.13])
     return float(median), float(low), float(high)
+
+
+def cramer_rao_nm(
+    model: ImageModel,
+    modes_nm: torch.Tensor,
+    flux_e: torch.Tensor,
+    noise: NoiseModel,
+    *,
+    background_e: float = 0.0,
+) -> torch.Tensor:
+    """Return the smallest standard errors of the modes with flux and background free, (images, modes) [nm].
+
+    ``σ² = diag((Jᵀ V⁻¹ J)⁻¹)``, the variance V from the noise-free image; the small information
+    that V itself carries is left out, as LIFT does not use it.
+
+    Parameters
+    ----------
+    model : ImageModel
+        Without free effect parameters.
+    modes_nm : tensor, (images, modes)
+    flux_e : tensor, (images,)
+    noise : NoiseModel
+    background_e : float
+        In every pixel.
+    """
+    flux = flux_e.double()
+    image, columns = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))
+    image, columns = image.flatten(1), columns.double().flatten(2)
+    fisher = (columns / noise.variance_e2(image)[:, None]) @ columns.mT
+    covariance = scaled_inverse(fisher.cpu())
+    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.psf.nolls)]

@@ -16,14 +16,18 @@ import torch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import Calibration, calibrate
+from irlos_pipe.estimate.calibration_errors import (
+    NominalChi2,
+    Part,
+    nominal_chi2_of,
+    public_errors,
+    responses,
+)
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.effect_errors import public_errors, responses
 from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
+from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
 from irlos_pipe.estimate.methods import MEAN_IMAGE, start_at_centroids
-from irlos_pipe.estimate.nominal_chi2 import NominalChi2, Part, nominal_chi2_of
-from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 from irlos_pipe.optics.psf_settings import PsfSettings

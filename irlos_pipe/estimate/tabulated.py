@@ -1,12 +1,28 @@
-"""Image models with their images in a table, for many fits of tip, tilt and focus with one light path."""
+"""Image models with their images in a table, for many fits of tip, tilt and focus with one light path.
+
+The focus curve says how well an image is explained at every defocus, and by the twin of the best fit.
+A centro-symmetric pupil without known diversity gives +d and −d the same image, see `twin`. The curve shows
+whether the diversity has told the two apart.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import Layout
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
+from irlos_pipe.estimate.lift_problems import PhotonFit
 from irlos_pipe.estimate.starts import SCAN_NM
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
 
 FOCUS_REACH_NM = 400.0  # beyond the starts; few fits move further
@@ -55,3 +71,92 @@ def _reach(nolls: tuple[int, ...], start_nm: torch.Tensor) -> Reach:
     high = max(float(focus.max()) + FOCUS_REACH_NM, SCAN_NM[-1])
     tilts = start_nm[:, [nolls.index(2), nolls.index(3)]]
     return Reach((low, high), float(tilts.abs().max()) + TILT_REACH_NM)
+
+
+CURVE_NM = np.linspace(-900.0, 900.0, 37)
+HELD_NM = 0.01  # width of the prior that holds the defocus
+APART_NM = 75.0  # solutions that are less than this apart are one
+MOST_MINIMA = 4  # of the curve that free fits start from
+
+
+@dataclass(frozen=True)
+class FocusCurve:
+    """χ²/ν of an image against its defocus, everything else fitted.
+
+    Attributes
+    ----------
+    focus_nm, chi2_nu : ndarray, (values,)
+        Held defocus [nm RMS], and χ²/ν of the best fit with it.
+    best_nm, best_chi2_nu : float
+        The best fit.
+    twin_nm, twin_chi2_nu : float
+        The best of the other minima; NaN where there is none.
+    delta_chi2 : float
+        χ² of that minus χ² of the best fit.
+    """
+
+    focus_nm: np.ndarray
+    chi2_nu: np.ndarray
+    best_nm: float
+    best_chi2_nu: float
+    twin_nm: float = np.nan
+    twin_chi2_nu: float = np.nan
+    delta_chi2: float = np.nan
+
+    @property
+    def evidence(self) -> float:
+        """Of the image against the twin: the difference in units of the misfit that the best fit leaves."""
+        return self.delta_chi2 / max(1.0, self.best_chi2_nu)
+
+
+def focus_curve(
+    model: ImageModel,
+    image_e: torch.Tensor,
+    good: torch.Tensor,
+    noise: NoiseModel,
+    modes_nm: torch.Tensor,
+) -> FocusCurve:
+    """Fit an image with its defocus held at the values of `CURVE_NM`, and freely from the minima of that.
+
+    Parameters
+    ----------
+    model : ImageModel
+        Its effects have no free parameters.
+    image_e : tensor, (rows, columns)
+    good : tensor of bool, (rows, columns)
+    noise : NoiseModel
+    modes_nm : tensor, (modes,)
+        The best fit, which the others start from.
+    """
+    column = model.psf.nolls.index(DEFOCUS)
+    starts = modes_nm.repeat(len(CURVE_NM) + 1, 1)
+    starts[:-1, column] = torch.as_tensor(CURVE_NM)
+    quick = tabulated(model.general, starts)
+    sigma_nm = torch.full_like(modes_nm, torch.inf)
+    sigma_nm[column] = HELD_NM
+    options = LiftOptions(prior_mean_nm=starts, prior_sigma_nm=sigma_nm)
+    # Far from the focus, tip and tilt may run to the end of the table: a curve needs no more than that.
+    held = lift(quick, image_e.repeat(len(starts), 1, 1), good, noise, starts, options, beyond=False)
+    chi2_nu = held.chi2_nu[:-1].numpy()
+    images = image_e.double().flatten().repeat(MOST_MINIMA + 1, 1, 1).to(quick.psf.device)
+    begin = held.solution.values[[-1, *_minima(chi2_nu)]]
+    problem = PhotonFit(quick, Layout(quick.psf.nolls), images[: len(begin)], good.flatten(), noise)
+    free = solve(problem, begin, max_iterations=options.max_iterations)
+    focus_nm, objective = free.values[:, column].numpy(), free.objective.numpy()
+    free_chi2_nu = problem.reduced_chi2_of(problem.predict_all(free.values)).tolist()
+    best = FocusCurve(CURVE_NM, chi2_nu, float(focus_nm[0]), free_chi2_nu[0])
+    apart = (np.abs(focus_nm - focus_nm[0]) > APART_NM) & (np.abs(focus_nm) < CURVE_NM.max())
+    if not apart.any():
+        return best
+    twin = np.where(apart, objective, np.inf).argmin()
+    delta_chi2 = 2 * float(objective[twin] - objective[0])
+    return replace(
+        best, twin_nm=float(focus_nm[twin]), twin_chi2_nu=free_chi2_nu[twin], delta_chi2=delta_chi2
+    )
+
+
+def _minima(values: np.ndarray) -> Sequence[int]:
+    """Positions of the lowest minima of a curve; ends do not count."""
+    inside = values[1:-1]
+    found = 1 + np.nonzero((inside < values[:-2]) & (inside <= values[2:]))[0]
+    return found[np.argsort(values[found])][:MOST_MINIMA].tolist()

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.estimate.optics_error import spread_over
-from irlos_pipe.estimate.ramp_quality import FrameErrors
+from irlos_pipe.estimate.lift_errors import FrameErrors, spread_over
 from irlos_pipe.stages.lift.results import LiftResults
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, SPOT_M, TRUE_NM, diagnosis_of
 
-from irlos_pipe.diagnosis.sentence import sentence
+from irlos_pipe.diagnosis.verdict import sentence
 from irlos_pipe.effects import CATALOGUE
 
 

@@ -25,15 +25,21 @@ from helpers.diagnose_frames import (
 from helpers.optics_cases import READ_NOISE
 from scipy import stats
 
-from irlos_pipe.diagnosis.checks.drift import measure_drift
-from irlos_pipe.diagnosis.checks.motion import motion_ratio
+from irlos_pipe.diagnosis.checks.drift import measure_drift, motion_ratio
 from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
 from irlos_pipe.diagnosis.effect_sizes import detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
 from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, noise_floor, preference
-from irlos_pipe.diagnosis.search.companion_search import brightest_copies
-from irlos_pipe.diagnosis.search.scores import Family, Score, families, score_family, scores, whitened_shapes
+from irlos_pipe.diagnosis.search.scores import (
+    Family,
+    Score,
+    brightest_copies,
+    families,
+    score_family,
+    scores,
+    whitened_shapes,
+)
 from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import Screened

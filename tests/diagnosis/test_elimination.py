@@ -7,8 +7,8 @@ import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.diagnosis.checks.fine_structure import flat_rms
 from irlos_pipe.diagnosis.cube import Errors, Stack
-from irlos_pipe.diagnosis.elimination import needed
 from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.without import needed
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings

@@ -12,10 +12,8 @@ import torch
 from helpers import diagnose_cases as cases
 from helpers.diagnose_frames import READ_NOISE, frames, image
 
-from irlos_pipe.diagnosis.few_frames import PixelStacks
-from irlos_pipe.diagnosis.sentence import sentence
-from irlos_pipe.diagnosis.splitting import HeldOutFrames, HeldOutPixels, averaged, hold_out_of
-from irlos_pipe.diagnosis.verdict import Diagnosis
+from irlos_pipe.diagnosis.splitting import HeldOutFrames, HeldOutPixels, PixelStacks, averaged, hold_out_of
+from irlos_pipe.diagnosis.verdict import Diagnosis, sentence
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.estimate.cube import FRAMES_OF_SCATTER, Frames

@@ -10,7 +10,7 @@ from helpers.diagnose_frames import CONDITIONS, cube, fitted, image
 
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.open_facts import open_facts
+from irlos_pipe.diagnosis.opposite import open_facts
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.stages.diagnose.output import model_entries
 

@@ -3,7 +3,7 @@
 import pytest
 
 from irlos_pipe.diagnosis.rest import Rest
-from irlos_pipe.diagnosis.sentence import _listed
+from irlos_pipe.diagnosis.verdict import _listed
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,11 @@ from helpers.simulated_scenes import image as simulated
 
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.forward import placed_families
 from irlos_pipe.diagnosis.moments import Moments, placed
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.search.placements import placed_families
-from irlos_pipe.diagnosis.sentence import sentence
 from irlos_pipe.diagnosis.sharing import sharing
-from irlos_pipe.diagnosis.verdict import Diagnosis
+from irlos_pipe.diagnosis.verdict import Diagnosis, sentence
 from irlos_pipe.diagnosis.view import Exposures, View
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import TipTiltJitter

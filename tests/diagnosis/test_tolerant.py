@@ -11,18 +11,16 @@ import pytest
 from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, cube, fitted, image
 
 from irlos_pipe.diagnosis.acceptance import Options, accepted, labels_in
-from irlos_pipe.diagnosis.allowance import errors_of
 from irlos_pipe.diagnosis.conclude import _adjusted, _before_ordinary, _nearest
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.naming import added
+from irlos_pipe.diagnosis.naming import added, errors_of
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opposite import opposite_side
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
-from irlos_pipe.diagnosis.sentence import _left
 from irlos_pipe.diagnosis.tolerant import SCALES, as_wide_as_told, everyday
-from irlos_pipe.diagnosis.verdict import PARTIAL, Adjusted
+from irlos_pipe.diagnosis.verdict import PARTIAL, Adjusted, _left
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.detector import BadPixels

@@ -12,7 +12,7 @@ from helpers.effect_cases import CONDITIONS
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.diagnosis.ramp.diagnosis import diagnose_ramp
-from irlos_pipe.diagnosis.ramp.light_path import LightPathName, compare
+from irlos_pipe.diagnosis.ramp.gap import LightPathName, compare
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.lift_options import LiftOptions

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.estimate.centroids import NOLLS, SIDES, gradient_matrix, modes_of_centroids_nm
+from irlos_pipe.estimate.lenslets import NOLLS, SIDES, gradient_matrix, modes_of_centroids_nm
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import LensletArray
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings

@@ -8,7 +8,7 @@ import torch
 from helpers.optics_cases import J_AND_H, halo_and_jitter, ncpa_nm, settings, vector
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
+from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 

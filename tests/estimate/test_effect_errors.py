@@ -11,9 +11,9 @@ from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.effect_set import fixed_optics
 from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_errors import public_errors
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.effect_errors import public_errors
 from irlos_pipe.optics.psf import PsfModel
 
 WINDOW, SIGMA_MAS, FRAMES, RECORDINGS = (24, 24), 7.0, 24, 10

@@ -9,8 +9,8 @@ from helpers import optics_cases as cases
 from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.focus_curve import CURVE_NM, FocusCurve, focus_curve
 from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.tabulated import CURVE_NM, FocusCurve, focus_curve
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 

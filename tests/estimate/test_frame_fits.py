@@ -14,9 +14,8 @@ from helpers import optics_cases as cases
 from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.frame_fits import fit_frames
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.numerics.loss import LOSSES
 from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.numerics.solution import CONVERGED, INVALID

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
+from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.frames.noise import NoiseModel
 
 SIDE, COUNT = 12, 40

@@ -10,9 +10,8 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.lacking import Lacking, lacking
-from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.residual import Lacking, lacking
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.optics.psf import PsfModel
 

@@ -7,13 +7,13 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
+from irlos_pipe.estimate.image_fit import Layout
 from irlos_pipe.estimate.lift import image_problem, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import PhotonFit
-from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
+from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from irlos_pipe.estimate.calibration_errors import Part, nominal_chi2, nominal_chi2_of
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
-from irlos_pipe.estimate.nominal_chi2 import Part, nominal_chi2, nominal_chi2_of
 from irlos_pipe.frames.noise import NoiseModel
 
 SIDE, COUNT, PARAMETERS = 16, 40, 12

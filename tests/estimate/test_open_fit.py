@@ -17,10 +17,15 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.open_fit import MOST_ORDERS, OpenFit, last_noll_of, visible_order
-from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.estimate.tail_law import TailLaw, fit_tail_law
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.open_fit import (
+    MOST_ORDERS,
+    OpenFit,
+    TailLaw,
+    fit_tail_law,
+    last_noll_of,
+    visible_order,
+)
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.zernike import noll_to_nm
 

@@ -16,10 +16,9 @@ from irlos_pipe.estimate import calibration, open_minima
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.open_fit import Opened, OpenFit, last_noll_of, visible_order
+from irlos_pipe.estimate.image_fit import Layout
+from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, last_noll_of, visible_order
 from irlos_pipe.estimate.open_minima import Softening, by_curvature, by_prior, likelier_minimum
-from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.optics.psf import PsfModel
 
 WINDOW, TAIL_NM, FLUX_E, FRAMES, SEED = 40, 20.0, 4e6, 20, 3

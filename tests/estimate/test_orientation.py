@@ -15,9 +15,8 @@ from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.orientation import Mirrored, mirrored
-from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.residual import Mirrored, mirrored
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 

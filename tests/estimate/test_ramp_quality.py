@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.estimate.ramp_quality import (
+from irlos_pipe.estimate.lift_errors import (
     FrameErrors,
     excess_scatter_nm,
     instant_error_nm,

@@ -10,9 +10,9 @@ from helpers.optics_cases import BAND, READ_NOISE, RESIDUAL_LAW, draw_frames, ev
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import Layout
 from irlos_pipe.estimate.lift import image_problem, smooth
-from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.estimate.ramp_shared import SharedFit, fit_shared
+from irlos_pipe.estimate.ramp_fit import SharedFit, fit_shared
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS = (2, 3, 4)

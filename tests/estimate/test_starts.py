@@ -10,12 +10,11 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.estimate import cube_fit
 from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_errors import NominalChi2
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
-from irlos_pipe.estimate.nominal_chi2 import NominalChi2
-from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.starts import FEW_FRAMES, a_wave_off, better, median_of_frames_nm
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel

@@ -5,8 +5,7 @@ import pytest
 import torch
 from scipy.special import j1
 
-from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.steady import steadied
+from irlos_pipe.estimate.cube import Frames, steadied
 from irlos_pipe.frames.noise import NoiseModel
 
 SIDE, RESOLUTION_PX, READ_E = 40, 4.25, 5.0

@@ -11,7 +11,7 @@ from helpers.reference_psf import reference
 
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects import FixedEffect, TipTiltJitter
-from irlos_pipe.estimate.strehl_budget import ALL, strehl_budget
+from irlos_pipe.estimate.correction import ALL, strehl_budget
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 
 WINDOW, NOLLS = (41, 41), tuple(range(4, 16))

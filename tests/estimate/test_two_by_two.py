@@ -11,11 +11,10 @@ from helpers.lenslet_cases import lenslet_settings
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.lenslet_images import SIGMA_MAS, LensletImages
-from irlos_pipe.estimate.centroids import gradient_matrix
-from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.identified import identified
+from irlos_pipe.estimate.lenslets import gradient_matrix, identified
 from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.lenslets import LensletArray
 

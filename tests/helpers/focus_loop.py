@@ -14,7 +14,7 @@ from helpers import optics_cases as cases
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
-from irlos_pipe.estimate.ramp_quality import FrameErrors
+from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.focus.calibration import Calibration
 from irlos_pipe.focus.shared_errors import SharedErrors
 from irlos_pipe.frames.noise import NoiseModel

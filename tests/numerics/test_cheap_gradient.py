@@ -12,10 +12,9 @@ import torch
 from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.optics_cases import ncpa_nm, settings
 
-from irlos_pipe.diagnosis.joint_fit import JointFit
+from irlos_pipe.diagnosis.fitted import JointFit
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.optics.psf import PsfModel
 
 # Beyond the edge of the pupil as built, where a displaced stop lets light pass, the wavefront of the images

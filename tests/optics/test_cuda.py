@@ -21,19 +21,18 @@ from irlos_pipe.diagnosis.checks.drift import measure_drift
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.search.companion_search import companion_gains
-from irlos_pipe.diagnosis.search.scores import families, scores
+from irlos_pipe.diagnosis.search.scores import companion_gains, families, scores
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
-from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
+from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.pipeline.resources import resolve_device

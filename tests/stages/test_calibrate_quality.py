@@ -7,10 +7,9 @@ import pytest
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.estimate.lacking import Lacking
-from irlos_pipe.estimate.nominal_chi2 import NominalChi2
-from irlos_pipe.estimate.orientation import Mirrored
-from irlos_pipe.estimate.steady import Motion
+from irlos_pipe.estimate.calibration_errors import NominalChi2
+from irlos_pipe.estimate.cube import Motion
+from irlos_pipe.estimate.residual import Lacking, Mirrored
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.stages.calibrate.input import require_calibration
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp import RampSummary, summarise
-from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.quality import (
     WITHOUT_NCPAS,

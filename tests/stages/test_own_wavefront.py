@@ -23,7 +23,7 @@ from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.declaration import Conditions
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.motion import TipTiltJitter
-from irlos_pipe.estimate.ramp_quality import FrameErrors
+from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.product import Product

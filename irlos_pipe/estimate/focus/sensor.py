@@ -7,18 +7,21 @@ measurement can be repeated, on line or afterwards, to the last bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.focus.photon_fit import Found, Noise, PhotonFit
-from irlos_pipe.estimate.focus.scan import Candidate, FocusScan
+from irlos_pipe.estimate.focus.photon_fit import Candidate, FocusScan, Found, Noise, PhotonFit
 from irlos_pipe.estimate.focus.unexplained import Unexplained, unexplained
+from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.estimate.tabulated import TILT_REACH_NM
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, STALLED, Solution
 from irlos_pipe.optics.focus_images import FocusImages
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family
 
@@ -292,3 +295,49 @@ def _require_table(model: ImageModel, reach: Reach) -> None:
         raise ValueError("effects of the detector, of time, or with free parameters: images have no table")
     if not can_tabulate(model.psf, model.optics, reach):
         raise ValueError("the images are sampled too coarsely, or the field around them is too small")
+
+
+NOLLS = (2, 3, 4)
+PARAMETERS = 5
+
+
+def lift_singly(
+    focus: Focus, images_e: np.ndarray, report: Callable[[int], object] | None = None
+) -> LiftResult:
+    """Measure every image by itself.
+
+    Parameters
+    ----------
+    focus : Focus
+    images_e : ndarray, (images, rows, columns)
+    report : callable, optional
+        Called with 1 after every image.
+    """
+    count = len(images_e)
+    values, covariance = (
+        np.full((count, PARAMETERS), np.nan),
+        np.full((count, PARAMETERS, PARAMETERS), np.nan),
+    )
+    objective, chi2_nu = np.full((2, count), np.nan)
+    iterations, status = np.zeros(count, np.int64), [INVALID] * count
+    model_e = np.zeros(images_e.shape)
+    for index, image in enumerate(images_e):
+        _, found = focus.solved(image)
+        if found is not None:
+            values[index], covariance[index] = found.x, found.covariance
+            objective[index], chi2_nu[index] = found.objective, found.chi2_nu
+            iterations[index], status[index] = found.iterations, CONVERGED if found.converged else STALLED
+            model_e[index] = focus.model_e(found)
+        if report is not None:
+            report(1)
+    x, errors, counts, least = map(torch.from_numpy, (values, covariance, iterations, objective))
+    solution = Solution(x, errors, status, counts, least)
+    modes = slice(0, len(NOLLS))
+    return LiftResult(
+        NOLLS,
+        solution.values[:, modes],
+        solution.covariance[:, modes, modes],
+        solution,
+        torch.from_numpy(model_e),
+        torch.from_numpy(chi2_nu),
+    )

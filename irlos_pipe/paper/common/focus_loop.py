@@ -14,11 +14,11 @@ from numpy.polynomial import chebyshev
 from irlos_pipe.control.disturbance import Drift
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.centroids import modes_of_centroids_nm
-from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
+from irlos_pipe.estimate.lenslets import modes_of_centroids_nm
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import ramp_effects
+from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.lenslets import light_path

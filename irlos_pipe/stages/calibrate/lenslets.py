@@ -10,8 +10,7 @@ import torch
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.labels import labels_of
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.centroids import NOLLS, modes_of_centroids_nm
-from irlos_pipe.estimate.identified import identified
+from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.stages.base import StageContext, StageOutput

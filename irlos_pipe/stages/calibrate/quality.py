@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.nominal_chi2 import LEAST_FRAMES
-from irlos_pipe.estimate.orientation import Mirrored
-from irlos_pipe.estimate.steady import Motion
+from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
+from irlos_pipe.estimate.cube import Motion
+from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.calibrate.config import Limits
 

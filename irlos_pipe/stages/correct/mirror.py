@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
+from irlos_pipe.estimate.correction import MirrorOffsets, mirror_offsets
 from irlos_pipe.optics.wavefront import clear_pupil
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card

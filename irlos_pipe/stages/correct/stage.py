@@ -25,8 +25,7 @@ from irlos_pipe.stages.correct.mirror_file import MirrorFile, mirror_file
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.correction import Offsets, Prediction
-    from irlos_pipe.estimate.strehl_budget import StrehlPart
+    from irlos_pipe.estimate.correction import Offsets, Prediction, StrehlPart
 
 NAME = "correct"
 VERSION = 6
@@ -213,8 +212,7 @@ def _predict(
 ) -> tuple[Prediction, list[StrehlPart]]:
     """Images before and after the correction, and what every part of the model takes of the Strehl ratio."""
     from irlos_pipe.effects import fixed_optics
-    from irlos_pipe.estimate.correction import predict_correction, seen_and_left_nm
-    from irlos_pipe.estimate.strehl_budget import strehl_budget
+    from irlos_pipe.estimate.correction import predict_correction, seen_and_left_nm, strehl_budget
     from irlos_pipe.stages.model.effects import calibrated_effects
     from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from irlos_pipe.diagnosis.ramp.light_path import LightPathName, compare
+from irlos_pipe.diagnosis.ramp.gap import LightPathName, compare
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.planes import LensEffect
 from irlos_pipe.estimate.ramp_fit import RampFit

@@ -12,9 +12,8 @@ import yaml
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.rest import Rest
-from irlos_pipe.diagnosis.sentence import sentence
 from irlos_pipe.diagnosis.sharing import Sharing, Together
-from irlos_pipe.diagnosis.verdict import Diagnosis, Step
+from irlos_pipe.diagnosis.verdict import Diagnosis, Step, sentence
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.declared import declared

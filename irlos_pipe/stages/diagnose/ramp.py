@@ -12,8 +12,7 @@ import torch
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
-from irlos_pipe.diagnosis.ramp.gap import ramp_gap
-from irlos_pipe.diagnosis.ramp.light_path import LightPathName
+from irlos_pipe.diagnosis.ramp.gap import LightPathName, ramp_gap
 from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.diagnosis.verdict import EFFECT
 from irlos_pipe.effects import EffectSet

@@ -12,7 +12,7 @@ from irlos_pipe.diagnosis.verdict import Diagnosis
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
+from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.quality import frame_checks

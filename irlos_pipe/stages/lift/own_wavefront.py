@@ -16,8 +16,8 @@ import numpy as np
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.chromatic import BROAD_NM, ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.declaration import Conditions
+from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp_fit import RampFit
-from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp import RampSummary
-from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.lift.config import Config
 

@@ -8,8 +8,7 @@ import torch
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import expected
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
-from irlos_pipe.estimate.focus.batch import NOLLS, lift_singly
-from irlos_pipe.estimate.focus.sensor import Focus, Limits
+from irlos_pipe.estimate.focus.sensor import NOLLS, Focus, Limits, lift_singly
 from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Recording

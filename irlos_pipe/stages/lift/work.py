@@ -8,16 +8,16 @@ from functools import partial
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.estimate.focus_curve import FocusCurve, focus_curve
-from irlos_pipe.estimate.optics_error import optics_sigma_nm
-from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise, summarise_one_offset
-from irlos_pipe.estimate.ramp_fit import RampFit
-from irlos_pipe.estimate.ramp_quality import (
+from irlos_pipe.estimate.lift_errors import (
     FrameErrors,
     excess_scatter_nm,
     instant_error_nm,
     nominal_frame_chi2,
+    optics_sigma_nm,
 )
+from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise, summarise_one_offset
+from irlos_pipe.estimate.ramp_fit import RampFit
+from irlos_pipe.estimate.tabulated import FocusCurve, focus_curve
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import results_of

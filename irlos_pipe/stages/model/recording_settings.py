@@ -13,8 +13,7 @@ from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.planes import LensEffect
-from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.steady import steadied
+from irlos_pipe.estimate.cube import Frames, steadied
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
