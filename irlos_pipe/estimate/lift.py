@@ -17,10 +17,9 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
+from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import Alike, AlikeFit, PhotonFit
-from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution, joined, mixed

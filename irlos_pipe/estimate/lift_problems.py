@@ -13,8 +13,7 @@ from typing import Self
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit, Piece
-from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit, Layout, Piece
 from irlos_pipe.frames.noise import NoiseModel
 
 MIN_FRAMES = 4  # in a piece
