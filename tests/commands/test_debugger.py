@@ -54,7 +54,7 @@ def test_without_a_terminal_nothing_is_run(bench, call):
 
 
 def test_an_error_that_the_user_can_mend_opens_no_debugger(bench, monkeypatch):
-    monkeypatch.setattr("irlos_pipe.commands.debugging._at_terminal", lambda: True)
+    monkeypatch.setattr("irlos_pipe.commands.exits._at_terminal", lambda: True)
     monkeypatch.setattr("pdb.post_mortem", lambda _: pytest.fail("opened"))
     bench.make("calibrate.bad_data")
     assert bench.run("--pdb").exit_code == 3
@@ -63,7 +63,7 @@ def test_an_error_that_the_user_can_mend_opens_no_debugger(bench, monkeypatch):
 
 def test_a_fault_outside_a_run_opens_it_too(bench, monkeypatch):
     opened = []
-    monkeypatch.setattr("irlos_pipe.commands.debugging._at_terminal", lambda: True)
+    monkeypatch.setattr("irlos_pipe.commands.exits._at_terminal", lambda: True)
     monkeypatch.setattr("pdb.post_mortem", opened.append)
     monkeypatch.setattr("irlos_pipe.recipe.load_recipe", lambda *_, **__: 1 / 0)
     assert invoke("validate", str(bench.recipe), "--pdb").exit_code == 1
