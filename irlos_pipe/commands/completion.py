@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from functools import wraps
 from pathlib import Path
 
 import click
@@ -18,7 +17,6 @@ Completion = Callable[[click.Context, click.Parameter, str], list[CompletionItem
 def _proposed(names: Callable[[click.Context], Iterable[str]]) -> Completion:
     """Propose what `names` returns."""
 
-    @wraps(names)
     def propose(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
         with suppress(IrlosError, OSError):  # nobody wants an error while typing
             return [CompletionItem(name) for name in names(context) if name.startswith(begun)]
@@ -31,7 +29,6 @@ def or_files(propose: Completion) -> Completion:
     """Propose files as well."""
 
     def propose_both(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-        """Return names and files that begin with `begun`; `context`, `parameter` as click gives them."""
         return [*propose(context, parameter, begun), CompletionItem(begun, type="file")]
 
     return propose_both

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from irlos_pipe.pipeline import Resources
 
 Device = Literal["cpu", "cuda", "auto"]
-Make = Callable[[str, Any], click.Parameter]  # of the name and type of a function's parameter
 
 
 class _NamedPath(click.Path):
@@ -42,7 +41,7 @@ PATH = _NamedPath(path_type=Path, readable=False)
 
 
 def option(spelling: str, help: str, **settings: Any) -> Any:
-    """Return the default of a parameter that is an option of its command.
+    """Return the default of a parameter that is an option: it makes that of the parameter's name and type.
 
     Parameters
     ----------
@@ -69,15 +68,7 @@ def option(spelling: str, help: str, **settings: Any) -> Any:
 
 
 def argument(metavar: str | None = None, **settings: Any) -> Any:
-    """Return the default of a parameter that is an argument of its command.
-
-    Parameters
-    ----------
-    metavar : str, optional
-        What it is called in the help; by default as the parameter.
-    **settings
-        Of `click.Argument`, beyond what the type of the parameter tells.
-    """
+    """The same for an argument, called `metavar` in the help, with `settings` of `click.Argument`."""
 
     def make(name: str, kind: Any) -> click.Parameter:
         derived = {"metavar": metavar, "type": _type_of(kind), "required": type(None) not in get_args(kind)}
@@ -106,13 +97,14 @@ def command(*more: type, **settings: Any) -> Callable[[Callable[..., None]], cli
     """
 
     def make(function: Callable[..., None]) -> click.Command:
-        given = [
-            (name, get_type_hints(part)[name], parameter.default)
-            for part in (function, *more)
+        parts: list[Callable[..., Any]] = [function, *more]
+        params = [
+            parameter.default(name, get_type_hints(part)[name])
+            for part in parts
             for name, parameter in inspect.signature(part).parameters.items()
             if parameter.default is not parameter.empty
         ]
-        return click.command(params=[make(name, kind) for name, kind, make in given], **settings)(function)
+        return click.command(params=params, **settings)(function)
 
     return make
 

@@ -94,7 +94,7 @@ def compare(
       irlos compare monday tuesday --all
       irlos compare monday tuesday --json > comparison.json
     """
-    from irlos_pipe.commands.compared_text import comparison_text
+    from irlos_pipe.commands.text import comparison_text
     from irlos_pipe.product.comparison import compare_runs
 
     with readable(first), readable(second):
