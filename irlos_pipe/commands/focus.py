@@ -169,9 +169,8 @@ class FocusOptions:
 
     def source(self, calibration: Calibration, journal: Journal) -> Source:
         """Where frames come from, given the `calibration` and the `journal` of what was recorded before."""
-        from irlos_pipe.focus.replay import Replay
+        from irlos_pipe.focus.recordings import Replay, WatchedFolder
         from irlos_pipe.focus.ring import RingSource
-        from irlos_pipe.focus.watched import WatchedFolder
         from irlos_pipe.focus.zeromq import ZeroMqSource
 
         if self.ring is not None:
@@ -211,7 +210,7 @@ def focus(run: Path = argument("RUN"), **given: Any) -> None:
       focus.sqlite   the same in tables
       command        the offset, for the telescope
     """
-    from irlos_pipe.focus.page import PageSettings
+    from irlos_pipe.focus.live import PageSettings
     from irlos_pipe.focus.service import Service, Stopped
     from irlos_pipe.pipeline.resources import limited_threads
 

@@ -1,15 +1,18 @@
-"""How right exposures fit, as the frames of the run's own ramp have shown it, and what is beyond that."""
+"""What the frames of a run's own ramp show of right exposures: how they fit, and errors beside photons."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from irlos_pipe.estimate.focus.sensor import Focus
 from irlos_pipe.estimate.focus.unexplained import Structure, Unexplained
+from irlos_pipe.estimate.optics_error import spread_over
+from irlos_pipe.estimate.ramp_quality import FrameErrors
+from irlos_pipe.stages.lift.results import LiftResults
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # of a ramp that shows how frames fit
@@ -50,13 +53,7 @@ class Ordinary:
 
     @classmethod
     def of(cls, sensor: Focus, images_e: Iterable[np.ndarray]) -> Ordinary:
-        """Return what the frames of a ramp show; those of simulated exposures if they are too few.
-
-        Parameters
-        ----------
-        sensor : Focus
-        images_e : iterable of ndarray, (rows, columns)
-        """
+        """Return what a `sensor` sees in frames of a ramp, `images_e`; the usual if they are too few."""
         seen: list[Unexplained] = []
         structure: list[list[float]] = []
         for image_e in images_e:
@@ -84,13 +81,9 @@ class Ordinary:
         return cls(0, structure, 4 * structure, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM)
 
     def fits(self, found: Unexplained, largest: float) -> bool:
-        """Return whether an exposure has no more beside the model than right ones may have.
+        """Return whether what is `found` beside the model is no more than right exposures may have.
 
-        Parameters
-        ----------
-        found : Unexplained
-        largest : float
-            Part of the light that may at most be unexplained, whatever the ramp shows.
+        The `largest` part of the light may at most be unexplained, whatever the ramp shows.
         """
         blur_px2 = math.hypot(BLUR_TIMES * self.blur_px2, NOISE_TIMES * found.blur_sigma_px2)
         noise = NOISE_TIMES * found.halo_sigma
@@ -120,3 +113,48 @@ class Ordinary:
 
 def _structures(found: Unexplained) -> list[Structure]:
     return [found.rest.structure(found.rest.level * part) for part in WEIGHTED_AS_FOR]
+
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """From the error by photons to that of the measurement, as the stage `lift` states it.
+
+    Attributes
+    ----------
+    frames : FrameErrors
+        Growth by misfit, and error of the instant.
+    defocus_nm, optics_nm : ndarray, (offsets,)
+        Error by the known wavefront at some values of defocus, in order.
+    """
+
+    frames: FrameErrors
+    defocus_nm: np.ndarray
+    optics_nm: np.ndarray
+
+    @classmethod
+    def of(cls, results: LiftResults) -> SharedErrors | None:
+        """Return those that a ramp has shown; None where it was measured without the NCPAs, or not at all."""
+        defocus_nm = np.array([point.defocus_nm for point in results.points])
+        chosen = spread_over(defocus_nm)
+        if not results.calibrated or not len(chosen):
+            return None
+        optics_nm = np.array([point.sigma_optics_nm for point in results.points])[chosen]
+        frames = FrameErrors(results.points[0].sigma_instant_nm, results.chi2_nu, results.nominal_chi2_nu)
+        return cls(frames, defocus_nm[chosen], optics_nm)
+
+    def sigma_nm(
+        self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0
+    ) -> float:
+        """Return the standard error of a measurement [nm].
+
+        Parameters
+        ----------
+        defocus_nm, photon_nm : float
+            The measurement, and its error by photons and read-out.
+        growth, beside_nm : float
+            By how much the error by photons and of the instant are larger than those of the ramp's frames,
+            and a further error; see `Ordinary.growth`.
+        """
+        optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
+        frames = replace(self.frames, instant_nm=math.hypot(growth * self.frames.instant_nm, beside_nm))
+        return float(frames.sigma_nm(np.array([growth * photon_nm]), optics_nm)[0])

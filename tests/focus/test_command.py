@@ -21,7 +21,7 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.focus import calibration as calibration_module
 from irlos_pipe.focus.calibration import CalibrationRequest
 from irlos_pipe.focus.mailbox import Mailbox
-from irlos_pipe.focus.replay import Replay
+from irlos_pipe.focus.recordings import Replay
 from irlos_pipe.focus.ring import RingWriter
 
 

@@ -17,9 +17,8 @@ from helpers import focus_loop as made
 from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.focus.journal import Journal
+from irlos_pipe.focus.live import MOST_CONNECTIONS, LivePage, PageSettings, Publisher
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.page import MOST_CONNECTIONS, LivePage, PageSettings
-from irlos_pipe.focus.publisher import Publisher
 from irlos_pipe.focus.record import event_line
 
 TOKEN = "a-token-of-some-length"

@@ -15,7 +15,7 @@ from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, InputDataError, Locked
 from irlos_pipe.focus import service as service_module
-from irlos_pipe.focus.exchange import CalibrationWatch, require_exchangeable
+from irlos_pipe.focus.calibration import CalibrationWatch, require_exchangeable
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.service import Service

@@ -10,10 +10,10 @@ import pytest
 from helpers import sparta_files as sparta
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus import watched as watched_module
+from irlos_pipe.focus import recordings as watched_module
 from irlos_pipe.focus.journal import Earlier
+from irlos_pipe.focus.recordings import WatchedFolder
 from irlos_pipe.focus.source import Fault
-from irlos_pipe.focus.watched import WatchedFolder
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 

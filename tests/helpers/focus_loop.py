@@ -16,7 +16,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.focus.calibration import Calibration
-from irlos_pipe.focus.shared_errors import SharedErrors
+from irlos_pipe.focus.ordinary import SharedErrors
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
