@@ -6,6 +6,7 @@ import os
 import pty
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 from conftest import Bench, invoke
@@ -26,14 +27,9 @@ def at_terminal(bench: Bench, *call: str, typed: bytes) -> tuple[int, str]:
     os.close(slave)
     os.write(master, typed)
     shown = b""
-    while True:
-        try:
-            part = os.read(master, 4096)
-        except OSError:  # the other end was closed
-            break
-        if not part:
-            break
-        shown += part
+    with suppress(OSError):  # the other end was closed
+        while part := os.read(master, 4096):
+            shown += part
     os.close(master)
     return process.wait(), shown.decode()
 
