@@ -67,26 +67,13 @@ class Calibration:
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """Which calibration a loop is to use.
+    """Which calibration a loop is to use."""
 
-    Attributes
-    ----------
-    run : Path
-        Folder of a run with the stage `calibrate`.
-    acquisition : Path or None
-        Side-car that says how the loop's frames are taken; by default as those of the run's ramp.
-    window : (int, int) or None
-        Of the frames, where nothing else says it.
-    limits : Limits
-    despite_qc : bool
-        Take a run whose QC has failed, too.
-    """
-
-    run: Path
-    acquisition: Path | None = None
-    window: tuple[int, int] | None = None
+    run: Path  # folder of a run with the stage `calibrate`
+    acquisition: Path | None = None  # side-car of the loop's frames; by default these are as the run's ramp
+    window: tuple[int, int] | None = None  # of the frames, where nothing else says it
     limits: Limits = field(default_factory=Limits)
-    despite_qc: bool = False
+    despite_qc: bool = False  # take a run whose QC has failed, too
 
     def load(self) -> Calibration:
         """Read the run.

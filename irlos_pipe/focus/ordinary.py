@@ -30,26 +30,14 @@ USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.0024, 0.12, 0.05
 
 @dataclass(frozen=True, eq=False)
 class Ordinary:
-    """What right exposures have beside the model.
+    """What right exposures have beside the model."""
 
-    Attributes
-    ----------
-    frames : int
-        Of the ramp that has shown it; 0 for values of simulated exposures.
-    structure, largest_structure : ndarray, (weights,)
-        Median and maximum of the rest, see `Structure`, with each of the weights `WEIGHTED_AS_FOR`.
-    blur_px2 : float
-        RMS of the variance of image motion.
-    halo, shift_nm : float
-        Largest halo, and largest shift of the defocus.
-    """
-
-    frames: int
-    structure: np.ndarray
-    largest_structure: np.ndarray
-    blur_px2: float
-    halo: float
-    shift_nm: float
+    frames: int  # of the ramp that has shown it; 0 for values of simulated exposures
+    structure: np.ndarray  # (weights,), median of the rest, see `Structure`, for each of `WEIGHTED_AS_FOR`
+    largest_structure: np.ndarray  # (weights,), its maximum
+    blur_px2: float  # RMS of the variance of image motion
+    halo: float  # the largest
+    shift_nm: float  # of the defocus, the largest
 
     @classmethod
     def of(cls, sensor: Focus, images_e: Iterable[np.ndarray]) -> Ordinary:
@@ -117,19 +105,11 @@ def _structures(found: Unexplained) -> list[Structure]:
 
 @dataclass(frozen=True, eq=False)
 class SharedErrors:
-    """From the error by photons to that of the measurement, as the stage `lift` states it.
+    """From the error by photons to that of the measurement, as the stage `lift` states it."""
 
-    Attributes
-    ----------
-    frames : FrameErrors
-        Growth by misfit, and error of the instant.
-    defocus_nm, optics_nm : ndarray, (offsets,)
-        Error by the known wavefront at some values of defocus, in order.
-    """
-
-    frames: FrameErrors
-    defocus_nm: np.ndarray
-    optics_nm: np.ndarray
+    frames: FrameErrors  # growth by misfit, and error of the instant
+    defocus_nm: np.ndarray  # (offsets,), in order
+    optics_nm: np.ndarray  # (offsets,), error by the known wavefront there
 
     @classmethod
     def of(cls, results: LiftResults) -> SharedErrors | None:
@@ -145,15 +125,10 @@ class SharedErrors:
     def sigma_nm(
         self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0
     ) -> float:
-        """Return the standard error of a measurement [nm].
+        """Return the standard error of `defocus_nm`, whose error by photons and read-out is `photon_nm` [nm].
 
-        Parameters
-        ----------
-        defocus_nm, photon_nm : float
-            The measurement, and its error by photons and read-out.
-        growth, beside_nm : float
-            By how much the error by photons and of the instant are larger than those of the ramp's frames,
-            and a further error; see `Ordinary.growth`.
+        `growth` is by how much that and the error of the instant are larger than those of the ramp's frames,
+        `beside_nm` a further error; see `Ordinary.growth`.
         """
         optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
         frames = replace(self.frames, instant_nm=math.hypot(growth * self.frames.instant_nm, beside_nm))

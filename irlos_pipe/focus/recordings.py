@@ -89,17 +89,9 @@ class Replay:
 class WatchedFolder:
     """Recorder folders and FITS files below a folder, one level deep, each read once it is complete.
 
-    Every recording counts its frames by itself: they carry its name, of the file below the folder.
-
-    Parameters
-    ----------
-    root : Path
-    instrument : Instrument
-        Knows the read-out modes.
-    acquisition : Acquisition
-        As which the frames are taken: a recording whose side-car contradicts it is not used.
-    earlier : Earlier or None
-        What an earlier loop has measured: what has come since is read. Without, what is there already is not.
+    Every recording counts its frames by itself: they carry its name, of the file below the folder. One whose
+    side-car contradicts the acquisition is not used. What has come since an earlier loop is read; without
+    one, what is there already is not.
 
     Raises
     ------
