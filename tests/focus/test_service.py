@@ -13,17 +13,15 @@ import pytest
 from helpers import focus_loop as made
 
 from irlos_pipe.control.controller import ControllerSettings
-from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, InputDataError, Locked
 from irlos_pipe.focus import service as service_module
 from irlos_pipe.focus.calibration import CalibrationWatch, require_exchangeable
-from irlos_pipe.focus.loop import FocusLoop, LoopSettings
+from irlos_pipe.focus.loop import LoopSettings
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.service import Service
 from irlos_pipe.focus.source import Fault, Notice
 
 SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0), reads=2)
-CLOCKED = {"latency_ms": 0, "recorded_unix_s": 0}  # what depends on the moment
 lines = made.lines
 
 
@@ -52,15 +50,6 @@ def test_every_exposure_has_a_record_and_the_command_is_that_of_the_last(tmp_pat
     assert events == ["started, calibration first", "stopped"] == said
     command = Mailbox(tmp_path / "command").read()
     assert (command.number, command.offset_nm, command.counter) == (4, records[-1]["offset_nm"], 6)
-
-
-def test_records_are_those_of_the_loop_by_itself(tmp_path):
-    served(tmp_path, reads(0, 8))
-    loop, accumulator = FocusLoop(made.calibration(), SETTINGS), Accumulator(2)
-    exposures = [one for (read,) in reads(0, 8) for one in accumulator.add(read)]
-    alone = [json.loads(loop.record(one, 0.0).line()) for one in exposures]
-    for mine, theirs in zip(lines(tmp_path)[0], alone, strict=True):
-        assert mine | CLOCKED == theirs | CLOCKED
 
 
 def test_started_again_it_goes_on_and_does_nothing_twice(tmp_path):
@@ -97,12 +86,6 @@ def test_what_is_damaged_is_named_and_the_offset_held(tmp_path):
     offsets = [one["offset_nm"] for one in records]
     assert offsets[1] == offsets[2] == offsets[3]  # the fourth holds a read that is no number, too
     assert offsets[4] != offsets[3]
-
-
-def test_frames_of_another_window_are_recorded_as_such(tmp_path):
-    odd = [[made.read(counter, 0.0, image_e=np.ones((8, 8)))] for counter in (2, 3)]
-    served(tmp_path, [*reads(0, 2), *odd])
-    assert lines(tmp_path)[0][1]["reasons"] == ["window"]
 
 
 @pytest.mark.parametrize(
@@ -222,14 +205,6 @@ def test_what_has_to_be_said_of_a_calibration_is_said(tmp_path):
 
 
 # -- recordings, rings and faults -----------------------------------------------------------------------
-
-
-def test_a_recording_with_lower_counters_than_the_one_before_is_measured(tmp_path):
-    served(tmp_path, [*reads(100, 104, recording="a"), *reads(0, 4, recording="b")])
-    records, _ = lines(tmp_path)
-    assert [(one["recording"], one["exposure"], one["reads_late"]) for one in records] == [
-        ("a", 50, 0), ("a", 51, 0), ("b", 0, 0), ("b", 1, 0),
-    ]  # fmt: skip
 
 
 def test_after_a_restart_a_recording_goes_on_where_it_was(tmp_path):
