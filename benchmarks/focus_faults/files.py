@@ -22,9 +22,8 @@ from benchmarks.focus_faults.sky import Skies
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.focus.live import LivePage, PageSettings, Publisher
 from irlos_pipe.focus.mailbox import BODY, MAGIC, Command, Mailbox
-from irlos_pipe.focus.page import LivePage, PageSettings
-from irlos_pipe.focus.publisher import Publisher
 from irlos_pipe.focus.record import event_line
 
 FILES = "files"

@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 from irlos_pipe.focus.journal import Journal
+from irlos_pipe.focus.live import PageSettings
 from irlos_pipe.focus.loop import LoopSettings
-from irlos_pipe.focus.page import PageSettings
 from irlos_pipe.focus.service import Service
 
 READS, MARKS = 10, 10

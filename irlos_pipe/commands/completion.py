@@ -11,64 +11,77 @@ from click.shell_completion import CompletionItem
 
 from irlos_pipe.conventions.errors import IrlosError
 
-Names = Callable[[click.Context], Iterable[str]]
 Completion = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
-def completed(names: Names, *, files: bool = False) -> Completion:
-    """Return a function that proposes what `names` returns, and also files if `files` is true."""
+def _proposed(names: Callable[[click.Context], Iterable[str]]) -> Completion:
+    """Propose what `names` returns."""
 
     def propose(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-        found: list[str] = []
         with suppress(IrlosError, OSError):  # nobody wants an error while typing
-            found = [name for name in names(context) if name.startswith(begun)]
-        items = [CompletionItem(name) for name in found]
-        return [*items, CompletionItem(begun, type="file")] if files else items
+            return [CompletionItem(name) for name in names(context) if name.startswith(begun)]
+        return []
 
     return propose
 
 
+def or_files(propose: Completion) -> Completion:
+    """Propose files as well."""
+
+    def propose_both(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+        return [*propose(context, parameter, begun), CompletionItem(begun, type="file")]
+
+    return propose_both
+
+
+@_proposed
 def recipes(context: click.Context) -> Iterable[str]:
-    """Return the names of the recipes."""
+    """Names of the recipes."""
     from irlos_pipe.files.shipped import RECIPES, shipped_names
 
     return shipped_names(RECIPES)
 
 
+@_proposed
 def specifications(context: click.Context) -> Iterable[str]:
-    """Return the names of the specifications of simulations."""
+    """Names of the specifications of simulations."""
     from irlos_pipe.files.shipped import SIMULATIONS, shipped_names
 
     return shipped_names(SIMULATIONS)
 
 
+@_proposed
 def stages(context: click.Context) -> Iterable[str]:
-    """Return the stages of the recipe that was typed."""
+    """Stages of the recipe that was typed."""
     return _recipe(context).get("stages", ())
 
 
+@_proposed
 def inputs(context: click.Context) -> Iterable[str]:
-    """Return ``NAME=`` for the inputs of the recipe that was typed."""
+    """``NAME=`` for the inputs of the recipe that was typed."""
     return [f"{name}=" for name in _recipe(context).get("inputs", ())]
 
 
+@_proposed
 def settings(context: click.Context) -> Iterable[str]:
-    """Return ``STAGE.KEY=`` for the settings of the recipe that was typed."""
+    """``STAGE.KEY=`` for the settings of the recipe that was typed."""
     from irlos_pipe.reference.keys import key_entries
 
     sections = ("model", *_recipe(context).get("stages", ()))
     return [f"{one.name}=" for one in key_entries() if one.name.partition(".")[0] in sections]
 
 
+@_proposed
 def explained(context: click.Context) -> Iterable[str]:
-    """Return all names that can be explained."""
+    """All names that can be explained."""
     from irlos_pipe.reference.lookup import all_entries
 
     return sorted({entry.name for entry in all_entries()})
 
 
+@_proposed
 def arrays(context: click.Context) -> Iterable[str]:
-    """Return the names of the arrays of the product that was typed."""
+    """Names of the arrays of the product that was typed."""
     from irlos_pipe.product.storage import read_product
 
     return read_product(Path(_typed(context, "product") or "")).arrays

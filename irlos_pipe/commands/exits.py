@@ -1,4 +1,4 @@
-"""How commands end: exit codes, errors in one line, signals."""
+"""How commands end: exit codes, errors in one line, signals, and the debugger where it was asked for."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from typing import Any
 
 import click
 
-from irlos_pipe.commands.debugging import debug_if_asked
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosError, UnexpectedError
 from irlos_pipe.conventions.text import printable
 
 NO_OUTPUT = {errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG}
+ASKED = "irlos.pdb"
 
 EXIT_CODES = """\b
 Exit codes:
@@ -54,7 +54,7 @@ class IrlosGroup(click.Group):
         except IrlosError as error:
             report_error(_lines(error))
             if isinstance(error, UnexpectedError):
-                debug_if_asked(ctx, error)
+                _debug_if_asked(ctx, error)
             ctx.exit(error.exit_code)
         except KeyboardInterrupt:
             report_error("interrupted; finished products are kept, run the same command to continue")
@@ -72,7 +72,7 @@ class IrlosGroup(click.Group):
             report_error(
                 f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}"
             )
-            debug_if_asked(ctx, error)
+            _debug_if_asked(ctx, error)
             ctx.exit(ExitCode.UNEXPECTED)
 
 
@@ -90,14 +90,23 @@ def report_error(message: str) -> None:
 
 
 @contextmanager
-def terminated_like_interrupted() -> Iterator[None]:
-    """End the block on SIGTERM or SIGHUP as on Ctrl-C, so that no unfinished files are left."""
+def terminated_like_interrupted() -> Iterator[list[int]]:
+    """End the block on SIGTERM or SIGHUP as on Ctrl-C, so that no unfinished files are left.
+
+    Yields the list of those that came.
+    """
+    came: list[int] = []
+
+    def end(number: int, _: object) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
     previous = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     for number, handler in previous.items():
         if handler != signal.SIG_IGN:  # as under nohup
-            signal.signal(number, signal.default_int_handler)
+            signal.signal(number, end)
     try:
-        yield
+        yield came
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
@@ -129,3 +138,38 @@ def _saved_traceback() -> str:
     except OSError as error:
         return f"no file ({error.strerror})"
     return file.name
+
+
+def pdb_option(*, hidden: bool) -> click.Option:
+    """Return the option ``--pdb``, which the program and every command have; only the former shows it."""
+    return click.Option(
+        ["--pdb"],
+        is_flag=True,
+        hidden=hidden,
+        expose_value=False,
+        callback=_ask,
+        help="Open the debugger where an unexpected error happens; needs a terminal.",
+    )
+
+
+def _ask(context: click.Context, _option: click.Parameter, value: bool) -> None:
+    if value and not _at_terminal():
+        raise click.UsageError("--pdb needs a terminal: the debugger would wait for answers forever")
+    if value:
+        context.meta[ASKED] = True
+
+
+def _at_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _debug_if_asked(context: click.Context, error: Exception) -> None:
+    """Open the debugger on the last frame of an unexpected error, or of its cause, if ``--pdb`` was given."""
+    if not context.meta.get(ASKED):
+        return
+    import pdb
+
+    cause = error.__cause__ if isinstance(error, UnexpectedError) else error
+    if cause is not None:
+        traceback.print_exception(cause)
+        pdb.post_mortem(cause.__traceback__)

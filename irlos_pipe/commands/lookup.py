@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
-from irlos_pipe.commands import completion
-from irlos_pipe.commands.options import FOLDER
+from irlos_pipe.commands import completion, options
+from irlos_pipe.commands.options import argument, command, option
 
 
-@click.command()
-@click.argument(
-    "name",
-    required=False,
-    shell_complete=completion.completed(completion.recipes),
-)
-def recipes(name: str | None) -> None:
+@command()
+def recipes(
+    name: str | None = argument(shell_complete=completion.recipes),
+) -> None:
     """List the recipes and specifications that come with the package, or print the one called NAME.
 
     \b
@@ -30,16 +28,16 @@ def recipes(name: str | None) -> None:
     click.echo(recipe_list() if name is None else recipe_text(name), nl=name is None)
 
 
-@click.command()
-@click.argument("name", required=False, shell_complete=completion.completed(completion.explained))
-@click.option(
-    "--schema",
-    type=click.Choice(["results", "commands"]),
-    is_flag=False,
-    flag_value="results",
-    help="Print the JSON Schema of results.json, or of what commands print with --json.",
-)
-def explain(name: str | None, schema: str | None) -> None:
+@command()
+def explain(
+    name: str | None = argument(shell_complete=completion.explained),
+    schema: Literal["results", "commands"] | None = option(
+        "--schema",
+        "Print the JSON Schema of results.json, or of what commands print with --json.",
+        is_flag=False,
+        flag_value="results",
+    ),
+) -> None:
     """Explain a stage, key, effect, check, array of a product, number of results.json, or term.
 
     NAME is the whole name, or the last part of it. Without it, stages, effects and checks are listed.
@@ -67,23 +65,18 @@ def explain(name: str | None, schema: str | None) -> None:
     click.echo(overview() if name is None else explanation(name))
 
 
-@click.command()
-@click.argument("fits", metavar="FITS", type=FOLDER)
-@click.option(
-    "--instrument",
-    default="irlos",
-    show_default=True,
-    metavar="NAME",
-    help="Instrument profile: a name, or the path of a YAML file.",
-)
-@click.option(
-    "--output",
-    type=FOLDER,
-    metavar="FILE",
-    help="File to write (default: where it is looked for beside FITS); - writes it to the terminal.",
-)
-@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
-def sidecar(fits: Path, instrument: str, output: Path | None, force: bool) -> None:
+@command()
+def sidecar(
+    fits: Path = argument("FITS"),
+    instrument: str = option(
+        "--instrument NAME", "Instrument profile: a name, or the path of a YAML file.", default="irlos"
+    ),
+    output: Path | None = option(
+        "--output FILE",
+        "File to write (default: where it is looked for beside FITS); - writes it to the terminal.",
+    ),
+    force: bool = options.REPLACE,
+) -> None:
     """Write a side-car for the recording in FITS, with comments and what the header says, to be filled in.
 
     A side-car states what the data cannot say: role, spectrum, diversity. irlos validate checks it.

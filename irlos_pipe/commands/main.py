@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 
 import irlos_pipe
-from irlos_pipe.commands.debugging import pdb_option
-from irlos_pipe.commands.exits import EXIT_CODES, IrlosGroup
+from irlos_pipe.commands.exits import EXIT_CODES, IrlosGroup, pdb_option
 from irlos_pipe.commands.focus import focus
 from irlos_pipe.commands.lookup import explain, recipes, sidecar
 from irlos_pipe.commands.night import night, trend

@@ -6,93 +6,54 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
+from irlos_pipe.commands import options
 from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
-from irlos_pipe.commands.options import FOLDER, resources_of
+from irlos_pipe.commands.options import Device, argument, command, option, resources_of
 from irlos_pipe.conventions.errors import ExitCode, NothingToDo
 
 if TYPE_CHECKING:
     from irlos_pipe.night.reduce import Runner
 
 DATE = click.DateTime(["%Y-%m-%d"])
-CONFIG = click.option(
-    "--config",
-    type=FOLDER,
-    metavar="FILE",
-    help="YAML file with recipes, settings and bands (docs/night.md).",
-)
+CONFIG = option("--config FILE", "YAML file with recipes, settings and bands (docs/night.md).")
 
 
-@click.command(epilog=EXIT_CODES)
-@click.argument("folders", metavar="NIGHT_DIR...", type=FOLDER, nargs=-1, required=True)
-@click.option(
-    "--output", type=FOLDER, required=True, metavar="TREE", help="Folder for the products of all nights."
-)
-@CONFIG
-@click.option(
-    "--recipe",
-    "recipes",
-    metavar="KIND=RECIPE",
-    multiple=True,
-    help="Recipe for groups of KIND calibration, ramp, derotator or psf, by path or name. "
-    "A KIND given again makes a list.",
-)
-@click.option("--since", type=DATE, metavar="DATE", help="First night to be looked at, YYYY-MM-DD.")
-@click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
-)
-@click.option(
-    "--device",
-    type=click.Choice(["cpu", "cuda", "auto"]),
-    default="cpu",
-    show_default=True,
-    help="Processor or graphics card; auto takes the graphics card if there is one.",
-)
-@click.option(
-    "--engine",
-    type=click.Choice(["local", "dask"]),
-    default="local",
-    show_default=True,
-    help="Work in processes of this machine, or on a Dask cluster (docs/scale_out.md).",
-)
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Address of the scheduler of the cluster, for example tls://10.0.0.1:8786.",
-)
-@click.option(
-    "--acknowledge",
-    is_flag=True,
-    help="What is wrong now is known: show it on the pages, but do not report it again.",
-)
-@click.option(
-    "--limit",
-    "limit_min",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="MIN",
-    help="Longest time for one reduction [min]; it is stopped then, the others go on (default: 60).",
-)
-@click.option("-v", "--verbose", count=True, help="Print what is done; -vv prints all messages.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was done (or the plan) as JSON.")
+@command(epilog=EXIT_CODES)
 def night(
-    folders: tuple[Path, ...],
-    output: Path,
-    config: Path | None,
-    recipes: tuple[str, ...],
-    since: object,
-    dry_run: bool,
-    jobs: int | None,
-    device: str,
-    engine: str,
-    scheduler: str | None,
-    acknowledge: bool,
-    limit_min: float | None,
-    verbose: int,
-    as_json: bool,
+    folders: tuple[Path, ...] = argument("NIGHT_DIR...", nargs=-1),
+    output: Path = option("--output TREE", "Folder for the products of all nights."),
+    config: Path | None = CONFIG,
+    recipes: tuple[str, ...] = option(
+        "--recipe KIND=RECIPE",
+        "Recipe for groups of KIND calibration, ramp, derotator or psf, by path or name. "
+        "A KIND given again makes a list.",
+    ),
+    since: object | None = option("--since DATE", "First night to be looked at, YYYY-MM-DD.", type=DATE),
+    dry_run: bool = options.DRY_RUN,
+    jobs: int | None = options.PROCESSES,
+    device: Device = option(*options.DEVICE, default="cpu"),
+    engine: Literal["local", "dask"] = option(
+        "--engine",
+        "Work in processes of this machine, or on a Dask cluster (docs/scale_out.md).",
+        default="local",
+    ),
+    scheduler: str | None = option(
+        "--scheduler ADDRESS", "Address of the scheduler of the cluster, for example tls://10.0.0.1:8786."
+    ),
+    acknowledge: bool = option(
+        "--acknowledge", "What is wrong now is known: show it on the pages, but do not report it again."
+    ),
+    limit_min: float | None = option(
+        "--limit MIN",
+        "Longest time for one reduction [min]; it is stopped then, the others go on (default: 60).",
+        type=click.FloatRange(min=0, min_open=True),
+    ),
+    verbose: int = option("-v, --verbose", "Print what is done; -vv prints all messages.", count=True),
+    as_json: bool = option("--json", "Print what was done (or the plan) as JSON."),
 ) -> None:
     """Reduce every recording under NIGHT_DIR that is new, or whose products are out of date.
 
@@ -144,37 +105,22 @@ def night(
     sys.exit(state.exit_code)
 
 
-@click.command(epilog=EXIT_CODES)
-@click.argument("tree", metavar="TREE", type=FOLDER)
-@click.option(
-    "--of",
-    "names",
-    metavar="NAME",
-    multiple=True,
-    help="Number to show, for example noll_4_nm. May be repeated (default: all, in a plot the first 16).",
-)
-@CONFIG
-@click.option("--until", type=DATE, metavar="DATE", help="Last night to be looked at, YYYY-MM-DD.")
-@click.option("--all", "everything", is_flag=True, help="Print every mode and verdict, too.")
-@click.option("--json", "as_json", is_flag=True, help="Print all points, bands and alarms as JSON.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print all points with their bands as CSV.")
-@click.option(
-    "--dashboard",
-    type=FOLDER,
-    metavar="FILE",
-    help="Write a dashboard for Grafana that reads TREE/trend.sqlite to FILE, a .json.",
-)
-@click.option("--plot", type=FOLDER, metavar="FILE", help="Draw a plot to FILE, a .svg, .png or .pdf.")
+@command(epilog=EXIT_CODES)
 def trend(
-    tree: Path,
-    names: tuple[str, ...],
-    config: Path | None,
-    until: object,
-    everything: bool,
-    as_json: bool,
-    as_csv: bool,
-    dashboard: Path | None,
-    plot: Path | None,
+    tree: Path = argument("TREE"),
+    names: tuple[str, ...] = option(
+        "--of NAME",
+        "Number to show, for example noll_4_nm. May be repeated (default: all, in a plot the first 16).",
+    ),
+    config: Path | None = CONFIG,
+    until: object | None = option("--until DATE", "Last night to be looked at, YYYY-MM-DD.", type=DATE),
+    everything: bool = option("--all", "Print every mode and verdict, too."),
+    as_json: bool = option("--json", "Print all points, bands and alarms as JSON."),
+    as_csv: bool = option("--csv", "Print all points with their bands as CSV."),
+    dashboard: Path | None = option(
+        "--dashboard FILE", "Write a dashboard for Grafana that reads TREE/trend.sqlite to FILE, a .json."
+    ),
+    plot: Path | None = option("--plot FILE", "Draw a plot to FILE, a .svg, .png or .pdf."),
 ) -> None:
     """Show how NCPAs, defocus bias, seeing and the verdicts of diagnose changed from night to night.
 

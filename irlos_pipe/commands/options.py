@@ -1,22 +1,28 @@
-"""Options that several commands share."""
+"""The command line of a command is the signature of its function; parameters that several commands share.
+
+``output: Path = option("--output DIR", "Folder for …")`` is an option, spelt as in the help. Its type tells
+the rest: a bool is a flag, a tuple may be given again, what may be None need not be given.
+"""
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 import click
 
 from irlos_pipe.commands import completion
+from irlos_pipe.commands.exits import terminated_like_interrupted
 
 if TYPE_CHECKING:
     from irlos_pipe.pipeline import Resources
 
-# Whether a path can be read is reported, in one line, by the code that reads it.
-Command = TypeVar("Command", bound=Callable[..., Any])
+Device = Literal["cpu", "cuda", "auto"]
 
 
 class _NamedPath(click.Path):
@@ -30,84 +36,128 @@ class _NamedPath(click.Path):
         return super().convert(value, param, ctx)
 
 
-FOLDER = _NamedPath(path_type=Path, readable=False)
-JSON = click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON, for scripts (irlos explain --schema commands)."
-)
+# Whether a path can be read is reported, in one line, by the code that reads it.
+PATH = _NamedPath(path_type=Path, readable=False)
 
 
-def setting_options(command: Command) -> Command:
-    """Add the options that change values of a recipe to a `command`."""
-    for decorate in (
-        click.option(
-            "--seed",
-            type=click.IntRange(min=0),
-            metavar="N",
-            help="Seed of the random numbers (default: that of the recipe).",
-        ),
-        click.option(
-            "--set",
-            "settings",
-            metavar="STAGE.KEY=VALUE",
-            multiple=True,
-            help="Change a value of the recipe; VALUE is YAML. May be repeated.",
-            shell_complete=completion.completed(completion.settings),
-        ),
-    ):
-        command = decorate(command)
-    return command
-
-
-def recipe_options(command: Command) -> Command:
-    """Add the argument RECIPE and the options that change it to a `command`."""
-    for decorate in (
-        setting_options,
-        click.option(
-            "--samples",
-            is_flag=True,
-            help="Take the simulated sample recordings of the package for inputs that are not given.",
-        ),
-        click.option(
-            "--sof",
-            type=FOLDER,
-            metavar="FILE",
-            help="Set of frames: a text file with PATH TAG in every line, beside or instead of --input.",
-        ),
-        click.option(
-            "--input",
-            "inputs",
-            metavar="NAME=PATH",
-            multiple=True,
-            help="File or folder for an input of the recipe. A NAME given again makes a list.",
-            shell_complete=completion.completed(completion.inputs),
-        ),
-        click.argument(
-            "recipe",
-            type=FOLDER,
-            shell_complete=completion.completed(completion.recipes, files=True),
-        ),
-    ):
-        command = decorate(command)
-    return command
-
-
-def inputs_of(inputs: tuple[str, ...], sof: Path | None, recipe: Path) -> tuple[str, ...]:
-    """Return the inputs of a recipe, those of a set of frames behind the others.
+def option(spelling: str, help: str, **settings: Any) -> Any:
+    """Return the default of a parameter that is an option: it makes that of the parameter's name and type.
 
     Parameters
     ----------
-    inputs : tuple of str
-        ``NAME=PATH``.
-    sof : Path or None
-        The set of frames, if there is one.
-    recipe : Path
-        Path or name.
+    spelling : str
+        As in the help: ``-q, --quiet`` or ``--output DIR``.
+    help : str
+    **settings
+        Of `click.Option`, beyond what the type of the parameter tells.
     """
+    names = [word.rstrip(",") for word in spelling.split() if word.startswith("-")]
+    metavar = " ".join(word for word in spelling.split() if not word.startswith("-")) or None
+
+    def make(name: str, kind: Any) -> click.Parameter:
+        derived: dict[str, Any] = {"metavar": metavar, "help": help, "show_default": "default" in settings}
+        if kind is bool:
+            derived["is_flag"] = True
+        elif "count" not in settings:
+            many, optional = get_origin(kind) is tuple, type(None) in get_args(kind)
+            required = not many and not optional and "default" not in settings
+            derived |= {"type": _type_of(kind), "multiple": many, "required": required}
+        return click.Option([name, *names], **derived | settings)
+
+    return make
+
+
+def argument(metavar: str | None = None, **settings: Any) -> Any:
+    """The same for an argument, called `metavar` in the help, with `settings` of `click.Argument`."""
+
+    def make(name: str, kind: Any) -> click.Parameter:
+        derived = {"metavar": metavar, "type": _type_of(kind), "required": type(None) not in get_args(kind)}
+        return click.Argument([name], **derived | settings)
+
+    return make
+
+
+def _type_of(kind: Any) -> Any:
+    """What click makes of a value: of ``Path | None``, ``tuple[str, ...]`` or ``Literal["a", "b"]``."""
+    if get_origin(kind) is Literal:
+        return click.Choice(get_args(kind))
+    inner = [one for one in get_args(kind) if one not in (type(None), ...)]
+    return _type_of(inner[0]) if inner else PATH if kind is Path else kind
+
+
+def command(*more: type, **settings: Any) -> Callable[[Callable[..., None]], click.Command]:
+    """Make a command of a function.
+
+    Parameters
+    ----------
+    *more : type
+        Dataclasses whose fields are options, too.
+    **settings
+        Of `click.command`.
+    """
+
+    def make(function: Callable[..., None]) -> click.Command:
+        parts: list[Callable[..., Any]] = [function, *more]
+        params = [
+            parameter.default(name, get_type_hints(part)[name])
+            for part in parts
+            for name, parameter in inspect.signature(part).parameters.items()
+            if parameter.default is not parameter.empty
+        ]
+        return click.command(params=params, **settings)(function)
+
+    return make
+
+
+RECIPE = argument(shell_complete=completion.or_files(completion.recipes))
+INPUTS = option(
+    "--input NAME=PATH",
+    "File or folder for an input of the recipe. A NAME given again makes a list.",
+    shell_complete=completion.inputs,
+)
+SOF = option(
+    "--sof FILE", "Set of frames: a text file with PATH TAG in every line, beside or instead of --input."
+)
+SAMPLES = option(
+    "--samples", "Take the simulated sample recordings of the package for inputs that are not given."
+)
+SETTINGS = option(
+    "--set STAGE.KEY=VALUE",
+    "Change a value of the recipe; VALUE is YAML. May be repeated.",
+    shell_complete=completion.settings,
+)
+FROM_0, FROM_1 = click.IntRange(min=0), click.IntRange(min=1)
+SEED = option("--seed N", "Seed of the random numbers (default: that of the recipe).", type=FROM_0)
+OUTPUT = ("--output DIR", "Folder for the products; it is made if it does not exist.")
+AGAIN = option("--force", "Run stages even if their products are up to date.")
+REPLACE = option("--force", "Replace FILE if it exists.")
+DRY_RUN = option("--dry-run", "Print what would be done and why; change nothing.")
+THREADS = option("--jobs N", "Number of threads (default: all processors).", type=FROM_1)
+PROCESSES = option("--jobs N", "Number of processes (default: all processors).", type=FROM_1)
+DEVICE = ("--device", "Processor or graphics card; auto takes the graphics card if there is one.")
+VERBOSE = option("-v, --verbose", "Print more messages; -vv prints debugging messages as well.", count=True)
+QUIET = option("-q, --quiet", "Print nothing but errors.")
+JSON = option("--json", "Print JSON, for scripts (irlos explain --schema commands).")
+
+
+def inputs_of(inputs: tuple[str, ...], sof: Path | None, recipe: Path) -> tuple[str, ...]:
+    """Return the `inputs` of a `recipe`, ``NAME=PATH``, and behind them those of a set of frames, `sof`."""
     if sof is None:
         return inputs
     from irlos_pipe.recipe.sof import inputs_from, read_sof
 
     return (*inputs, *inputs_from(read_sof(sof), recipe))
+
+
+@contextmanager
+def at_work(verbose: int, quiet: bool) -> Iterator[None]:
+    """Show as many messages as `verbose` and `quiet` ask for; signals end the block as Ctrl-C does."""
+    from irlos_pipe.pipeline.terminal import messages
+
+    if verbose and quiet:
+        raise click.UsageError("-v and -q exclude each other")
+    with terminated_like_interrupted(), messages(-1 if quiet else verbose):
+        yield
 
 
 def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 import click
 
-from irlos_pipe.commands import completion
-from irlos_pipe.commands.options import FOLDER, JSON
+from irlos_pipe.commands import completion, options
+from irlos_pipe.commands.options import argument, command, option
 from irlos_pipe.conventions.errors import InputDataError
 
 
@@ -25,10 +26,8 @@ def readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-@click.command()
-@click.argument("folder", metavar="DIR", type=FOLDER)
-@JSON
-def status(folder: Path, as_json: bool) -> None:
+@command()
+def status(folder: Path = argument("DIR"), as_json: bool = options.JSON) -> None:
     """Show for each product of the run in DIR whether it is up to date, and if not, why.
 
     Of a folder with numbered versions (irlos run --numbered) it lists the versions.
@@ -51,10 +50,8 @@ def status(folder: Path, as_json: bool) -> None:
             click.echo(found.text() if as_json else status_text(found))
 
 
-@click.command()
-@click.argument("product", metavar="PRODUCT.h5|DIR", type=FOLDER)
-@JSON
-def show(product: Path, as_json: bool) -> None:
+@command()
+def show(product: Path = argument("PRODUCT.h5|DIR"), as_json: bool = options.JSON) -> None:
     """Show what PRODUCT.h5 contains: arrays with units, results, configuration, QC, provenance, log.
 
     The values of arrays are not shown: irlos export copies them. Of DIR, the folder of a run, the
@@ -78,12 +75,13 @@ def show(product: Path, as_json: bool) -> None:
             click.echo(found.text() if as_json else product_text(found))
 
 
-@click.command()
-@click.argument("first", metavar="FIRST", type=FOLDER)
-@click.argument("second", metavar="SECOND", type=FOLDER)
-@click.option("--all", "everything", is_flag=True, help="Print all numbers that differ.")
-@JSON
-def compare(first: Path, second: Path, everything: bool, as_json: bool) -> None:
+@command()
+def compare(
+    first: Path = argument("FIRST"),
+    second: Path = argument("SECOND"),
+    everything: bool = option("--all", "Print all numbers that differ."),
+    as_json: bool = options.JSON,
+) -> None:
     """Compare two runs: settings, input files, software, all numbers, and which checks passed.
 
     FIRST and SECOND are folders of runs. A difference is the second less the first, in units and in
@@ -96,7 +94,7 @@ def compare(first: Path, second: Path, everything: bool, as_json: bool) -> None:
       irlos compare monday tuesday --all
       irlos compare monday tuesday --json > comparison.json
     """
-    from irlos_pipe.commands.compared_text import comparison_text
+    from irlos_pipe.commands.text import comparison_text
     from irlos_pipe.product.comparison import compare_runs
 
     with readable(first), readable(second):
@@ -104,17 +102,14 @@ def compare(first: Path, second: Path, everything: bool, as_json: bool) -> None:
         click.echo(found.text() if as_json else comparison_text(found, everything))
 
 
-@click.command()
-@click.argument("folder", metavar="DIR", type=FOLDER)
-@click.option("--figures", is_flag=True, help="Write every figure to DIR/figures as well.")
-@click.option(
-    "--format",
-    "formats",
-    type=click.Choice(["pdf", "png", "svg"]),
-    multiple=True,
-    help="File format of the figures (default: all three). May be repeated.",
-)
-def report(folder: Path, figures: bool, formats: tuple[str, ...]) -> None:
+@command()
+def report(
+    folder: Path = argument("DIR"),
+    figures: bool = option("--figures", "Write every figure to DIR/figures as well."),
+    formats: tuple[Literal["pdf", "png", "svg"], ...] = option(
+        "--format", "File format of the figures (default: all three). May be repeated."
+    ),
+) -> None:
     """Write DIR/report.html again from the products of a run.
 
     \b
@@ -136,27 +131,21 @@ def report(folder: Path, figures: bool, formats: tuple[str, ...]) -> None:
                 click.echo(path)
 
 
-@click.command()
-@click.argument("product", metavar="PRODUCT.h5|DIR", type=FOLDER)
-@click.option(
-    "--array",
-    "arrays",
-    metavar="NAME",
-    multiple=True,
-    shell_complete=completion.completed(completion.arrays),
-    help="Array to copy; irlos show PRODUCT.h5 lists the names. May be repeated.",
-)
-@click.option(
-    "--aot",
-    "recording",
-    metavar="RECORDING",
-    help="Write this recording of 01_ingest.h5 as an AOT file instead, with a side-car beside it.",
-)
-@click.option(
-    "--output", type=FOLDER, required=True, metavar="FILE", help="File to write: .fits, .csv or .sqlite."
-)
-@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
-def export(product: Path, arrays: tuple[str, ...], recording: str | None, output: Path, force: bool) -> None:
+@command()
+def export(
+    product: Path = argument("PRODUCT.h5|DIR"),
+    arrays: tuple[str, ...] = option(
+        "--array NAME",
+        "Array to copy; irlos show PRODUCT.h5 lists the names. May be repeated.",
+        shell_complete=completion.arrays,
+    ),
+    recording: str | None = option(
+        "--aot RECORDING",
+        "Write this recording of 01_ingest.h5 as an AOT file instead, with a side-car beside it.",
+    ),
+    output: Path = option("--output FILE", "File to write: .fits, .csv or .sqlite."),
+    force: bool = options.REPLACE,
+) -> None:
     """Copy arrays out of PRODUCT.h5 into a FITS or CSV file, or tables of the run in DIR.
 
     A FITS file holds arrays of any shape, one extension each, with the unit in BUNIT and errors in
@@ -192,17 +181,12 @@ def export(product: Path, arrays: tuple[str, ...], recording: str | None, output
     click.echo(output)
 
 
-@click.command()
-@click.argument("folder", metavar="DIR", type=FOLDER)
-@click.option(
-    "--truth",
-    type=FOLDER,
-    required=True,
-    metavar="PATH",
-    help="Truth of the recordings: a JSON file, or a folder of them.",
-)
-@JSON
-def score(folder: Path, truth: Path, as_json: bool) -> None:
+@command()
+def score(
+    folder: Path = argument("DIR"),
+    truth: Path = option("--truth PATH", "Truth of the recordings: a JSON file, or a folder of them."),
+    as_json: bool = options.JSON,
+) -> None:
     """Compare the results of the run in DIR with the truth of simulated data.
 
     The table lists the errors of every calibration method and of the ramp.

@@ -3,103 +3,50 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TypeVar
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from irlos_pipe.commands import completion
-from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
-from irlos_pipe.commands.options import FOLDER, JSON, inputs_of, recipe_options, resources_of, setting_options
+from irlos_pipe.commands import completion, options
+from irlos_pipe.commands.exits import EXIT_CODES, report_error
+from irlos_pipe.commands.options import Device, at_work, command, inputs_of, option, resources_of
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
 
 if TYPE_CHECKING:
-    from irlos_pipe.pipeline import Outcome, Selection
-    from irlos_pipe.product.printed import Validation
+    from irlos_pipe.pipeline import Outcome
     from irlos_pipe.recipe import Recipe
 
-Command = TypeVar("Command", bound=Callable)
-FORCE = click.option("--force", is_flag=True, help="Run stages even if their products are up to date.")
 
-
-def _working_options(command: Command) -> Command:
-    """Add the options on how a `command` works to it."""
-    for decorate in (
-        click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
-        click.option(
-            "-v", "--verbose", count=True, help="Print more messages; -vv prints debugging messages as well."
-        ),
-        click.option(
-            "--device",
-            type=click.Choice(["cpu", "cuda", "auto"]),
-            default="auto",
-            show_default=True,
-            help="Processor or graphics card; auto takes the graphics card if there is one.",
-        ),
-        click.option(
-            "--jobs",
-            type=click.IntRange(min=1),
-            metavar="N",
-            help="Number of threads (default: all processors).",
-        ),
-    ):
-        command = decorate(command)
-    return command
-
-
-@click.command(epilog=EXIT_CODES)
-@recipe_options
-@click.option(
-    "--output",
-    type=FOLDER,
-    required=True,
-    metavar="DIR",
-    help="Folder for the products; it is made if it does not exist.",
-)
-@click.option(
-    "--from",
-    "first",
-    metavar="STAGE",
-    shell_complete=completion.completed(completion.stages),
-    help="First stage to run; products of earlier stages are used as they are.",
-)
-@click.option(
-    "--to",
-    "last",
-    metavar="STAGE",
-    shell_complete=completion.completed(completion.stages),
-    help="Last stage to run; later stages are left alone.",
-)
-@FORCE
-@click.option(
-    "--numbered",
-    is_flag=True,
-    help="Keep every version: DIR/001, DIR/002, ...; DIR/latest links to the newest complete one.",
-)
-@click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
-@_working_options
-@click.option(
-    "--json", "as_json", is_flag=True, help="Print results.json (or the plan) instead of the table."
-)
+@command(epilog=EXIT_CODES)
 def run(
-    recipe: Path,
-    output: Path,
-    first: str | None,
-    last: str | None,
-    force: bool,
-    numbered: bool,
-    dry_run: bool,
-    jobs: int | None,
-    device: str,
-    verbose: int,
-    quiet: bool,
-    as_json: bool,
-    inputs: tuple[str, ...],
-    sof: Path | None,
-    settings: tuple[str, ...],
-    seed: int | None,
-    samples: bool,
+    recipe: Path = options.RECIPE,
+    inputs: tuple[str, ...] = options.INPUTS,
+    sof: Path | None = options.SOF,
+    samples: bool = options.SAMPLES,
+    settings: tuple[str, ...] = options.SETTINGS,
+    seed: int | None = options.SEED,
+    output: Path = option(*options.OUTPUT),
+    first: str | None = option(
+        "--from STAGE",
+        "First stage to run; products of earlier stages are used as they are.",
+        shell_complete=completion.stages,
+    ),
+    last: str | None = option(
+        "--to STAGE", "Last stage to run; later stages are left alone.", shell_complete=completion.stages
+    ),
+    force: bool = options.AGAIN,
+    numbered: bool = option(
+        "--numbered",
+        "Keep every version: DIR/001, DIR/002, ...; DIR/latest links to the newest complete one.",
+    ),
+    dry_run: bool = options.DRY_RUN,
+    jobs: int | None = options.THREADS,
+    device: Device = option(*options.DEVICE, default="auto"),
+    verbose: int = options.VERBOSE,
+    quiet: bool = options.QUIET,
+    as_json: bool = option("--json", "Print results.json (or the plan) instead of the table."),
 ) -> None:
     """Run the stages of RECIPE and write their products to the folder DIR.
 
@@ -129,10 +76,10 @@ def run(
       run.log               messages of all runs into this folder
       recipe.resolved.yaml  the recipe with every default; can be run again
     """
-    from irlos_pipe.pipeline import Selection, plan_run
-    from irlos_pipe.pipeline.numbered import version_for
+    from irlos_pipe.pipeline import Selection, plan_run, run_recipe
+    from irlos_pipe.pipeline.numbered import run_numbered, version_for
     from irlos_pipe.pipeline.plan import Action
-    from irlos_pipe.pipeline.terminal import plan_text
+    from irlos_pipe.pipeline.terminal import outcome_text, plan_text
     from irlos_pipe.recipe import load_recipe
 
     checked = load_recipe(recipe, settings, inputs_of(inputs, sof, recipe), seed, samples=samples)
@@ -143,32 +90,22 @@ def run(
         click.echo(plan_text(steps, as_json))
         _exit_if_any(_problems(checked, [step.name for step in steps if step.action is Action.RUN]))
         return
-    outcome = _outcome(checked, output, selection, device, jobs, verbose, quiet, numbered=numbered)
-    _print(outcome, as_json, quiet)
-    _finish(outcome)
+    with at_work(verbose, quiet):
+        reduce = run_numbered if numbered else run_recipe
+        outcome = reduce(checked, output, selection, resources_of(device, jobs, quiet))
+    _finish(outcome, outcome_text(outcome, as_json) if as_json or not quiet else "")
 
 
-@click.command(epilog=EXIT_CODES)
-@click.option(
-    "--output",
-    type=FOLDER,
-    default=Path("demo"),
-    show_default=True,
-    metavar="DIR",
-    help="Folder for the products; it is made if it does not exist.",
-)
-@setting_options
-@FORCE
-@_working_options
+@command(epilog=EXIT_CODES)
 def demo(
-    output: Path,
-    settings: tuple[str, ...],
-    seed: int | None,
-    force: bool,
-    jobs: int | None,
-    device: str,
-    verbose: int,
-    quiet: bool,
+    output: Path = option(*options.OUTPUT, default=Path("demo")),
+    settings: tuple[str, ...] = options.SETTINGS,
+    seed: int | None = options.SEED,
+    force: bool = options.AGAIN,
+    jobs: int | None = options.THREADS,
+    device: Device = option(*options.DEVICE, default="auto"),
+    verbose: int = options.VERBOSE,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Reduce the sample recordings of the package and compare the result with the known truth.
 
@@ -180,30 +117,30 @@ def demo(
       irlos demo --output demo
     """
     from irlos_pipe.files.shipped import SAMPLES, shipped_folder
-    from irlos_pipe.pipeline import Selection
+    from irlos_pipe.pipeline import Selection, run_recipe
+    from irlos_pipe.pipeline.terminal import outcome_text
     from irlos_pipe.recipe import load_recipe
     from irlos_pipe.report.score import score_run
     from irlos_pipe.report.score_text import score_text
 
     checked = load_recipe("full_reduction", settings, seed=seed, samples=True)
-    outcome = _outcome(checked, output, Selection(force=force), device, jobs, verbose, quiet)
-    _print(outcome, False, quiet)
-    if not quiet:
-        click.echo(f"\n{score_text(score_run(output, shipped_folder(SAMPLES) / 'truth'))}")
-    _finish(outcome)
+    with at_work(verbose, quiet):
+        outcome = run_recipe(checked, output, Selection(force=force), resources_of(device, jobs, quiet))
+    if quiet:
+        _finish(outcome, "")
+    click.echo(outcome_text(outcome, False))
+    _finish(outcome, f"\n{score_text(score_run(output, shipped_folder(SAMPLES) / 'truth'))}")
 
 
-@click.command(epilog=EXIT_CODES)
-@recipe_options
-@JSON
+@command(epilog=EXIT_CODES)
 def validate(
-    recipe: Path,
-    inputs: tuple[str, ...],
-    sof: Path | None,
-    settings: tuple[str, ...],
-    seed: int | None,
-    samples: bool,
-    as_json: bool,
+    recipe: Path = options.RECIPE,
+    inputs: tuple[str, ...] = options.INPUTS,
+    sof: Path | None = options.SOF,
+    samples: bool = options.SAMPLES,
+    settings: tuple[str, ...] = options.SETTINGS,
+    seed: int | None = options.SEED,
+    as_json: bool = options.JSON,
 ) -> None:
     """Check RECIPE, its options and its inputs without running anything.
 
@@ -228,48 +165,14 @@ def validate(
             click.echo(Validation(recipe=str(recipe), problems=str(error).splitlines()).text())
         raise
     if as_json:
-        click.echo(_validation(recipe, checked, problems).text())
+        inputs_given = {name: [str(path) for path in paths] for name, paths in checked.inputs.items()}
+        told = {"recipe": str(recipe), "name": checked.name, "stages": list(checked.stages)}
+        click.echo(Validation(**told, valid=not problems, inputs=inputs_given, problems=problems).text())
     _exit_if_any(problems)
     if not as_json:
         open_inputs = [name for name, paths in checked.inputs.items() if not paths]
         rest = f"; to be given: {', '.join(open_inputs)}" if open_inputs else ""
         click.echo(f"{recipe}: recipe '{checked.name}' is valid: {', '.join(checked.stages)}{rest}")
-
-
-def _validation(recipe: Path, checked: Recipe, problems: list[str]) -> Validation:
-    from irlos_pipe.product.printed import Validation
-
-    return Validation(
-        recipe=str(recipe),
-        valid=not problems,
-        name=checked.name,
-        stages=list(checked.stages),
-        inputs={name: [str(path) for path in paths] for name, paths in checked.inputs.items()},
-        problems=problems,
-    )
-
-
-def _outcome(
-    recipe: Recipe,
-    output: Path,
-    selection: Selection,
-    device: str,
-    jobs: int | None,
-    verbose: int,
-    quiet: bool,
-    *,
-    numbered: bool = False,
-) -> Outcome:
-    """Run a recipe with messages and progress bars as asked for."""
-    from irlos_pipe.pipeline import run_recipe
-    from irlos_pipe.pipeline.numbered import run_numbered
-    from irlos_pipe.pipeline.terminal import messages
-
-    if verbose and quiet:
-        raise click.UsageError("-v and -q exclude each other")
-    with terminated_like_interrupted(), messages(-1 if quiet else verbose):
-        reduce = run_numbered if numbered else run_recipe
-        return reduce(recipe, output, selection, resources_of(device, jobs, quiet))
 
 
 def _problems(recipe: Recipe, stages: Collection[str] | None = None) -> list[str]:
@@ -291,15 +194,10 @@ def _exit_if_any(problems: list[str]) -> None:
         sys.exit(ExitCode.BAD_DATA)
 
 
-def _print(outcome: Outcome, as_json: bool, quiet: bool) -> None:
-    from irlos_pipe.pipeline.terminal import outcome_text
-
-    if as_json or not quiet:
-        click.echo(outcome_text(outcome, as_json))
-
-
-def _finish(outcome: Outcome) -> NoReturn:
-    """Exit with the code of the outcome."""
+def _finish(outcome: Outcome, text: str) -> NoReturn:
+    """Print a text, if there is one, and exit with the code of the outcome."""
+    if text:
+        click.echo(text)
     if outcome.report_error:
         report_error(outcome.report_error)
     sys.exit(outcome.exit_code)

@@ -7,49 +7,27 @@ from pathlib import Path
 
 import click
 
-from irlos_pipe.commands import completion
-from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
-from irlos_pipe.commands.options import FOLDER, resources_of
+from irlos_pipe.commands import completion, options
+from irlos_pipe.commands.exits import EXIT_CODES, report_error
+from irlos_pipe.commands.options import FROM_0, argument, at_work, command, option, resources_of
+
+SPECIFICATIONS = completion.or_files(completion.specifications)
 
 
-@click.command(epilog=EXIT_CODES)
-@click.argument(
-    "spec",
-    metavar="SPEC",
-    type=FOLDER,
-    shell_complete=completion.completed(completion.specifications, files=True),
-)
-@click.option(
-    "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the recordings and their truth."
-)
-@click.option(
-    "--set",
-    "settings",
-    metavar="KEY=VALUE",
-    multiple=True,
-    help="Change a value of the specification; VALUE is YAML. May be repeated.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    metavar="N",
-    help="Seed of the random numbers (default: that of the specification).",
-)
-@click.option("--force", is_flag=True, help="Make recordings again even if they are up to date.")
-@click.option("--dry-run", is_flag=True, help="Print what would be made and why; change nothing.")
-@click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
-)
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@command(epilog=EXIT_CODES)
 def simulate(
-    spec: Path,
-    output: Path,
-    settings: tuple[str, ...],
-    seed: int | None,
-    force: bool,
-    dry_run: bool,
-    jobs: int | None,
-    quiet: bool,
+    spec: Path = argument("SPEC", shell_complete=SPECIFICATIONS),
+    output: Path = option("--output DIR", "Folder for the recordings and their truth."),
+    settings: tuple[str, ...] = option(
+        "--set KEY=VALUE", "Change a value of the specification; VALUE is YAML. May be repeated."
+    ),
+    seed: int | None = option(
+        "--seed N", "Seed of the random numbers (default: that of the specification).", type=FROM_0
+    ),
+    force: bool = option("--force", "Make recordings again even if they are up to date."),
+    dry_run: bool = option("--dry-run", "Print what would be made and why; change nothing."),
+    jobs: int | None = options.PROCESSES,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Simulate the recordings that SPEC specifies and write them to the folder DIR.
 
@@ -80,7 +58,6 @@ def simulate(
       simulation.resolved.yaml  the specification with every default; can be simulated again
     """
     from irlos_pipe.conventions.text import aligned
-    from irlos_pipe.pipeline.terminal import messages
     from irlos_pipe.simulate.recordings.run import plan_simulation
     from irlos_pipe.simulate.recordings.run import simulate as simulate_recordings
     from irlos_pipe.simulate.recordings.spec import load_spec
@@ -91,50 +68,29 @@ def simulate(
         click.echo(aligned(plan_rows(plan_simulation(checked, output, force))))
         return
     resources = resources_of("cpu", jobs, quiet)
-    with terminated_like_interrupted(), messages(-1 if quiet else 0):
+    with at_work(0, quiet):
         simulate_recordings(checked, output, force, resources.jobs, resources.progress)
     if not quiet:
         click.echo(where_text(checked, output))
 
 
-@click.command(epilog=EXIT_CODES)
-@click.option(
-    "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the runs of all experiments."
-)
-@click.option(
-    "--quick",
-    is_flag=True,
-    help="Use small samples (quick.yaml beside the recipes), which takes minutes instead of hours.",
-)
-@click.option("--only", metavar="NAME", multiple=True, help="Run only this experiment. May be repeated.")
-@click.option(
-    "--recipes",
-    type=FOLDER,
-    metavar="DIR",
-    help="Folder with the recipes of the experiments (default: those of the package).",
-)
-@click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    metavar="N",
-    help="Seed of the random numbers (default: those of the recipes).",
-)
-@click.option(
-    "-v", "--verbose", count=True, help="Print more messages; -vv prints debugging messages as well."
-)
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@command(epilog=EXIT_CODES)
 def paper(
-    output: Path,
-    quick: bool,
-    only: tuple[str, ...],
-    recipes: Path | None,
-    jobs: int | None,
-    seed: int | None,
-    verbose: int,
-    quiet: bool,
+    output: Path = option("--output DIR", "Folder for the runs of all experiments."),
+    quick: bool = option(
+        "--quick",
+        "Use small samples (quick.yaml beside the recipes), which takes minutes instead of hours.",
+    ),
+    only: tuple[str, ...] = option("--only NAME", "Run only this experiment. May be repeated."),
+    recipes: Path | None = option(
+        "--recipes DIR", "Folder with the recipes of the experiments (default: those of the package)."
+    ),
+    jobs: int | None = options.PROCESSES,
+    seed: int | None = option(
+        "--seed N", "Seed of the random numbers (default: those of the recipes).", type=FROM_0
+    ),
+    verbose: int = options.VERBOSE,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Run every experiment of the paper on simulated data and summarise all of them in DIR.
 
@@ -157,12 +113,9 @@ def paper(
     from irlos_pipe.files.shipped import PAPER, shipped_folder
     from irlos_pipe.paper.run.recipes import find_experiments
     from irlos_pipe.paper.run.run import run_paper, summary_text
-    from irlos_pipe.pipeline.terminal import messages
 
-    if verbose and quiet:
-        raise click.UsageError("-v and -q exclude each other")
     experiments = find_experiments(recipes or shipped_folder(PAPER), quick=quick, only=only, seed=seed)
-    with terminated_like_interrupted(), messages(-1 if quiet else verbose):
+    with at_work(verbose, quiet):
         ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
     if not quiet:
         click.echo(summary_text(ran))

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from typing import Any
 
 import yaml
 
-from irlos_pipe.conventions.text import aligned, printable
+from irlos_pipe.conventions.text import aligned, printable, rounded_by_error
+from irlos_pipe.product.compared import Comparison, ModesPair, NumberPair, ValuePair
 from irlos_pipe.product.printed import (
     ArrayRow,
     CheckRow,
@@ -17,6 +22,23 @@ from irlos_pipe.product.printed import (
     ShownRun,
     Versions,
 )
+
+SHOWN = 20  # numbers of a comparison, unless all are asked for
+LONGEST = 60
+SAME = "the same"
+SAME_FILES = "the same; the errors are not independent, and noise makes differences of far less than 1 σ"
+
+
+def _document(parts: Mapping[str, str]) -> str:
+    """Parts with their titles; one without a title comes as it is."""
+    indented = {title: "\n".join(f"  {line}" for line in text.splitlines()) for title, text in parts.items()}
+    return _printable(
+        "\n\n".join(f"{title}:\n{indented[title]}" if title else text for title, text in parts.items())
+    )
+
+
+def _printable(text: str) -> str:
+    return "\n".join(map(printable, text.split("\n")))
 
 
 def product_text(product: ShownProduct) -> str:
@@ -29,8 +51,7 @@ def product_text(product: ShownProduct) -> str:
         "checks": "\n".join(map(_check_line, product.checks)) or "none",
         "log": "\n".join(product.log) or "empty",
     }
-    text = "\n\n".join(_titled(title, text) for title, text in parts.items())
-    return "\n".join(map(printable, text.split("\n")))
+    return _document(parts)
 
 
 def run_text(run: ShownRun) -> str:
@@ -40,8 +61,7 @@ def run_text(run: ShownRun) -> str:
     for one in run.products:
         rows += _held_rows(one)
     files = f"other files: {', '.join(run.files)}"
-    lines = "\n".join(filter(None, (head, run.notice, aligned(rows), files))).split("\n")
-    return "\n".join(map(printable, lines))
+    return _printable("\n".join(filter(None, (head, run.notice, aligned(rows), files))))
 
 
 def _held_rows(one: HeldProduct) -> list[tuple[str, ...]]:
@@ -108,5 +128,96 @@ def _yaml(content: dict) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None).rstrip()
 
 
-def _titled(title: str, text: str) -> str:
-    return f"{title}:\n" + "\n".join(f"  {line}" for line in text.splitlines()) if title else text
+def comparison_text(found: Comparison, everything: bool) -> str:
+    """Return what was `found` to differ between two runs: `everything`, or the numbers that matter most."""
+    differ = [one for one in found.numbers if one.difference != 0]
+    most = sorted(differ, key=_rank, reverse=True)
+    parts = {
+        "runs": aligned([("first", found.first), ("second", found.second), *_rows(found.told)]),
+        "settings": _table(found.settings),
+        "input files": _files_text(found),
+        "wavefronts": aligned([_modes_row(one) for one in found.modes]) if found.modes else "",
+        f"numbers ({len(differ)} of {len(found.numbers)} differ)": _numbers_text(
+            most if everything else most[:SHOWN], len(differ)
+        ),
+        "words": _table(found.words),
+        f"only in {found.first}": _gathered(found.only_first),
+        f"only in {found.second}": _gathered(found.only_second),
+        "checks": _table(found.checks) or SAME,
+    }
+    return _document({title: part for title, part in parts.items() if part})
+
+
+def _rank(one: NumberPair) -> tuple[float, float]:
+    """Most significant first; without errors, by the relative difference, behind all others."""
+    if math.isfinite(one.sigmas):
+        return abs(one.sigmas), 0.0
+    size = max(abs(one.first), abs(one.second))
+    return -1.0, abs(one.difference) / size if size > 0 else 0.0
+
+
+def _numbers_text(shown: Sequence[NumberPair], differ: int) -> str:
+    if not shown:
+        return SAME
+    head = ("stage", "number", "first", "second", "difference", "")
+    more = [f"… and {differ - len(shown)} more: --all shows them"] if differ > len(shown) else []
+    return "\n".join([aligned([head, *map(_number_row, shown)]), *more])
+
+
+def _number_row(one: NumberPair) -> tuple[str, ...]:
+    return (
+        one.stage,
+        one.name,
+        rounded_by_error(one.first, one.first_error, ".6g"),
+        rounded_by_error(one.second, one.second_error, ".6g"),
+        f"{one.difference:+.3g} {one.unit}".rstrip(),
+        f"{one.sigmas:+.1f} σ" if math.isfinite(one.sigmas) else "",
+    )
+
+
+def _modes_row(one: ModesPair) -> tuple[str, ...]:
+    return (
+        f"{one.stage} {one.name}",
+        f"{one.modes} modes",
+        f"{one.difference_nm:.1f} nm RMS between them",
+        f"{one.expected_nm:.1f} nm RMS from both errors",
+    )
+
+
+def _files_text(found: Comparison) -> str:
+    if found.same_files:
+        return SAME_FILES
+    return "\n".join(f"{one.name}: {_change(one)}" for one in found.files)
+
+
+def _gathered(names: Sequence[str]) -> str:
+    """Names in a line each; entries of one table that go by numbers in one line."""
+    lines = []
+    for table, group in groupby(names, key=_table_of):
+        found = list(group)
+        first, last = (found[end].removeprefix(f"{table}.") for end in (0, -1))
+        lines += [f"{table}.{first} … {last}"] if table and len(found) > 1 else found
+    return "\n".join(lines)
+
+
+def _table_of(name: str) -> str:
+    """The table that an entry that goes by a number belongs to; nothing for any other."""
+    table, _, entry = name.rpartition(".")
+    return table if entry.isdigit() else ""
+
+
+def _change(one: ValuePair) -> str:
+    return "only in second" if one.first is None else "only in first" if one.second is None else "differs"
+
+
+def _table(pairs: Sequence[ValuePair]) -> str:
+    return aligned(_rows(pairs)) if pairs else ""
+
+
+def _rows(pairs: Sequence[ValuePair]) -> list[tuple[str, str]]:
+    return [(one.name, f"{_shown(one.first)} → {_shown(one.second)}") for one in pairs]
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else "none" if value is None else json.dumps(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"

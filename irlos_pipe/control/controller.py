@@ -21,32 +21,16 @@ SETTLING, OUTSIDE = "settling", "outside"
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """Constants of the controller.
+    """Constants of the controller."""
 
-    Attributes
-    ----------
-    gain, leak : float
-        Per exposure.
-    delay : int
-        Whole exposures between the end of one and the offset that follows from it, see `Integrator`.
-    limit_nm : float
-        Largest offset either way; it is clipped there, and so is what is integrated.
-    jump_nm : float
-        Largest change of the offset while the loop is outside its linear range.
-    capture_nm, linear_nm : float
-        Residual below which the loop begins to integrate, and above which a measurement is not believed.
-    patience : int
-        Consecutive measurements beyond `linear_nm` after which they are believed, and the loop starts again.
-    """
-
-    gain: float = 0.4
-    leak: float = 0.0
-    delay: int = 1
-    limit_nm: float = 1500.0
-    jump_nm: float = 400.0
-    capture_nm: float = 100.0
-    linear_nm: float = 200.0
-    patience: int = 3
+    gain: float = 0.4  # per exposure
+    leak: float = 0.0  # per exposure
+    delay: int = 1  # whole exposures between the end of one and the offset that follows, see `Integrator`
+    limit_nm: float = 1500.0  # largest offset either way; clipped there, and so is what is integrated
+    jump_nm: float = 400.0  # largest change of the offset while the loop is outside its linear range
+    capture_nm: float = 100.0  # residual below which the loop begins to integrate
+    linear_nm: float = 200.0  # residual above which a measurement is not believed
+    patience: int = 3  # measurements beyond that, one after the other, after which the loop starts again
 
     def __post_init__(self) -> None:
         for name in ("limit_nm", "jump_nm", "linear_nm"):
@@ -72,57 +56,29 @@ class ControllerSettings:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """All that the controller remembers.
+    """All that the controller remembers."""
 
-    Attributes
-    ----------
-    offset_nm : float
-        Offset commanded last [nm RMS].
-    mode : str
-        ``bootstrap`` or ``tracking``.
-    settling : int
-        Exposures still to pass until the last jump shows.
-    outside : int
-        Measurements beyond the linear range, one after the other.
-    """
-
-    offset_nm: float = 0.0
+    offset_nm: float = 0.0  # commanded last [nm RMS]
     mode: str = BOOTSTRAP
-    settling: int = 0
-    outside: int = 0
+    settling: int = 0  # exposures still to pass until the last jump shows
+    outside: int = 0  # measurements beyond the linear range, one after the other
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What the controller made of an exposure.
+    """What the controller made of an exposure."""
 
-    Attributes
-    ----------
-    state : ControllerState
-        With the offset to command.
-    commanded : bool
-        Whether the measurement changed the offset; else it is held.
-    clipped : bool
-        Whether the offset stands at its limit.
-    held : str
-        Why a valid measurement was not used, or empty.
-    """
-
-    state: ControllerState
-    commanded: bool
-    clipped: bool = False
-    held: str = ""
+    state: ControllerState  # with the offset to command
+    commanded: bool  # whether the measurement changed the offset; else it is held
+    clipped: bool = False  # whether the offset stands at its limit
+    held: str = ""  # why a valid measurement was not used
 
 
 def decide(state: ControllerState, defocus_nm: float | None, settings: ControllerSettings) -> Decision:
-    """Take the measurement of the next exposure into account.
+    """Take the next exposure into account: the `state` before it, by the `settings`.
 
-    Parameters
-    ----------
-    state : ControllerState
-    defocus_nm : float or None
-        A valid measurement of the residual [nm RMS]; None where there is none, and the offset is held.
-    settings : ControllerSettings
+    `defocus_nm` is a valid measurement of the residual [nm RMS]; None where there is none, and the offset is
+    held.
     """
     waiting = replace(state, settling=max(0, state.settling - 1))
     if defocus_nm is None:

@@ -7,81 +7,75 @@ that come late, twice or out of order neither spoil an exposure nor stop the loo
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
-
-from irlos_pipe.control.repeats import Repeats
 
 # Exposures' worth of late reads in a row that mean that the recorder counts anew: of reads that were taken
 # after the last exposure, and of any, should the clock have been set back as well.
 RESTARTED_AFTER, RESTARTED_ANYWAY_AFTER = 3, 1000
 LARGEST_GAP = 10_000_000  # reads: more, ten hours at 250 Hz, are not missing, the counter has jumped
+# Pixels that come again: two reads of a detector are never the same to the last bit, be it in a part.
+PATCH_PX = 8  # side: noise of a few steps of the converter never gives 64 pixels twice
+PART = 0.125  # of the patches that vary, from which a read is a repetition
+REMEMBERED = 1000  # reads
+
+
+@dataclass
+class Repeats:
+    """Remembers patches of recent reads by a number of 64 bits each."""
+
+    _reads: deque[list[int]] = field(default_factory=deque)
+    _seen: set[int] = field(default_factory=set)
+
+    def has(self, image: np.ndarray) -> bool:
+        """Return whether a part of an `image`, (rows, columns), has been there before; remember it.
+
+        Patches without any structure, as of a masked or saturated region, do not count.
+        """
+        keys = _keys(image)
+        known = sum(key in self._seen for key in keys)
+        self._reads.append(keys)
+        self._seen.update(keys)
+        if len(self._reads) > REMEMBERED:
+            self._seen.difference_update(self._reads.popleft())
+        return known > 0 and known >= PART * len(keys)
 
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """One read of the detector.
+    """One read of the detector."""
 
-    Attributes
-    ----------
-    counter : int
-        Of the recorder.
-    unix_s : float
-        Time since 1970; NaN if not known.
-    image_e : ndarray, (rows, columns)
-        Photo-electrons, dark and background subtracted.
-    recording : str
-        Which it belongs to, where each recording has a counter of its own; else empty.
-    """
-
-    counter: int
-    unix_s: float
-    image_e: np.ndarray
-    recording: str = ""
+    counter: int  # of the recorder
+    unix_s: float  # since 1970; NaN if not known
+    image_e: np.ndarray  # (rows, columns), photo-electrons, dark and background subtracted
+    recording: str = ""  # which it belongs to, where each has a counter of its own
 
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Reads added up.
+    """Reads added up."""
 
-    Attributes
-    ----------
-    index : int
-        Number of the exposure: counter over the counts of an exposure.
-    image_e : ndarray, (rows, columns), float64
-        Empty where the reads have different windows.
-    reads, expected : int
-        Reads in it, and those of a complete one.
-    first_counter : int
-    unix_s : float
-        Time of the first read.
-    late, doubled, missing : int
-        Reads since the exposure before: come too late, come again, and not come.
-    restarted : bool
-        Whether the recorder began to count anew, or the counter jumped further than reads go missing.
-    recording : str
-        Of its reads.
-    repeated : int
-        Reads in it whose pixels have been there before, under another counter.
-    """
-
-    index: int
-    image_e: np.ndarray
-    reads: int
-    expected: int
+    index: int  # counter over the counts of an exposure
+    image_e: np.ndarray  # (rows, columns), float64; empty where the reads have different windows
+    reads: int  # in it
+    expected: int  # in a complete one
     first_counter: int
-    unix_s: float
-    late: int = 0
-    doubled: int = 0
-    missing: int = 0
-    restarted: bool = False
-    recording: str = ""
-    repeated: int = 0
+    unix_s: float  # of the first read
+    late: int = 0  # reads since the exposure before that came too late,
+    doubled: int = 0  # that came again,
+    missing: int = 0  # and that did not come
+    restarted: bool = False  # the recorder began to count anew, or jumped further than reads go missing
+    recording: str = ""  # of its reads
+    repeated: int = 0  # reads in it whose pixels have been there before, under another counter
 
 
 @dataclass
 class _Tally:
+    """Of the open exposure."""
+
     late: int = 0
     doubled: int = 0
     restarted: bool = False
@@ -90,30 +84,14 @@ class _Tally:
 
 @dataclass
 class Accumulator:
-    """Adds up reads.
+    """Adds up reads."""
 
-    Attributes
-    ----------
-    reads : int
-        Of an exposure.
-    step : int
-        Of the counter from one read to the next.
-    last_index : int or None
-        The last exposure that is done: reads of it and of earlier ones are late.
-    last_unix_s : float
-        Time of its first read; NaN if not known.
-    recording : str
-        Of the last exposure: in another one counters begin again.
-    taken : int
-        Reads that have become part of an exposure.
-    """
-
-    reads: int
-    step: int = 1
-    last_index: int | None = None
-    last_unix_s: float = math.nan
-    recording: str = ""
-    taken: int = 0
+    reads: int  # of an exposure
+    step: int = 1  # of the counter from one read to the next
+    last_index: int | None = None  # of the last exposure that is done: reads of earlier ones are late, too
+    last_unix_s: float = math.nan  # of its first read; NaN if not known
+    recording: str = ""  # of the last exposure: in another one counters begin again
+    taken: int = 0  # reads that have become part of an exposure
     _repeats: Repeats = field(default_factory=Repeats)
     _open: dict[int, Read] = field(default_factory=dict)
     _tally: _Tally = field(default_factory=_Tally)
@@ -162,6 +140,7 @@ class Accumulator:
         images = [self._open[counter].image_e for counter in sorted(self._open)]
         skipped = 0 if self.last_index is None or self._tally.restarted else index - self.last_index - 1
         jumped = skipped * self.reads > LARGEST_GAP
+        self._tally.restarted |= jumped
         exposure = Exposure(
             index=index,
             image_e=_total(images),
@@ -169,12 +148,9 @@ class Accumulator:
             expected=self.reads,
             first_counter=first.counter,
             unix_s=first.unix_s,
-            late=self._tally.late,
-            doubled=self._tally.doubled,
             missing=(0 if jumped else skipped * self.reads) + self.reads - len(images),
-            restarted=self._tally.restarted or jumped,
             recording=first.recording,
-            repeated=self._tally.repeated,
+            **vars(self._tally),
         )
         self.last_index, self.last_unix_s = index, first.unix_s
         self._open, self._tally, self._overtaken_in_a_row = {}, _Tally(), 0
@@ -218,3 +194,21 @@ def _total(images: list[np.ndarray]) -> np.ndarray:
     if len({image.shape for image in images}) > 1:
         return np.zeros((0, 0))
     return np.asarray(np.sum(images, axis=0, dtype=np.float64))
+
+
+def _keys(image: np.ndarray) -> list[int]:
+    bits = np.ascontiguousarray(image, np.float32).view(np.uint32)
+    rows, columns = (max(1, size // PATCH_PX) for size in bits.shape)
+    height, width = bits.shape[0] // rows, bits.shape[1] // columns
+    if not height or not width:
+        return []
+    patches = bits[: rows * height, : columns * width].reshape(rows, height, columns, width)
+    flat = patches.swapaxes(1, 2).reshape(rows * columns, height * width)
+    varied = (flat != flat[:, :1]).any(axis=1)
+    by_pixel, by_patch = _random_bits(height * width), _random_bits(rows * columns)
+    return (flat.astype(np.uint64) @ by_pixel + by_patch)[varied].tolist()
+
+
+@cache
+def _random_bits(count: int) -> np.ndarray:
+    return np.random.default_rng(count).integers(0, 1 << 64, count, np.uint64) | np.uint64(1)

@@ -11,7 +11,7 @@ from irlos_pipe.conventions.numbers import Number
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect not distinguished from the one found, see `diagnosis.ambiguity`.
+    """An effect not distinguished from the one found, see `diagnosis.held_out`.
 
     Attributes
     ----------

@@ -1,22 +1,23 @@
-"""The folder of a run as the calibration of a loop."""
+"""The folder of a run as the calibration of a loop: for which frames it is, and how it is exchanged."""
 
 from __future__ import annotations
 
 import json
 import logging
 import math
-from collections.abc import Iterable
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.files.regular import read_regular
-from irlos_pipe.focus.ordinary import Ordinary
-from irlos_pipe.focus.shared_errors import SharedErrors
+from irlos_pipe.focus.ordinary import Ordinary, SharedErrors
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
@@ -25,8 +26,8 @@ from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
 from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.sidecar import read_sidecar
-from irlos_pipe.recipe.load import Recipe, load_recipe
+from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
+from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.lift.config import Config
@@ -36,41 +37,27 @@ from irlos_pipe.stages.lift.singly import focus_sensor, light_path
 
 LOG = logging.getLogger(__name__)
 QC_FAILED = "qc_failed"  # as results.json says
+LOOK_S = 1.0  # between looks at a run folder
+PART = 1e-3  # of a wavelength, weight, pixel scale or gain; of less, side-cars are rounded
+DIVERSITY_NM = 0.5
+
+Spectrum = Sequence[tuple[float, float]]
 _Frames = tuple[Recording, np.ndarray, NoiseModel, Iterable[np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a loop measures with.
-
-    Attributes
-    ----------
-    sensor : Focus
-    name : str
-        Of the run, with a part of the checksum of all that its calibration depends on.
-    instrument : Instrument
-    instrument_name : str
-    acquisition : Acquisition
-        Of the frames to be measured.
-    made_unix_s : float
-        Time of the recording behind it; NaN if not known.
-    errors : SharedErrors or None
-        Beside those by photons; None where the run has no ramp that tells them.
-    ordinary : Ordinary
-        How right exposures fit.
-    notice : str
-        What has to be said before any result, as of samples; empty if nothing has to be.
-    """
+    """What a loop measures with."""
 
     sensor: Focus
-    name: str
+    name: str  # of the run, with a part of the checksum of all that its calibration depends on
     instrument: Instrument
     instrument_name: str
-    acquisition: Acquisition
-    made_unix_s: float
-    errors: SharedErrors | None = None
-    ordinary: Ordinary = field(default_factory=Ordinary.usual)
-    notice: str = ""
+    acquisition: Acquisition  # of the frames to be measured
+    made_unix_s: float  # of the recording behind it; NaN if not known
+    errors: SharedErrors | None = None  # beside those by photons; None without a ramp that shows them
+    ordinary: Ordinary = field(default_factory=Ordinary.usual)  # how right exposures fit
+    notice: str = ""  # what has to be said before any result, as of samples
 
     @property
     def window(self) -> tuple[int, int]:
@@ -80,26 +67,13 @@ class Calibration:
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """Which calibration a loop is to use.
+    """Which calibration a loop is to use."""
 
-    Attributes
-    ----------
-    run : Path
-        Folder of a run with the stage `calibrate`.
-    acquisition : Path or None
-        Side-car that says how the loop's frames are taken; by default as those of the run's ramp.
-    window : (int, int) or None
-        Of the frames, where nothing else says it.
-    limits : Limits
-    despite_qc : bool
-        Take a run whose QC has failed, too.
-    """
-
-    run: Path
-    acquisition: Path | None = None
-    window: tuple[int, int] | None = None
+    run: Path  # folder of a run with the stage `calibrate`
+    acquisition: Path | None = None  # side-car of the loop's frames; by default these are as the run's ramp
+    window: tuple[int, int] | None = None  # of the frames, where nothing else says it
     limits: Limits = field(default_factory=Limits)
-    despite_qc: bool = False
+    despite_qc: bool = False  # take a run whose QC has failed, too
 
     def load(self) -> Calibration:
         """Read the run.
@@ -127,14 +101,22 @@ class CalibrationRequest:
         products = {name: open_product(paths[name]) for name in ("ingest", "calibrate")}
         config = recipe.configs.get("lift", Config())
         assert isinstance(config, Config)
-        ctx = _context(recipe, products, config)
+        model, instrument, seed = recipe.model, recipe.instrument, recipe.seed
+        ctx = StageContext(config, model, instrument, {}, products, "cpu", seed, 1, _no_progress, LOG, Path())
         recording, good, noise, images_e = self._frames(ctx)
-        _require_full_pupil(self.run, recording)
+        if recording.acquisition.lenslets > 1:
+            raise ConfigurationError(
+                f"{self.run}: its ramp has frames of a 2x2 mode, and the loop measures images of the full "
+                "pupil; describe those with --acquisition FILE"
+            )
         sensor = focus_sensor(light_path(ctx, recording), good, noise, self._limits(recording.acquisition))
         ordinary = Ordinary.of(sensor, images_e)
-        unknown = (
-            "" if ordinary.frames else "no ramp shows how right frames fit; simulated ones set the limits"
-        )
+        notices = [whole.notice]
+        if not ordinary.frames:
+            notices.append("no ramp shows how right frames fit; simulated ones set the limits")
+        errors = None
+        if "lift" in paths:
+            errors = SharedErrors.of(results_of(LiftResults, open_product(paths["lift"])))
         key = str(products["calibrate"].provenance.get("key", ""))[:12]
         starts = [one.start_unix_s for one in recordings_from_product(products["ingest"])]
         return Calibration(
@@ -144,11 +126,9 @@ class CalibrationRequest:
             recipe.instrument_name,
             recording.acquisition,
             min((one for one in starts if math.isfinite(one)), default=math.nan),
-            SharedErrors.of(results_of(LiftResults, open_product(paths["lift"])))
-            if "lift" in paths
-            else None,
+            errors,
             ordinary,
-            "; ".join(filter(None, (whole.notice, unknown))),
+            "; ".join(filter(None, notices)),
         )
 
     def _limits(self, acquisition: Acquisition) -> Limits:
@@ -179,30 +159,6 @@ def _failed_checks(folder: RunFolder) -> str:
     return f"{names[0]}{and_more(names)}" if names else f"see {folder.quality}"
 
 
-def _require_full_pupil(run: Path, recording: Recording) -> None:
-    if recording.acquisition.lenslets > 1:
-        raise ConfigurationError(
-            f"{run}: its ramp has frames of a 2x2 mode, and the loop measures images of the full pupil; "
-            "describe those with --acquisition FILE"
-        )
-
-
-def _context(recipe: Recipe, products: dict, config: Config) -> StageContext[Config]:
-    return StageContext(
-        config,
-        recipe.model,
-        recipe.instrument,
-        {},
-        products,
-        "cpu",
-        recipe.seed,
-        1,
-        _no_progress,
-        LOG,
-        Path(),
-    )
-
-
 def _no_progress(*_: object, **__: object) -> None:
     raise NotImplementedError("a loop shows no progress bars")
 
@@ -223,23 +179,157 @@ def _described(path: Path, window: tuple[int, int], instrument: Instrument) -> R
     """A recording without frames, taken as a side-car says."""
     if not path.is_file():
         raise InputDataError(f"{path}: no such file; give a side-car, as irlos sidecar writes it")
-    empty = np.zeros((0, *window), np.float32)
-    nothing = np.zeros(0, np.int64)
+    empty, nothing, none = np.zeros((0, *window), np.float32), np.zeros(0, np.int64), np.zeros(0)
     raw = RawRecording(
         name=path.stem, path=path.with_suffix(".fits"), layout="", adu=empty, frame_counter=nothing
     )
     keys = read_sidecar(path).model_copy(update={"introduced_defocus_nm": 0.0})
     acquisition = resolve(raw, keys, instrument).acquisition
-    none = np.zeros(0)
-    return Recording(
-        raw.name,
-        "",
-        empty,
-        none.astype(bool),
-        none.astype(str),
-        np.ones(window, bool),
-        none,
-        nothing,
-        none,
-        acquisition,
-    )
+    used, why, good = none.astype(bool), none.astype(str), np.ones(window, bool)
+    return Recording(raw.name, "", empty, used, why, good, none, nothing, none, acquisition)
+
+
+# -- whether frames are taken as those that a calibration is for -----------------------------------------
+
+
+def optical_differences(frames: Acquisition, calibrated: Acquisition) -> list[str]:
+    """Return what makes images of `frames` others than those `calibrated`, an item for each key."""
+    found = [
+        *_of_spectrum(frames.spectrum, calibrated.spectrum),
+        *_of_number("pixel_scale_mas", frames.pixel_scale_mas, calibrated.pixel_scale_mas),
+        *_of_diversity(frames.diversity, calibrated.diversity),
+    ]
+    if frames.lenslets != calibrated.lenslets:
+        found.append(f"{frames.lenslets}x{frames.lenslets} lenslets, not {calibrated.lenslets}")
+    return found
+
+
+def exposure_differences(frames: Acquisition, calibrated: Acquisition) -> list[str]:
+    """Return what makes the noise of `frames` another than of those `calibrated`, where both are known."""
+    here, there = frames.detector, calibrated.detector
+    return [
+        *_of_number("exposure_s", frames.exposure_s, calibrated.exposure_s),
+        *_of_number("read_noise_e", here.read_noise_e, there.read_noise_e),
+        *_of_number("excess_noise_factor", here.excess_noise_factor, there.excess_noise_factor),
+    ]
+
+
+def stated_differences(keys: AcquisitionKeys, calibrated: Acquisition) -> list[str]:
+    """Return what the `keys` of a side-car state otherwise than `calibrated`; what they leave out agrees."""
+    stated = keys.flat()
+    found: list[str] = []
+    if "spectrum" in stated:
+        spectrum = [(one.wavelength_nm, one.weight) for one in stated["spectrum"]]
+        found += _of_spectrum(spectrum, calibrated.spectrum)
+    if "diversity" in stated:
+        found += _of_diversity(stated["diversity"].zernike, calibrated.diversity)
+    found += _of_number("pixel_scale_mas", stated.get("pixel_scale_mas"), calibrated.pixel_scale_mas)
+    if not stated.get("detector.coadds_averaged"):  # else it is that of a read
+        key = "detector.e_per_adu"
+        found += _of_number(key, stated.get(key), calibrated.detector.e_per_adu)
+    return found
+
+
+def _of_number(name: str, here: float | None, there: float | None) -> Iterator[str]:
+    if here is not None and there is not None and abs(here - there) > PART * abs(there):
+        yield f"{name} {here:g}, not {there:g}"
+
+
+def _of_spectrum(here: Spectrum, there: Spectrum) -> Iterator[str]:
+    one, other = _normal(here), _normal(there)
+    if one.shape != other.shape or not np.allclose(one, other, rtol=PART, atol=PART):
+        yield f"spectrum {_text(one)}, not {_text(other)}"
+
+
+def _normal(spectrum: Spectrum) -> np.ndarray:
+    """Wavelengths in order, and weights of sum 1; without those of no weight."""
+    lit = np.array(sorted(one for one in spectrum if one[1] > 0), float).reshape(-1, 2)
+    return lit / [1.0, max(lit[:, 1].sum(), 1e-300)]
+
+
+def _text(spectrum: np.ndarray) -> str:
+    wavelengths = "+".join(f"{nm:.0f}" for nm in spectrum[:, 0])
+    return f"{wavelengths} nm ({'+'.join(f'{weight:.2f}' for weight in spectrum[:, 1])})"
+
+
+def _of_diversity(here: dict[int, float], there: dict[int, float]) -> Iterator[str]:
+    for noll in sorted({*here, *there}):
+        one, other = here.get(noll, 0.0), there.get(noll, 0.0)
+        if abs(one - other) > DIVERSITY_NM:
+            yield f"diversity of Noll {noll} {one:g} nm, not {other:g}"
+
+
+# -- another calibration while the loop runs -----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class News:
+    """A calibration that is ready, or the `problem` with one that is not used."""
+
+    calibration: Calibration | None
+    problem: str = ""
+
+
+@dataclass
+class CalibrationWatch:
+    """Looks whether a run folder, or the link to one, has a new calibration; a thread makes it ready."""
+
+    request: CalibrationRequest
+    current: Calibration  # in use
+    _looked_s: float = field(default_factory=time.monotonic)
+    _worker: threading.Thread | None = None
+    _news: News | None = None
+
+    def __post_init__(self) -> None:
+        self._stamp = self._present_stamp()
+
+    def news(self) -> News | None:
+        """Return what has come since the last call."""
+        if self._worker is not None and not self._worker.is_alive():
+            self._worker = None
+            found, self._news = self._news, None
+            if found is not None and found.calibration is not None:
+                self.current = found.calibration
+            return found
+        if self._worker is None and time.monotonic() - self._looked_s > LOOK_S:
+            self._looked_s, stamp = time.monotonic(), self._present_stamp()
+            if stamp is not None and stamp != self._stamp:
+                self._stamp = stamp
+                self._worker = threading.Thread(target=self._load, daemon=True)
+                self._worker.start()
+        return None
+
+    def _present_stamp(self) -> tuple[int, ...] | None:
+        """Of the file that a run writes last; None where there is none."""
+        try:
+            stat = RunFolder(self.request.run).results.stat()
+        except OSError:
+            return None
+        return stat.st_dev, stat.st_ino, stat.st_mtime_ns
+
+    def _load(self) -> None:
+        try:
+            new = self.request.load()
+            require_exchangeable(self.current, new)
+        except IrlosError as error:
+            self._news = News(None, " ".join(str(error).split()))
+        except Exception as error:  # the loop goes on with what it has, whatever is wrong with the other
+            LOG.debug("calibration", exc_info=True)
+            self._news = News(None, f"{self.request.run}: cannot be used: {type(error).__name__}: {error}")
+        else:
+            self._news = News(new) if new.name != self.current.name else None
+
+
+def require_exchangeable(old: Calibration, new: Calibration) -> None:
+    """Raise InputDataError unless a `new` calibration is for what the `old` one is for."""
+    against = optical_differences(new.acquisition, old.acquisition)
+    if new.instrument_name != old.instrument_name:
+        problem = f"of instrument {new.instrument_name}, and the loop runs on {old.instrument_name}"
+    elif new.window != old.window:
+        there = f"{old.window[0]}x{old.window[1]}"
+        problem = f"for frames of {new.window[0]}x{new.window[1]} px, the loop has {there}"
+    elif against:
+        problem = f"for other frames than the loop has: {'; '.join(against)}"
+    else:
+        return
+    raise InputDataError(f"{new.name}: a calibration {problem}")

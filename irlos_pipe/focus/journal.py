@@ -37,30 +37,15 @@ RECENT_BYTES = 1 << 26  # at the end of the lines in which recent ones are looke
 
 @dataclass(frozen=True)
 class Earlier:
-    """What loops on this output have measured.
+    """What loops on this output have measured."""
 
-    Attributes
-    ----------
-    since_unix_s : float
-        When the first one started.
-    recordings : frozenset of str
-        Of which there are records.
-    last : str
-        The one of the last record.
-    """
-
-    since_unix_s: float = 0.0
-    recordings: frozenset[str] = frozenset()
-    last: str = ""
+    since_unix_s: float = 0.0  # when the first one started
+    recordings: frozenset[str] = frozenset()  # of which there are records
+    last: str = ""  # the one of the last record
 
 
 class Journal:
-    """Appends records to the files of a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Owned by this loop alone.
+    """Appends records to the files of a folder, which this loop alone owns.
 
     Attributes
     ----------
@@ -116,13 +101,7 @@ class Journal:
         return Earlier(min(noted_unix_s, default=0.0), frozenset(names) - {""}, self.last.recording)
 
     def recent(self, since_unix_s: float) -> list[tuple[float, str]]:
-        """Return lines with the times at which they were written.
-
-        Parameters
-        ----------
-        since_unix_s : float
-            Earlier ones are left out.
-        """
+        """Return lines with the times at which they were written, from `since_unix_s` on."""
         found, size = list[tuple[float, str]](), 0
         for line in self._backwards():
             size += len(line)
@@ -141,14 +120,14 @@ class Journal:
 
     def event(self, text: str) -> str:
         """Append something that happened, a `text` of one line; return its line."""
-        last = self.last.sequence if self.last else 0
-        return self._append(event_line(last, time.time(), text))
+        return self._append(event_line(self.last.sequence if self.last else 0, time.time(), text))
 
     def flush(self) -> None:
         """Write what waits, as far as it can be written."""
         while self._waiting and self._write(self._waiting[0]):
             self._waiting.popleft()
-        self._database.fill_if_due()
+        if time.monotonic() - self._database.filled_s >= COMMIT_S:
+            self._database.fill()
 
     def news(self) -> str:
         """Return what has become of the database since the last call, if it has to be told."""
@@ -158,7 +137,8 @@ class Journal:
     def close(self) -> None:
         """Write what can be written and close the files."""
         self.flush()
-        self._database.close()
+        self._database.fill()
+        self._database.release()
         os.close(self._file)
 
     def _append(self, line: str) -> str:
@@ -222,54 +202,57 @@ class _Database:
     """The tables: a view of the lines, brought up to date every second."""
 
     def __init__(self, path: Path, lines: Path):
-        self._path, self._lines, self._filled_s = path, lines, time.monotonic()
+        self._path, self._lines, self.filled_s = path, lines, time.monotonic()
         self._connection: sqlite3.Connection | None = None
         self._position, self._problem, self.news = 0, "", ""
 
-    def fill_if_due(self) -> None:
-        """Fill the tables if the last time is a while ago."""
-        if time.monotonic() - self._filled_s >= COMMIT_S:
-            self.fill()
-
     def fill(self) -> None:
-        """Add what the lines have and the tables lack."""
-        self._filled_s, problem = time.monotonic(), ""
+        """Add what the lines have and the tables lack; what is no database of a loop is set aside."""
+        self.filled_s, problem = time.monotonic(), ""
         try:
-            self._fill()
+            try:
+                self._add()
+            except sqlite3.OperationalError:
+                raise
+            except sqlite3.DatabaseError as error:
+                self.news = f"{self._path}: {error}; set aside as {self._set_aside()}, and made anew"
+                self._add()
         except sqlite3.OperationalError as error:  # it is locked, or cannot be written: perhaps later
             problem = str(error)
-            self._release()
+            self.release()
         except (sqlite3.DatabaseError, OSError) as error:
             problem = str(error)
         if problem != self._problem:
             self.news = f"{self._path}: {problem or 'up to date again'}"
         self._problem = problem
 
-    def _fill(self) -> None:
-        """Fill the tables; what is no database of a loop is set aside for a new one."""
-        try:
-            if self._connection is None:
-                self._open()
-            self._add()
-        except sqlite3.OperationalError:
-            raise
-        except sqlite3.DatabaseError as error:
-            self.news = f"{self._path}: {error}; set aside as {self._set_aside()}, and made anew"
-            self._open()
-            self._add()
+    def release(self) -> None:
+        """Let go of the tables."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            with suppress(sqlite3.Error):
+                connection.close()
 
-    def close(self) -> None:
-        """Fill the tables a last time and let go of them."""
-        self.fill()
-        self._release()
+    def _add(self) -> None:
+        """Add the lines after the last position; a line that is damaged is left out."""
+        connection = self._connection or self._opened()
+        position = self._position
+        with connection, open(self._lines, "rb") as stream:
+            stream.seek(position)
+            for line in stream:
+                if not line.endswith(b"\n"):
+                    break
+                position += len(line)
+                with suppress(ValueError):
+                    _insert(connection, position, line.decode(), record_of(line))
+        self._position = position
 
-    def _open(self) -> None:
+    def _opened(self) -> sqlite3.Connection:
         if self._path.is_symlink() or (self._path.exists() and not self._path.is_file()):
             raise OSError("a link, or no file: not written")
         self._connection = connection = sqlite3.connect(self._path, timeout=0.0)
-        names = {
-            name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-        }
+        tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+        names = {name for (name,) in tables}
         columns = [name for (name,) in connection.execute("SELECT name FROM pragma_table_info('records')")]
         if names and (names != {"records", "events"} or columns != COLUMNS):
             raise sqlite3.DatabaseError("not the tables of a focus loop")
@@ -278,40 +261,11 @@ class _Database:
         connection.executescript(TABLES)
         (known,) = connection.execute("SELECT coalesce(max(position), 0) FROM events").fetchone()
         self._position = known if known <= self._lines.stat().st_size else 0
-
-    def _add(self) -> None:
-        """Add the lines after the last position; a line that is damaged is left out."""
-        assert self._connection is not None
-        position = self._position
-        with self._connection, open(self._lines, "rb") as stream:
-            stream.seek(position)
-            for line in stream:
-                if not line.endswith(b"\n"):
-                    break
-                position += len(line)
-                with suppress(ValueError):
-                    self._insert(position, line.decode(), record_of(line))
-        self._position = position
-
-    def _insert(self, position: int, line: str, record: Record | None) -> None:
-        assert self._connection is not None
-        if record is None:
-            self._connection.execute("INSERT OR REPLACE INTO events VALUES (?, ?)", (position, line))
-            return
-        row = [getattr(record, name) for name in COLUMNS[:-1]]
-        row[COLUMNS.index("reasons")] = " ".join(record.reasons)
-        marks = ", ".join("?" * len(COLUMNS))
-        self._connection.execute(f"INSERT OR REPLACE INTO records VALUES ({marks})", [*row, line])
-
-    def _release(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            with suppress(sqlite3.Error):
-                connection.close()
+        return connection
 
     def _set_aside(self) -> str:
         """Give the file and what belongs to it another name; returns that."""
-        self._release()
+        self.release()
         number = 1
         while (name := self._path.with_name(f"{self._path.name}.damaged-{number}")).exists():
             number += 1
@@ -319,3 +273,12 @@ class _Database:
             with suppress(OSError):
                 os.replace(f"{self._path}{suffix}", f"{name}{suffix}")
         return name.name
+
+
+def _insert(connection: sqlite3.Connection, position: int, line: str, record: Record | None) -> None:
+    if record is None:
+        connection.execute("INSERT OR REPLACE INTO events VALUES (?, ?)", (position, line))
+        return
+    row = {name: getattr(record, name) for name in COLUMNS[:-1]} | {"reasons": " ".join(record.reasons)}
+    marks = ", ".join("?" * len(COLUMNS))
+    connection.execute(f"INSERT OR REPLACE INTO records VALUES ({marks})", [*row.values(), line])

@@ -12,9 +12,9 @@ from irlos_pipe.control.exposures import Exposure
 from irlos_pipe.control.response import Response
 from irlos_pipe.estimate.focus.sensor import Measurement
 from irlos_pipe.focus.calibration import Calibration
-from irlos_pipe.focus.clock import Clock
 from irlos_pipe.focus.ordinary import MISFIT
 from irlos_pipe.focus.record import FAILED, FROZEN, INCOMPLETE, LATE, OLD, SHADOW, STALE, WINDOW, Record
+from irlos_pipe.focus.source import Clock
 
 OPEN = "open"  # why an offset is held: nothing answers it
 NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
@@ -22,43 +22,19 @@ NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How a loop runs.
-
-    Attributes
-    ----------
-    controller : ControllerSettings
-    reads : int
-        Added up to an exposure.
-    counter_step : int
-        Of the recorder's counter, from one read to the next.
-    shadow : bool
-        Measure and record, command nothing.
-    stale_after_s : float
-        Age of the calibration from which nothing is valid.
-    stale_frames_s : float
-        Age of an exposure from which it is not used.
-    least_reads : float
-        Part of an exposure's reads below which it is not used.
-    """
+    """How a loop runs."""
 
     controller: ControllerSettings = field(default_factory=ControllerSettings)
-    reads: int = 1
-    counter_step: int = 1
-    shadow: bool = False
-    stale_after_s: float = math.inf
-    stale_frames_s: float = math.inf
-    least_reads: float = 0.5
+    reads: int = 1  # added up to an exposure
+    counter_step: int = 1  # of the recorder's counter, from one read to the next
+    shadow: bool = False  # measure and record, command nothing
+    stale_after_s: float = math.inf  # age of the calibration from which nothing is valid
+    stale_frames_s: float = math.inf  # age of an exposure from which it is not used
+    least_reads: float = 0.5  # part of an exposure's reads below which it is not used
 
 
 class FocusLoop:
-    """Makes a record of every exposure.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    settings : LoopSettings
-    last : Record or None
-        The last record of an earlier start: the loop goes on from there.
+    """Makes a record of every exposure; goes on from the last record of an earlier start.
 
     Attributes
     ----------
@@ -84,22 +60,14 @@ class FocusLoop:
     def record(
         self, exposure: Exposure, arrived_s: float, *, damaged: int = 0, overtaken: bool = False
     ) -> Record:
-        """Measure an exposure and decide on the offset.
+        """Measure an `exposure` and decide on the offset.
 
-        Parameters
-        ----------
-        exposure : Exposure
-        arrived_s : float
-            When its last read arrived, by the monotonic clock.
-        damaged : int
-            Reads that could not be used since the exposure before.
-        overtaken : bool
-            Whether a later exposure is there already: this one is recorded and not used.
+        Its last read arrived at `arrived_s` of the monotonic clock; so many reads before were `damaged`. One
+        that a later exposure has `overtaken` is recorded and not used.
         """
         measured = self._judged(exposure, self._measured(exposure), overtaken)
         decision = self._decided(exposure, measured)
         self.sequence += 1
-        numbers = {name: getattr(measured, name) for name in NUMBERS}
         state = decision.state
         return Record(
             sequence=self.sequence,
@@ -111,7 +79,7 @@ class FocusLoop:
             reads_doubled=exposure.doubled,
             reads_missing=exposure.missing,
             reads_damaged=damaged,
-            **numbers,
+            **{name: getattr(measured, name) for name in NUMBERS},
             sigma_nm=self._sigma_nm(measured),
             sigma_photon_nm=measured.sigma_nm,
             valid=measured.valid,
@@ -150,17 +118,16 @@ class FocusLoop:
 
     def _judged(self, exposure: Exposure, measured: Measurement, overtaken: bool) -> Measurement:
         """With the reasons that the image does not show."""
-        age_s = abs(exposure.unix_s - self.calibration.made_unix_s)  # NaN is never too old
-        calibration, beside = self.calibration, measured.beside
+        calibration, settings, beside = self.calibration, self._settings, measured.beside
+        age_s = abs(exposure.unix_s - calibration.made_unix_s)  # NaN is never too old
         against = {
             MISFIT: beside is not None
             and not calibration.ordinary.fits(beside, calibration.sensor.limits.misfit),
             FROZEN: exposure.repeated > 0,
-            OLD: not self._settings.shadow
-            and self._clock.off_s(exposure.unix_s) > self._settings.stale_frames_s,
+            OLD: not settings.shadow and self._clock.off_s(exposure.unix_s) > settings.stale_frames_s,
             LATE: overtaken,
-            STALE: age_s > self._settings.stale_after_s,
-            INCOMPLETE: exposure.reads < self._settings.least_reads * exposure.expected,
+            STALE: age_s > settings.stale_after_s,
+            INCOMPLETE: exposure.reads < settings.least_reads * exposure.expected,
         }
         reasons = (*measured.reasons, *(reason for reason, holds in against.items() if holds))
         return measured._replace(valid=not reasons, reasons=reasons)

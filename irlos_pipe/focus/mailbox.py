@@ -13,8 +13,8 @@ import math
 import os
 import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from irlos_pipe.conventions.errors import InputDataError
 
@@ -25,8 +25,7 @@ SIZE = BODY.size + CRC.size
 ATTEMPTS = 100
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """What the telescope is to apply: `number` from 1, `offset_nm`, `counter` of the exposure behind it."""
 
     number: int
@@ -35,12 +34,7 @@ class Command:
 
 
 class Mailbox:
-    """The file with the last command.
-
-    Parameters
-    ----------
-    path : Path
-        Made if it does not exist.
+    """The file with the last command, made if it does not exist.
 
     Attributes
     ----------
@@ -62,7 +56,7 @@ class Mailbox:
         except OSError as error:
             raise InputDataError(f"{path}: cannot be opened: {error.strerror}; remove it") from None
         if not content:
-            self._write(BODY.pack(MAGIC, 0, 0.0, 0))
+            self._write(Command(0, 0.0, 0))
         elif not content.startswith(MAGIC):
             self.close()
             raise InputDataError(
@@ -80,7 +74,7 @@ class Mailbox:
         """
         if not math.isfinite(command.offset_nm):
             raise ValueError(f"an offset of {command.offset_nm} nm")
-        self._write(BODY.pack(MAGIC, command.number, command.offset_nm, command.counter))
+        self._write(command)
 
     def read(self) -> Command | None:
         """Return the last command; None before the first, or if the file is damaged."""
@@ -94,7 +88,8 @@ class Mailbox:
         """Close the file."""
         os.close(self._descriptor)
 
-    def _write(self, body: bytes) -> None:
+    def _write(self, command: Command) -> None:
+        body = BODY.pack(MAGIC, *command)
         os.pwrite(self._descriptor, body + CRC.pack(zlib.crc32(body)), 0)
 
 
@@ -103,5 +98,5 @@ def _command(content: bytes) -> Command | None:
     body = content[: BODY.size]
     if len(content) < SIZE or CRC.unpack_from(content, BODY.size)[0] != zlib.crc32(body):
         return None
-    _, number, offset_nm, counter = BODY.unpack(body)
-    return Command(number, offset_nm, counter) if math.isfinite(offset_nm) else None
+    command = Command(*BODY.unpack(body)[1:])
+    return command if math.isfinite(command.offset_nm) else None

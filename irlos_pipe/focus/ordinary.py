@@ -1,15 +1,17 @@
-"""How right exposures fit, as the frames of the run's own ramp have shown it, and what is beyond that."""
+"""What the frames of a run's own ramp show of right exposures: how they fit, and errors beside photons."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from irlos_pipe.estimate.focus.sensor import Focus
 from irlos_pipe.estimate.focus.unexplained import Structure, Unexplained
+from irlos_pipe.estimate.lift_errors import FrameErrors, spread_over
+from irlos_pipe.stages.lift.results import LiftResults
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # of a ramp that shows how frames fit
@@ -27,36 +29,18 @@ USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.0024, 0.12, 0.05
 
 @dataclass(frozen=True, eq=False)
 class Ordinary:
-    """What right exposures have beside the model.
+    """What right exposures have beside the model."""
 
-    Attributes
-    ----------
-    frames : int
-        Of the ramp that has shown it; 0 for values of simulated exposures.
-    structure, largest_structure : ndarray, (weights,)
-        Median and maximum of the rest, see `Structure`, with each of the weights `WEIGHTED_AS_FOR`.
-    blur_px2 : float
-        RMS of the variance of image motion.
-    halo, shift_nm : float
-        Largest halo, and largest shift of the defocus.
-    """
-
-    frames: int
-    structure: np.ndarray
-    largest_structure: np.ndarray
-    blur_px2: float
-    halo: float
-    shift_nm: float
+    frames: int  # of the ramp that has shown it; 0 for values of simulated exposures
+    structure: np.ndarray  # (weights,), median of the rest, see `Structure`, for each of `WEIGHTED_AS_FOR`
+    largest_structure: np.ndarray  # (weights,), its maximum
+    blur_px2: float  # RMS of the variance of image motion
+    halo: float  # the largest
+    shift_nm: float  # of the defocus, the largest
 
     @classmethod
     def of(cls, sensor: Focus, images_e: Iterable[np.ndarray]) -> Ordinary:
-        """Return what the frames of a ramp show; those of simulated exposures if they are too few.
-
-        Parameters
-        ----------
-        sensor : Focus
-        images_e : iterable of ndarray, (rows, columns)
-        """
+        """Return what a `sensor` sees in frames of a ramp, `images_e`; the usual if they are too few."""
         seen: list[Unexplained] = []
         structure: list[list[float]] = []
         for image_e in images_e:
@@ -84,13 +68,9 @@ class Ordinary:
         return cls(0, structure, 4 * structure, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM)
 
     def fits(self, found: Unexplained, largest: float) -> bool:
-        """Return whether an exposure has no more beside the model than right ones may have.
+        """Return whether what is `found` beside the model is no more than right exposures may have.
 
-        Parameters
-        ----------
-        found : Unexplained
-        largest : float
-            Part of the light that may at most be unexplained, whatever the ramp shows.
+        The `largest` part of the light may at most be unexplained, whatever the ramp shows.
         """
         blur_px2 = math.hypot(BLUR_TIMES * self.blur_px2, NOISE_TIMES * found.blur_sigma_px2)
         noise = NOISE_TIMES * found.halo_sigma
@@ -120,3 +100,35 @@ class Ordinary:
 
 def _structures(found: Unexplained) -> list[Structure]:
     return [found.rest.structure(found.rest.level * part) for part in WEIGHTED_AS_FOR]
+
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """From the error by photons to that of the measurement, as the stage `lift` states it."""
+
+    frames: FrameErrors  # growth by misfit, and error of the instant
+    defocus_nm: np.ndarray  # (offsets,), in order
+    optics_nm: np.ndarray  # (offsets,), error by the known wavefront there
+
+    @classmethod
+    def of(cls, results: LiftResults) -> SharedErrors | None:
+        """Return those that a ramp has shown; None where it was measured without the NCPAs, or not at all."""
+        defocus_nm = np.array([point.defocus_nm for point in results.points])
+        chosen = spread_over(defocus_nm)
+        if not results.calibrated or not len(chosen):
+            return None
+        optics_nm = np.array([point.sigma_optics_nm for point in results.points])[chosen]
+        frames = FrameErrors(results.points[0].sigma_instant_nm, results.chi2_nu, results.nominal_chi2_nu)
+        return cls(frames, defocus_nm[chosen], optics_nm)
+
+    def sigma_nm(
+        self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0
+    ) -> float:
+        """Return the standard error of `defocus_nm`, whose error by photons and read-out is `photon_nm` [nm].
+
+        `growth` is by how much that and the error of the instant are larger than those of the ramp's frames,
+        `beside_nm` a further error; see `Ordinary.growth`.
+        """
+        optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
+        frames = replace(self.frames, instant_nm=math.hypot(growth * self.frames.instant_nm, beside_nm))
+        return float(frames.sigma_nm(np.array([growth * photon_nm]), optics_nm)[0])

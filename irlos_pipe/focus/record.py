@@ -20,58 +20,19 @@ FAILED, FROZEN, OLD = "failed", "frozen", "old"
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """One exposure.
+    """One exposure."""
 
-    Attributes
-    ----------
-    sequence : int
-        Number of the record from 1, over all starts of the loop.
-    exposure, counter : int
-        Number of the exposure, and counter of its first read.
-    unix_s : float
-        Time of the first read.
-    reads, reads_late, reads_doubled, reads_missing, reads_damaged : int
-        In the exposure, and since the exposure before.
-    defocus_nm, tip_nm, tilt_nm, flux_e, background_e, chi2_nu, misfit : float
-        See `Measurement`.
-    sigma_nm : float
-        Error of the defocus with those that exposures share, see `SharedErrors`; NaN if these are not known.
-    sigma_photon_nm : float
-        Its part by photons and read-out.
-    valid : bool
-    reasons : tuple of str
-        Why it is not valid.
-    mode : str
-        ``bootstrap``, ``tracking`` or ``shadow``.
-    offset_nm : float
-        Offset commanded after this exposure [nm RMS].
-    commanded : bool
-        Whether this exposure changed it; if not, it is held.
-    held : str
-        Why a valid measurement was not used: ``settling`` or ``outside``.
-    clipped : bool
-    settling, outside : int
-        See `ControllerState`.
-    latency_ms : float
-        From the arrival of the last read to this record.
-    calibration : str
-    recording : str
-        That the reads belong to, where each has a counter of its own.
-    recorded_unix_s : float
-        Time of the record, by the clock of the loop.
-    """
-
-    sequence: int
+    sequence: int  # from 1, over all starts of the loop
     exposure: int
-    counter: int
-    unix_s: float
+    counter: int  # of the first read
+    unix_s: float  # of the first read
     reads: int
-    reads_late: int
+    reads_late: int  # these since the exposure before
     reads_doubled: int
     reads_missing: int
     reads_damaged: int
-    defocus_nm: float
-    sigma_nm: float
+    defocus_nm: float  # to misfit, see `Measurement`
+    sigma_nm: float  # with errors that exposures share, see `SharedErrors`; NaN if these are not known
     tip_nm: float
     tilt_nm: float
     flux_e: float
@@ -79,24 +40,23 @@ class Record:
     chi2_nu: float
     misfit: float
     valid: bool
-    reasons: tuple[str, ...]
-    mode: str
-    offset_nm: float
-    commanded: bool
-    held: str
+    reasons: tuple[str, ...]  # why it is not valid
+    mode: str  # bootstrap, tracking or shadow
+    offset_nm: float  # commanded after this exposure [nm RMS]
+    commanded: bool  # whether this exposure changed it; if not, it is held
+    held: str  # why a valid measurement was not used: settling, outside, open
     clipped: bool
-    settling: int
+    settling: int  # see `ControllerState`
     outside: int
-    latency_ms: float
+    latency_ms: float  # from the arrival of the last read to this record
     calibration: str
-    sigma_photon_nm: float = math.nan
-    recording: str = ""
-    recorded_unix_s: float = math.nan
+    sigma_photon_nm: float = math.nan  # the part of sigma_nm by photons and read-out
+    recording: str = ""  # that the reads belong to, where each has a counter of its own
+    recorded_unix_s: float = math.nan  # by the clock of the loop
 
     def line(self) -> str:
         """Return the record as one line of JSON."""
-        head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
-        return _line(head | asdict(self))
+        return _line(asdict(self))
 
     @property
     def state(self) -> ControllerState:
@@ -106,18 +66,8 @@ class Record:
 
 
 def event_line(sequence: int, unix_s: float, event: str) -> str:
-    """Return something that happened between exposures as one line of JSON.
-
-    Parameters
-    ----------
-    sequence : int
-        Of the last record.
-    unix_s : float
-    event : str
-        What happened, in one line.
-    """
-    head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
-    return _line(head | {"after": sequence, "unix_s": unix_s, "event": event})
+    """Return an `event` after record `sequence`, at `unix_s`, as one line of JSON."""
+    return _line({"after": sequence, "unix_s": unix_s, "event": event})
 
 
 def content_of(line: str | bytes) -> dict[str, Any]:
@@ -153,12 +103,11 @@ def record_of(line: str | bytes) -> Record | None:
         values = {one.name: content[one.name] for one in known}  # older records lack the keys with a default
         values |= {name: float("nan") for name, value in values.items() if value is None}
         record = Record(**values | {"reasons": tuple(values["reasons"])})
-        sound = _is_sound(record)
+        if _is_sound(record):
+            return record
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"a damaged record ({error})") from None
-    if not sound:
-        raise ValueError("a damaged record")
-    return record
+    raise ValueError("a damaged record")
 
 
 def _is_sound(record: Record) -> bool:
@@ -173,4 +122,5 @@ def _is_sound(record: Record) -> bool:
 
 
 def _line(content: dict[str, Any]) -> str:
-    return json.dumps(jsonable(content), allow_nan=False, separators=(",", ":")) + "\n"
+    head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
+    return json.dumps(jsonable(head | content), allow_nan=False, separators=(",", ":")) + "\n"

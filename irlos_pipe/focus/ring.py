@@ -19,6 +19,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,17 +37,32 @@ LOOK_S = 0.25  # between looks whether the file is still the one that is open
 LARGEST_SIDE = 4096
 
 
-class RingWriter:
-    """Writes frames.
+class _Shape(NamedTuple):
+    """Of a ring: what its head states."""
 
-    Parameters
-    ----------
-    path : Path
-        An existing ring of the same shape is continued, any other file there is refused.
-    window : (int, int)
-        Rows and columns.
-    slots : int
-        Frames kept.
+    rows: int
+    columns: int
+    slots: int
+
+    @property
+    def stride(self) -> int:
+        """Bytes of a slot."""
+        return NUMBER.size + BODY.size + 4 * self.rows * self.columns
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return HEAD_BYTES + self.slots * self.stride
+
+    def at(self, number: int) -> int:
+        """Where the slot of the frame of a `number` begins."""
+        return HEAD_BYTES + (number - 1) % self.slots * self.stride
+
+
+class RingWriter:
+    """Writes frames of a `window` of rows and columns; so many `slots` of them are kept.
+
+    An existing ring of the same shape is continued, any other file there is refused.
 
     Raises
     ------
@@ -57,17 +73,17 @@ class RingWriter:
     """
 
     def __init__(self, path: Path, window: tuple[int, int], slots: int = 64):
+        self._shape = _Shape(*window, slots)
         if not path.exists():
-            _create(path, window, slots)
-        found = _shape(path)
-        if found != (*window, slots):
+            _create(path, self._shape)
+        rows, columns, kept = found = _shape_of(path)
+        if found != self._shape:
             raise InputDataError(
-                f"{path}: a ring of {found[2]} frames of {found[0]}x{found[1]} px, not of {slots} of "
+                f"{path}: a ring of {kept} frames of {rows}x{columns} px, not of {slots} of "
                 f"{window[0]}x{window[1]}; remove it or choose another file"
             )
-        self._slots, self._stride = slots, _stride(window)
         descriptor = os.open(path, os.O_RDWR)
-        self._map = mmap.mmap(descriptor, _size(window, slots))
+        self._map = mmap.mmap(descriptor, self._shape.size)
         os.close(descriptor)
 
     @property
@@ -82,27 +98,21 @@ class RingWriter:
     def write(self, read: Read, *, damaged: bool = False) -> None:
         """Write one frame, `read`, over the oldest; a `damaged` one, for trials, has a wrong checksum."""
         number = self.written + 1
-        at, pixels = (
-            _at(number, self._slots, self._stride),
-            np.ascontiguousarray(read.image_e, "<f4").tobytes(),
-        )
+        at = self._shape.at(number)
+        pixels = np.ascontiguousarray(read.image_e, "<f4").tobytes()
         NUMBER.pack_into(self._map, at, 0)
         crc = _crc(read.counter, read.unix_s, pixels) ^ damaged
         BODY.pack_into(self._map, at + NUMBER.size, read.counter, read.unix_s, crc)
-        self._map[at + NUMBER.size + BODY.size : at + self._stride] = pixels
+        self._map[at + NUMBER.size + BODY.size : at + self._shape.stride] = pixels
         NUMBER.pack_into(self._map, at, number)
         NUMBER.pack_into(self._map, WRITTEN_AT, number)
 
 
 class RingSource:
-    """Reads frames, see `Source`; begins with the oldest that is still there.
+    """Reads frames; begins with the oldest that is still there.
 
     It reads the file and does not map it: a file that is cut short under a map kills the process. A ring that
     is taken away, cut short or made anew is named, waited for, and read again from its oldest frame.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------
@@ -130,11 +140,14 @@ class RingSource:
         """See `Source.close`."""
         os.close(self._descriptor)
 
-    def _take(self, descriptor: int, shape: tuple[int, int, int]) -> None:
-        rows, columns, self.slots = shape
-        self._descriptor, self.window = descriptor, (rows, columns)
-        self._stride, self._looked_s = _stride(self.window), time.monotonic()
-        self._next = max(1, self._written() - self.slots + 2)
+    def _take(self, descriptor: int, shape: _Shape) -> None:
+        self._descriptor, self._shape, self.window = descriptor, shape, (shape.rows, shape.columns)
+        self._looked_s = time.monotonic()
+        self._next = max(1, self._oldest(self._written()))
+
+    def _oldest(self, written: int) -> int:
+        """The oldest frame that is still there; the slot of the one before may be written to."""
+        return written - self._shape.slots + 2
 
     def _written(self) -> int:
         """Frames written so far, 0 where the head is gone; read until it is the same twice."""
@@ -152,20 +165,18 @@ class RingSource:
     def _frames(self) -> list[Arrival]:
         """What has been written since the last poll."""
         written, found = self._written(), list[Arrival]()
-        oldest = written - self.slots + 2
-        if self._next < oldest:
-            found.append(
-                Fault(f"{self.path}: {oldest - self._next} frames overwritten before they were read")
-            )
-            self._next = oldest
+        lost = self._oldest(written) - self._next
+        if lost > 0:
+            found.append(Fault(f"{self.path}: {lost} frames overwritten before they were read"))
+            self._next += lost
         while self._next <= written:
             found.append(self._frame(self._next))
             self._next += 1
         return found
 
     def _frame(self, number: int) -> Read | Fault:
-        slot = self._read(self._stride, _at(number, self.slots, self._stride))
-        if len(slot) < self._stride:
+        slot = self._read(self._shape.stride, self._shape.at(number))
+        if len(slot) < self._shape.stride:
             return Fault(f"{self.path}: frame {number} is not there: the file was cut short")
         counter, unix_s, crc = BODY.unpack_from(slot, NUMBER.size)
         pixels = slot[NUMBER.size + BODY.size :]
@@ -184,7 +195,14 @@ class RingSource:
             first, self._lost = not self._lost, str(error)
             return [*self._frames(), Notice(f"{self._lost}; waiting for it")] if first else []
         self._lost = ""
-        return self._exchanged(descriptor, shape)
+        if self._is_the_same():
+            os.close(descriptor)
+            return [Notice(f"{self.path}: the ring is there again")]
+        rest = self._frames()
+        self.close()
+        self._take(descriptor, shape)
+        text = f"made anew, with frames of {shape.rows}x{shape.columns} px; the loop reads these now"
+        return [*rest, Notice(f"{self.path}: {text}", counts_anew=True)]
 
     def _is_the_same(self) -> bool:
         """Whether the path leads to the file that is open, whole, and with the frames that were read."""
@@ -193,19 +211,7 @@ class RingSource:
         except OSError:
             return False
         same = (named.st_dev, named.st_ino) == (opened.st_dev, opened.st_ino)
-        whole = opened.st_size >= _size(self.window, self.slots)
-        return same and whole and self._written() >= self._next - 1
-
-    def _exchanged(self, descriptor: int, shape: tuple[int, int, int]) -> list[Arrival]:
-        """Go over to the file that has been opened, after the last frames of the one before."""
-        if self._is_the_same():
-            os.close(descriptor)
-            return [Notice(f"{self.path}: the ring is there again")]
-        rest = self._frames()
-        self.close()
-        self._take(descriptor, shape)
-        text = f"{self.path}: made anew, with frames of {shape[0]}x{shape[1]} px; the loop reads these now"
-        return [*rest, Notice(text, counts_anew=True)]
+        return same and opened.st_size >= self._shape.size and self._written() >= self._next - 1
 
 
 def window_of(path: Path) -> tuple[int, int]:
@@ -216,78 +222,58 @@ def window_of(path: Path) -> tuple[int, int]:
     InputDataError
         If the file is no ring.
     """
-    rows, columns, _ = _shape(path)
-    return rows, columns
+    return _shape_of(path)[:2]
 
 
-def _stride(window: tuple[int, int]) -> int:
-    return NUMBER.size + BODY.size + 4 * window[0] * window[1]
-
-
-def _size(window: tuple[int, int], slots: int) -> int:
-    return HEAD_BYTES + slots * _stride(window)
-
-
-def _at(number: int, slots: int, stride: int) -> int:
-    """Where the slot of a frame begins."""
-    return HEAD_BYTES + (number - 1) % slots * stride
+def _shape_of(path: Path) -> _Shape:
+    descriptor, shape = _opened(path)
+    os.close(descriptor)
+    return shape
 
 
 def _crc(counter: int, unix_s: float, pixels: bytes) -> int:
     return zlib.crc32(pixels, zlib.crc32(struct.pack("<qd", counter, unix_s)))
 
 
-def _create(path: Path, window: tuple[int, int], slots: int) -> None:
+def _create(path: Path, shape: _Shape) -> None:
     """Make an empty ring that appears whole."""
-    size = _size(window, slots)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with open(temporary, "wb") as stream:
-            stream.write(HEAD.pack(MAGIC, VERSION, *window, slots))
+            stream.write(HEAD.pack(MAGIC, VERSION, *shape))
             stream.flush()
-            os.posix_fallocate(stream.fileno(), 0, size)
+            os.posix_fallocate(stream.fileno(), 0, shape.size)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _shape(path: Path) -> tuple[int, int, int]:
-    """Rows, columns and slots of a ring."""
-    descriptor, shape = _opened(path)
-    os.close(descriptor)
-    return shape
-
-
-def _opened(path: Path) -> tuple[int, tuple[int, int, int]]:
-    """A descriptor of a ring, and its rows, columns and slots."""
-    descriptor = -1
+def _opened(path: Path) -> tuple[int, _Shape]:
+    """A descriptor of a ring, and its shape."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # of a pipe, too, without waiting
-        head, size = os.pread(descriptor, HEAD.size, 0), os.fstat(descriptor).st_size
-        return descriptor, _checked(path, head, size)
+        try:
+            return descriptor, _checked(
+                path, os.pread(descriptor, HEAD.size, 0), os.fstat(descriptor).st_size
+            )
+        except BaseException:
+            os.close(descriptor)
+            raise
     except OSError as error:
-        _close(descriptor)
         raise InputDataError(f"{path}: cannot be read as a ring of frames: {error.strerror}") from error
-    except InputDataError:
-        _close(descriptor)
-        raise
 
 
-def _close(descriptor: int) -> None:
-    if descriptor >= 0:
-        os.close(descriptor)
-
-
-def _checked(path: Path, head: bytes, size: int) -> tuple[int, int, int]:
-    """Rows, columns and slots that the head of a file of some size states."""
+def _checked(path: Path, head: bytes, size: int) -> _Shape:
+    """What the head of a file of some size states."""
     if len(head) < HEAD.size or not head.startswith(MAGIC):
         raise InputDataError(
             f"{path}: not a ring of frames; give the file that the recorder writes frames to"
         )
-    _, version, rows, columns, slots = HEAD.unpack(head)
-    sound = 0 < rows <= LARGEST_SIDE and 0 < columns <= LARGEST_SIDE and slots > 1
-    if version != VERSION or not sound or size < _size((rows, columns), slots):
+    _, version, *numbers = HEAD.unpack(head)
+    shape = _Shape(*numbers)
+    sound = 0 < shape.rows <= LARGEST_SIDE and 0 < shape.columns <= LARGEST_SIDE and shape.slots > 1
+    if version != VERSION or not sound or size < shape.size:
         raise InputDataError(
             f"{path}: a damaged ring of frames, or one of another version; let it be made anew"
         )
-    return rows, columns, slots
+    return shape

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -12,26 +11,28 @@ from pathlib import Path
 
 from irlos_pipe.control.exposures import Accumulator, Exposure, Read
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.agreement import exposure_differences, optical_differences
-from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
-from irlos_pipe.focus.clock import Clock
-from irlos_pipe.focus.exchange import CalibrationWatch
+from irlos_pipe.focus.calibration import (
+    Calibration,
+    CalibrationRequest,
+    CalibrationWatch,
+    exposure_differences,
+    optical_differences,
+)
 from irlos_pipe.focus.journal import Journal
+from irlos_pipe.focus.live import HOUR_S, LivePage, PageSettings, Publisher
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.mailbox import Command, Mailbox
-from irlos_pipe.focus.notes import SparingNotes
-from irlos_pipe.focus.page import HOUR_S, LivePage, PageSettings
-from irlos_pipe.focus.publisher import Publisher
-from irlos_pipe.focus.record import Record
-from irlos_pipe.focus.source import Arrival, Fault, Source
+from irlos_pipe.focus.source import Arrival, Clock, Fault, Source
 from irlos_pipe.product.runfolder import owned_folder, require_free
 
-LOG = logging.getLogger(__name__)
 COMMAND = "command"
 POLL_S = 0.25  # between looks at everything that is no frame
 CLOCK_STEP_S = 0.5
 AHEAD_S = 5.0  # of both clocks of the loop: no read is of the future
 OWN = ("focus.jsonl", COMMAND)
+FAULTS_A_MINUTE, MINUTE_S = 20, 60.0  # that are told each
+
+Tell = Callable[[str], None]  # gets lines for people
 
 
 class Stopped(KeyboardInterrupt):
@@ -44,45 +45,20 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass(frozen=True)
 class Service:
-    """What `irlos focus` was asked for.
+    """What `irlos focus` was asked for."""
 
-    Attributes
-    ----------
-    output : Path
-        Folder for the record and the command.
-    calibration : CalibrationRequest
-    settings : LoopSettings
-    open_source : callable
-        Makes the source, with the calibration and the record, which knows what has been measured.
-    flush_after_s : float
-        Silence after which an incomplete exposure is closed.
-    silent_after_s : float
-        Silence after which an event says that no frames come.
-    every_exposure_counts : bool
-        Whether exposures that have been overtaken are used although they command: in a replay, not on the
-        telescope.
-    page : PageSettings or None
-    socket : Path or None
-    """
-
-    output: Path
+    output: Path  # folder for the record and the command
     calibration: CalibrationRequest
     settings: LoopSettings
-    open_source: Callable[[Calibration, Journal], Source]
-    flush_after_s: float = 2.0
-    silent_after_s: float = math.inf
-    every_exposure_counts: bool = False
+    open_source: Callable[[Calibration, Journal], Source]  # the record knows what has been measured
+    flush_after_s: float = 2.0  # silence after which an incomplete exposure is closed
+    silent_after_s: float = math.inf  # silence after which an event says that no frames come
+    every_exposure_counts: bool = False  # overtaken ones command, too: in a replay, not on the telescope
     page: PageSettings | None = None
     socket: Path | None = None
 
-    def run(self, report: Callable[[str], None], stopped: Callable[[], bool] = lambda: False) -> int:
-        """Run until the source ends or `stopped` says so; return the number of records made.
-
-        Parameters
-        ----------
-        report : callable
-            Gets lines for people.
-        stopped : callable
+    def run(self, report: Tell, stopped: Callable[[], bool] = lambda: False) -> int:
+        """Run until the source ends or `stopped` says so; `report` gets lines; return the number of records.
 
         Raises
         ------
@@ -97,14 +73,13 @@ class Service:
             calibration = self.calibration.load()
             journal = stack.enter_context(closing(Journal(self.output)))
             source = stack.enter_context(closing(self.open_source(calibration, journal)))
-            _require_window(source, calibration)
             _require_agreement(source, calibration)
             mailbox = stack.enter_context(closing(Mailbox(self.output / COMMAND)))
-            begun = _Beginning.of(journal, mailbox, self.settings, self.output)
+            goes_on, why = _left_off(journal, mailbox, self.settings, self.output)
             page = None if self.page is None else stack.enter_context(closing(LivePage(self.page)))
             publisher = None if self.socket is None else stack.enter_context(closing(Publisher(self.socket)))
-            running = _Running(self, calibration, journal, mailbox, begun, page, publisher, report)
-            running.begin(source)
+            running = _Running(self, calibration, journal, mailbox, goes_on, page, publisher, report)
+            running.begin(source, why)
             try:
                 running.follow(source, stopped)
             except KeyboardInterrupt:
@@ -112,72 +87,89 @@ class Service:
             return running.records
 
 
-@dataclass(frozen=True)
-class _Beginning:
-    """Where an earlier loop has left off: its last record, and the command where that says otherwise.
+def _require_agreement(source: Source, calibration: Calibration) -> None:
+    """Frames must be those of the calibration, as far as the source knows from the start.
+
+    Raises
+    ------
+    InputDataError
+        If their window, instrument or light path is another.
+    """
+    window = getattr(source, "window", calibration.window)
+    if window != calibration.window:
+        raise InputDataError(
+            f"frames of {window[0]}x{window[1]} px, and the calibration {calibration.name} is for "
+            f"{calibration.window[0]}x{calibration.window[1]} px; give one for these frames"
+        )
+    name = getattr(source, "instrument_name", calibration.instrument_name)
+    acquisition = getattr(source, "acquisition", calibration.acquisition)
+    against = optical_differences(acquisition, calibration.acquisition)
+    if name != calibration.instrument_name:
+        against.insert(0, f"instrument {name}, not {calibration.instrument_name}")
+    if against:
+        raise InputDataError(
+            f"the frames are not those that the calibration {calibration.name} is for: {'; '.join(against)}; "
+            "give one for these frames"
+        )
+
+
+def _left_off(
+    journal: Journal, mailbox: Mailbox, settings: LoopSettings, output: Path
+) -> tuple[Command | None, str]:
+    """The command that an earlier loop has left, where its last record says otherwise; and what to say of it.
 
     The command is written first, is checked by itself, and is what the telescope has done.
+
+    Raises
+    ------
+    InputDataError
+        If the offset that stands cannot be known, or is not within the limit.
     """
-
-    last: Record | None
-    command: Command | None = None
-    text: str = ""
-
-    @classmethod
-    def of(cls, journal: Journal, mailbox: Mailbox, settings: LoopSettings, output: Path) -> _Beginning:
-        """Compare them.
-
-        Raises
-        ------
-        InputDataError
-            If the offset that stands cannot be known, or is not within the limit.
-        """
-        last, command = journal.last, mailbox.read()
-        number, offset_nm = (0, 0.0) if last is None else (last.sequence, last.offset_nm)
-        text = f"{journal.damaged} damaged lines at the end of the record" if journal.damaged else ""
-        if settings.shadow:
-            return cls(last, None, text)
-        if command is None and (journal.damaged or (mailbox.damaged and last is None)):
-            raise InputDataError(
-                f"{output}: the offset that stands is not known: the end of the record and the command are "
-                "damaged or lost; bring the telescope to a known focus and choose another output"
-            )
-        if command is not None and (command.number > number or command.offset_nm != offset_nm):
-            number, offset_nm = max(number, command.number), command.offset_nm
-            why = "no record" if last is None else f"the last sound record is number {last.sequence}"
-            text = "; ".join(
-                filter(None, (text, f"{why}; goes on from command {number}, {offset_nm:.1f} nm"))
-            )
-        else:
-            text = "; ".join(filter(None, (text, "the command is damaged" if mailbox.damaged else "")))
-            command = None
-        if abs(offset_nm) > settings.controller.limit_nm:
-            raise InputDataError(
-                f"{output}: the offset that stands, {offset_nm:.1f} nm, is beyond --limit-nm "
-                f"{settings.controller.limit_nm:g}; raise that, or choose another output"
-            )
-        return cls(last, None if command is None else Command(number, offset_nm, command.counter), text)
+    last, command = journal.last, mailbox.read()
+    number, offset_nm = (0, 0.0) if last is None else (last.sequence, last.offset_nm)
+    why = [f"{journal.damaged} damaged lines at the end of the record"] if journal.damaged else []
+    if settings.shadow:
+        return None, "; ".join(why)
+    if command is None and (journal.damaged or (mailbox.damaged and last is None)):
+        raise InputDataError(
+            f"{output}: the offset that stands is not known: the end of the record and the command are "
+            "damaged or lost; bring the telescope to a known focus and choose another output"
+        )
+    if command is not None and (command.number > number or command.offset_nm != offset_nm):
+        number, offset_nm = max(number, command.number), command.offset_nm
+        command = Command(number, offset_nm, command.counter)
+        record = "no record" if last is None else f"the last sound record is number {last.sequence}"
+        why += [record, f"goes on from command {number}, {offset_nm:.1f} nm"]
+    else:
+        command = None
+        why += ["the command is damaged"] if mailbox.damaged else []
+    if abs(offset_nm) > settings.controller.limit_nm:
+        raise InputDataError(
+            f"{output}: the offset that stands, {offset_nm:.1f} nm, is beyond --limit-nm "
+            f"{settings.controller.limit_nm:g}; raise that, or choose another output"
+        )
+    return command, "; ".join(why)
 
 
 @dataclass
 class _Running:
-    """The loop with all that it writes to."""
+    """The loop with all that it writes to; it goes on from a command where that is ahead of the record."""
 
     service: Service
     calibration: Calibration
     journal: Journal
     mailbox: Mailbox
-    begun: _Beginning
+    goes_on: Command | None
     page: LivePage | None
     publisher: Publisher | None
-    report: Callable[[str], None]
+    report: Tell
     records: int = 0
     damaged: int = 0
     clock: Clock = field(default_factory=Clock)
     _clock_s: float = field(default_factory=lambda: time.time() - time.monotonic())
 
     def __post_init__(self) -> None:
-        settings, last, command = self.service.settings, self.begun.last, self.begun.command
+        settings, last, command = self.service.settings, self.journal.last, self.goes_on
         self.loop = FocusLoop(self.calibration, settings, last)
         if command is not None:
             self.loop.take_over(command.number, command.offset_nm)
@@ -189,19 +181,18 @@ class _Running:
         self.accumulator = Accumulator(settings.reads, settings.counter_step, *done)
         self.watch = CalibrationWatch(self.service.calibration, self.calibration)
         self.heard_s, self.silent, self.full = time.monotonic(), False, False
-        self.faults = SparingNotes(self.note)
+        self.faults = _SparingNotes(self.note)
 
-    def begin(self, source: Source) -> None:
-        """Say that the loop runs, from where it goes on, and with which calibration."""
-        last, command = self.begun.last, self.begun.command
+    def begin(self, source: Source, why: str) -> None:
+        """Say that the loop runs, from where it goes on and why, and with which calibration."""
         if self.page is not None:
             for written_s, line in self.journal.recent(time.time() - HOUR_S):
                 self.page.show(line, written_s)
-        number = command.number if command else last.sequence if last else 0
+        number = self.loop.sequence
         text = f"started again after record {number}" if number else "started"
         self.note(f"{text}, calibration {self.calibration.name}")
-        if self.begun.text:
-            self.note(self.begun.text)
+        if why:
+            self.note(why)
         self.note_calibration(self.calibration)
         acquisition = getattr(source, "acquisition", self.calibration.acquisition)
         if against := exposure_differences(acquisition, self.calibration.acquisition):
@@ -333,37 +324,33 @@ class _Running:
         self.report(text)
 
 
-def _require_window(source: Source, calibration: Calibration) -> None:
-    """Frames whose size is known from the start must be those of the calibration.
+@dataclass
+class _SparingNotes:
+    """Passes faults on, each one up to a number per minute, then only how many there were."""
 
-    Raises
-    ------
-    InputDataError
-        If they are not.
-    """
-    window = getattr(source, "window", calibration.window)
-    if window != calibration.window:
-        raise InputDataError(
-            f"frames of {window[0]}x{window[1]} px, and the calibration {calibration.name} is for "
-            f"{calibration.window[0]}x{calibration.window[1]} px; give one for these frames"
-        )
+    tell: Tell
+    _began_s: float = field(default_factory=time.monotonic)
+    _told: int = 0
+    _untold: int = 0
+    _last: str = ""
 
+    def add(self, text: str) -> None:
+        """Tell a fault, a `text` of one line, or count it."""
+        self.look()
+        if self._told < FAULTS_A_MINUTE:
+            self._told += 1
+            self.tell(text)
+        else:
+            self._untold, self._last = self._untold + 1, text
 
-def _require_agreement(source: Source, calibration: Calibration) -> None:
-    """Frames must be taken as those of the calibration, as far as the source knows from the start.
+    def look(self) -> None:
+        """Tell at the end of a minute how many were not told."""
+        if time.monotonic() - self._began_s >= MINUTE_S:
+            self.finish()
+            self._began_s, self._told = time.monotonic(), 0
 
-    Raises
-    ------
-    InputDataError
-        If they are not.
-    """
-    name = getattr(source, "instrument_name", calibration.instrument_name)
-    acquisition = getattr(source, "acquisition", calibration.acquisition)
-    against = optical_differences(acquisition, calibration.acquisition)
-    if name != calibration.instrument_name:
-        against.insert(0, f"instrument {name}, not {calibration.instrument_name}")
-    if against:
-        raise InputDataError(
-            f"the frames are not those that the calibration {calibration.name} is for: {'; '.join(against)}; "
-            "give one for these frames"
-        )
+    def finish(self) -> None:
+        """Tell how many were not told yet."""
+        if self._untold:
+            self.tell(f"{self._untold} more faults, the last: {self._last}")
+        self._untold = 0

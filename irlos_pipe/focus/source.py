@@ -1,9 +1,13 @@
-"""What the loop reads frames from; a new kind of source is a class with these two methods."""
+"""What the loop reads frames from, and the clocks by which it judges their times.
+
+A new kind of source is a class with the two methods of `Source`.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from irlos_pipe.control.exposures import Read
@@ -11,15 +15,7 @@ from irlos_pipe.control.exposures import Read
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that came in place of a read.
-
-    Attributes
-    ----------
-    text : str
-        What is wrong and where, in one line.
-    reads : int
-        That it stands for.
-    """
+    """What came in place of so many `reads`: what is wrong and where, in one line."""
 
     text: str
     reads: int = 1
@@ -27,15 +23,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Notice:
-    """Something that happened to the source itself.
-
-    Attributes
-    ----------
-    text : str
-        What happened and where, in one line.
-    counts_anew : bool
-        Whether the counter of the reads after it may begin anywhere.
-    """
+    """What happened to the source itself, in one line; whether counters after it may begin anywhere."""
 
     text: str
     counts_anew: bool = False
@@ -56,3 +44,21 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Let go of files and memory."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Two clocks: that of the machine, and what it showed at the start with the time that has passed since.
+
+    When the machine's clock is set, forwards or back, one of the two agrees with the recorder's.
+    """
+
+    _began_s: float = field(default_factory=lambda: time.time() - time.monotonic())
+
+    def ahead_s(self, unix_s: float) -> float:
+        """Return by how much a time is ahead of both; NaN if it is not known."""
+        return unix_s - max(time.time(), self._began_s + time.monotonic())
+
+    def off_s(self, unix_s: float) -> float:
+        """Return by how much a time is off the nearer one, either way; NaN if it is not known."""
+        return min(abs(unix_s - time.time()), abs(unix_s - self._began_s - time.monotonic()))

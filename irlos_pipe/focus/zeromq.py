@@ -22,9 +22,8 @@ import numpy as np
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.focus.clock import Clock
-from irlos_pipe.focus.page import SHORTEST_TOKEN
-from irlos_pipe.focus.source import Fault
+from irlos_pipe.focus.live import SHORTEST_TOKEN
+from irlos_pipe.focus.source import Clock, Fault
 
 MAGIC, VERSION = b"IRLOSFRM", 1
 HEAD = struct.Struct("<8s3I4xqd")
@@ -42,17 +41,11 @@ def message_of(read: Read, token: str = "") -> list[bytes]:
 
 
 class ZeroMqSource:
-    """Subscribes to the frames of a recorder, see `Source`.
+    """Subscribes to the frames of a recorder, of a `window` of rows and columns.
 
-    Parameters
-    ----------
-    endpoint : str
-        ``tcp://ADDRESS:PORT`` or ``ipc://FILE`` to which the recorder has bound a PUB socket.
-    token : str
-        With which messages must be signed, empty for none. Signed ones must be newer than all before, and not
-        older than seconds: whoever plays messages back has no token.
-    window : (int, int)
-        Rows and columns of the frames.
+    The recorder has bound a PUB socket to the `endpoint`, ``tcp://ADDRESS:PORT`` or ``ipc://FILE``. With a
+    `token` messages must be signed, newer than all before, and not older than seconds: whoever plays messages
+    back has no token.
 
     Raises
     ------
@@ -62,7 +55,7 @@ class ZeroMqSource:
 
     def __init__(self, endpoint: str, token: str = "", window: tuple[int, int] = (512, 512)):
         _require_near(endpoint, token)
-        self._zmq = zmq = _pyzmq(endpoint)
+        zmq = _pyzmq(endpoint)
         self._endpoint, self._token, self._context = endpoint, token, zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.set(zmq.RCVHWM, KEPT)
@@ -93,9 +86,8 @@ class ZeroMqSource:
             else:
                 untold, last = untold + 1, one.text
         if untold:
-            found.append(
-                Fault(f"{last}; {untold} of the kind at once: frames between them may be lost", untold)
-            )
+            text = f"{last}; {untold} of the kind at once: frames between them may be lost"
+            found.append(Fault(text, untold))
         return found
 
     def close(self) -> None:
@@ -121,16 +113,10 @@ class ZeroMqSource:
         _, version, rows, columns, counter, unix_s = HEAD.unpack(parts[0])
         if version != VERSION or len(parts[1]) != 4 * rows * columns or not len(parts[1]):
             return Fault(f"{self._endpoint}: a frame of another version or size")
-        if self._token and not self._is_new(unix_s):
+        if self._token and not (self._newest_s < unix_s and self._clock.off_s(unix_s) < FRESH_S):
             return Fault(f"{self._endpoint}: a signed frame of before, or without a time; played back?")
-        return Read(counter, unix_s, np.frombuffer(parts[1], "<f4").reshape(rows, columns))
-
-    def _is_new(self, unix_s: float) -> bool:
-        """Whether a signed frame is newer than the last one, and of now."""
-        if not (self._newest_s < unix_s and self._clock.off_s(unix_s) < FRESH_S):
-            return False
         self._newest_s = unix_s
-        return True
+        return Read(counter, unix_s, np.frombuffer(parts[1], "<f4").reshape(rows, columns))
 
 
 def _signature(parts: Sequence[bytes], token: str) -> bytes:

@@ -14,20 +14,23 @@ from irlos_pipe.commands.main import cli
 from irlos_pipe.files import shipped
 from irlos_pipe.product.storage import read_product
 
-
-def test_the_help_teaches_by_examples_and_exit_codes():
-    for arguments in ([], ["run"]):
-        text = invoke(*arguments, "--help").stdout
-        assert "irlos run full_reduction --input calibration=CUBE" in text
-        assert "75" in text and "in use by another run" in text
+SHORT = ("sensitivity.mag_step=4", "sensitivity.realisations=2", "sensitivity.frames_per_offset=2")
 
 
-@pytest.mark.parametrize(
-    "command", ["run", "validate", "status", "show", "report", "export", "score", "simulate"]
-)
+@pytest.mark.parametrize("command", cli.commands)
 def test_every_command_has_an_example(command):
     result = invoke(command, "--help")
-    assert result.exit_code == 0 and f"irlos {command} " in result.stdout
+    assert result.exit_code == 0 and f"irlos {command} " in result.stdout.partition("Example")[2]
+
+
+@pytest.mark.slow
+def test_the_demo_runs_to_its_end_and_passes_its_checks(tmp_path):
+    settings = [word for one in SHORT for word in ("--set", one)]
+    outcome = invoke("demo", "--output", str(tmp_path / "demo"), *settings, "--jobs", "1")
+    assert outcome.exit_code == 0, outcome.output
+    results = json.loads((tmp_path / "demo" / "results.json").read_text())
+    assert results["status"] == "ok"
+    assert results["stages"].keys() >= {"ingest", "prior", "calibrate", "lift", "sensitivity"}
 
 
 def test_results_of_samples_say_so_on_the_terminal_and_in_the_results(bench, monkeypatch):
@@ -39,14 +42,11 @@ def test_results_of_samples_say_so_on_the_terminal_and_in_the_results(bench, mon
     assert results["samples"] == ["cube"] and results["notice"].startswith(notice)
 
 
-def test_a_forgotten_input_is_an_error_in_one_line(tmp_path):
+def test_a_forgotten_input_is_an_error_in_one_line_and_a_recipe_is_valid_without_it(tmp_path):
     result = invoke("run", "ncpa_calibration", "--output", str(tmp_path / "out"))
     (line,) = result.stderr.splitlines()
     assert result.exit_code == 2 and not (tmp_path / "out").exists()
     assert "input 'calibration' is not given; add --input calibration=PATH, or --samples" in line
-
-
-def test_a_recipe_is_valid_without_its_inputs():
     result = invoke("validate", "full_reduction")
     assert result.exit_code == 0 and result.stdout.endswith("; to be given: calibration, ramp\n")
 
@@ -60,21 +60,17 @@ def test_every_recipe_is_listed_and_can_be_copied():
     assert result.exit_code == 2 and "did you mean 'bench'?" in result.stderr
 
 
-def test_a_run_ends_with_a_table_and_the_path_of_the_report(bench):
-    result = bench.run()
-    assert result.exit_code == 0
-    assert result.stdout.splitlines() == [
+def test_a_run_ends_with_a_table_and_the_path_of_the_report_also_when_it_is_up_to_date(bench):
+    first, second = bench.run(), bench.run()
+    assert first.exit_code == second.exit_code == 0
+    assert first.stdout.splitlines() == [
         "ingest     2 files",
         "calibrate  mean 4 ADU",
         "QC         1 of 1 checks passed",
         f"report     {bench.output / 'report.html'}",
     ]
-    assert "irlos: lift: no product yet" in result.stderr.splitlines()
-
-
-def test_a_run_that_is_up_to_date_prints_the_same_table(bench):
-    first, second = bench.run(), bench.run()
-    assert second.exit_code == 0 and second.stdout == first.stdout
+    assert second.stdout == first.stdout
+    assert "irlos: lift: no product yet" in first.stderr.splitlines()
     expected = [f"irlos: {name}: up to date" for name in ("ingest", "calibrate", "lift")]
     assert second.stderr.splitlines() == expected
 
@@ -90,13 +86,10 @@ def test_json_is_all_that_goes_to_stdout(bench):
     assert json.loads(result.stdout) == json.loads((bench.output / "results.json").read_text())
 
 
-def test_quiet_says_nothing_when_all_is_well(bench):
+def test_quiet_says_nothing_when_all_is_well_and_verbose_what_the_stages_say(bench):
     result = bench.run("-q")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
-
-
-def test_verbose_shows_what_the_stages_say(bench):
-    assert "irlos: read 2 files" in bench.run("-v").stderr.splitlines()
+    assert "irlos: read 2 files" in bench.run("-v", "--force").stderr.splitlines()
 
 
 def test_a_dry_run_prints_the_plan_and_touches_nothing(bench):
@@ -110,10 +103,8 @@ def test_a_dry_run_can_be_read_by_scripts(bench):
     bench.run()
     plan = json.loads(bench.run("--dry-run", "--json", "--force", "--from", "lift").stdout)
     assert [(step["stage"], step["action"]) for step in plan] == [
-        ("ingest", "use as it is"),
-        ("calibrate", "use as it is"),
-        ("lift", "run"),
-    ]
+        ("ingest", "use as it is"), ("calibrate", "use as it is"), ("lift", "run"),
+    ]  # fmt: skip
 
 
 def test_the_seed_and_the_input_options_reach_the_stages(bench):
@@ -154,20 +145,23 @@ def test_wrong_configuration_exits_with_2_and_one_line_per_mistake(bench):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["run"],
-        ["rn"],
-        ["run", "x.yaml", "--output", "o", "--jobs", "0"],
-        ["run", "x.yaml", "--output", "o", "-v", "-q"],
-        ["run", "x.yaml", "--output", "o", "--device", "tpu"],
+        "run",
+        "rn",
+        "run x.yaml --output o --jobs 0",
+        "run x.yaml --output o -v -q",
+        "run x.yaml --output o --device tpu",
+        "simulate",
+        "simulate nothing.yaml --output o",
+        "simulate README.md --output o --jobs 0",
     ],
 )
 def test_wrong_usage_exits_with_2(arguments):
-    assert invoke(*arguments).exit_code == 2
+    assert invoke(*arguments.split()).exit_code == 2
 
 
 def test_a_missing_cuda_device_is_reported(bench, monkeypatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    result = invoke("run", str(bench.recipe), "--output", str(bench.output), "--device", "cuda")
+    result = bench.run("--device", "cuda")
     assert result.exit_code == 2 and "finds no CUDA device" in result.stderr
 
 
@@ -193,34 +187,27 @@ def test_an_input_without_permission_exits_with_3(bench):
     assert result.exit_code == 3 and "Permission denied" in result.stderr
 
 
-def test_validate_tells_a_valid_recipe(bench):
+def test_validate_tells_a_valid_recipe_from_a_wrong_one(bench):
     result = invoke("validate", str(bench.recipe))
     assert result.exit_code == 0 and "is valid: ingest, calibrate, lift" in result.stdout
-
-
-def test_validate_tells_a_wrong_recipe_with_2(bench):
     bench.recipe.write_text("recipe: x\n")
     result = invoke("validate", str(bench.recipe))
     assert result.exit_code == 2 and "key 'stages' is missing" in result.stderr
 
 
-def test_status_says_what_is_up_to_date_and_why_the_rest_is_not(bench):
+def test_status_says_what_is_up_to_date_and_why_the_rest_is_not_also_without_the_inputs(bench):
     bench.run()
     (bench.data / "a.dat").write_bytes(b"1")
     (bench.output / "03_lift.h5").unlink()
     lines = invoke("status", str(bench.output)).stdout.splitlines()
     assert lines[1].startswith("01_ingest.h5") and "outdated: input file cube/data/a.dat changed" in lines[1]
     assert lines[3].startswith("03_lift.h5") and "no product yet" in lines[3]
-
-
-def test_status_still_lists_the_products_when_the_inputs_are_gone(bench):
-    bench.run()
     bench.data.rename(bench.folder / "moved")
     lines = invoke("status", str(bench.output)).stdout.splitlines()
-    assert len(lines) == 4 and "cannot be checked" in lines[1] and "no such file" in lines[1]
+    assert len(lines) == 3 and "cannot be checked" in lines[1] and "no such file" in lines[1]
 
 
-@pytest.mark.parametrize("command", ["status", "report"])
+@pytest.mark.parametrize("command", ["status", "report", "show"])
 def test_a_folder_without_a_run_is_reported(tmp_path, command):
     result = invoke(command, str(tmp_path))
     assert result.exit_code == 3 and "not the folder of a run" in result.stderr
@@ -241,11 +228,6 @@ def test_show_of_a_run_lists_its_products_and_the_other_files(bench):
     assert rows[1].split()[1:3] == ["1", "1/1"] and "qc.json" in last and ".lock" not in last
 
 
-def test_show_of_a_folder_without_a_run_says_what_it_lacks(tmp_path):
-    result = invoke("show", str(tmp_path))
-    assert result.exit_code == 3 and "not the folder of a run" in result.stderr
-
-
 def test_show_tells_a_wrong_file_in_one_line(bench):
     result = invoke("show", str(bench.recipe))
     assert result.exit_code == 3 and len(result.stderr.splitlines()) == 1
@@ -258,33 +240,31 @@ def test_the_report_can_be_built_again(bench):
     assert invoke("report", str(bench.output)).stdout.strip() == str(report) and report.is_file()
 
 
+def completed(typed: list[str]) -> list[str]:
+    variables = {"COMP_WORDS": " ".join(["irlos", *typed]), "COMP_CWORD": str(len(typed))}
+    result = CliRunner().invoke(cli, prog_name="irlos", env={"_IRLOS_COMPLETE": "bash_complete", **variables})
+    assert not isinstance(result.exception, Exception)
+    return result.stdout.split()
+
+
 @pytest.mark.parametrize(
     ("typed", "expected"),
     [
-        (["run", "ncpa"], "ncpa_calibration"),
-        (["run", "defocus_ramp", "--input", "cal"], "calibration="),
-        (["run", "defocus_ramp", "--from", "li"], "lift"),
-        (["run", "defocus_ramp", "--set", "calibrate.highest"], "calibrate.highest_noll="),
-        (["run", "diagnose_bench", "--input", "c"], "cube="),
-        (["run", "diagnose_bench", "--from", "d"], "diagnose"),
-        (["run", "--seed", "1", "diagnose_bench", "--set", "diagnose.hi"], "diagnose.highest_noll="),
-        (["simulate", "on"], "on_sky"),
-        (["explain", "seeing"], "seeing_halo"),
+        ("run ncpa", "ncpa_calibration"),
+        ("run defocus_ramp --input cal", "calibration="),
+        ("run defocus_ramp --from li", "lift"),
+        ("run defocus_ramp --set calibrate.highest", "calibrate.highest_noll="),
+        ("run diagnose_bench --input c", "cube="),
+        ("run --seed 1 diagnose_bench --set diagnose.hi", "diagnose.highest_noll="),
+        ("simulate on", "on_sky"),
+        ("explain seeing", "seeing_halo"),
     ],
 )
 def test_the_shell_completes_values(typed, expected):
-    variables = {"COMP_WORDS": " ".join(["irlos", *typed]), "COMP_CWORD": str(len(typed))}
-    result = CliRunner().invoke(cli, prog_name="irlos", env={"_IRLOS_COMPLETE": "bash_complete", **variables})
-    assert f"plain,{expected}" in result.stdout.splitlines()
+    assert f"plain,{expected}" in completed(typed.split())
 
 
-def test_the_shell_completes_arrays_of_the_product_that_was_typed(bench):
+def test_the_shell_completes_arrays_of_the_product_that_was_typed_if_it_is_there(bench):
     bench.run()
-    typed = ["export", str(bench.output / "02_calibrate.h5"), "--array", "me"]
-    test_the_shell_completes_values(typed, "mean")
-
-
-def test_the_shell_proposes_nothing_of_a_product_that_is_not_there():
-    variables = {"COMP_WORDS": "irlos export nothing.h5 --array m", "COMP_CWORD": "4"}
-    result = CliRunner().invoke(cli, prog_name="irlos", env={"_IRLOS_COMPLETE": "bash_complete", **variables})
-    assert result.stdout.strip() == "" and not isinstance(result.exception, Exception)
+    assert "plain,mean" in completed(["export", str(bench.output / "02_calibrate.h5"), "--array", "me"])
+    assert completed(["export", "nothing.h5", "--array", "m"]) == []

@@ -67,11 +67,13 @@ def test_a_tree_in_use_is_exit_code_75(bench):
     assert result.exit_code == 75 and "in use by another run" in result.stderr
 
 
-def test_verbose_lists_what_was_done(bench):
+def test_verbose_and_json_list_what_was_done(bench):
     bench.record(MORNING)
     result = night(bench, "-v")
     assert result.stdout.splitlines()[0].split() == ["2024-02-10", "030000_cube/cube", "ok", "new"]
     assert "1 of 1: 2024-02-10/030000_cube/cube: new in" in result.stderr
+    content = json.loads(night(bench, "--json").stdout)
+    assert content["exit_code"] == 0 and content["nights"][0]["recordings"] == 1
 
 
 def test_a_dry_run_lists_stages_with_reasons_also_as_json(bench):
@@ -104,13 +106,6 @@ def test_json_reports_an_empty_night_too(bench):
         content = json.loads(result.stdout)
         assert result.exit_code == content["exit_code"] == 64
         assert content["nights"] == [] and "no recordings" in content["nothing"]
-
-
-def test_json_lists_every_reduction_and_the_exit_code(bench):
-    bench.record(MORNING)
-    content = json.loads(night(bench, "--json").stdout)
-    assert content["exit_code"] == 0 and content["nights"][0]["recordings"] == 1
-    assert content["nights"][0]["reductions"][0]["name"] == "2024-02-10/030000_cube/cube"
 
 
 def config(bench, text: str) -> str:
@@ -163,10 +158,3 @@ def test_a_recipe_with_an_input_that_its_group_does_not_have_is_refused(bench):
     result = night(bench, "--recipe", f"calibration={bench.folder / 'ramp.yaml'}")
     assert result.exit_code == 2
     assert "needs input 'ramp', but a group of kind 'calibration' has only" in result.stderr
-
-
-def test_the_help_shows_how_to_begin():
-    text = invoke("night", "--help").output
-    assert "irlos night /data/irlos/2024-02-10 --output /data/reduced" in text
-    assert "trend.sqlite" in text
-    assert "irlos trend" in invoke("trend", "--help").output

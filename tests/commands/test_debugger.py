@@ -6,6 +6,7 @@ import os
 import pty
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 from conftest import Bench, invoke
@@ -26,14 +27,9 @@ def at_terminal(bench: Bench, *call: str, typed: bytes) -> tuple[int, str]:
     os.close(slave)
     os.write(master, typed)
     shown = b""
-    while True:
-        try:
-            part = os.read(master, 4096)
-        except OSError:  # the other end was closed
-            break
-        if not part:
-            break
-        shown += part
+    with suppress(OSError):  # the other end was closed
+        while part := os.read(master, 4096):
+            shown += part
     os.close(master)
     return process.wait(), shown.decode()
 
@@ -54,7 +50,7 @@ def test_without_a_terminal_nothing_is_run(bench, call):
 
 
 def test_an_error_that_the_user_can_mend_opens_no_debugger(bench, monkeypatch):
-    monkeypatch.setattr("irlos_pipe.commands.debugging._at_terminal", lambda: True)
+    monkeypatch.setattr("irlos_pipe.commands.exits._at_terminal", lambda: True)
     monkeypatch.setattr("pdb.post_mortem", lambda _: pytest.fail("opened"))
     bench.make("calibrate.bad_data")
     assert bench.run("--pdb").exit_code == 3
@@ -63,7 +59,7 @@ def test_an_error_that_the_user_can_mend_opens_no_debugger(bench, monkeypatch):
 
 def test_a_fault_outside_a_run_opens_it_too(bench, monkeypatch):
     opened = []
-    monkeypatch.setattr("irlos_pipe.commands.debugging._at_terminal", lambda: True)
+    monkeypatch.setattr("irlos_pipe.commands.exits._at_terminal", lambda: True)
     monkeypatch.setattr("pdb.post_mortem", opened.append)
     monkeypatch.setattr("irlos_pipe.recipe.load_recipe", lambda *_, **__: 1 / 0)
     assert invoke("validate", str(bench.recipe), "--pdb").exit_code == 1

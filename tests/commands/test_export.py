@@ -71,18 +71,21 @@ def rows(path: Path) -> list[str]:
     return [line for line in path.read_text().splitlines() if not line.startswith("#")]
 
 
-def test_coefficients_come_with_their_noll_indices(product, tmp_path):
-    assert export(product, tmp_path / "x.csv", "zernike_nm").exit_code == 0
-    assert rows(tmp_path / "x.csv")[:2] == ["noll,zernike_nm [nm],zernike_nm_error [nm]", "2,1.5,0.1"]
-
-
-def test_columns_of_equal_length_go_into_one_csv_table_with_units_and_errors(product, tmp_path):
-    assert export(product, tmp_path / "x.csv", "noll", "zernike_nm", "status").exit_code == 0
-    assert rows(tmp_path / "x.csv") == [
-        "noll,zernike_nm [nm],zernike_nm_error [nm],status",
-        "2,1.5,0.1,ok",
-        "3,-2.0,0.2,",
-    ]
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["zernike_nm"], ["noll,zernike_nm [nm],zernike_nm_error [nm]", "2,1.5,0.1", "3,-2.0,0.2"]),
+        (
+            ["noll", "zernike_nm", "status"],
+            ["noll,zernike_nm [nm],zernike_nm_error [nm],status", "2,1.5,0.1,ok", "3,-2.0,0.2,"],
+        ),
+    ],
+)
+def test_columns_of_equal_length_make_a_csv_table_with_units_errors_and_noll(
+    product, tmp_path, names, expected
+):
+    assert export(product, tmp_path / "x.csv", *names).exit_code == 0
+    assert rows(tmp_path / "x.csv") == expected
 
 
 def test_arrays_go_into_fits_extensions_with_units_and_errors(product, tmp_path):

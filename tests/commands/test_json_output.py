@@ -136,9 +136,3 @@ def test_the_schemas_are_printed():
         (("--schema", "commands"), "what commands of irlos_pipe print with --json"),
     ):
         assert json.loads(invoke("explain", *call).stdout)["title"] == title
-
-
-def test_the_schema_sees_what_does_not_belong():
-    wrong = {"schema": "irlos-status", "schema_version": 1, "run": 3, "current": True, "products": []}
-    (error,) = _of("irlos-status").iter_errors(wrong)
-    assert error.json_path == "$.run"

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from irlos_pipe.control.exposures import Accumulator, Read
 
@@ -37,30 +38,20 @@ def test_the_order_of_arrival_does_not_change_a_bit():
     np.testing.assert_array_equal(sums[0], sums[2])
 
 
-def test_a_read_that_comes_twice_counts_once():
-    (exposure,) = fed([0, 1, 1, 2, 0, 3])
-    assert (exposure.image_e[0, 0], exposure.reads, exposure.doubled) == (6.0, 4, 2)
-
-
-def test_a_missing_read_leaves_an_exposure_that_says_so():
-    first, second = fed([0, 2, 3, 4, 5, 6, 7])
-    assert (first.reads, first.missing, first.image_e[0, 0]) == (3, 1, 5.0)
-    assert (second.reads, second.missing) == (4, 0)
-
-
-def test_a_late_read_is_counted_and_left_out():
-    first, second = fed([0, 2, 3, 4, 1, 5, 6, 7])
-    assert (first.reads, second.late, second.image_e[0, 0]) == (3, 1, 22.0)
-
-
-def test_lost_exposures_are_counted():
-    _, second = fed([0, 1, 2, 3, 12, 13, 14, 15])
-    assert (second.index, second.missing) == (3, 8)
-
-
-def test_steps_of_the_counter_may_be_larger():
-    (exposure,) = fed([400, 600, 800, 1000][:2], Accumulator(2, 200))
-    assert (exposure.index, exposure.missing) == (1, 0)
+@pytest.mark.parametrize(
+    ("counters", "told"),
+    [
+        ([0, 1, 1, 2, 0, 3], [(0, 6.0, 4, 0, 2, 0)]),
+        ([0, 2, 3, 4, 5, 6, 7], [(0, 5.0, 3, 0, 0, 1), (1, 22.0, 4, 0, 0, 0)]),
+        ([0, 2, 3, 4, 1, 5, 6, 7], [(0, 5.0, 3, 0, 0, 1), (1, 22.0, 4, 1, 0, 0)]),
+        ([0, 1, 2, 3, 12, 13, 14, 15], [(0, 6.0, 4, 0, 0, 0), (3, 54.0, 4, 0, 0, 8)]),
+    ],
+    ids=["twice", "missing", "late", "exposures lost"],
+)
+def test_an_exposure_says_which_reads_came_twice_late_or_not(counters, told):
+    found = fed(counters)
+    numbers = [(one.index, one.image_e[0, 0], one.reads, one.late, one.doubled, one.missing) for one in found]
+    assert numbers == told
 
 
 def test_after_a_restart_what_is_done_is_not_done_again():
@@ -145,9 +136,3 @@ def test_one_read_with_a_wild_counter_costs_some_exposures_and_no_more():
     assert exposures[-1].index == 14
     assert sum(one.reads == READS for one in exposures) >= 10
     assert sum(one.reads + one.late for one in exposures) + accumulator.unused == 60
-
-
-def test_reads_of_which_no_record_tells_are_counted():
-    accumulator = Accumulator(READS, last_index=3)
-    fed([0, 1, 16, 16], accumulator)
-    assert accumulator.unused == 3

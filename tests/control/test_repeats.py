@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.control.exposures import Accumulator, Read
-from irlos_pipe.control.repeats import REMEMBERED, Repeats
+from irlos_pipe.control.exposures import REMEMBERED, Accumulator, Read, Repeats
 
 
 def image(seed: int) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from helpers import focus_loop as made
 
-from irlos_pipe.focus.agreement import exposure_differences, optical_differences, stated_differences
+from irlos_pipe.focus.calibration import exposure_differences, optical_differences, stated_differences
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 CALIBRATED = made.calibration().acquisition

@@ -8,17 +8,14 @@ from contextlib import contextmanager
 import pytest
 from helpers import focus_loop as made
 
-from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.journal import Journal
-from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.record import Record, event_line, record_of
 
 
 @pytest.fixture(scope="module")
 def records() -> list[Record]:
-    loop, accumulator = FocusLoop(made.calibration(), LoopSettings()), Accumulator(1)
-    return [loop.record(one, 0.0) for index in range(6) for one in accumulator.add(made.read(index, 20.0))]
+    return made.records(6)
 
 
 def lines(folder) -> list[str]:
@@ -28,6 +25,21 @@ def lines(folder) -> list[str]:
 def rows(folder) -> list[int]:
     with sqlite3.connect(folder / "focus.sqlite") as connection:
         return [number for (number,) in connection.execute("SELECT sequence FROM records ORDER BY sequence")]
+
+
+def recorded(folder, records) -> bytes:
+    journal = Journal(folder)
+    for record in records:
+        journal.add(record)
+    journal.close()
+    return (folder / "focus.jsonl").read_bytes()
+
+
+def found(folder, content: bytes) -> Journal:
+    (folder / "focus.jsonl").write_bytes(content)
+    journal = Journal(folder)
+    journal.close()
+    return journal
 
 
 @contextmanager
@@ -51,27 +63,10 @@ def test_records_and_events_are_lines_and_rows(tmp_path, records):
 
 
 def test_a_line_cut_short_by_a_kill_is_taken_away_and_the_last_whole_one_counts(tmp_path, records):
-    journal = Journal(tmp_path)
-    for record in records[:3]:
-        journal.add(record)
-    journal.close()
-    with open(tmp_path / "focus.jsonl", "a") as stream:
-        stream.write(records[3].line()[:100])
-    again = Journal(tmp_path)
-    assert again.last == records[2]
-    again.add(records[3])
-    again.close()
+    content = recorded(tmp_path, records[:3]) + records[3].line()[:100].encode()
+    assert found(tmp_path, content).last == records[2]
+    recorded(tmp_path, records[3:4])
     assert [record_of(line) for line in lines(tmp_path)] == records[:4]
-
-
-def test_what_the_database_lacks_or_has_lost_comes_from_the_lines(tmp_path, records):
-    journal = Journal(tmp_path)
-    for record in records:
-        journal.add(record)
-    journal.close()
-    (tmp_path / "focus.sqlite").write_bytes(b"no database at all" * 100)
-    Journal(tmp_path).close()
-    assert rows(tmp_path) == [1, 2, 3, 4, 5, 6]
 
 
 def test_on_a_full_disk_records_wait_and_none_is_lost_or_out_of_order(tmp_path, records):
@@ -97,24 +92,6 @@ def test_another_file_is_refused_and_left_alone(tmp_path, content):
     with pytest.raises(InputDataError, match="not the record"):
         Journal(tmp_path)
     assert (tmp_path / "focus.jsonl").read_text() == content
-
-
-# -- damage ------------------------------------------------------------------------------------------
-
-
-def recorded(folder, records) -> bytes:
-    journal = Journal(folder)
-    for record in records:
-        journal.add(record)
-    journal.close()
-    return (folder / "focus.jsonl").read_bytes()
-
-
-def found(folder, content: bytes) -> Journal:
-    (folder / "focus.jsonl").write_bytes(content)
-    journal = Journal(folder)
-    journal.close()
-    return journal
 
 
 def test_whatever_byte_of_the_last_line_is_damaged_the_last_sound_record_is_found(tmp_path, records):
@@ -163,9 +140,6 @@ def test_damaged_lines_in_the_middle_are_left_out_everywhere(tmp_path, records):
     assert journal.earlier is not None
     journal.close()
     assert rows(tmp_path) == [1, 2, 4, 5, 6]
-
-
-# -- the database ------------------------------------------------------------------------------------
 
 
 def test_a_database_of_noise_or_of_another_shape_is_set_aside_and_made_anew(tmp_path, records):

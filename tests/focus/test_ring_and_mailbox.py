@@ -81,10 +81,13 @@ def test_a_ring_of_another_shape_is_not_overwritten(path):
         RingWriter(path, (4, 4), 8)
 
 
-def test_the_last_command_stands_in_the_mailbox_whoever_was_killed(tmp_path):
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_the_last_command_stands_in_the_mailbox_and_is_always_a_number(tmp_path, value):
     box = Mailbox(tmp_path / "command")
     assert box.read() is None
     box.write(Command(3, -12.5, 4000))
+    with pytest.raises(ValueError, match="offset"):
+        box.write(Command(4, value, 4001))
     box.close()
     assert Mailbox(tmp_path / "command").read() == Command(3, -12.5, 4000)
 

@@ -10,10 +10,10 @@ import pytest
 from helpers import sparta_files as sparta
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus import watched as watched_module
+from irlos_pipe.focus import recordings as watched_module
 from irlos_pipe.focus.journal import Earlier
+from irlos_pipe.focus.recordings import WatchedFolder
 from irlos_pipe.focus.source import Fault
-from irlos_pipe.focus.watched import WatchedFolder
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 
@@ -54,11 +54,6 @@ def test_frames_of_new_recordings_come_in_order_and_in_electrons(tmp_path):
     assert arrivals(source) == []
 
 
-def test_what_is_there_already_is_read_when_asked_for(tmp_path):
-    write(tmp_path / "before", 0)
-    assert len(arrivals(watched(tmp_path, earlier=Earlier()))) == 3
-
-
 def test_a_file_that_is_still_being_written_is_waited_for(tmp_path):
     source = watched(tmp_path)
     write(tmp_path / "scan", 0)
@@ -71,14 +66,26 @@ def test_a_file_that_is_still_being_written_is_waited_for(tmp_path):
     assert len(arrivals(source)) == 3
 
 
-def test_a_damaged_file_is_named_and_the_next_one_read(tmp_path):
+def broken(path) -> None:
+    path.write_bytes(b"SIMPLE  =                    T" + b"x" * 3000)
+
+
+def huge(path) -> None:
+    os.truncate(path, 20 << 30)
+
+
+@pytest.mark.parametrize(
+    ("harm", "words"), [(broken, "a.fits"), (huge, "20.0 GiB, more than a recording has; not read")]
+)
+def test_a_damaged_or_huge_file_is_named_in_one_line_and_the_next_one_read(tmp_path, harm, words):
     source = watched(tmp_path)
-    (tmp_path / "broken.fits").write_bytes(b"SIMPLE  =                    T" + b"x" * 3000)
-    _age(tmp_path / "broken.fits")
-    write(tmp_path / "scan", 5)
+    write(tmp_path / "a", 0)
+    write(tmp_path / "b", 5)
+    harm(tmp_path / "a" / "a.fits")
+    _age(tmp_path / "a" / "a.fits")
     fault, *rest = arrivals(source)
     assert isinstance(fault, Fault)
-    assert "broken.fits" in fault.text and "\n" not in fault.text
+    assert words in fault.text and "\n" not in fault.text
     assert [one.counter for one in rest] == [5, 6, 7]
 
 
@@ -136,17 +143,6 @@ def test_a_recording_dated_ahead_is_read(tmp_path):
     write(tmp_path / "scan", 5)
     os.utime(tmp_path / "scan" / "scan.fits", (time.time() + 3600,) * 2)
     assert [one.counter for one in source.poll(1.0)] == [5, 6, 7]
-
-
-def test_a_file_larger_than_any_recording_is_named_and_the_next_one_read(tmp_path):
-    source = watched(tmp_path)
-    write(tmp_path / "a", 0)
-    write(tmp_path / "b", 5)
-    os.truncate(tmp_path / "a" / "a.fits", 20 << 30)
-    _age(tmp_path / "a" / "a.fits")
-    fault, *rest = arrivals(source)
-    assert "a/a.fits: 20.0 GiB, more than a recording has; not read" in fault.text
-    assert [one.counter for one in rest] == [5, 6, 7]
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,12 +11,15 @@ import numpy as np
 import torch
 
 from helpers import optics_cases as cases
-from irlos_pipe.control.exposures import Read
+from irlos_pipe.control.exposures import Accumulator, Exposure, Read
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.focus.calibration import Calibration
-from irlos_pipe.focus.shared_errors import SharedErrors
+from irlos_pipe.focus.loop import FocusLoop, LoopSettings
+from irlos_pipe.focus.ordinary import SharedErrors
+from irlos_pipe.focus.record import Record
+from irlos_pipe.focus.service import Service
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
@@ -68,5 +71,45 @@ class Ready:
         return self.found
 
 
-def nan_read(counter: int) -> Read:
-    return read(counter, 0.0, image_e=np.full(WINDOW, math.nan, np.float32))
+@dataclass
+class Listed:
+    """A source of what was arranged, poll after poll; None when it is empty, or what `then` raises."""
+
+    arrivals: list
+    window: tuple[int, int] = WINDOW
+    then: type[BaseException] | None = None
+
+    def poll(self, timeout_s):
+        if not self.arrivals and self.then is not None:
+            raise self.then
+        return self.arrivals.pop(0) if self.arrivals else None
+
+    def close(self):
+        pass
+
+
+def served(
+    output: Path, source, settings: LoopSettings, found: Calibration | None = None, **changes
+) -> list[str]:
+    """Let a loop run on a source to its end; return what it says."""
+    said: list[str] = []
+    request = Ready(output / "none", found or calibration())
+    Service(output, request, settings, lambda *_: source, **changes).run(said.append)
+    return said
+
+
+def lines(output: Path) -> tuple[list[dict], list[str]]:
+    """Records and events of a loop."""
+    content = [json.loads(line) for line in (output / "focus.jsonl").read_text().splitlines()]
+    return [one for one in content if "sequence" in one], [one["event"] for one in content if "event" in one]
+
+
+def exposure(index: int, defocus_nm: float = 0.0, **changes) -> Exposure:
+    (one,) = Accumulator(1).add(read(index, defocus_nm, **changes))
+    return one
+
+
+def records(count: int, defocus_nm: float = 20.0) -> list[Record]:
+    """What a loop makes of one exposure after the other."""
+    loop = FocusLoop(calibration(), LoopSettings())
+    return [loop.record(exposure(index, defocus_nm), 0.0) for index in range(count)]

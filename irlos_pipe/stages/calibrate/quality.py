@@ -85,9 +85,9 @@ def frame_checks(
     Parameters
     ----------
     kurtosis : float
-        Of the frames, see `estimate.frame_kinds`; NaN where it tells nothing.
+        Of the frames, see `estimate.residual`; NaN where it tells nothing.
     motion : Motion or None
-        See `estimate.steady`.
+        See `estimate.cube`.
     window : tuple of int
         Rows and columns.
     max_motion : float

@@ -66,7 +66,7 @@ CHECKS = {
 
 
 class Tail(ResultsPart):
-    """Modes beyond the closed basis: law, see `estimate.tail_law.TailLaw`, and RMS as estimated.
+    """Modes beyond the closed basis: law, see `estimate.open_fit.TailLaw`, and RMS as estimated.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Estimate(ResultsPart):
         Time of the fit.
     chi2_nu, nominal_chi2_nu, nominal_chi2_nu_sigma : float
         Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much that
-        varies by chance, see `estimate.nominal_chi2`.
+        varies by chance, see `estimate.calibration_errors`.
     loss : str
         Function of the residuals that the fit minimises.
     optimiser : str
@@ -229,7 +229,7 @@ class CalibrateResults(Estimate, StageResults):
     effects : dict of str to dict
         Estimated effects with the values of their parameters.
     effects_sigma : dict of str to dict
-        Their standard errors, see `estimate.effect_errors`; empty for the mean over `cubes`.
+        Their standard errors, see `estimate.calibration_errors`; empty for the mean over `cubes`.
     seeing_arcsec : float
         Seeing taken for the calibration.
     wavelength_nm : float

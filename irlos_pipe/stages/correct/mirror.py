@@ -26,7 +26,7 @@ ARRAYS = {"mirror_offset": ("±", "mode", SIGN)}
 
 
 class MirrorRow(ResultsPart):
-    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`.
+    """The correction in the modes of a mirror, see `estimate.correction.MirrorOffsets`.
 
     Attributes
     ----------

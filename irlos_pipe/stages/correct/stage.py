@@ -68,7 +68,7 @@ class Config(StageConfig):
 
 
 class StrehlRow(ResultsPart):
-    """What one part of the model does to the Strehl ratio, see `estimate.strehl_budget.StrehlPart`.
+    """What one part of the model does to the Strehl ratio, see `estimate.correction.StrehlPart`.
 
     Attributes
     ----------

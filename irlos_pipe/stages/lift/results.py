@@ -134,7 +134,7 @@ class Offset(ResultsPart):
 
 
 class Twin(ResultsPart):
-    """Whether the other sign of defocus is excluded, by a frame of median χ²/ν; see `estimate.focus_curve`.
+    """Whether the other sign of defocus is excluded, by a frame of median χ²/ν; see `estimate.tabulated`.
 
     Attributes
     ----------

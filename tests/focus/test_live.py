@@ -7,6 +7,7 @@ import socket
 import subprocess
 import threading
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from http.client import HTTPConnection
 from urllib.parse import urlsplit
@@ -14,29 +15,27 @@ from urllib.parse import urlsplit
 import pytest
 from helpers import focus_loop as made
 
-from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.focus.journal import Journal
-from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.page import MOST_CONNECTIONS, LivePage, PageSettings
-from irlos_pipe.focus.publisher import Publisher
+from irlos_pipe.focus.live import MOST_CONNECTIONS, LivePage, PageSettings, Publisher
 from irlos_pipe.focus.record import event_line
 
 TOKEN = "a-token-of-some-length"
 
 
-def records(count: int = 5):
-    loop, accumulator = FocusLoop(made.calibration(), LoopSettings()), Accumulator(1)
-    return [loop.record(one, 0.0) for i in range(count) for one in accumulator.add(made.read(i, 40.0))]
+@contextmanager
+def served(token: str = ""):
+    page = LivePage(PageSettings(0, "127.0.0.1", token))
+    yield page
+    page.close()
 
 
 @pytest.fixture
 def page():
-    page = LivePage(PageSettings(0))
-    for record in records():
-        page.show(record.line())
-    yield page
-    page.close()
+    with served() as page:
+        for record in made.records(5):
+            page.show(record.line())
+        yield page
 
 
 def answer(page: LivePage, path: str, **headers: str) -> tuple[int, bytes]:
@@ -70,27 +69,21 @@ def test_it_serves_the_page_and_the_lines_after_a_number(page):
 
 def test_what_was_numbered_by_another_loop_is_sent_whole(page):
     known = lines(page)
-    other = LivePage(PageSettings(0))
-    try:
-        other.show(records(1)[0].line())
+    with served() as other:
+        other.show(made.records(1)[0].line())
         assert len(lines(other, f"after={known['last']}&loop={known['loop']}")["lines"]) == 1
-    finally:
-        other.close()
 
 
 def test_an_hour_is_one_by_time_however_many_exposures_it_has():
-    fast = LivePage(PageSettings(0))
-    try:
+    with served() as fast:
         for number in range(5001):  # 4000 s, five in four seconds
             fast.show(event_line(number, 0.0, str(number)), 1.7e9 + 0.8 * number)
         assert [one["event"] for one in lines(fast)["lines"]] == [str(number) for number in range(500, 5001)]
-    finally:
-        fast.close()
 
 
 def test_after_a_restart_the_page_has_the_hour_from_the_record(tmp_path):
     journal = Journal(tmp_path)
-    old, *young = records(4)
+    old, *young = made.records(4)
     journal.add(replace(old, recorded_unix_s=time.time() - 4000.0))
     journal.event("frames come again")
     for record in young:
@@ -108,24 +101,24 @@ def test_it_listens_on_the_loopback_and_answers_no_other_name(page):
     assert answer(page, "/", Host="localhost")[0] == 200
 
 
-@pytest.mark.parametrize(("address", "token"), [("0.0.0.0", ""), ("192.0.2.1", "short"), ("::", "")])
-def test_no_address_beyond_the_loopback_without_a_token(address, token):
-    with pytest.raises(ConfigurationError, match="token of at least 16"):
+@pytest.mark.parametrize(
+    ("address", "token", "words"),
+    [
+        ("0.0.0.0", "", "token of at least 16"),
+        ("192.0.2.1", "short", "token of at least 16"),
+        ("::", "", "token of at least 16"),
+        ("example.org", "", "IP address"),
+    ],
+)
+def test_no_address_beyond_the_loopback_without_a_token_and_no_name(address, token, words):
+    with pytest.raises(ConfigurationError, match=words):
         PageSettings(0, address, token)
 
 
-def test_a_name_is_no_address():
-    with pytest.raises(ConfigurationError, match="IP address"):
-        PageSettings(0, "example.org")
-
-
 def test_with_a_token_only_who_has_it_is_answered():
-    page = LivePage(PageSettings(0, "127.0.0.1", TOKEN))
-    try:
+    with served(TOKEN) as page:
         assert answer(page, "/")[0] == answer(page, "/lines?after=0&token=wrong")[0] == 403
         assert lines(page, f"token={TOKEN}")["lines"] == []
-    finally:
-        page.close()
 
 
 def test_a_port_in_use_is_an_error_in_one_line(page):
@@ -137,7 +130,7 @@ def test_a_port_in_use_is_an_error_in_one_line(page):
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no browser")
 def test_a_browser_draws_it(page):
     page.show(event_line(5, time.time(), "the star is gone"))
-    lost = replace(records(1)[0], sequence=6, flux_e=math.nan, defocus_nm=math.nan, valid=False)
+    lost = replace(made.records(1)[0], sequence=6, flux_e=math.nan, defocus_nm=math.nan, valid=False)
     page.show(lost.line())
     command = [
         "chromium",
@@ -180,22 +173,15 @@ def test_a_client_that_does_not_read_does_not_stop_the_loop(tmp_path):
 
 
 def test_a_socket_left_behind_is_replaced_and_another_file_is_not(tmp_path):
-    Publisher(tmp_path / "s")
+    Publisher(tmp_path / "s")  # of a loop that was killed: nobody listens
     Publisher(tmp_path / "s").close()
     (tmp_path / "file").write_text("text")
-    with pytest.raises(ConfigurationError, match="another file"):
-        Publisher(tmp_path / "file")
-    with pytest.raises(ConfigurationError, match="too long"):
-        Publisher(tmp_path / ("long" * 40))
+    for name, words in (("file", "another file"), ("long" * 40, "too long")):
+        with pytest.raises(ConfigurationError, match=words):
+            Publisher(tmp_path / name)
 
 
 # -- visitors who mean no good -------------------------------------------------------------------------
-
-
-def raw(page: LivePage, request: bytes) -> bytes:
-    with socket.create_connection(("127.0.0.1", urlsplit(page.url).port), timeout=5) as client:
-        client.sendall(request)
-        return client.recv(1000)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +190,9 @@ def raw(page: LivePage, request: bytes) -> bytes:
     ids=["address", "host"],
 )
 def test_what_is_no_address_is_a_bad_request_without_a_word(page, capfd, request_line):
-    assert raw(page, request_line + b"\r\n").split()[1] == b"400"
+    with socket.create_connection(("127.0.0.1", urlsplit(page.url).port), timeout=5) as client:
+        client.sendall(request_line + b"\r\n")
+        assert client.recv(1000).split()[1] == b"400"
     assert capfd.readouterr().err == ""
 
 

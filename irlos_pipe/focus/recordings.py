@@ -1,29 +1,35 @@
-"""A folder into which a recorder writes: every recording that appears is read once it is complete."""
+"""Frames from files: those of a run once more, or of recordings that appear in a folder."""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.agreement import stated_differences
+from irlos_pipe.focus.calibration import stated_differences
 from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Arrival, Fault, Notice
 from irlos_pipe.frames.cleaning import find_background
 from irlos_pipe.frames.detector import to_electrons
-from irlos_pipe.frames.recording import Acquisition
+from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.product.storage import open_product
 from irlos_pipe.readers.calibration_files import PREFIX
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.fitsfile import has_fits_name
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path
+from irlos_pipe.recipe.load import load_recipe
+from irlos_pipe.stages.model.recording_settings import used_in_time_order
 
+LONGEST_WAIT_S = 3600.0  # of a replay for its next frame
 POLL_S = 0.02
 PART = "#"  # between the name of a file and that of one of its recordings
 QUIET_S = 0.2  # a file that has not changed for so long is complete
@@ -31,20 +37,61 @@ LARGEST_BYTES = 1 << 30  # of a file that is read: half an hour of reads of 64x6
 PATIENCE_S, TOLD_S, GIVEN_UP_S = 1.0, 5.0, 60.0  # reading is waited for, told of, and given up
 
 
+class Replay:
+    """Used frames of one input of a run as the stage `lift` gets them, in order of time; counted from 0.
+
+    They come at `speed` times the rate at which they were taken; 0 is as fast as they can be measured.
+
+    Raises
+    ------
+    InputDataError
+        If the run has no such input.
+    """
+
+    def __init__(self, run: Path, input_name: str, speed: float = 0.0):
+        run_folder = existing_run(run)
+        path = run_folder.products().get("ingest")
+        if path is None:
+            raise InputDataError(f"{run}: holds no ingested frames; run its recipe again")
+        try:
+            recordings = used_in_time_order(open_product(path), input_name)
+        except (KeyError, IndexError):
+            recordings = []
+        if not recordings:
+            raise InputDataError(f"{run}: has no input '{input_name}' with frames")
+        self.window, self.acquisition = recordings[0].window, recordings[0].acquisition
+        self.instrument_name = load_recipe(run_folder.recipe, complete=False).instrument_name
+        self._reads = self._in_order(recordings)
+        self._speed, self._started, self._first_s = speed, time.monotonic(), math.nan
+
+    def poll(self, timeout_s: float) -> Sequence[Read] | None:
+        """See `Source.poll`."""
+        read = next(self._reads, None)
+        if read is None:
+            return None
+        if self._speed > 0 and not math.isnan(read.unix_s):
+            self._first_s = read.unix_s if math.isnan(self._first_s) else self._first_s
+            due = self._started + (read.unix_s - self._first_s) / self._speed
+            time.sleep(min(max(0.0, due - time.monotonic()), LONGEST_WAIT_S))
+        return [read]
+
+    def close(self) -> None:
+        """See `Source.close`."""
+
+    def _in_order(self, recordings: Sequence[Recording]) -> Iterator[Read]:
+        number = 0
+        for recording in recordings:
+            for time_s, image_e in zip(recording.time_s, recording.images_e, strict=True):
+                yield Read(number, recording.start_unix_s + float(time_s), image_e)
+                number += 1
+
+
 class WatchedFolder:
-    """Recorder folders and FITS files below a folder, one level deep, see `Source`.
+    """Recorder folders and FITS files below a folder, one level deep, each read once it is complete.
 
-    Every recording counts its frames by itself: they carry its name, of the file below the folder.
-
-    Parameters
-    ----------
-    root : Path
-    instrument : Instrument
-        Knows the read-out modes.
-    acquisition : Acquisition
-        As which the frames are taken: a recording whose side-car contradicts it is not used.
-    earlier : Earlier or None
-        What an earlier loop has measured: what has come since is read. Without, what is there already is not.
+    Every recording counts its frames by itself: they carry its name, of the file below the folder. One whose
+    side-car contradicts the acquisition is not used. What has come since an earlier loop is read; without
+    one, what is there already is not.
 
     Raises
     ------
@@ -77,19 +124,17 @@ class WatchedFolder:
                 return found
             time.sleep(POLL_S)
 
+    def close(self) -> None:
+        """See `Source.close`."""
+
     def _next(self) -> list[Arrival]:
         """What the files that are due hold, as far as they are read: one after the other, in a thread."""
         found: list[Arrival] = []
         while True:
             found += self._reading.news()
-            if self._reading.is_busy or not self._due:
+            if self._reading.thread is not None or not self._due:
                 return found
-            path = self._due.pop(0)
-            self._reading = _Reading(path, self._reads)
-            self._reading.wait(PATIENCE_S)
-
-    def close(self) -> None:
-        """See `Source.close`."""
+            self._reading = _Reading(self._due.pop(0), self._reads)
 
     def _gone(self, error: OSError, until: float) -> list[Fault]:
         """A folder that cannot be read, an unmounted disk say: named once, and waited for."""
@@ -112,19 +157,16 @@ class WatchedFolder:
             came_unix_s = path.stat().st_ctime
         except OSError:
             return False
-        return came_unix_s < earlier.since_unix_s or name in {
-            one.partition(PART)[0] for one in earlier.recordings
-        }
+        done = {one.partition(PART)[0] for one in earlier.recordings}
+        return came_unix_s < earlier.since_unix_s or name in done
 
     def _name(self, path: Path) -> str:
         return path.relative_to(self._root).as_posix()
 
     def _complete(self) -> list[Path]:
-        """New files that no longer change."""
+        """New files that no longer change; the last one of an earlier loop comes first."""
         found = []
-        for path in sorted(
-            self._files(), key=lambda one: self._name(one) != self._earlier.last
-        ):  # that first
+        for path in sorted(self._files(), key=lambda one: self._name(one) != self._earlier.last):
             if path in self._read:
                 continue
             try:
@@ -150,16 +192,14 @@ class WatchedFolder:
             return [Fault(" ".join(str(error).split()))]
         except Exception as error:  # nobody foresees all that can stand in a file
             return [Fault(f"{path}: cannot be used: {type(error).__name__}: {error}")]
-        names = [
-            self._name(path) + (f"{PART}{raw.name}" if len(recordings) > 1 else "") for raw in recordings
-        ]
         found: list[Read | Fault] = []
-        for raw, name in zip(recordings, names, strict=True):
+        for raw in recordings:
+            name = self._name(path) + (f"{PART}{raw.name}" if len(recordings) > 1 else "")
             if name == self._earlier.last or name not in self._earlier.recordings:
-                found += self._agreeing(raw, name)
+                found += self._reads_of(raw, name)
         return found
 
-    def _agreeing(self, raw: RawRecording, name: str) -> list[Read] | list[Fault]:
+    def _reads_of(self, raw: RawRecording, name: str) -> list[Read] | list[Fault]:
         """Frames of a recording, unless its side-car says that they are not those of the calibration."""
         path = sidecar_path(raw.path)
         try:
@@ -168,9 +208,6 @@ class WatchedFolder:
             return [Fault(" ".join(str(error).split()))]
         if against:
             return [Fault(f"{path}: not taken as the calibration says: {'; '.join(against)}; not used")]
-        return self._frames(raw, name)
-
-    def _frames(self, raw: RawRecording, name: str) -> list[Read]:
         good = ~raw.calibration.bad if raw.calibration.bad is not None else np.ones(raw.window, bool)
         background = find_background(raw.adu, raw.calibration, good)
         images = to_electrons(raw.adu, background.adu, background.flat, self._calibrated.detector.e_per_adu)
@@ -182,36 +219,28 @@ class WatchedFolder:
 
 
 class _Reading:
-    """A file that is being read."""
+    """A file that is being read, and waited for while `thread` is there; without one, none."""
+
+    thread: threading.Thread | None = None
 
     def __init__(self, path: Path | None = None, read: Callable[[Path], list[Read | Fault]] | None = None):
         self._path, self._began_s, self._told = path, time.monotonic(), False
         self._found: list[Read | Fault] = []
-        self._thread: threading.Thread | None = None
         if path is not None and read is not None:
-            self._thread = threading.Thread(target=lambda: self._found.extend(read(path)), daemon=True)
-            self._thread.start()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether it is waited for."""
-        return self._thread is not None
-
-    def wait(self, timeout_s: float) -> None:
-        """Wait for a while."""
-        assert self._thread is not None
-        self._thread.join(timeout_s)
+            self.thread = threading.Thread(target=lambda: self._found.extend(read(path)), daemon=True)
+            self.thread.start()
+            self.thread.join(PATIENCE_S)
 
     def news(self) -> list[Arrival]:
         """Return what it holds, once, or that it takes long; after a minute it is given up."""
         lasts_s = time.monotonic() - self._began_s
-        if self._thread is None:
+        if self.thread is None:
             return []
-        if not self._thread.is_alive():
-            self._thread = None
+        if not self.thread.is_alive():
+            self.thread = None
             return list(self._found)
         if lasts_s > GIVEN_UP_S:
-            self._thread = None
+            self.thread = None
             return [Fault(f"{self._path}: given up after reading for {lasts_s:.0f} s")]
         if lasts_s > TOLD_S and not self._told:
             self._told = True
