@@ -18,10 +18,10 @@ from irlos_pipe.frames.cleaning import find_background
 from irlos_pipe.frames.detector import to_electrons
 from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.calibration_files import PREFIX
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.fitsfile import has_fits_name
 from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.recorder import PREFIX
 from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path
 
 POLL_S = 0.02

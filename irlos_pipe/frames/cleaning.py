@@ -14,8 +14,7 @@ from irlos_pipe.frames.hits import NO_HITS, Hits
 from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE
 from irlos_pipe.frames.pixel_search import PixelSearch
-from irlos_pipe.frames.raw import CalibrationMaps, RawFrames
-from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.recording import CalibrationMaps, Detector, RawFrames
 from irlos_pipe.frames.screening import (
     COSMIC,
     ODD,

@@ -12,8 +12,7 @@ from irlos_pipe.frames.believed_detector import EXCESS, GAIN, READ_NOISE, believ
 from irlos_pipe.frames.cleaning import clean
 from irlos_pipe.frames.measured_noise import MeasuredNoise
 from irlos_pipe.frames.pixel_search import PixelSearch
-from irlos_pipe.frames.raw import RawFrames
-from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector
+from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector, RawFrames
 from irlos_pipe.stages.ingest.config import Config
 
 GAIN_E = 4.0
