@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.effect_set import EffectSet
-from irlos_pipe.effects.public_errors import public_sigma
+from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.frames.blocks import blocks

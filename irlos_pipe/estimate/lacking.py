@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import torch
 
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.anamorphism import Anamorphism
-from irlos_pipe.effects.colour import PlateScale, Spectrum
+from irlos_pipe.effects.colour import Anamorphism, PlateScale, Spectrum
 from irlos_pipe.effects.detector import BackgroundGradient, DetectorNonlinearity, InterpixelCrosstalk
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.image_fit import ImageFit

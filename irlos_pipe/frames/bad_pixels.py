@@ -63,7 +63,6 @@ class Criteria:
         Pixels per λ/D at the shortest wavelength.
     noise : NoiseModel
         Declared noise of photons and read-out.
-    thresholds : Thresholds
     """
 
     sampling_px: float

@@ -96,7 +96,6 @@ class ExposureNoise:
         That are added up.
     read_noise_e : float
         Of one read, rounding to whole ADU included [e- RMS].
-    excess_noise_factor : float
     sky_e, dark_e : float
         Mean charge by sky and dark current in a pixel of the exposure [e-].
     """

@@ -52,7 +52,6 @@ class RawFrames:
         Counts in the type they were recorded in.
     frame_counter : ndarray of int, (frames,)
         Counter of the recorder.
-    calibration : CalibrationMaps
     lenslets : int
         Per side of the pupil; with 2 the window is that of four images side by side.
     """

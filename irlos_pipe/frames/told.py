@@ -51,7 +51,6 @@ class Told:
 
     Attributes
     ----------
-    value : float
     doubtful, impossible : (float, float)
         Ranges outside which it is worth a warning, and is wrong.
     text : str
