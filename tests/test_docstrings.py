@@ -28,9 +28,9 @@ def parameters(function: Function) -> list[str]:
     return [one.arg for one in given if one.arg not in ("self", "cls")]
 
 
-def is_override(docstring: str) -> bool:
-    """Whether the docstring points to the method of the base class, which documents the parameters."""
-    return docstring.startswith("See `")
+def is_override(name: str, docstring: str, documented: set[str]) -> bool:
+    """Whether the base class documents the parameters: the docstring points there, or there is none."""
+    return docstring.startswith("See `") or (not docstring and name in documented)
 
 
 def is_command(function: Function) -> bool:
@@ -48,12 +48,15 @@ def documents_parameters(function: Function, docstring: str) -> bool:
 
 def asked(package: str) -> list[tuple[str, bool]]:
     """Names of the functions with two or more parameters, and whether they document them."""
+    paths = sorted((PACKAGE / package).rglob("*.py"))
+    functions = [(path, *one) for path in paths for one in public_functions(ast.parse(path.read_text()))]
+    documented = {function.name for _, function, docstring in functions if "Parameters\n" in docstring}
     found = []
-    for path in sorted((PACKAGE / package).rglob("*.py")):
-        for function, docstring in public_functions(ast.parse(path.read_text())):
-            if len(parameters(function)) >= 2 and not (is_override(docstring) or is_command(function)):
-                name = f"{path.relative_to(PACKAGE)}:{function.lineno} {function.name}"
-                found.append((name, documents_parameters(function, docstring)))
+    for path, function, docstring in functions:
+        override = is_override(function.name, docstring, documented)
+        if len(parameters(function)) >= 2 and not (override or is_command(function)):
+            name = f"{path.relative_to(PACKAGE)}:{function.lineno} {function.name}"
+            found.append((name, documents_parameters(function, docstring)))
     return found
 
 

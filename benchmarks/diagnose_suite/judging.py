@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR
-from irlos_pipe.effects.labels import kind_of
+from irlos_pipe.effects.base import kind_of
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
 GRADES = ("complete", "partial", "resembles", UNKNOWN, NONE)

@@ -31,5 +31,7 @@ class LateModule:
 
 if TYPE_CHECKING:
     import torch as torch
+    from torch import Tensor as Tensor
 else:
     torch = LateModule("torch")
+    Tensor = Any  # for annotations

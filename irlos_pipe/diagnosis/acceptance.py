@@ -20,7 +20,7 @@ from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit, other_forms
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.effects import narrower_kinds
-from irlos_pipe.effects.labels import label_of, occurrences
+from irlos_pipe.effects.base import label_of, occurrences
 
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
 SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts

@@ -41,7 +41,7 @@ from irlos_pipe.diagnosis.verdict import (
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect, wider_kinds
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.public_errors import public_sigma
+from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 
 HALF_CLEAR = 0.5  # of the amplitude where the pupil is clear

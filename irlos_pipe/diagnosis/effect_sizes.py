@@ -12,7 +12,7 @@ from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import surely_exceeding, threshold
 from irlos_pipe.effects import Parameter
-from irlos_pipe.effects.public_errors import public_difference
+from irlos_pipe.effects.public_values import public_difference
 
 FAR = 1e3  # standard errors, in place of a prior that there is none of
 UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data determine nothing

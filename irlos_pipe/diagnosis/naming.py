@@ -31,8 +31,8 @@ from irlos_pipe.diagnosis.refit import Refit, other_forms, quick_refits
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
 from irlos_pipe.diagnosis.without import imitated, without_linearly
 from irlos_pipe.effects import CATALOGUE, Effect, narrower_kinds, wider_kinds
+from irlos_pipe.effects.base import label_after
 from irlos_pipe.effects.effect_set import labels_of
-from irlos_pipe.effects.labels import label_after
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.psf_settings import PsfSettings
 

@@ -14,7 +14,7 @@ from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
 from irlos_pipe.effects import Effect, FixedEffect, in_form, wider_kinds
-from irlos_pipe.effects.labels import label_of
+from irlos_pipe.effects.base import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
 PROPOSALS = 8

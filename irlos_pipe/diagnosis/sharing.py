@@ -25,7 +25,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.effects import Effect, FixedEffect
-from irlos_pipe.effects.public_errors import public_sigma
+from irlos_pipe.effects.public_values import public_sigma
 
 SEEN = 5.0  # significance from which a moment by itself shows an effect
 MEASURED = 1e-9  # of a correlation matrix, below which an eigenvalue is rounding

@@ -11,7 +11,7 @@ import torch
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.directions import AT_REST, direction_among, on_every_side
+from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
 from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.optics.zernike import noll_to_nm
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
@@ -86,8 +86,7 @@ class AoCutoff(OtfEffect):
         require_residual(conditions)
         return cls(band, conditions.residual_law, conditions.seeing_arcsec)
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         cutoff = float(values[0].detach())
         lengths, place = _baselines(grid.focal)
         between = torch.as_tensor(self._between_nm2(lengths, cutoff))
@@ -95,9 +94,7 @@ class AoCutoff(OtfEffect):
         between = between + self._slope_nm2(lengths, cutoff) * (values[0] - cutoff)
         return factor * torch.exp(_scale(grid) * between[place])
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         """See `OtfEffect.slopes`: the integrand at the cut-off."""
         lengths, place = _baselines(grid.focal)
         slope = self._slope_nm2(lengths, float(values[0].detach()))
@@ -114,7 +111,7 @@ class AoCutoff(OtfEffect):
         frequencies = told + (cutoff_per_m - told) * (nodes + 1) / 2
         return -(cutoff_per_m - told) / 2 * self._per_frequency_nm2(lengths_m, frequencies) @ weights
 
-    def _slope_nm2(self, lengths_m: np.ndarray, cutoff_per_m: float) -> torch.Tensor:
+    def _slope_nm2(self, lengths_m: np.ndarray, cutoff_per_m: float) -> Tensor:
         """Derivative of `_between_nm2` by the cut-off."""
         return torch.as_tensor(-self._per_frequency_nm2(lengths_m, np.array([cutoff_per_m]))[:, 0])
 
@@ -125,13 +122,13 @@ class AoCutoff(OtfEffect):
         return 2 * power * (1 - scipy.special.j0(2 * np.pi * np.outer(lengths_m, f_per_m)))
 
 
-def _scale(grid: OtfGrid) -> torch.Tensor:
+def _scale(grid: OtfGrid) -> Tensor:
     """From a structure function [nm²] to the exponent of the OTF."""
     return -0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2
 
 
 @lru_cache(maxsize=4)
-def _baselines(focal: FocalGrid) -> tuple[np.ndarray, torch.Tensor]:
+def _baselines(focal: FocalGrid) -> tuple[np.ndarray, Tensor]:
     """Different lengths of the baselines within the pupil [m], and the place of every baseline among them."""
     lengths = np.hypot(focal.baseline_x_m[None, :], focal.baseline_y_m[:, None])
     within = np.where(lengths <= focal.longest_m, lengths, 0.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -10,11 +11,15 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
-from irlos_pipe.effects.declaration import Calibrated, Conditions, Declared, Role
+from irlos_pipe.conventions.late import Tensor, torch
+from irlos_pipe.effects.declaration import Calibrated, Conditions, Declared, Parameter, Role
 from irlos_pipe.optics.grids import PupilGrid, PupilMode
 
-Values: TypeAlias = "Sequence[float] | np.ndarray | torch.Tensor"
+# Of an effect with a distance and a direction, such as a stop beside its place. To first order opposite sides
+# make the same image, which has a kink at no distance: a fit stays on its side.
+SIDES = 4  # on which a fit may begin
+AT_REST = 1e-3  # of a distance: less is none
+Values: TypeAlias = "Sequence[float] | np.ndarray | Tensor"
 
 
 class Effect(Declared):
@@ -78,13 +83,11 @@ class Effect(Declared):
         """
         return None
 
-    def apply(self, values: torch.Tensor, *light: Any, **more: Any) -> Any:
+    def apply(self, values: Tensor, *light: Any, **more: Any) -> Any:
         """What arrives at the plane, as the effect leaves it; see the base class of the plane."""
         raise NotImplementedError
 
-    def slopes(
-        self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
+    def slopes(self, values: Tensor, light: Tensor, grid: Any, wanted: Sequence[int]) -> Sequence[Tensor]:
         """Derivatives of `apply`, in the pupil and of the OTF.
 
         Parameters
@@ -96,7 +99,7 @@ class Effect(Declared):
         """
         raise NotImplementedError
 
-    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+    def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
         """What small changes of images become behind the detector.
 
         Parameters
@@ -116,11 +119,11 @@ class Effect(Declared):
         """
         return ()
 
-    def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
+    def defocus_nm(self, values: Tensor) -> Tensor:
         """Of a copy of the star; see `planes.CopyOfStar`."""
         raise NotImplementedError
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
+    def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor | None:
         """The effect's part of the wavefront at `values` on `grid`, (n, n) [nm]; None if it is none."""
         return None
 
@@ -209,7 +212,7 @@ class Effect(Declared):
             return self
         return FixedEffect(self, [p.start for p in self.parameters] if self.usual else self.null_values)
 
-    def all_values(self, values: Values) -> torch.Tensor:
+    def all_values(self, values: Values) -> Tensor:
         """Values of all parameters from those of the free ones, float64; here all are free."""
         return torch.as_tensor(values, dtype=torch.float64)
 
@@ -222,7 +225,7 @@ class Effect(Declared):
 def _of_all(method: str) -> Any:
     """A method of a `FixedEffect`: that of its base, for the values of all parameters."""
 
-    def ours(self: FixedEffect, values: torch.Tensor, *light: Any, **more: Any) -> Any:
+    def ours(self: FixedEffect, values: Tensor, *light: Any, **more: Any) -> Any:
         return getattr(self.base, method)(self.all_values(values), *light, **more)
 
     return ours
@@ -238,7 +241,6 @@ class FixedEffect(Effect):
     base : Effect
         What it declares holds for this one as well.
     values : sequence of float, (parameters of the base effect,)
-    free : sequence of str
     """
 
     def __init__(self, base: Effect, values: Values, free: Sequence[str] = ()):
@@ -250,28 +252,24 @@ class FixedEffect(Effect):
         self.parameters = tuple(replace(base.parameters[i], start=float(self.values[i])) for i in self._free)
 
     def only_in(self, moments: frozenset[int] | None) -> Self:
-        """See `Effect.only_in`."""
         other = super().only_in(moments)
         other._base = self._base.only_in(moments)
         return other
 
     @property
     def base(self) -> Effect:
-        """See `Effect.base`."""
         return self._base
 
     @property
     def free(self) -> list[int]:
-        """See `Effect.free`."""
         return self._free
 
-    def all_values(self, values: Values) -> torch.Tensor:
-        """See `Effect.all_values`."""
+    def all_values(self, values: Values) -> Tensor:
         held, chosen = self._parts
         return held + torch.as_tensor(values, dtype=torch.float64) @ chosen if self.free else held.clone()
 
     @cached_property
-    def _parts(self) -> tuple[torch.Tensor, torch.Tensor]:
+    def _parts(self) -> tuple[Tensor, Tensor]:
         """All values with 0 for the free ones, and the rows that put these in their places."""
         held = self.values.copy()
         held[self.free] = 0.0
@@ -283,16 +281,12 @@ class FixedEffect(Effect):
         return False
 
     def expected(self) -> Effect:
-        """See `Effect.expected`."""
         return FixedEffect(self.base, self.values) if self.free else self
 
     apply, pushed, opd_nm = _of_all("apply"), _of_all("pushed"), _of_all("opd_nm")
     defocus_nm = _of_all("defocus_nm")
 
-    def slopes(
-        self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
-        """See `Effect.slopes`."""
+    def slopes(self, values: Tensor, light: Tensor, grid: Any, wanted: Sequence[int]) -> Sequence[Tensor]:
         return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
 
     @property
@@ -302,11 +296,9 @@ class FixedEffect(Effect):
         return [(mode, FixedEffect(one, self.values, names)) for mode, one in self.base.further_paths]
 
     def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
-        """See `Effect.good_pixels`."""
         return self.base.good_pixels(window)
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
-        """See `Effect.seen_in`."""
         free = [self.base.parameters[i].name for i in self.free]
         return FixedEffect(self.base.seen_in(here, first), self.values, free)
 
@@ -315,18 +307,89 @@ class FixedEffect(Effect):
         return not self.free or self.base.shown_by(recordings)
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`."""
         return self.base.phrase(public)
 
     def describe(self, values: np.ndarray) -> dict[str, Any]:
-        """See `Effect.describe`."""
         return self.base.describe(self.all_values(values).numpy())
 
     def shown(self, values: np.ndarray) -> dict[str, Any]:
-        """See `Effect.shown`."""
         return self.base.shown(self.all_values(values).numpy())
 
 
 def expected(effects: Sequence[Effect]) -> list[Effect]:
     """`effects` held at what is to be expected: usual ones at their start, others absent."""
     return [effect.expected() for effect in effects]
+
+
+def occurrences(names: Iterable[str]) -> list[int]:
+    """How many of the same name come before each of `names`."""
+    seen: Counter[str] = Counter()
+    found = []
+    for name in names:
+        found.append(seen[name])
+        seen[name] += 1
+    return found
+
+
+def labels_of(effects: Sequence[Effect]) -> list[str]:
+    """Unique labels of `effects` in this order: the name, and of a second of its kind ``name_2``."""
+    names = [effect.name for effect in effects]
+    return [label_of(name, before) for name, before in zip(names, occurrences(names), strict=True)]
+
+
+def label_of(name: str, before: int) -> str:
+    """Label of an effect with this `name` of which there are some `before` it."""
+    return f"{name}_{before + 1}" if before else name
+
+
+def kind_of(label: str) -> str:
+    """Name of the effect with this `label`."""
+    return _label_parts(label)[0]
+
+
+def label_after(label: str, gone: str) -> str:
+    """Label of an effect when the one labelled `gone` has left the model: later ones of its kind move up.
+
+    Parameters
+    ----------
+    label, gone : str
+    """
+    (name, number), (other, place) = _label_parts(label), _label_parts(gone)
+    return label_of(name, number - 1) if name == other and number > place else label
+
+
+def _label_parts(label: str) -> tuple[str, int]:
+    """The name in a label, and how many of its kind come before."""
+    name, _, number = label.rpartition("_")
+    return (name, int(number) - 1) if name and number.isdecimal() else (label, 0)
+
+
+def direction_among(parameters: Sequence[Parameter]) -> int | None:
+    """Return which of the free parameters of an effect is its direction; None without distance and direction.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The first is the distance, where there is one.
+    """
+    angles = [i for i, one in enumerate(parameters) if one.null is None and one.unit == "rad"]
+    if not angles or parameters[0].null is None or parameters[0].null > parameters[0].lower:
+        return None
+    return angles[0]
+
+
+def on_every_side(effect: Effect) -> list[np.ndarray]:
+    """Return values of the free parameters, at their starts but for the direction; none without one.
+
+    Parameters
+    ----------
+    effect : Effect
+    """
+    angle = direction_among(effect.parameters)
+    if angle is None:
+        return []
+    declared = {one.name: one.start for one in effect.base.parameters}
+    starts = np.array([declared[one.name] for one in effect.parameters])
+    sides = np.tile(starts, (SIDES, 1))
+    sides[:, angle] = np.arange(SIDES) * 2 * np.pi / SIDES
+    return [*sides]

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import inspect
+import re
 import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 
-from irlos_pipe.effects.anamorphism import Anamorphism
 from irlos_pipe.effects.ao_cutoff import AoCutoff
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
-from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
-from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects.colour import Anamorphism, AtmosphericDispersion, PlateScale, Spectrum
+from irlos_pipe.effects.companion import Companion, Ghost
 from irlos_pipe.effects.declaration import Conditions, Public
 from irlos_pipe.effects.detector import (
     BackgroundGradient,
@@ -22,10 +22,12 @@ from irlos_pipe.effects.detector import (
     DetectorNonlinearity,
     InterpixelCrosstalk,
 )
-from irlos_pipe.effects.drift import NcpaDrift
-from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
-from irlos_pipe.effects.ghost import Ghost
-from irlos_pipe.effects.high_aperture import HighAperture
+from irlos_pipe.effects.focus_stage import (
+    FocusStageHysteresis,
+    FocusStageOffset,
+    FocusStageScale,
+    HighAperture,
+)
 from irlos_pipe.effects.lenslet_images import LensletImages
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
@@ -33,7 +35,7 @@ from irlos_pipe.effects.pupil_steps import LowWindEffect, SegmentPiston
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
 from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.effects.uneven_residual import UnevenResidual
-from irlos_pipe.effects.wavefront import AmplitudeAberration, DiversityError, HighOrderNcpa
+from irlos_pipe.effects.wavefront import AmplitudeAberration, DiversityError, HighOrderNcpa, NcpaDrift
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect
@@ -173,7 +175,7 @@ def _value(one: Public) -> str:
 
 def _summary(kind: type[Effect]) -> str:
     """The docstring of an effect up to its first section."""
-    text = inspect.cleandoc(kind.__doc__ or "").split("\nParameters\n---")[0].strip().replace("``", "`")
+    text = re.split(r"\n\w+\n---", inspect.cleandoc(kind.__doc__ or ""))[0].strip().replace("``", "`")
     return "\n\n".join(_filled(paragraph) for paragraph in text.split("\n\n"))
 
 

@@ -17,12 +17,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, number
-from irlos_pipe.effects.wavefront import OpdMap
-from irlos_pipe.effects.zernike_table import ZernikeTable
+from irlos_pipe.effects.wavefront import OpdMap, ZernikeTable
 from irlos_pipe.optics.grids import PupilGrid
 
 UM = 1e-6
@@ -35,13 +34,7 @@ WITHOUT_LAW_NM = 30.0
 
 
 class _Table(ZernikeTable, OpdMap):
-    """Modes whose prior follows the law of the NCPAs.
-
-    Parameters
-    ----------
-    nolls : sequence of int
-    law : NcpaLaw, optional
-    """
+    """Modes whose prior follows the law of the NCPAs."""
 
     default: ClassVar[range]
 
@@ -57,15 +50,13 @@ class _Table(ZernikeTable, OpdMap):
         """See `Effect.variants`: fewer modes tell it from other effects."""
         return (cls.under(conditions, range(cls.default.start, SEARCHED + 1)),)
 
-    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1) * self._share(grid)
 
-    def _map_slopes(
-        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
+    def _map_slopes(self, values: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> Sequence[Tensor]:
         return [one * self._share(grid) for one in torch.tensor(grid.modes(self.nolls)[list(wanted)])]
 
-    def _share(self, grid: PupilGrid) -> torch.Tensor | float:
+    def _share(self, grid: PupilGrid) -> Tensor | float:
         """Of the table at the wavelengths of the `grid`."""
         raise NotImplementedError
 
@@ -78,7 +69,6 @@ class ChromaticNcpa(_Table):
 
     Parameters
     ----------
-    nolls : sequence of int
     reference_nm : float
         Wavelength at which it vanishes.
     law : NcpaLaw, optional
@@ -114,10 +104,10 @@ class ChromaticNcpa(_Table):
         reach = [nm for one in recordings for nm, _ in one.settings.spectrum]
         return max(reach) - min(reach) > BROAD_NM
 
-    def _share(self, grid: PupilGrid) -> torch.Tensor:
+    def _share(self, grid: PupilGrid) -> Tensor:
         return (grid.wavelengths_m - self.reference_nm * 1e-9) / UM
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> None:
+    def opd_nm(self, values: Tensor, grid: PupilGrid) -> None:
         """See `Effect.opd_nm`: nothing, at the wavelength of the NCPAs."""
 
 
@@ -128,8 +118,6 @@ class FilterNcpa(_Table):
 
     Parameters
     ----------
-    nolls : sequence of int
-    elements : sequence of str
     law : NcpaLaw, optional
         Of the prior.
     """
@@ -182,7 +170,6 @@ class FilterNcpa(_Table):
         return self if self.lies_in(here) else _Absent(self)
 
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
-        """See `Effect.handed_on`."""
         return FixedEffect(self.seen_in(now, now), values)
 
     def _share(self, grid: PupilGrid) -> float:
@@ -190,12 +177,7 @@ class FilterNcpa(_Table):
 
 
 class _Absent(FilterNcpa):
-    """The wavefront of a filter or lens in a recording without it.
-
-    Parameters
-    ----------
-    effect : FilterNcpa
-    """
+    """The wavefront of a filter or lens in a recording without it."""
 
     def __init__(self, effect: FilterNcpa):
         self.nolls, self.elements, self.parameters = effect.nolls, effect.elements, effect.parameters

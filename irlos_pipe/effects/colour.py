@@ -1,4 +1,4 @@
-"""Effects of colour: `atmospheric_dispersion`, `spectrum` and `plate_scale`.
+"""Effects of colour: `atmospheric_dispersion`, `spectrum`, `plate_scale` and `anamorphism`.
 
 Dispersion shifts the images of the wavelengths against each other; a wrong spectrum or pixel scale
 changes λ, the photon weights, or the angle of a pixel, of which the image sees the ratio only: in a
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Refraction, direction, number
@@ -22,6 +22,10 @@ from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid, Sampling
 from irlos_pipe.optics.phasor import phasor
 
+LARGEST_STRAIN = (
+    0.1  # fraction along either component; a detector tilted by 25° foreshortens one axis by as much
+)
+USUAL_STRAIN = 0.01  # a tilt of 8°; SPHERE's cylindrical mirrors make 0.6 %
 UM = 1e-6
 STRETCH = "stretch"  # parameter of a spectrum: how much wider it is
 NOTHING_KNOWN = Refraction()
@@ -34,10 +38,6 @@ class AtmosphericDispersion(OtfEffect):
     Every wavelength is displaced along the direction to the zenith as the refractivity of air has it,
     ``1/λ² + 0.00835 µm²/λ⁴``; the OTF factor is ``exp(-2πi b·s/λ)``. The size is the slope at the mean
     wavelength: between J and H dispersion is 1.5 times as large in J and two thirds of it in H.
-
-    Parameters
-    ----------
-    expected : Refraction
     """
 
     name = "atmospheric_dispersion"
@@ -67,15 +67,11 @@ class AtmosphericDispersion(OtfEffect):
         """See `Effect.under`: it starts at what altitude and air make of it, where these are known."""
         return cls(conditions.refraction)
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         path_m = grid.path_m(values[0] * MAS, values[1] * MAS)
         return factor * phasor(-2 * np.pi * path_m * _displaced_um(grid) / grid.wavelengths_m)
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         turned = -2j * np.pi * _displaced_um(grid) / grid.wavelengths_m * self.apply(values, factor, grid)
         along = (MAS, 0.0), (0.0, MAS)
         return [turned * grid.path_m(*along[index]) for index in wanted]
@@ -85,7 +81,6 @@ class AtmosphericDispersion(OtfEffect):
         return dict(zip(("mas_per_um", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, mas_per_um: float, angle_deg: float) -> list[float]:
-        """See `Effect.values_of`."""
         return components(mas_per_um, angle_deg)
 
 
@@ -105,7 +100,7 @@ def displacement_um(wavelengths_um, mean_um):
     return (curve(wavelengths_um) - curve(mean_um)) / slope
 
 
-def _displaced_um(grid: OtfGrid) -> torch.Tensor:
+def _displaced_um(grid: OtfGrid) -> Tensor:
     """How far dispersion displaces each wavelength, in equivalent µm, (wavelengths, 1, 1)."""
     return displacement_um(grid.wavelengths_m / UM, grid.mean_m / UM)
 
@@ -146,7 +141,6 @@ class Spectrum(SamplingEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> Spectrum:
-        """See `Effect.under`."""
         wavelengths_nm, weights = np.array(conditions.settings.spectrum, float).T
         return cls(float(np.average(wavelengths_nm, weights=weights)))
 
@@ -154,8 +148,7 @@ class Spectrum(SamplingEffect):
         """See `Effect.seen_in`: it belongs to its filter, so that another band shows nothing of it."""
         return self if here.settings.spectrum == first.settings.spectrum else Unseen(self)
 
-    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
-        """See `SamplingEffect.apply`."""
+    def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         mean = (nominal.wavelengths_m * nominal.weights).sum()
         distance = nominal.wavelengths_m - mean
         weights = sampling.weights * (1 + values[1] * distance / UM)
@@ -174,22 +167,16 @@ class Spectrum(SamplingEffect):
     def values_of(
         self, wavelength_nm: float | None = None, slope: float = 0.0, width: float = 1.0
     ) -> list[float]:
-        """See `Effect.values_of`."""
         return [0.0 if wavelength_nm is None else wavelength_nm - self.mean_nm, slope, width - 1]
 
 
 class Unseen(SamplingEffect):
-    """An effect of another recording, of which this one shows nothing.
-
-    Parameters
-    ----------
-    effect : SamplingEffect
-    """
+    """An effect of another recording, of which this one shows nothing."""
 
     def __init__(self, effect: SamplingEffect):
         self.name, self.order, self.parameters = effect.name, effect.order, effect.parameters
 
-    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
+    def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         """See `SamplingEffect.apply`: nothing changes."""
         return sampling
 
@@ -220,7 +207,6 @@ class PlateScale(SamplingEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> PlateScale:
-        """See `Effect.under`."""
         return cls(conditions.settings.pixel_scale_mas)
 
     def shown(self, values: np.ndarray) -> dict[str, Any]:
@@ -233,6 +219,60 @@ class PlateScale(SamplingEffect):
         wanted_mas = public.get("pixel_scale_mas", self.told_mas * (1 + public["fraction"]))
         return f"pixels of {wanted_mas:.3f} mas instead of {self.told_mas:.3f} mas"
 
-    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
-        """See `SamplingEffect.apply`."""
+    def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         return sampling._replace(pixel_scale_mas=sampling.pixel_scale_mas * (1 + values[0]))
+
+
+class Anamorphism(SamplingEffect):
+    """The image is stretched along one direction and compressed across it; areas stay.
+
+    Tilted or cylindrical optics, gratings and a tilted detector do so. The size is the difference of the
+    largest scale and the smallest over their mean, the angle that of the largest; the geometric mean of both
+    is that of `plate_scale`.
+
+    A pupil that is wider across the direction makes exactly the same diffraction pattern. It leaves the halo,
+    the image motion and companions as they are, which an anamorphism stretches too: this alone tells the two
+    apart, and where the halo may be elongated for itself, little of it.
+    """
+
+    name = "anamorphism"
+    formula = (
+        "I(a) → I(M⁻¹ a), M = (1 + E) / √(1 − ε²), E = ε (cos 2θ, sin 2θ; sin 2θ, −cos 2θ), ε = fraction / 2"
+    )
+    fact = True
+    public = (
+        number("fraction", "largest less smallest scale of the image, over their mean", 0.0, 0.14),
+        direction("angle_deg", "deg of the largest, from +x towards +y, 0 to 180"),
+    )
+    sentence = "an image {percent:.2f} % larger along {angle_deg:.0f}° than across"
+    look_alike = "a pupil wider across that direction; two stars of known places distinguish them"
+    reference = "Maire et al. 2016, SPIE 9908, 990834: 0.60 % in SPHERE"
+    parameters = tuple(
+        Parameter(
+            name,
+            "",
+            0.0,
+            prior_sigma=USUAL_STRAIN,
+            lower=-LARGEST_STRAIN,
+            upper=LARGEST_STRAIN,
+            plausible=(-0.08, 0.08),
+        )
+        for name in ("along_x", "along_diagonal")
+    )
+
+    def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
+        return sampling._replace(strain=sampling.strain + values / 2)
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Size and direction of the largest scale."""
+        along_x, along_diagonal = (float(v) for v in values)
+        angle_deg = float(np.rad2deg(np.arctan2(along_diagonal, along_x)) / 2 % 180)
+        return {"fraction": float(np.hypot(along_x, along_diagonal)), "angle_deg": angle_deg}
+
+    def values_of(self, fraction: float, angle_deg: float) -> list[float]:
+        twice = np.deg2rad(2 * angle_deg)
+        return [fraction * float(np.cos(twice)), fraction * float(np.sin(twice))]
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: the size in per cent."""
+        return super().phrase({**public, "percent": 100 * public["fraction"]})

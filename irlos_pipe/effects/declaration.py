@@ -24,7 +24,6 @@ class Parameter:
 
     Attributes
     ----------
-    name, unit : str
     start : float
         Where a fit begins.
     prior_mean, prior_sigma : float
@@ -63,7 +62,6 @@ class Public:
 
     Attributes
     ----------
-    name, unit : str
     kind : str
         A number; a table of Noll indices; numbers of the pupil's parts; a list of (row, column); a name.
     lower, upper : float
@@ -160,7 +158,6 @@ class Conditions:
         Spatial frequencies that the AO corrects.
     residual_law : ResidualLaw
         AO residual against seeing.
-    seeing_arcsec : float
     highest_noll : int
         Last mode that is estimated as such.
     seeing_measured : bool
@@ -173,7 +170,6 @@ class Conditions:
         Filter and source of the diversity that the light passes, by name.
     ncpa_wavelength_nm : float, optional
         At which NCPAs that differ by wavelength are stated; the mean of the spectrum if left out.
-    refraction : Refraction
     """
 
     settings: PsfSettings
@@ -210,7 +206,6 @@ class Calibrated:
 
     Attributes
     ----------
-    seeing_arcsec : float
     brightest_e : float
         Brightest pixel of the modelled mean image, of several cubes the mean of theirs [e-].
     """

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.base import FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, direction, number
 from irlos_pipe.effects.planes import DetectorEffect
@@ -35,8 +35,7 @@ class InterpixelCrosstalk(DetectorEffect):
     reference = "Moore, Ninkov & Forrest 2006, Opt. Eng. 45, 076402; Finger et al. 2006, SPIE 6276, 62760F"
     parameters = (Parameter("fraction", "", 0.02, lower=0.0, upper=0.8, plausible=(0.0, 0.2)),)
 
-    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
-        """See `DetectorEffect.apply`."""
+    def apply(self, values: Tensor, images_e: Tensor) -> Tensor:
         rows, columns = images_e.shape[-2:]
         shape = (-1, 1, rows, columns)
         padded = torch.nn.functional.pad(images_e.reshape(shape), (1, 1, 1, 1), mode="replicate")
@@ -44,7 +43,7 @@ class InterpixelCrosstalk(DetectorEffect):
         received = reduce(torch.add, neighbours) / 4
         return images_e + values[0] * (received.reshape(images_e.shape) - images_e)
 
-    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+    def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
         """See `Effect.pushed`: linear."""
         return self.apply(values, changes)
 
@@ -75,12 +74,11 @@ class DetectorNonlinearity(DetectorEffect):
         """See `Effect.handed_on`: stated at the brightest pixel of the calibration, before it was bent."""
         return FixedEffect(DetectorNonlinearity(then.brightest_e / (1 - values[0])), values)
 
-    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
-        """See `DetectorEffect.apply`."""
+    def apply(self, values: Tensor, images_e: Tensor) -> Tensor:
         peak = images_e.amax((-2, -1), keepdim=True) if self.peak_e is None else self.peak_e
         return images_e * (1 - values[0] * images_e / peak)
 
-    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+    def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
         """See `Effect.pushed`: the brightest pixel changes as well."""
         images, lost = images_e[:, None], values[0]
         if self.peak_e is not None:
@@ -118,8 +116,7 @@ class BackgroundGradient(DetectorEffect):
         Parameter("y_e_per_px", "e-/px", 0.0),
     )
 
-    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
-        """See `DetectorEffect.apply`."""
+    def apply(self, values: Tensor, images_e: Tensor) -> Tensor:
         y, x = (
             torch.arange(size, dtype=torch.float64, device=images_e.device) - (size - 1) / 2
             for size in images_e.shape[-2:]
@@ -131,7 +128,6 @@ class BackgroundGradient(DetectorEffect):
         return dict(zip(("e_per_pixel", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, e_per_pixel: float, angle_deg: float) -> list[float]:
-        """See `Effect.values_of`."""
         return components(e_per_pixel, angle_deg)
 
 
@@ -161,7 +157,7 @@ class CorrelatedNoise(DetectorEffect):
     def __init__(self, axis: str = "rows", period_px: float | None = None):
         self.axis, self.period_px = axis, period_px
 
-    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+    def apply(self, values: Tensor, images_e: Tensor) -> Tensor:
         """See `DetectorEffect.apply`: the mean image is what it was."""
         return images_e
 
@@ -176,7 +172,6 @@ class CorrelatedNoise(DetectorEffect):
         return {name: value for name, value in public.items() if name != "e_rms"}
 
     def values_of(self, e_rms: float, axis: str = "rows", period_px: float | None = None) -> list[float]:
-        """See `Effect.values_of`."""
         return [e_rms]
 
 
@@ -212,15 +207,13 @@ class BadPixels(DetectorEffect):
 
     @classmethod
     def under(cls, conditions: Conditions, pixels: Sequence[Sequence[int]] = ()) -> BadPixels:
-        """See `Effect.under`."""
         rows, columns = conditions.settings.window
         outside = [list(pixel) for pixel in pixels if not (pixel[0] < rows and pixel[1] < columns)]
         if outside:
             raise ValueError(f"pixels {outside} lie outside the window of {rows} x {columns}")
         return cls(pixels)
 
-    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
-        """See `DetectorEffect.apply`."""
+    def apply(self, values: Tensor, images_e: Tensor) -> Tensor:
         rows, columns = images_e.shape[-2:]
         for value, (row, column) in zip(values, self.pixels, strict=True):
             there = torch.zeros(rows, columns, dtype=torch.float64, device=images_e.device)
@@ -229,7 +222,6 @@ class BadPixels(DetectorEffect):
         return images_e
 
     def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
-        """See `Effect.good_pixels`."""
         good = np.ones(window, dtype=bool)
         for pixel in self.pixels:
             good[pixel] = False
@@ -240,7 +232,6 @@ class BadPixels(DetectorEffect):
         return {"pixels": [list(pixel) for pixel in self.pixels]}
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`."""
         places = [f"row {row}, column {column}" for row, column in public["pixels"]]
         return (
             f"{'a bad pixel' if len(places) == 1 else 'bad pixels'} at {'; '.join(places)} (counted from 0)"

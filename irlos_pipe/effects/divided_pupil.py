@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.redrawn_pupil import (
@@ -46,7 +46,7 @@ class DividedPupil(DrawnEffect):
         """Return the parts of a pupil `geometry`."""
         raise NotImplementedError
 
-    def factors(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
+    def factors(self, values: Tensor, grid: PupilGrid) -> list[Tensor]:
         """Return the complex factor of each part, (wavelengths, n, n).
 
         Parameters
@@ -57,8 +57,8 @@ class DividedPupil(DrawnEffect):
         raise NotImplementedError
 
     def moved(
-        self, values: torch.Tensor, amplitudes: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
+        self, values: Tensor, amplitudes: Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[Tensor]:
         """Return derivatives of the field, see `slopes`.
 
         Parameters
@@ -71,7 +71,7 @@ class DividedPupil(DrawnEffect):
         """
         raise NotImplementedError
 
-    def opd_where(self, values: torch.Tensor, index: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def opd_where(self, values: Tensor, index: Tensor, grid: PupilGrid) -> Tensor:
         """Return the OPD, (n, n) [nm].
 
         Parameters
@@ -83,18 +83,13 @@ class DividedPupil(DrawnEffect):
         """
         raise NotImplementedError
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         return _added(field, _parts(type(self), grid, Drawing(grid.geometry)), self.factors(values, grid))
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         return self.moved(values, _parts(type(self), grid, Drawing(grid.geometry)), grid, wanted)
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.opd_nm`."""
+    def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         return self.opd_where(values, _index_on(type(self), grid, Drawing(grid.geometry)), grid)
 
 
@@ -119,8 +114,7 @@ class RedrawnAndDivided(DrawnEffect):
         self._drawing = [place for _, piece in redrawing for place in piece]
         self._dividing = [pair for pair in pairs if isinstance(pair[0].base, DividedPupil)]
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         drawing = values[self._drawing]
         field = self._redrawn.apply(drawing, field, grid)
         for base, own in self._each(values):
@@ -132,10 +126,7 @@ class RedrawnAndDivided(DrawnEffect):
             field = _added(field, parts, base.factors(own, grid))
         return field
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         found = dict(zip(self._drawing, self._slopes_of_edges(values, field, grid), strict=True))
         drawn = self._drawn(values, grid)
         for (effect, piece), (base, own) in zip(self._dividing, self._each(values), strict=True):
@@ -143,9 +134,7 @@ class RedrawnAndDivided(DrawnEffect):
             found |= zip(piece, moved, strict=True)
         return [found[index] for index in wanted]
 
-    def _slopes_of_edges(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid
-    ) -> list[torch.Tensor]:
+    def _slopes_of_edges(self, values: Tensor, field: Tensor, grid: PupilGrid) -> list[Tensor]:
         """Derivatives of the field with respect to the parameters of the drawing."""
         drawing, every = values[self._drawing], range(len(self._drawing))
         slopes = self._redrawn.slopes(drawing, field, grid, every)
@@ -158,7 +147,7 @@ class RedrawnAndDivided(DrawnEffect):
             ]
         return slopes
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         """See `PupilEffect.opd_nm`: parts turn with the pupil."""
         drawn = self._drawn(values, grid)
         maps = [
@@ -166,22 +155,22 @@ class RedrawnAndDivided(DrawnEffect):
         ]
         return torch.stack(maps).sum(0)
 
-    def _drawn(self, values: torch.Tensor, grid: PupilGrid) -> Drawing:
+    def _drawn(self, values: Tensor, grid: PupilGrid) -> Drawing:
         return self._redrawn.redrawn(values[self._drawing].tolist(), Drawing(grid.geometry))
 
-    def _each(self, values: torch.Tensor) -> list[tuple[DividedPupil, torch.Tensor]]:
+    def _each(self, values: Tensor) -> list[tuple[DividedPupil, Tensor]]:
         """Every effect of parts with all its parameters."""
         return [(one.base, one.all_values(values[piece])) for one, piece in self._dividing]  # type: ignore[misc]
 
 
-def _added(field: torch.Tensor, parts: torch.Tensor, factors: Sequence[torch.Tensor]) -> torch.Tensor:
+def _added(field: Tensor, parts: Tensor, factors: Sequence[Tensor]) -> Tensor:
     """A `field` whose `parts` (parts, n, n) have got `factors`."""
     for part, factor in zip(parts, factors, strict=True):
         field = field + part * (factor - 1)
     return field
 
 
-def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch.Tensor:
+def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Tensor:
     """Amplitude of each part of a `drawing`, (parts, n, n): as it was told, and what the drawing changes."""
     geometry, samples = grid.geometry, grid.samples
     parts, told = amplitudes_of(kind.parts_of(geometry), geometry, samples), Drawing(geometry)
@@ -191,9 +180,7 @@ def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch
     return torch.as_tensor(np.where(grid.lit, parts, 0) * grid.light)
 
 
-def _parts_drawn(
-    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, values: torch.Tensor
-) -> torch.Tensor:
+def _parts_drawn(effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, values: Tensor) -> Tensor:
     """The same of the drawing that an `effect` makes."""
     return _parts(kind, grid, effect.redrawn(values.tolist(), Drawing(grid.geometry)))
 
@@ -207,15 +194,15 @@ def _drawn_parts(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing
 
 
 def _part_slopes(
-    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, light: float, values: torch.Tensor
-) -> list[torch.Tensor]:
+    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, light: float, values: Tensor
+) -> list[Tensor]:
     """Derivatives of the amplitudes of all parts, times `light`, by each parameter, (parts, n, n) each."""
     told = Drawing(grid.geometry)
     division = _division(kind, told.geometry, effect.redrawn(values.tolist(), told))
     return [light * one for one in slopes_of_drawing(effect, grid, values, range(len(values)), division)]
 
 
-def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch.Tensor:
+def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Tensor:
     """Number of the part of a `drawing` at the points of a `grid`, (n, n)."""
     x_m, y_m = (axis * grid.radius_m for axis in grid.xy)
     return torch.as_tensor(_division(kind, grid.geometry, drawing).index(x_m, y_m))

@@ -9,11 +9,10 @@ from typing import Any, get_args
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.effects.base import Effect, FixedEffect
+from irlos_pipe.effects.base import Effect, FixedEffect, labels_of
 from irlos_pipe.effects.declaration import Parameter, Plane
-from irlos_pipe.effects.labels import labels_of
 from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, PupilMode, Sampling, Tangents
 
@@ -25,7 +24,7 @@ Acting = tuple[Effect, slice]  # and its part of the parameter vector
 SMALL, DIFFERENCE = 1e-6, 1e-4
 
 
-def _slope(above: torch.Tensor | None, below: torch.Tensor | None, step: float) -> torch.Tensor | None:
+def _slope(above: Tensor | None, below: Tensor | None, step: float) -> Tensor | None:
     """Central difference; None of what does not change."""
     if above is None or below is None or torch.equal(above, below):
         return None
@@ -80,18 +79,18 @@ class EffectSet:
         return [i for _, piece in self.at(plane) for i in range(piece.start, piece.stop)]
 
     @property
-    def starts(self) -> torch.Tensor:
+    def starts(self) -> Tensor:
         """Where a fit begins."""
         return torch.tensor([p.start for p in self.parameters], dtype=torch.float64)
 
     # -- light path --------------------------------------------------------------------------
 
-    def __call__(self, values: torch.Tensor | None = None) -> Optics:
+    def __call__(self, values: Tensor | None = None) -> Optics:
         """What the effects make of pupil, OTF and sampling; without `values` if all are held."""
         values = torch.zeros(0, dtype=torch.float64) if values is None else values
         return self._optics(values, self._sampling(values))
 
-    def _optics(self, values: torch.Tensor, sampling: Sampling) -> Optics:
+    def _optics(self, values: Tensor, sampling: Sampling) -> Optics:
         """The same for a `sampling` that the effects may not make."""
         star = Optics(
             self._pupil(values, sampling) if self.at("pupil") else None,
@@ -102,7 +101,7 @@ class EffectSet:
         copies = (self._copied(values, sampling, star, path) for path in self._copies)
         return star._replace(copies=tuple(copies))
 
-    def tangents(self, values: torch.Tensor) -> Tangents:
+    def tangents(self, values: Tensor) -> Tangents:
         """Derivatives of pupil, OTF factors and sampling with respect to the parameters at these planes."""
         sampling = self._sampling(values)
         transfer = self._transfer_derivatives(values, sampling, self.at("otf"))
@@ -116,14 +115,14 @@ class EffectSet:
         )
         return star._replace(copies=tuple(copies))
 
-    def _resampled(self, values: torch.Tensor, index: int) -> list[Change]:
+    def _resampled(self, values: Tensor, index: int) -> list[Change]:
         """Derivatives for star and copies with respect to the parameter `index`, one of the sampling."""
         sampling, move = self._sampling(values), torch.zeros_like(values)
         move[index] = SMALL * max(1.0, abs(float(values[index])))
         ends = zip(sampling, self._sampling(values + move), self._sampling(values - move), strict=True)
         change = Sampling(*((above - below + 0 * one) / (2 * move[index]) for one, above, below in ends))
 
-        def light(along: float) -> list[torch.Tensor | None]:
+        def light(along: float) -> list[Tensor | None]:
             pairs = zip(sampling, change, strict=True)
             star = self._optics(values, Sampling(*(one + along * rate for one, rate in pairs)))
             return [factor for path in (star, *star.copies) for factor in (path.pupil, path.transfer)]
@@ -138,18 +137,16 @@ class EffectSet:
             (pupil, transfer, change) for pupil, transfer in zip(factors[0::2], factors[1::2], strict=True)
         ]
 
-    def modes_at(self, values: torch.Tensor, modes_nm: torch.Tensor, when: torch.Tensor) -> torch.Tensor:
+    def modes_at(self, values: Tensor, modes_nm: Tensor, when: Tensor) -> Tensor:
         """Coefficients `modes_nm` with the effects at `values`, at times `when`, see `TimeEffect.apply`."""
         nolls = self.grids.nolls
         return reduce(lambda x, e: e[0].apply(values[e[1]], x, nolls, when), self.at("time"), modes_nm)
 
-    def detect(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+    def detect(self, values: Tensor, images_e: Tensor) -> Tensor:
         """Electrons `images_e` in the pixels as the detector shows them with the effects at `values`."""
         return reduce(lambda x, e: e[0].apply(values[e[1]], x), self.at("detector"), images_e)
 
-    def detect_with_changes(
-        self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def detect_with_changes(self, values: Tensor, images_e: Tensor, changes: Tensor) -> tuple[Tensor, Tensor]:
         """The same, and what small changes of the images become.
 
         Parameters
@@ -163,30 +160,30 @@ class EffectSet:
             images_e = effect.apply(values[piece], images_e)
         return images_e, changes
 
-    def opd_nm(self, values: torch.Tensor) -> torch.Tensor:
+    def opd_nm(self, values: Tensor) -> Tensor:
         """Part of the wavefront that effects in the pupil add, (n, n) [nm]."""
         grid = self.grids.pupil
         maps = [effect.opd_nm(values[piece], grid) for effect, piece in self.at("pupil")]
         nothing = torch.zeros(len(grid.u_m), len(grid.u_m), dtype=torch.float64)
         return sum((opd for opd in maps if opd is not None), nothing)
 
-    def _sampling(self, values: torch.Tensor) -> Sampling:
+    def _sampling(self, values: Tensor) -> Sampling:
         nominal = self.grids.sampling
         return reduce(lambda s, e: e[0].apply(values[e[1]], s, nominal), self.at("sampling"), nominal)
 
-    def _pupil(self, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
+    def _pupil(self, values: Tensor, sampling: Sampling) -> Tensor:
         grid = self.grids.pupil.at(sampling.wavelengths_m)
         clear = torch.as_tensor(grid.amplitude, dtype=torch.complex128).expand(len(sampling.weights), -1, -1)
         return reduce(lambda field, e: e[0].apply(values[e[1]], field, grid), self.at("pupil"), clear)
 
-    def _pupil_slopes(self, values: torch.Tensor, sampling: Sampling) -> list[torch.Tensor]:
+    def _pupil_slopes(self, values: Tensor, sampling: Sampling) -> list[Tensor]:
         """Each effect's own derivatives, as the effects behind it leave them."""
         if not self.free_at("pupil"):
             return []
         grid = self.grids.pupil.at(sampling.wavelengths_m)
         dark = torch.zeros(len(sampling.weights), *grid.amplitude.shape, dtype=torch.complex128)
         field = dark + torch.as_tensor(grid.amplitude)
-        slopes: list[torch.Tensor] = []
+        slopes: list[Tensor] = []
         for effect, piece in self.at("pupil"):
             own = values[piece]
             if slopes:
@@ -196,14 +193,14 @@ class EffectSet:
             field = effect.apply(own, field, grid)
         return slopes
 
-    def _transfer(self, values: torch.Tensor, sampling: Sampling, pairs: Sequence[Acting]) -> torch.Tensor:
+    def _transfer(self, values: Tensor, sampling: Sampling, pairs: Sequence[Acting]) -> Tensor:
         """Product of the factors of `pairs` of effects."""
         grid = OtfGrid.of(self.grids.focal, sampling)
         return reduce(lambda f, e: e[0].apply(values[e[1]], f, grid), pairs, _clear_factor(grid))
 
     def _transfer_derivatives(
-        self, values: torch.Tensor, sampling: Sampling, pairs: Sequence[Acting]
-    ) -> list[torch.Tensor]:
+        self, values: Tensor, sampling: Sampling, pairs: Sequence[Acting]
+    ) -> list[Tensor]:
         """Own derivatives of the factor of every effect in `pairs` times the factors of the others."""
         if not self.free_at("otf"):
             return []
@@ -243,18 +240,18 @@ class EffectSet:
         """Effects of the OTF on the light path of every copy of the star, and the copy itself among them."""
         return [(path, copy) for mode, path, copy in self._further_paths if not mode]
 
-    def defocus_nm(self, values: torch.Tensor) -> list[torch.Tensor]:
+    def defocus_nm(self, values: Tensor) -> list[Tensor]:
         """Defocus of every copy of the star beyond that of the star, scalars [nm RMS]."""
         return [copy.defocus_nm(values[piece]) for _, (copy, piece) in self._copies]
 
-    def _copied(self, values: torch.Tensor, sampling: Sampling, star: Optics, path) -> Optics:
+    def _copied(self, values: Tensor, sampling: Sampling, star: Optics, path) -> Optics:
         """The light path of a copy beside that of the `star`."""
         pairs, (copy, piece) = path
         pupil = self._pupil(values, sampling) if star.pupil is None else star.pupil
         shifted = pupil * self._shift(sampling, copy.defocus_nm(values[piece]))
         return Optics(shifted, self._transfer(values, sampling, pairs), star.sampling)
 
-    def _copied_tangents(self, values: torch.Tensor, sampling: Sampling, star: Tangents, path) -> Tangents:
+    def _copied_tangents(self, values: Tensor, sampling: Sampling, star: Tangents, path) -> Tangents:
         """Derivatives of `_copied`; of the star they are `star`."""
         pairs, (copy, piece) = path
         shift = self._shift(sampling, copy.defocus_nm(values[piece]))
@@ -269,12 +266,12 @@ class EffectSet:
         by_place = [(first + i, rate * turned) for i, rate in enumerate(rates) if rate]
         return Tangents(slopes, transfer, by_place)
 
-    def _shift(self, sampling: Sampling, defocus_nm: torch.Tensor) -> torch.Tensor:
+    def _shift(self, sampling: Sampling, defocus_nm: Tensor) -> Tensor:
         """Factor of the field by which its focus changes, (wavelengths, n, n)."""
         return self.grids.pupil.at(sampling.wavelengths_m).phasor(defocus_nm * self._defocus)
 
     @property
-    def _defocus(self) -> torch.Tensor:
+    def _defocus(self) -> Tensor:
         return torch.tensor(self.grids.pupil.modes([DEFOCUS])[0])
 
     # -- bookkeeping -------------------------------------------------------------------------
@@ -284,7 +281,7 @@ class EffectSet:
         """Unique labels of the effects, see `labels_of`."""
         return labels_of(self.effects)
 
-    def pieces(self, values: torch.Tensor) -> list[np.ndarray]:
+    def pieces(self, values: Tensor) -> list[np.ndarray]:
         """The parameter vector cut into one piece per effect."""
         return [np.asarray(values[piece], float) for piece in self._pieces]
 
@@ -298,21 +295,21 @@ class EffectSet:
         piece = self._pieces[self.labels.index(label)]
         return range(piece.start, piece.stop)
 
-    def split(self, values: torch.Tensor) -> dict[str, np.ndarray]:
+    def split(self, values: Tensor) -> dict[str, np.ndarray]:
         """The parameter vector cut into one piece per effect, by label."""
         return dict(zip(self.labels, self.pieces(values), strict=True))
 
-    def describe(self, values: torch.Tensor) -> dict[str, dict[str, Any]]:
+    def describe(self, values: Tensor) -> dict[str, dict[str, Any]]:
         """Public parameters of every effect, by label."""
         pairs = zip(self.effects, self.pieces(values), strict=True)
         return dict(zip(self.labels, (effect.describe(piece) for effect, piece in pairs), strict=True))
 
-    def held(self, values: torch.Tensor) -> EffectSet:
+    def held(self, values: Tensor) -> EffectSet:
         """The effects with all parameters held at `values`."""
         pairs = zip(self.effects, self._pieces, strict=True)
         return EffectSet([_held(effect, values[piece]) for effect, piece in pairs], self.grids)
 
-    def held_but(self, values: torch.Tensor, index: int) -> tuple[EffectSet, slice]:
+    def held_but(self, values: Tensor, index: int) -> tuple[EffectSet, slice]:
         """The effects held at `values`, except the one that has the parameter `index`.
 
         Returns
@@ -327,12 +324,12 @@ class EffectSet:
         return EffectSet(held, self.grids), own
 
 
-def _clear_factor(grid: OtfGrid) -> torch.Tensor:
+def _clear_factor(grid: OtfGrid) -> Tensor:
     """OTF factor of nothing, (wavelengths, p, p//2 + 1)."""
     return torch.ones(len(grid.wavelengths_m), *grid.length2_m2.shape, dtype=torch.float64)
 
 
-def _held(effect: Effect, values: torch.Tensor) -> FixedEffect:
+def _held(effect: Effect, values: Tensor) -> FixedEffect:
     return FixedEffect(effect.base, effect.all_values(values).numpy())
 
 

@@ -1,15 +1,22 @@
-"""The focus stage misses its offsets: `focus_stage_hysteresis`, `focus_stage_offset`, `focus_stage_scale`.
+"""What a ramp of focus shows: a stage that misses its offsets, and a beam of high aperture.
 
-They change the defocus that a ramp really introduces, and with it what its estimates are compared with.
+`focus_stage_hysteresis`, `focus_stage_offset` and `focus_stage_scale` change the defocus that a ramp really
+introduces, and with it what its estimates are compared with.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
-from irlos_pipe.effects.declaration import Parameter, number
-from irlos_pipe.effects.planes import RampEffect
+from irlos_pipe.conventions.late import Tensor, torch
+from irlos_pipe.effects.declaration import Conditions, Parameter, number
+from irlos_pipe.effects.planes import LensEffect, RampEffect
+from irlos_pipe.optics.defocus import HIGHEST_SINE
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+LEAST_SINE = 0.1  # a focal ratio of 5, below which defocus is the parabola to 0.1 %
 
 
 def travel_direction(commanded_nm: np.ndarray) -> np.ndarray:
@@ -37,10 +44,7 @@ class FocusStageHysteresis(RampEffect):
     reference = "Saw-tooth of the first target in the on-sky experiment of LIFT for IRLOS"
     parameters = (Parameter("nm", "nm", 0.0, plausible=(-150.0, 150.0)),)
 
-    def apply(
-        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
-    ) -> torch.Tensor:
-        """See `RampEffect.apply`."""
+    def apply(self, values: Tensor, introduced_nm: Tensor, commanded_nm: np.ndarray) -> Tensor:
         return introduced_nm + values[0] * torch.as_tensor(travel_direction(commanded_nm))
 
     @classmethod
@@ -83,14 +87,10 @@ class FocusStageOffset(RampEffect):
 
     @property
     def part(self) -> dict[str, float]:
-        """See `RampEffect.part`."""
         limits = {"above_nm": float(self.above_nm), "below_nm": float(self.below_nm)}
         return {name: limit for name, limit in limits.items() if np.isfinite(limit)}
 
-    def apply(
-        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
-    ) -> torch.Tensor:
-        """See `RampEffect.apply`."""
+    def apply(self, values: Tensor, introduced_nm: Tensor, commanded_nm: np.ndarray) -> Tensor:
         concerned = (commanded_nm > self.above_nm) & (commanded_nm < self.below_nm)
         return introduced_nm + values[0] * torch.as_tensor(concerned.astype(float))
 
@@ -111,8 +111,41 @@ class FocusStageScale(RampEffect):
     reference = "Straight line through a ramp's estimates"
     parameters = (Parameter("fraction", "", 0.0, plausible=(-0.4, 0.4)),)
 
-    def apply(
-        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
-    ) -> torch.Tensor:
-        """See `RampEffect.apply`."""
+    def apply(self, values: Tensor, introduced_nm: Tensor, commanded_nm: np.ndarray) -> Tensor:
         return introduced_nm + values[0] * torch.as_tensor(np.asarray(commanded_nm, float))
+
+
+class HighAperture(LensEffect):
+    """Defocus is a sphere and not a parabola, because the focus moves where the beam is steep.
+
+    Noll 4 then comes with Noll 11, 22 and further ones in fixed proportion. A single image cannot tell them
+    from static spherical aberration, a ramp of focus can: they change with it. An estimate with the parabola
+    finds another slope than one and its images do not fit far from focus.
+
+    Parameters
+    ----------
+    numerical_aperture : float
+        NA / n of the beam in which the focus moves.
+    """
+
+    name = "high_aperture"
+    formula = (
+        "shape of defocus: √(1 − sine² ρ²) in place of ρ², ρ: radius over that of the pupil; same Noll 4"
+    )
+    public = (number("sine", "NA / n where the focus moves", 0.0, HIGHEST_SINE),)
+    sentence = "a focus moved in a beam of NA / n = {sine:.2f}"
+    look_alike = "focus_stage_scale in the estimates of a ramp; its images far from focus distinguish them"
+    reference = "Hopkins 1945, Proc. Phys. Soc. 55, 116"
+
+    def __init__(self, numerical_aperture: float = 0.0):
+        self.parameters = (Parameter("sine", "", numerical_aperture, lower=0.0, upper=HIGHEST_SINE),)
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> HighAperture:
+        """See `Effect.under`: where the profile knows the aperture and it is high."""
+        if not conditions.numerical_aperture > LEAST_SINE:
+            raise ValueError("the profile knows no high numerical aperture of the beam in which focus moves")
+        return cls(conditions.numerical_aperture)
+
+    def apply(self, values: Tensor, settings: PsfSettings) -> PsfSettings:
+        return replace(settings, focus_sine=float(values[0]))

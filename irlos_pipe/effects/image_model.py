@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.effect_set import EffectSet
@@ -26,27 +27,21 @@ NOTHING = torch.zeros(0, dtype=torch.float64)  # the parameter vector of effects
 
 
 class ImageModel:
-    """Images of a star of known brightness.
-
-    Parameters
-    ----------
-    psf : LightPath
-    effects : sequence of Effect, or EffectSet
-    """
+    """Images of a star of known brightness."""
 
     def __init__(self, psf: LightPath, effects: Sequence[Effect] | EffectSet = ()):
         self.psf = psf
         self.effects = effects if isinstance(effects, EffectSet) else EffectSet(effects, psf.grids)
-        self._last: tuple[torch.Tensor, Optics] | None = None
+        self._last: tuple[Tensor, Optics] | None = None
 
     def predict(
         self,
-        modes_nm: torch.Tensor,
-        flux_e: torch.Tensor,
-        background_e: torch.Tensor,
-        values: torch.Tensor = NOTHING,
-        when: torch.Tensor | None = None,
-    ) -> torch.Tensor:
+        modes_nm: Tensor,
+        flux_e: Tensor,
+        background_e: Tensor,
+        values: Tensor = NOTHING,
+        when: Tensor | None = None,
+    ) -> Tensor:
         """Images [e-], (images, rows, columns), float64 on the device of the PSF model.
 
         Parameters
@@ -65,15 +60,15 @@ class ImageModel:
 
     def predict_and_jacobian(
         self,
-        modes_nm: torch.Tensor,
-        flux_e: torch.Tensor,
-        background_e: torch.Tensor,
-        values: torch.Tensor = NOTHING,
-        when: torch.Tensor | None = None,
+        modes_nm: Tensor,
+        flux_e: Tensor,
+        background_e: Tensor,
+        values: Tensor = NOTHING,
+        when: Tensor | None = None,
         *,
         held: bool = False,
         modal: bool = True,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    ) -> tuple[Tensor, Tensor]:
         """Images and their derivatives.
 
         Derivatives have the precision of the propagation unless the model has detector effects.
@@ -108,7 +103,7 @@ class ImageModel:
             return image, columns
         return self._detected(image, columns.double(), values, None if held else modes)
 
-    def predict_and_pullback(self, modes_nm: torch.Tensor, flux_e: torch.Tensor, background_e: torch.Tensor):
+    def predict_and_pullback(self, modes_nm: Tensor, flux_e: Tensor, background_e: Tensor):
         """Images without free effects in the precision of the propagation, and the transposed Jacobian.
 
         Parameters
@@ -133,7 +128,7 @@ class ImageModel:
         unit, to_modes = self.psf.images_and_pullback(modes_nm, self.optics)
         flux, background = (v.to(unit)[:, None, None] for v in (flux_e, background_e))
 
-        def pullback(factors: torch.Tensor) -> torch.Tensor:
+        def pullback(factors: Tensor) -> Tensor:
             by_flux = (factors * unit).sum((1, 2), dtype=torch.float64)
             by_background = factors.sum((1, 2), dtype=torch.float64)
             by_modes = to_modes(factors).double() * flux[:, :, 0].double()
@@ -158,7 +153,7 @@ class ImageModel:
 
     # -- parts -------------------------------------------------------------------------------
 
-    def _optics(self, values: torch.Tensor) -> Optics:
+    def _optics(self, values: Tensor) -> Optics:
         """What the effects make of the light path, kept for the next call with the same values."""
         if values.requires_grad:
             return self.effects(values)
@@ -167,14 +162,14 @@ class ImageModel:
             self._last = last = values.clone(), self.effects(values)
         return last[1]
 
-    def _unit(self, modes_nm, optics: Optics, values: torch.Tensor, when) -> torch.Tensor:
+    def _unit(self, modes_nm, optics: Optics, values: Tensor, when) -> Tensor:
         """Unit-flux images before the detector."""
         if not self.effects.at("time"):
             return self.psf.images(modes_nm, optics)
         modes, weights = self._in_time(modes_nm, values, when)
         return _mean(self.psf.images(modes, optics), weights)
 
-    def _in_time(self, modes_nm: torch.Tensor, values: torch.Tensor, when):
+    def _in_time(self, modes_nm: Tensor, values: Tensor, when):
         """Wavefronts at the nodes of the average over the recording, or at the time of each image."""
         if when is not None:
             return self.effects.modes_at(values, modes_nm, when), torch.ones(1, dtype=torch.float64)
@@ -183,7 +178,7 @@ class ImageModel:
         repeated = modes_nm.repeat_interleave(TIMES, dim=0)
         return self.effects.modes_at(values, repeated, times), torch.as_tensor(weights / 2)
 
-    def _unit_and_jacobian(self, modes_nm, values: torch.Tensor, when, held: bool, modal: bool):
+    def _unit_and_jacobian(self, modes_nm, values: Tensor, when, held: bool, modal: bool):
         """Unit-flux images and derivatives with respect to modes and effects before the detector."""
         tangents = NO_TANGENTS if held else self.effects.tangents(values)
         modes, weights = modes_nm, torch.ones(1)
@@ -198,17 +193,17 @@ class ImageModel:
         whole = [self._whole_path(modes_nm, values, when, index)[:, None].to(unit.dtype) for index in moving]
         return unit, torch.cat([jacobian, *whole], dim=1)
 
-    def _whole_path(self, modes_nm, values: torch.Tensor, when, index: int) -> torch.Tensor:
+    def _whole_path(self, modes_nm, values: Tensor, when, index: int) -> Tensor:
         """Derivative of the unit-flux images along one effect parameter, the other effects held."""
         effects, piece = self.effects.held_but(values, index)
         alone = ImageModel(self.psf, effects)
 
-        def images(v: torch.Tensor) -> torch.Tensor:
+        def images(v: Tensor) -> Tensor:
             return alone._unit(modes_nm, effects(v), v, when)
 
         return Directional(images, values[piece]).by(index - piece.start)
 
-    def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
+    def _detected(self, image: Tensor, columns: Tensor, values: Tensor, first: int | None):
         """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
         seen, columns = self.effects.detect_with_changes(values, image, columns)
         if first is not None:
@@ -218,7 +213,7 @@ class ImageModel:
         return seen, columns
 
 
-def _mean(per_time: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+def _mean(per_time: Tensor, weights: Tensor) -> Tensor:
     """Weighted mean over the times of each image, from (images · times, ...) to (images, ...)."""
     parts = per_time.unflatten(0, (-1, len(weights)))
     return torch.tensordot(weights.to(parts), parts.movedim(1, 0), 1)

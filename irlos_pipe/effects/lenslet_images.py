@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import OtfEffect
@@ -58,16 +58,13 @@ class LensletImages(OtfEffect):
             raise ValueError("there are no lenslets before the sensor; leave it out")
         return cls()
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         """See `OtfEffect.apply`; the factor gets a first axis of the lenslets."""
         x, y, flux = values.reshape(3, LENSLETS, 1, 1)
         path = grid.path_m(x * MAS, y * MAS)[:, None]
         return factor * (1 + flux[:, None]) * phasor(-2 * np.pi * path / grid.wavelengths_m)
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         whole, zero, one = self.apply(values, factor, grid), torch.zeros(()), torch.ones(())
         flux = values.reshape(3, LENSLETS)[2]
         found = []
@@ -91,7 +88,6 @@ class LensletImages(OtfEffect):
         return {public.name: row.tolist() for public, row in zip(self.public, table, strict=True)}
 
     def values_of(self, **public: Sequence[float]) -> list[float]:
-        """See `Effect.values_of`."""
         wrong = [name for name, numbers in public.items() if len(numbers) != LENSLETS]
         if wrong:
             raise ValueError(

@@ -9,13 +9,13 @@ variance along the baseline. The parameter is the variance, because ∂μ/∂σ 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.bessel import j0_of_twice_root
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction, number
 from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.optics.grids import OtfGrid
@@ -31,7 +31,7 @@ def _variance(start_mas: float) -> Parameter:
     return Parameter("variance_mas2", "mas²", start_mas**2, lower=0.0, upper=upper, plausible=PLAUSIBLE_MAS2)
 
 
-def damping(variance_mas2: torch.Tensor, length2_m2: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+def damping(variance_mas2: Tensor, length2_m2: Tensor, grid: OtfGrid) -> Tensor:
     """Return ``w`` of the module's docstring, for baselines of the squared length `length2_m2`."""
     return 2 * np.pi**2 * MAS**2 * variance_mas2 * length2_m2 / grid.wavelengths_m**2
 
@@ -56,14 +56,10 @@ class TipTiltJitter(OtfEffect):
     def __init__(self, start_mas: float = 7.0):
         self.parameters = (_variance(start_mas),)
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         return factor * torch.exp(-damping(values[0], grid.length2_m2, grid))
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         slope = -damping(torch.ones(()), grid.length2_m2, grid) * self.apply(values, factor, grid)
         return [slope for _ in wanted]
 
@@ -85,7 +81,6 @@ class Vibration(OtfEffect):
     Parameters
     ----------
     shape : {"sinusoidal", "gaussian"}
-    start_mas, start_angle_deg : float
     """
 
     name = "vibration"
@@ -116,8 +111,7 @@ class Vibration(OtfEffect):
         """See `Effect.variants`: one per shape."""
         return tuple(cls.under(conditions, shape=shape) for shape in SHAPES)
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         along = grid.path_m(torch.cos(values[1]), torch.sin(values[1]))
         w = damping(values[0], along**2, grid)
         own = torch.exp(-w) if self.shape == "gaussian" else j0_of_twice_root(w)
@@ -129,10 +123,40 @@ class Vibration(OtfEffect):
         return {"sigma_mas": float(np.sqrt(max(values[0], 0.0))), "angle_deg": angle}
 
     def values_of(self, sigma_mas: float, angle_deg: float) -> list[float]:
-        """See `Effect.values_of`."""
         return [sigma_mas**2, float(np.deg2rad(angle_deg))]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """See `Effect.candidates`: one per direction."""
         angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
         return [FixedEffect(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]
+
+
+@cache
+def _differentiable() -> type[torch.autograd.Function]:
+    """``J0(2√w)``, analytic in w, with ``d/dw = -J1(2√w)/√w``, which is -1 at 0."""
+
+    class J0OfTwiceRoot(torch.autograd.Function):
+        @staticmethod
+        def forward(w):
+            return torch.special.bessel_j0(2 * torch.sqrt(w))
+
+        @staticmethod
+        def setup_context(ctx, inputs, output):
+            ctx.save_for_backward(*inputs)
+
+        @staticmethod
+        def backward(ctx, change):
+            return change * _slope(*ctx.saved_tensors)
+
+    return J0OfTwiceRoot
+
+
+def _slope(w: Tensor) -> Tensor:
+    root = torch.sqrt(w)
+    safe = torch.where(root > 1e-8, root, 1.0)
+    return torch.where(root > 1e-8, -torch.special.bessel_j1(2 * safe) / safe, -1.0)
+
+
+def j0_of_twice_root(w: Tensor) -> Tensor:
+    """``J0(2√w)`` for w ≥ 0, differentiable everywhere."""
+    return _differentiable().apply(w)

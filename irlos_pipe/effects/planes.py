@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
@@ -24,7 +24,7 @@ class PupilEffect(Effect):
     plane = "pupil"
     order = 1  # after those that change where light passes, which add to the field
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         """`field` with the effect, which must be linear in it but for what it adds.
 
         Parameters
@@ -35,9 +35,7 @@ class PupilEffect(Effect):
         """
         raise NotImplementedError
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         """See `Effect.slopes`: (wavelengths, n, n) each."""
         change = Directional(lambda v: self.apply(v, field, grid), values)
         return [change.by(index) for index in wanted]
@@ -48,7 +46,7 @@ class OtfEffect(Effect):
 
     plane = "otf"
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         """`factor` times that of the effect.
 
         Parameters
@@ -59,9 +57,7 @@ class OtfEffect(Effect):
         """
         raise NotImplementedError
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         """See `Effect.slopes`: of the shape of `factor` each."""
         change = Directional(lambda v: self.apply(v, factor, grid), values)
         return [change.by(index) for index in wanted]
@@ -74,7 +70,7 @@ class CopyOfStar(OtfEffect):
     parameters.
     """
 
-    def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
+    def defocus_nm(self, values: Tensor) -> Tensor:
         """Noll 4 beyond that of the star, a scalar [nm RMS]."""
         raise NotImplementedError
 
@@ -84,7 +80,7 @@ class SamplingEffect(Effect):
 
     plane = "sampling"
 
-    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
+    def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         """`sampling` with the effect at `values`; `nominal` is what the recording is said to have."""
         raise NotImplementedError
 
@@ -98,7 +94,7 @@ class LensEffect(Effect):
     def __init__(self, numerical_aperture: float = 0.0):
         """Start from the `numerical_aperture`, NA / n, of the beam in which the focus moves."""
 
-    def apply(self, values: torch.Tensor, settings: PsfSettings) -> PsfSettings:
+    def apply(self, values: Tensor, settings: PsfSettings) -> PsfSettings:
         """`settings` of a light path with the effect at `values`."""
         raise NotImplementedError
 
@@ -109,9 +105,7 @@ class TimeEffect(Effect):
     plane = "time"
     found_by = "frames"
 
-    def apply(
-        self, values: torch.Tensor, modes_nm: torch.Tensor, nolls: tuple[int, ...], when: torch.Tensor
-    ) -> torch.Tensor:
+    def apply(self, values: Tensor, modes_nm: Tensor, nolls: tuple[int, ...], when: Tensor) -> Tensor:
         """Coefficients of the modes with the effect, (times, modes) [nm].
 
         Parameters
@@ -130,11 +124,11 @@ class DetectorEffect(Effect):
 
     plane = "detector"
 
-    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+    def apply(self, values: Tensor, images_e: Tensor) -> Tensor:
         """Images `images_e`, (..., rows, columns) [e-], as the detector shows them at `values`."""
         raise NotImplementedError
 
-    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+    def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
         """See `Effect.pushed`: here they stay."""
         return changes
 
@@ -168,13 +162,10 @@ class RampEffect(Effect):
         return {}
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`."""
         part = ", ".join(f"{key.removesuffix('_nm')} {nm:+.0f} nm" for key, nm in self.part.items())
         return super().phrase(public) + (f" ({part})" if part else "")
 
-    def apply(
-        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
-    ) -> torch.Tensor:
+    def apply(self, values: Tensor, introduced_nm: Tensor, commanded_nm: np.ndarray) -> Tensor:
         """Introduced defocus with the effect, (frames,) [nm].
 
         Parameters

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import PupilEffect
@@ -46,10 +46,9 @@ class PupilPlace(PupilEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> Self:
-        """See `Effect.under`."""
         return cls(conditions.settings.geometry.diameter_m)
 
-    def profile(self, square: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def profile(self, square: Tensor) -> tuple[Tensor, Tensor]:
         """What is at a `square` of the distance in widths, of height 1, and its derivative, (n, n) each."""
         raise NotImplementedError
 
@@ -62,14 +61,12 @@ class PupilPlace(PupilEffect):
             for place in places
         ]
 
-    def _map(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _map(self, values: Tensor, grid: PupilGrid) -> Tensor:
         """What is added, (n, n)."""
         u, v = self._places(values, grid)
         return values[0] * self.profile(u**2 + v**2)[0] * torch.tensor(grid.lit)
 
-    def _map_slopes(
-        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
+    def _map_slopes(self, values: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> Sequence[Tensor]:
         """Its derivatives with respect to the parameters `wanted`, (n, n) each."""
         u, v = self._places(values, grid)
         square, lit = u**2 + v**2, torch.tensor(grid.lit)
@@ -78,7 +75,7 @@ class PupilPlace(PupilEffect):
         slopes = [unit, inwards * u, inwards * v, inwards * square]
         return [slopes[index] for index in wanted]
 
-    def _places(self, values: torch.Tensor, grid: PupilGrid) -> tuple[torch.Tensor, torch.Tensor]:
+    def _places(self, values: Tensor, grid: PupilGrid) -> tuple[Tensor, Tensor]:
         """Places in the pupil from the centre, in widths; they combine to (n, n)."""
         _, x, y, width = values
         u, v = (torch.as_tensor(axis * grid.radius_m) for axis in grid.xy)
@@ -106,12 +103,11 @@ class PhaseBump(PupilPlace, OpdMap):
     look_alike = "high_order_ncpa, of which every mode takes a part of the bump; pupil_spot in a narrow band"
     reference = "MUSE-NFM phase bump, 206 nm RMS in all"
 
-    def profile(self, square: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `PupilPlace.profile`."""
+    def profile(self, square: Tensor) -> tuple[Tensor, Tensor]:
         bump = torch.exp(-square / 2)
         return bump, -bump / 2
 
-    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         return self._map(values, grid)
 
 
@@ -139,19 +135,14 @@ class PupilSpot(PupilPlace):
     look_alike = "phase_bump of a wave or more in a narrow band; amplitude_aberration, which is smooth"
     reference = "Goodman 2005, Introduction to Fourier Optics, 3rd ed., Sect. 3.10"
 
-    def profile(self, square: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `PupilPlace.profile`."""
+    def profile(self, square: Tensor) -> tuple[Tensor, Tensor]:
         disc = torch.exp(-STEEPNESS * square**2)
         return disc, -2 * STEEPNESS * square * disc
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         return field * (1 - self._map(values, grid))
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         return [-field * slope for slope in self._map_slopes(values, grid, wanted)]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.divided_pupil import DividedPupil
@@ -77,25 +77,22 @@ class PupilSteps(DividedPupil):
         """Positions of the pistons among the parameters: the first of the kinds."""
         return range(self.count)
 
-    def factors(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
-        """See `DividedPupil.factors`."""
+    def factors(self, values: Tensor, grid: PupilGrid) -> list[Tensor]:
         return [grid.phasor(opd) for opd in self._opds_nm(values, grid)]
 
     def moved(
-        self, values: torch.Tensor, amplitudes: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `DividedPupil.moved`."""
+        self, values: Tensor, amplitudes: Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[Tensor]:
         modes = torch.tensor(grid.modes([*self.kinds.values()])) * 1j
         pairs = zip(amplitudes, self.factors(values, grid), strict=True)
         moved = [amplitude * grid.phase_per_nm * factor for amplitude, factor in pairs]
         return [moved[index % self.count] * modes[index // self.count] for index in wanted]
 
-    def opd_where(self, values: torch.Tensor, index: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `DividedPupil.opd_where`."""
+    def opd_where(self, values: Tensor, index: Tensor, grid: PupilGrid) -> Tensor:
         opds = self._opds_nm(values, grid)
         return reduce(torch.add, (torch.where(index == part, opd, 0.0) for part, opd in enumerate(opds)))
 
-    def _opds_nm(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
+    def _opds_nm(self, values: Tensor, grid: PupilGrid) -> list[Tensor]:
         """OPD that each part has, on the whole grid."""
         modes = torch.tensor(grid.modes([*self.kinds.values()]))
         table = values.reshape(len(self.kinds), self.count)
@@ -125,7 +122,6 @@ class PupilSteps(DividedPupil):
         return own[RMS_OF_PISTON], own.get(RMS_OF_SLOPES, 0.0)
 
     def values_of(self, **public: Sequence[float]) -> list[float]:
-        """See `Effect.values_of`."""
         return [float(value) for kind in self.kinds for value in public[kind]]
 
 
@@ -192,5 +188,4 @@ class SegmentPiston(PupilSteps):
         return super().variants(conditions)
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`."""
         return f"segments that differ by {self.differences(public)[0]:.0f} nm RMS in piston"

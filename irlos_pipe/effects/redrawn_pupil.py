@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
@@ -69,23 +69,19 @@ class RedrawnPupil(DrawnEffect):
         """
         raise NotImplementedError
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         every = range(len(values))
         change = differentiable(
             values, lambda v: self._changed(v, grid), lambda v: slopes_of_drawing(self, grid, v, every)
         )
         return field + change * grid.light
 
-    def _changed(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _changed(self, values: Tensor, grid: PupilGrid) -> Tensor:
         told = Drawing(grid.geometry)
         drawing = self.redrawn(values.tolist(), told)
         return torch.tensor(_drawn(drawing, grid.samples) - _drawn(told, grid.samples))
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         every = torch.ones_like(grid.wavelengths_m, dtype=torch.complex128) * grid.light
         return [every * slope for slope in slopes_of_drawing(self, grid, values, wanted)]
 
@@ -113,7 +109,6 @@ class RedrawnTogether(RedrawnPupil):
         return drawing
 
     def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
-        """See `RedrawnPupil.edge_slope`."""
         number, own_index = self._owners[index]
         effect, own = self._each(values)[number]
         return effect.edge_slope(own, own_index, edges)
@@ -128,10 +123,10 @@ class RedrawnTogether(RedrawnPupil):
 
 
 def differentiable(
-    values: torch.Tensor,
-    drawn: Callable[[torch.Tensor], torch.Tensor],
-    slopes: Callable[[torch.Tensor], Sequence[torch.Tensor]],
-) -> torch.Tensor:
+    values: Tensor,
+    drawn: Callable[[Tensor], Tensor],
+    slopes: Callable[[Tensor], Sequence[Tensor]],
+) -> Tensor:
     """Return what is `drawn` at `values`, (parameters,), whose derivatives are `slopes`, one per parameter.
 
     Parameters
@@ -167,10 +162,10 @@ def _function() -> type[torch.autograd.Function]:
 def slopes_of_drawing(
     effect: RedrawnPupil,
     grid: PupilGrid,
-    values: torch.Tensor,
+    values: Tensor,
     wanted: Sequence[int],
     division: Division | None = None,
-) -> list[torch.Tensor]:
+) -> list[Tensor]:
     """Return derivatives of the amplitude of the pupil, (n, n) each, or of its parts, (parts, n, n) each.
 
     Parameters
@@ -246,14 +241,12 @@ class PupilMisregistration(RedrawnPupil):
         )
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
-        """See `RedrawnPupil.redrawn`."""
         distance_m, direction_rad, rotation_deg = values
         stop_m = (float(distance_m * np.cos(direction_rad)), float(distance_m * np.sin(direction_rad)))
         turned_deg = drawing.turned_deg + rotation_deg
         return Drawing(turned(drawing.geometry, rotation_deg), stop_m, turned_deg)
 
     def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
-        """See `RedrawnPupil.edge_slope`."""
         distance_m, direction_rad, _ = values
         if index == 2:
             return edges.turned() * np.pi / 180
@@ -278,7 +271,6 @@ class PupilMisregistration(RedrawnPupil):
         return " and ".join(filter(None, [turned, moved])) or "an internal stop in its place"
 
     def values_of(self, dx_m: float, dy_m: float, rotation_deg: float) -> list[float]:
-        """See `Effect.values_of`."""
         return [float(np.hypot(dx_m, dy_m)), float(np.arctan2(dy_m, dx_m)), rotation_deg]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
@@ -294,10 +286,6 @@ class PupilSizes(RedrawnPupil):
     Drawings of instruments disagree, stops are oversized, and what a camera's stop covers is not what the
     telescope's mirror does. The sizes are absolute. Vanes of several widths are all wider in the same
     ratio. The diameter is no parameter: in the image it is the same as the pixel scale, or the wavelength.
-
-    Parameters
-    ----------
-    told : PupilGeometry
 
     Raises
     ------
@@ -326,15 +314,12 @@ class PupilSizes(RedrawnPupil):
 
     @classmethod
     def under(cls, conditions: Conditions) -> PupilSizes:
-        """See `Effect.under`."""
         return cls(conditions.settings.geometry)
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
-        """See `RedrawnPupil.redrawn`."""
         return drawing._replace(geometry=with_sizes(drawing.geometry, **self._named(values)))
 
     def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
-        """See `RedrawnPupil.edge_slope`."""
         return edges.obscured() if self.parameters[index].name == "obscuration_m" else edges.widened()
 
     def values_of(self, obscuration_m: float | None = None, vane_width_m: float | None = None) -> list[float]:

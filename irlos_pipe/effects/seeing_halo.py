@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, direction, number
@@ -56,7 +56,6 @@ class SeeingHalo(OtfEffect):
 
     Parameters
     ----------
-    band : ResidualBand
     law : ResidualLaw
         AO residual against seeing.
     seeing_arcsec : float
@@ -137,31 +136,26 @@ class SeeingHalo(OtfEffect):
         return [(PupilMode(noll), _MovesWithComa(self, noll)) for noll in COMA]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`."""
         return f"an AO residual of {public['wfe_nm']:.0f} nm RMS"
 
-    def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    def exponent(self, values: Tensor, grid: OtfGrid) -> Tensor:
         """``½ (2π/λ)² D(b)`` at `values` on `grid`, D in nm²."""
         return self.on(grid).exponent(values, self._beyond(values), grid)
 
-    def mean_factor(self, values: torch.Tensor, grid: OtfGrid) -> MeanFactor:
+    def mean_factor(self, values: Tensor, grid: OtfGrid) -> MeanFactor:
         """Return the mean of the OTF factor over the pupil at `values` on `grid`."""
         return self.on(grid).mean_factor(values, self._beyond(values), grid)
 
-    def rates(self, values: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[MeanFactor]:
+    def rates(self, values: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[MeanFactor]:
         """Return the derivatives of `mean_factor` at `values` on `grid` by the parameters `wanted`."""
         by_beyond = {index: self._per_nm2 * (index in VARIANCES) for index in wanted}
         return self.on(grid).rates(values, by_beyond, grid)
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         log, mean = self.mean_factor(values, grid)
         return factor * torch.exp(log) * (1 - mean)
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         log, mean = self.mean_factor(values, grid)
         light = factor * torch.exp(log)
         return [light * (rate.log * (1 - mean) - rate.mean) for rate in self.rates(values, grid, wanted)]
@@ -228,15 +222,11 @@ class _MovesWithComa(OtfEffect):
     def __init__(self, halo: SeeingHalo, noll: int):
         self.halo, self.noll, self.parameters = halo, noll, halo.parameters
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         moving = self.halo.on(grid).moving(values, self.noll, grid)
         return factor * torch.exp(self.halo.mean_factor(values, grid).log) * moving
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         on, light = self.halo.on(grid), factor * torch.exp(self.halo.mean_factor(values, grid).log)
         moving, changes = on.moving(values, self.noll, grid), on.moving_rates(values, self.noll, grid)
         pairs = zip(wanted, self.halo.rates(values, grid, wanted), strict=True)
@@ -261,7 +251,6 @@ class ScaledHalo(OtfEffect):
         self.halo = halo
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
-        """See `Effect.seen_in`."""
         same = here.settings.spectrum == first.settings.spectrum
         return self if same else ScaledHalo(SeeingHalo.under(here))
 
@@ -273,11 +262,9 @@ class ScaledHalo(OtfEffect):
         return FixedEffect(self.halo, [p.start for p in parameters], [p.name for p in parameters])
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`."""
         return self.halo.phrase(public)
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         expected = torch.tensor([p.start for p in self.halo.parameters], dtype=torch.float64)
         return factor * torch.exp(-values[0] * self.halo.exponent(expected, grid))
 

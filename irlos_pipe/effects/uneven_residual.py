@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
@@ -44,10 +44,8 @@ class UnevenResidual(OtfEffect):
 
     Parameters
     ----------
-    band : ResidualBand
     law : ResidualLaw
         AO residual against seeing.
-    seeing_arcsec : float
     """
 
     name = "uneven_residual"
@@ -78,11 +76,9 @@ class UnevenResidual(OtfEffect):
 
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
-        """See `Effect.further_paths`."""
         return [(PupilMode(noll, of_amplitude=True), _Part(self, i)) for i, noll in enumerate(NOLLS.values())]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`."""
         edge, side = public["edge"], float(np.hypot(public["side_x"], public["side_y"]))
         where = "at the edge" if edge > 0 else "in the middle"
         return (
@@ -90,17 +86,14 @@ class UnevenResidual(OtfEffect):
             f"and by {side:.0%} on one side"
         )
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         """See `OtfEffect.apply`: all of it is in `further_paths`."""
         return factor
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         return [torch.zeros_like(factor)] * len(wanted)
 
-    def share(self, grid: OtfGrid) -> torch.Tensor:
+    def share(self, grid: OtfGrid) -> Tensor:
         """Return ``-½ ½ (2π/λ)² D_in(b)``, (wavelengths, p, p//2 + 1)."""
         return -0.25 * per_nm2(grid) * _in_band_nm2(*self._residual, grid.focal)
 
@@ -121,22 +114,16 @@ class _Part(OtfEffect):
     def __init__(self, uneven: UnevenResidual, place: int):
         self.uneven, self.place, self.parameters = uneven, place, uneven.parameters
 
-    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
+    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         return factor * values[self.place] * self.uneven.share(grid)
 
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
+    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
         own = factor * self.uneven.share(grid)
         return [own if index == self.place else torch.zeros_like(own) for index in wanted]
 
 
 @lru_cache(maxsize=4)
-def _in_band_nm2(
-    band: ResidualBand, law: ResidualLaw, seeing_arcsec: float, focal: FocalGrid
-) -> torch.Tensor:
+def _in_band_nm2(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float, focal: FocalGrid) -> Tensor:
     """Structure function inside the band that is expected at the seeing, (p, p//2 + 1) [nm²]."""
     halo = SeeingHalo(band, law, seeing_arcsec)
     expected = torch.tensor([p.start for p in halo.parameters], dtype=torch.float64)

@@ -1,16 +1,17 @@
-"""Static changes of the field: `diversity_error`, `high_order_ncpa`, `amplitude_aberration`."""
+"""Modes in the pupil: `diversity_error`, `high_order_ncpa`, `amplitude_aberration`, `ncpa_drift`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 
-from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
-from irlos_pipe.effects.planes import PupilEffect
-from irlos_pipe.effects.zernike_table import ZernikeTable
+from irlos_pipe.effects.planes import PupilEffect, TimeEffect
 from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.zernike import noll_to_nm
@@ -19,30 +20,71 @@ HIGH_ORDER_SIGMA_NM = 60.0
 EXTRA_ORDERS = 2  # radial orders beyond the estimated modes, by default
 
 
+class ZernikeTable(Effect):
+    """One parameter per mode; a base class beside that of the plane.
+
+    Class attributes
+    ----------------
+    table : str
+        Name of the public table.
+    coefficient : Parameter
+        Of one mode, except its name.
+    """
+
+    table: ClassVar[str]
+    coefficient: ClassVar[Parameter]
+
+    def __init__(self, nolls: Sequence[int]):
+        self.nolls = tuple(int(noll) for noll in nolls)
+        if len(set(self.nolls)) != len(self.nolls):
+            raise ValueError(f"a Noll index occurs twice in {list(self.nolls)}")
+        self.parameters = tuple(replace(self.coefficient, name=f"noll_{noll}") for noll in self.nolls)
+
+    @classmethod
+    def options_for(cls, **public: Any) -> dict[str, Any]:
+        """The modes of the table."""
+        return {"nolls": sorted(int(noll) for noll in public[cls.table])} if cls.table in public else {}
+
+    def describe(self, values: np.ndarray) -> dict[str, dict[str, float]]:
+        """Coefficients by Noll index."""
+        return {self.table: {str(n): float(v) for n, v in zip(self.nolls, values, strict=True)}}
+
+    @property
+    def rms_name(self) -> str:
+        """Name of the RMS of all modes together, with their unit."""
+        return self.table.replace("zernike", "rms")
+
+    def shown(self, values: np.ndarray) -> dict[str, Any]:
+        return {self.rms_name: float(np.linalg.norm(values))} | self.describe(values)
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`; the size is the RMS of all modes together."""
+        rms = float(np.linalg.norm(list(public[self.table].values())))
+        return self.sentence.format(size=public.get(self.rms_name, rms))
+
+    def values_of(self, *args: Any, **public: Mapping) -> list[float]:
+        """Solver's parameters for a table of coefficients; modes that it lacks are 0."""
+        given = {int(noll): float(value) for noll, value in public[self.table].items()}
+        return [given.get(noll, 0.0) for noll in self.nolls]
+
+
 class OpdMap(PupilEffect):
     """An OPD, which may depend on wavelength: multiplies the field by ``exp(2πi OPD/λ)``."""
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         return field * grid.phasor(self._map_nm(values, grid))
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         turned = grid.phase_per_nm * 1j * self.apply(values, field, grid)
         return [turned * slope for slope in self._map_slopes(values, grid, wanted)]
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
-        """See `PupilEffect.opd_nm`."""
+    def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor | None:
         return self._map_nm(values, grid)
 
-    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         raise NotImplementedError
 
-    def _map_slopes(
-        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
+    def _map_slopes(self, values: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> Sequence[Tensor]:
         change = Directional(lambda v: self._map_nm(v, grid), values)
         return [change.by(index) for index in wanted]
 
@@ -74,7 +116,6 @@ class DiversityError(OpdMap):
 
     @classmethod
     def under(cls, conditions: Conditions) -> DiversityError:
-        """See `Effect.under`."""
         return cls(conditions.diversity_nm)
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
@@ -85,12 +126,12 @@ class DiversityError(OpdMap):
         """See `Effect.imitated_in`: unless their diversities differ."""
         return all(one.diversity_nm == recordings[0].diversity_nm for one in recordings)
 
-    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         shape = np.array(list(self.diversity_nm.values()))
         direction = shape / np.linalg.norm(shape)
         return values[0] * torch.as_tensor(np.tensordot(direction, grid.modes(list(self.diversity_nm)), 1))
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> None:
+    def opd_nm(self, values: Tensor, grid: PupilGrid) -> None:
         """See `Effect.opd_nm`: nothing, as it belongs to the diversity and not to the aberrations."""
 
 
@@ -107,7 +148,7 @@ class _SameFraction(DiversityError):
         self.diversity_nm = dict(diversity_nm)
         self.first_rms_nm = float(np.linalg.norm(list(first_nm.values())))
 
-    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         total = np.zeros_like(grid.amplitude)
         for noll, nm in self.diversity_nm.items():
             total = total + nm / self.first_rms_nm * grid.modes([noll])[0]
@@ -119,10 +160,6 @@ class HighOrderNcpa(ZernikeTable, OpdMap):
 
     The law of the NCPAs falls slowly, so modes that are left out weigh as much together as the last ones
     estimated; their light lies at the angle nλ/D of their radial order n.
-
-    Parameters
-    ----------
-    nolls : sequence of int
     """
 
     name, table = "high_order_ncpa", "zernike_nm"
@@ -141,12 +178,10 @@ class HighOrderNcpa(ZernikeTable, OpdMap):
         order = noll_to_nm(conditions.highest_noll + 1)[0] + EXTRA_ORDERS
         return cls(nolls or range(conditions.highest_noll + 1, order * (order + 1) // 2 + 1))
 
-    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1)
 
-    def _map_slopes(
-        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
+    def _map_slopes(self, values: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> Sequence[Tensor]:
         return torch.tensor(grid.modes(self.nolls)[list(wanted)]).unbind()
 
 
@@ -154,10 +189,6 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     """Smooth non-uniform transmission: coatings, vignetting far from the pupil, scintillation that stays.
 
     The amplitude is multiplied by ``1 + Σ c_k Z_k``.
-
-    Parameters
-    ----------
-    nolls : sequence of int
     """
 
     name, table = "amplitude_aberration", "zernike"
@@ -175,12 +206,54 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
         """See `Effect.under`: by default the modes up to spherical, Noll 2 to 11."""
         return cls(nolls)
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         return field * (1 + torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1))
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         return [field * mode for mode in torch.tensor(grid.modes(self.nolls)[list(wanted)])]
+
+
+class NcpaDrift(ZernikeTable, TimeEffect):
+    """Aberrations that change in proportion to time: temperature, flexure, a turning derotator.
+
+    The coefficients are the change from the first frame to the last, about the mean, so the NCPAs are
+    those of the middle of the recording. In the mean image a drift is a blur of second order, whose
+    derivative vanishes without it; it is single frames that show it, with its sign.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+        Among the modes that are estimated.
+    """
+
+    name, table = "ncpa_drift", "zernike_nm"
+    formula = "Φ(t) = Φ + (t − ½) Σ c_k Z_k, t from 0 at the first frame to 1 at the last"
+    instrumental = False
+    belongs_to = "moment"
+    public = (Public(table, "Noll index: nm RMS from the first frame to the last", "zernike", -1e4, 1e4),)
+    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    coefficient = Parameter("", "nm", 0.0, 0.0, 50.0, plausible=(-300.0, 300.0))
+    sentence = "a drift of the wavefront of {size:.0f} nm RMS from the first frame to the last"
+    look_alike = "tip_tilt_jitter and seeing_halo in the mean image; none in the frames"
+    reference = "Vigan et al. 2022, A&A 660, A140"
+
+    @classmethod
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> NcpaDrift:
+        """See `Effect.under`: by default Noll 2 to 11."""
+        return cls(nolls)
+
+    def apply(self, values: Tensor, modes_nm: Tensor, nolls: tuple[int, ...], when: Tensor) -> Tensor:
+        """See `TimeEffect.apply`.
+
+        Raises
+        ------
+        ValueError
+            If a mode that drifts is not estimated.
+        """
+        missing = sorted(set(self.nolls) - set(nolls))
+        if missing:
+            raise ValueError(f"ncpa_drift of Noll {missing}: only modes that are estimated can drift")
+        where = torch.zeros(len(self.nolls), len(nolls), dtype=torch.float64)
+        for row, noll in enumerate(self.nolls):
+            where[row, nolls.index(noll)] = 1
+        return modes_nm + (when.double() - 0.5)[:, None] * (values @ where)

@@ -11,7 +11,7 @@ import torch
 
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.labels import occurrences
+from irlos_pipe.effects.base import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import ErrorsFrom, NominalChi2, effect_errors, errors_of
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions

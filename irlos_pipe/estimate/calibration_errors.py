@@ -33,7 +33,7 @@ import torch
 from scipy.special import ndtr, stdtrit
 
 from irlos_pipe.effects.effect_set import EffectSet
-from irlos_pipe.effects.public_errors import public_sigma
+from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit

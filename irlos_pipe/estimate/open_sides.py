@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 
-from irlos_pipe.effects.directions import AT_REST, direction_among, on_every_side
+from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
 from irlos_pipe.estimate.open_fit import Opened, OpenFit, settled
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID

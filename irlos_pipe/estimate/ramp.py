@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.labels import labels_of
+from irlos_pipe.effects.base import labels_of
 
 MIN_OBSERVABILITY = 1e-6  # of a column's power beside the others
 

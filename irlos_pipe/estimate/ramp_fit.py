@@ -19,8 +19,8 @@ import torch
 
 from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
+from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
-from irlos_pipe.effects.labels import labels_of
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.lift import LiftResult, image_problem, lift, smooth
 from irlos_pipe.estimate.lift_options import LiftOptions

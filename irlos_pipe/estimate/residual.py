@@ -28,8 +28,7 @@ import torch
 from irlos_pipe.conventions.pupil_drawing import placed
 from irlos_pipe.conventions.pupil_parts import Placement
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.anamorphism import Anamorphism
-from irlos_pipe.effects.colour import PlateScale, Spectrum
+from irlos_pipe.effects.colour import Anamorphism, PlateScale, Spectrum
 from irlos_pipe.effects.detector import BackgroundGradient, DetectorNonlinearity, InterpixelCrosstalk
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration

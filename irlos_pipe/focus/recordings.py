@@ -21,10 +21,10 @@ from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
-from irlos_pipe.readers.calibration_files import PREFIX
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.fitsfile import has_fits_name
 from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.recorder import PREFIX
 from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.model.recording_settings import used_in_time_order

@@ -1,19 +1,24 @@
 """Bad pixels, recognised by what they do over time and between neighbours.
 
 Throughout, `images_e` are finite images (frames, rows, columns) [e-], `good` (rows, columns) is True for
-pixels not known to be bad, `sampling_px` is the number of pixels per λ/D at the shortest wavelength, and
-`noise` the declared noise of photons and read-out.
+pixels not known to be bad, and `by` are the `Criteria` by which pixels are judged.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from irlos_pipe.frames.blocks import SAMPLE_FRAMES, blocks, sample_frames
-from irlos_pipe.frames.neighbour_prediction import REACH_PX, Prediction, neighbour_prediction
+from irlos_pipe.frames.neighbour_prediction import (
+    MIN_SAMPLING_PX,
+    REACH_PX,
+    Prediction,
+    neighbour_prediction,
+)
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
 from irlos_pipe.frames.recording import Detector
 
@@ -48,6 +53,45 @@ class Thresholds:
     flicker_fraction: float
 
 
+@dataclass(frozen=True)
+class Criteria:
+    """By what the pixels of a recording are judged.
+
+    Attributes
+    ----------
+    sampling_px : float
+        Pixels per λ/D at the shortest wavelength.
+    noise : NoiseModel
+        Declared noise of photons and read-out.
+    """
+
+    sampling_px: float
+    noise: NoiseModel
+    thresholds: Thresholds
+
+    @property
+    def well_sampled(self) -> bool:
+        """Whether neighbours determine a pixel: a star of undersampled images is as sharp as a bad one."""
+        return self.sampling_px >= MIN_SAMPLING_PX
+
+    def prediction(self, good: np.ndarray) -> Prediction:
+        """Return the prediction of each pixel by the `good` ones around it."""
+        return neighbour_prediction(good, max(self.sampling_px, MIN_SAMPLING_PX))
+
+    def filled(self, images_e: np.ndarray, good: np.ndarray) -> np.ndarray:
+        """Return `images_e` with pixels that are not `good` predicted from those that are; 0 without any."""
+        if good.all():
+            return images_e
+        rows = np.flatnonzero(~good.ravel())
+        weights = self.prediction(good).weights[rows]
+        filled = images_e.reshape(len(images_e), good.size).copy()
+        for block in blocks(len(filled)):
+            images = filled[block]
+            images[:, rows] = 0.0
+            images[:, rows] = (weights @ images.T).T
+        return filled.reshape(images_e.shape)
+
+
 def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.ndarray:
     """Find pixels that scatter over time far less than the read noise lets any pixel do.
 
@@ -77,48 +121,53 @@ def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.nda
     return scatter <= floor * min(ratio, by_chance)
 
 
-def deviant_pixels(
-    images_e: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
-) -> np.ndarray:
+def deviant_pixels(images_e: np.ndarray, good: np.ndarray, by: Criteria) -> np.ndarray:
     """Find pixels that differ from what their neighbours predict, in the median over the frames.
 
-    The worst pixels are taken out first and the rest judged again without them. The noise is at
-    least what the frames show over time, and scaled up to the scatter over the window, so that an
-    underestimated read noise or a pattern of rows makes no bad pixels.
-
-    Parameters
-    ----------
-    images_e, good, sampling_px, noise
-        See the module.
-    thresholds : Thresholds
-        `sigma` and `fraction` are used.
-
-    Returns
-    -------
-    ndarray of bool, (rows, columns)
+    The noise is at least what the frames show over time, and scaled up to the scatter over the window, so
+    that an underestimated read noise or a pattern of rows makes no bad pixels. The arguments `images_e`,
+    `good` and `by` are those of the module; returns (rows, columns).
     """
     sample = images_e[sample_frames(len(images_e))]
+    return _worst_first(lambda left: _deviation(sample, left, by), good)
+
+
+def noisy_pixels(images_e: np.ndarray, good: np.ndarray, by: Criteria) -> np.ndarray:
+    """Find pixels that scatter over time far more than their brightness and their surroundings explain.
+
+    The arguments `images_e`, `good` and `by` are those of the module. Returns (rows, columns), all False with
+    fewer than `MIN_FRAMES_FOR_NOISE` frames.
+    """
+    if len(images_e) < MIN_FRAMES_FOR_NOISE:
+        return np.zeros(good.shape, dtype=bool)
+    sample = images_e[sample_frames(len(images_e))]
+    limit = by.thresholds.noisy_ratio
+    return _worst_first(lambda left: (_noise_ratio(sample, by.prediction(left), by), limit), good)
+
+
+def _worst_first(
+    judge: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | float]], good: np.ndarray
+) -> np.ndarray:
+    """Pixels beyond their limit; the worst are taken out first and the rest judged again without them."""
     found = np.zeros(good.shape, dtype=bool)
     for _ in range(MAX_ROUNDS):
-        deviation, limit = _deviation(sample, good & ~found, sampling_px, noise, thresholds)
-        worst = _local_maxima(np.where(good & ~found & (deviation > limit), deviation, 0.0))
+        value, limit = judge(good & ~found)
+        worst = _local_maxima(np.where(good & ~found & (value > limit), value, 0.0))
         if not worst.any():
             break
         found |= worst
-    # a good pixel between two bad ones may have been blamed first
-    return found & (deviation > limit)
+    # a good pixel between or beside bad ones may have been blamed first
+    return found & (value > limit)
 
 
-def _deviation(
-    sample: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
-) -> tuple[np.ndarray, np.ndarray]:
+def _deviation(sample: np.ndarray, good: np.ndarray, by: Criteria) -> tuple[np.ndarray, np.ndarray]:
     """Absolute deviation from the neighbours, and what is tolerated [e-]."""
-    prediction = neighbour_prediction(good, sampling_px)
+    prediction, thresholds = by.prediction(good), by.thresholds
     residual = sample - prediction.of(sample)
     deviation = np.abs(np.median(residual, axis=0))
     mean = sample.mean(axis=0, dtype=np.float64)
     # a hot pixel must not excuse itself by its own photon noise
-    expected = prediction.variance(noise.variance_e2(np.minimum(mean, prediction.of(mean))))
+    expected = prediction.variance(by.noise.variance_e2(np.minimum(mean, prediction.of(mean))))
     sigma = np.sqrt(np.maximum(expected, seen_variance(residual)) * _variance_of_median(len(sample)))
     scale = max(1.0, 1.4826 * float(np.median((deviation / sigma)[good])))
     tolerated = np.maximum(
@@ -130,14 +179,8 @@ def _deviation(
 def optical_limit(prediction: Prediction, mean: np.ndarray, thresholds: Thresholds) -> np.ndarray:
     """Return the deviation that optics and unequal response make of the brightness of a pixel [e-].
 
-    Parameters
-    ----------
-    prediction : Prediction
-        Of each pixel by its good neighbours.
-    mean : ndarray, (rows, columns)
-        Mean image [e-].
-    thresholds : Thresholds
-        `fraction` and `sigma` are used.
+    The `prediction` is that by its good neighbours, `mean` the mean image (rows, columns) [e-]; of the
+    `thresholds` those over brightness and noise are used.
     """
     around = np.sqrt(scipy.ndimage.uniform_filter(np.square(mean), size=2 * REACH_PX + 1, mode="nearest"))
     by_optics = thresholds.sigma * prediction.error * around
@@ -176,46 +219,13 @@ def _local_maxima(values: np.ndarray) -> np.ndarray:
     return (values > 0) & (values == scipy.ndimage.maximum_filter(values, size=5, mode="constant"))
 
 
-def noisy_pixels(
-    images_e: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
-) -> np.ndarray:
-    """Find pixels that scatter over time far more than their brightness and their surroundings explain.
-
-    Parameters
-    ----------
-    images_e, good, sampling_px, noise
-        See the module.
-    thresholds : Thresholds
-        `noisy_ratio`, `sigma` and `fraction` are used.
-
-    Returns
-    -------
-    ndarray of bool, (rows, columns)
-        All False with fewer than `MIN_FRAMES_FOR_NOISE` frames.
-    """
-    found = np.zeros(good.shape, dtype=bool)
-    if len(images_e) < MIN_FRAMES_FOR_NOISE:
-        return found
-    sample = images_e[sample_frames(len(images_e))]
-    for _ in range(MAX_ROUNDS):
-        ratio = _noise_ratio(sample, neighbour_prediction(good & ~found, sampling_px), noise, thresholds)
-        suspect = np.where(good & ~found, ratio, 0.0)
-        worst = _local_maxima(np.where(suspect > thresholds.noisy_ratio, suspect, 0.0))
-        if not worst.any():
-            break
-        found |= worst
-    # a good pixel beside a noisy one may have been blamed first
-    return found & (ratio > thresholds.noisy_ratio)
-
-
-def _noise_ratio(
-    sample: np.ndarray, prediction: Prediction, noise: NoiseModel, thresholds: Thresholds
-) -> np.ndarray:
+def _noise_ratio(sample: np.ndarray, prediction: Prediction, by: Criteria) -> np.ndarray:
     """Scatter over time of (pixel - prediction), over what noise and nearby pixels let expect."""
     mean = sample.mean(axis=0, dtype=np.float64)
     scatter = _inner_scatter(sample - prediction.of(sample))
-    expected = np.sqrt(prediction.variance(noise.variance_e2(mean)))
-    tolerated = np.hypot(expected, optical_limit(prediction, mean, thresholds) / thresholds.sigma)
+    expected = np.sqrt(prediction.variance(by.noise.variance_e2(mean)))
+    by_optics = optical_limit(prediction, mean, by.thresholds) / by.thresholds.sigma
+    tolerated = np.hypot(expected, by_optics)
     ratio = scatter / tolerated
     return ratio / np.maximum(1.0, scipy.ndimage.median_filter(ratio, size=9, mode="nearest"))
 
@@ -230,38 +240,11 @@ def _inner_scatter(values: np.ndarray) -> np.ndarray:
 def hot_in_dark(dark_adu: np.ndarray, detector: Detector, thresholds: Thresholds) -> np.ndarray:
     """Find pixels whose dark current stands out and whose shot noise no subtraction removes.
 
-    Parameters
-    ----------
-    dark_adu : ndarray, (rows, columns)
-        Finite [ADU].
-    detector : Detector
-        Gain and declared noise.
-    thresholds : Thresholds
-        `noisy_ratio` is used.
-
-    Returns
-    -------
-    ndarray of bool, (rows, columns)
+    The `dark_adu` (rows, columns) is finite [ADU], `detector` has gain and declared noise, and of the
+    `thresholds` that of noisy pixels is used.
     """
     excess = dark_adu - scipy.ndimage.median_filter(dark_adu, size=5, mode="nearest")
     pattern = 1.4826 * np.median(np.abs(excess))
     shot_noise_e2 = detector.excess_noise_factor * np.maximum(excess, 0) * detector.e_per_adu
     noisy = shot_noise_e2 > (thresholds.noisy_ratio * detector.read_noise_e) ** 2
     return noisy & (excess > HOT_OVER_PATTERN * pattern)
-
-
-def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: float) -> np.ndarray:
-    """Return `images_e` with pixels that are not `good` predicted from their good neighbours.
-
-    They are 0 where there are none; `sampling_px` is that of the module.
-    """
-    if good.all():
-        return images_e
-    rows = np.flatnonzero(~good.ravel())
-    weights = neighbour_prediction(good, sampling_px).weights[rows]
-    filled = images_e.reshape(len(images_e), good.size).copy()
-    for block in blocks(len(filled)):
-        images = filled[block]
-        images[:, rows] = 0.0
-        images[:, rows] = (weights @ images.T).T
-    return filled.reshape(images_e.shape)

@@ -7,15 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from irlos_pipe.frames.bad_pixels import Thresholds, hot_in_dark, stuck_pixels
+from irlos_pipe.frames.bad_pixels import (
+    Criteria,
+    Thresholds,
+    deviant_pixels,
+    hot_in_dark,
+    noisy_pixels,
+    seen_variance,
+    stuck_pixels,
+)
 from irlos_pipe.frames.blocks import mean_frame, picked, sample_frames
 from irlos_pipe.frames.detector import estimate_pedestal, relative_flat, saturation_level, to_electrons
-from irlos_pipe.frames.hits import NO_HITS, Hits
-from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2
-from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE
-from irlos_pipe.frames.pixel_search import PixelSearch
-from irlos_pipe.frames.raw import CalibrationMaps, RawFrames
-from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.hits import (
+    NO_HITS,
+    Hits,
+    clipped_samples,
+    cosmic_hits,
+    flickering_pixels,
+    odd_frames,
+    without_hits,
+)
+from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
+from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
+from irlos_pipe.frames.recording import CalibrationMaps, Detector, RawFrames
 from irlos_pipe.frames.screening import (
     COSMIC,
     ODD,
@@ -31,6 +45,7 @@ from irlos_pipe.frames.screening import (
 
 DEVIATION = 1.4826  # standard deviation over the median of the absolute one
 LEVEL_SIGMA = 8.0
+FRAMES_TO_COMPARE = 3  # whose median a single one does not move
 
 
 @dataclass(frozen=True)
@@ -110,9 +125,10 @@ def clean(
         Pixels per lambda/D at the shortest wavelength. Undersampled images (2x2 modes) are not
         searched for hits and deviant pixels, since a star is as sharp as those.
     """
+    by = Criteria(sampling_px, NoiseModel.of_detector(detector), thresholds)
     reasons = recorder_faults(raw.adu, raw.frame_counter)
     while True:
-        cleaned = _cleaned(raw, reasons, detector, sampling_px, thresholds, limits)
+        cleaned = _cleaned(raw, reasons, detector, by, limits)
         estimated = np.isfinite(cleaned.background.pedestal_adu)
         if not estimated or not cleaned.used.any() or np.array_equal(cleaned.reasons, reasons):
             return cleaned
@@ -121,35 +137,38 @@ def clean(
 
 
 def _cleaned(
-    raw: RawFrames,
-    reasons: np.ndarray,
-    detector: Detector,
-    sampling_px: float,
-    thresholds: Thresholds,
-    limits: Limits,
+    raw: RawFrames, reasons: np.ndarray, detector: Detector, by: Criteria, limits: Limits
 ) -> Cleaned:
     """The recording by its frames that have no `reasons` against them yet."""
     if not np.any(reasons == ""):
         return _unusable(raw, reasons)
     valid = picked(raw.adu, reasons == "")
     level = saturation_level(valid, detector)
-    good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, thresholds.stuck_ratio)
+    good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, by.thresholds.stuck_ratio)
     reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.saturated_px), SATURATED)
     background = find_background(valid, raw.calibration, good, raw.lenslets)
-    good &= ~(background.bad | _hot(raw.calibration.dark_adu, detector, thresholds))
+    good &= ~(background.bad | _hot(raw.calibration.dark_adu, detector, by.thresholds))
     images = _finite(to_electrons(raw.adu, background.adu, background.flat, detector.e_per_adu))
-    search = PixelSearch(sampling_px, detector, thresholds)
+    used = np.flatnonzero(reasons == "")
+    clipped = _clipped(images, used, good, by, _step_e(raw.adu, detector))
     before = good
-    good, images, clipped = search.clipped(images, good, reasons, _step_e(raw.adu, detector))
+    good, images, clipped = _without(images, used, good, by, clipped)
     clipped_often = before & ~good
-    good, images = search.bad_pixels(images, good, reasons)
+    good = _without_bad_pixels(by.filled(_sample(images, used), good), good, by)
+    images = by.filled(images, good)
     reasons = star_faults(images, reasons, limits)
-    good, images, hits = search.hits(images, good, reasons)
+    used = np.flatnonzero(reasons == "")
+    searched = by.well_sampled and len(used) > 1
+    hits = cosmic_hits(images, used, good, by) if searched else NO_HITS
+    good, images, hits = _without(images, used, good, by, hits)
     hits = clipped.outside(~good).and_those(hits)
-    core = core_of(_mean(images, reasons), limits)
+    core = core_of(mean_frame(picked(images, reasons == "") if used.size else images), limits)
     reasons = also(reasons, hit_in_core(hits, core, len(images), limits), COSMIC)
-    reasons = also(reasons, search.odd(images, good, core, reasons), ODD)
-    noise = search.noise(images, good, reasons)
+    reasons = also(reasons, _odd(images, np.flatnonzero(reasons == ""), good, core, by), ODD)
+    used = np.flatnonzero(reasons == "")
+    noise = MeasuredNoise()
+    if by.well_sampled:
+        noise = measure_noise(_sample(images, used), good, by.prediction(good), by.noise)
     return Cleaned(
         images_e=images,
         reasons=reasons,
@@ -162,6 +181,52 @@ def _cleaned(
         background_variance_e2=_background_variance_e2(raw.calibration, detector, noise),
         dark_variance_e2=_dark_variance_e2(raw.calibration, detector, picked(images, reasons == ""), good),
     )
+
+
+def _sample(images: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """Those of the `used` frames that suffice for statistics over time."""
+    return images[used[sample_frames(len(used))]]
+
+
+def _clipped(images: np.ndarray, used: np.ndarray, good: np.ndarray, by: Criteria, step_e: float) -> Hits:
+    """Values of the `used` frames that are clipped; the step is that of the digitisation, 0 without one."""
+    if not by.well_sampled or len(used) < MIN_FRAMES_FOR_NOISE:
+        return NO_HITS
+    sample, prediction = _sample(images, used), by.prediction(good)
+    mean = sample.mean(axis=0, dtype=np.float64)
+    # what the frames show counts as well: the gain may be declared wrong
+    seen = seen_variance(sample - prediction.of(sample)) / prediction.variance(np.ones_like(mean))
+    sigma = np.sqrt(np.minimum(by.noise.variance_e2(mean), seen))
+    searched = images if len(used) == len(images) else images[used]
+    frame, row, column = np.nonzero(clipped_samples(searched, good, sigma, step_e))
+    return Hits(used[frame], row, column)
+
+
+def _without_bad_pixels(sample: np.ndarray, good: np.ndarray, by: Criteria) -> np.ndarray:
+    """The good pixels without those that a `sample` of used frames shows to be bad."""
+    if by.well_sampled and len(sample):
+        good = good & ~deviant_pixels(sample, good, by)
+        good = good & ~noisy_pixels(sample, good, by)
+    return good
+
+
+def _without(
+    images: np.ndarray, used: np.ndarray, good: np.ndarray, by: Criteria, hits: Hits
+) -> tuple[np.ndarray, np.ndarray, Hits]:
+    """Mask, images and hits after pixels hit too often are bad and other hits are filled in."""
+    flicker = flickering_pixels(hits, len(used), good.shape, by.thresholds.flicker_fraction)
+    hits, good = hits.outside(flicker), good & ~flicker
+    images = by.filled(images, good) if flicker.any() else images
+    return good, without_hits(images, hits, good, by), hits
+
+
+def _odd(
+    images: np.ndarray, used: np.ndarray, good: np.ndarray, core: np.ndarray, by: Criteria
+) -> np.ndarray:
+    odd = np.zeros(len(images), dtype=bool)
+    if by.well_sampled and len(used) >= FRAMES_TO_COMPARE:
+        odd[used] = odd_frames(images, used, good, core, by)
+    return odd
 
 
 def _background_variance_e2(maps: CalibrationMaps, detector: Detector, noise: MeasuredNoise) -> float:
@@ -265,11 +330,6 @@ def _step_e(adu: np.ndarray, detector: Detector) -> float:
 def _finite(images: np.ndarray) -> np.ndarray:
     """Return `images` with 0 for every value that is no number."""
     return np.nan_to_num(images, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-
-
-def _mean(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
-    used = reasons == ""
-    return mean_frame(picked(images, used) if used.any() else images)
 
 
 def _unusable(raw: RawFrames, reasons: np.ndarray) -> Cleaned:

@@ -1,6 +1,10 @@
-"""Single pixels hit in single frames: cosmic rays, and whatever else spoils a pixel for a moment.
+"""Values of single pixels that are wrong in single frames: hits of cosmic rays, and clipped ones.
 
-`images_e`, `good`, `sampling_px` and `noise` are those of `irlos_pipe.frames.bad_pixels`.
+`images_e`, `good` and `by` are those of `irlos_pipe.frames.bad_pixels`.
+
+A detector whose pixels respond unequally, and whose frames were divided by a flat or recentred, has no common
+level of saturation. A clipped pixel shows by the company of its values: they lie together much closer than
+the noise of the photons would let them.
 """
 
 from __future__ import annotations
@@ -8,13 +12,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from irlos_pipe.frames.bad_pixels import Thresholds, deviant_pixels, optical_limit, without_bad_pixels
+from irlos_pipe.frames.bad_pixels import Criteria, deviant_pixels, optical_limit
 from irlos_pipe.frames.blocks import blocks, sample_frames
-from irlos_pipe.frames.neighbour_prediction import Prediction, neighbour_prediction
-from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE
 
 ODD = 2.0  # times what noise and optics excuse: right frames reach 0.6, damaged rows of a frame 1 to 100
+BRIGHT = 0.5  # of the peak: what is fainter than that is not clipped while the peak grows
+FALSE_ALARM = 1e-6  # chance that the values of a good pixel lie together as close
+WIDTHS = ((0.1, 1.0), (0.5, 4.0))  # in sigma: how close values are, among those how far around
 
 
 @dataclass(frozen=True)
@@ -45,83 +52,44 @@ class Hits:
 NO_HITS = Hits(*np.empty((3, 0), dtype=int))
 
 
-def cosmic_hits(
-    images_e: np.ndarray,
-    frames: np.ndarray,
-    good: np.ndarray,
-    sampling_px: float,
-    noise: NoiseModel,
-    thresholds: Thresholds,
-) -> Hits:
-    """Find pixels that jump in single frames.
+def cosmic_hits(images_e: np.ndarray, frames: np.ndarray, good: np.ndarray, by: Criteria) -> Hits:
+    """Find pixels that jump in single ones of the `frames`, by their indices among `images_e`.
 
-    Parameters
-    ----------
-    images_e, good, sampling_px, noise
-        See the module.
-    frames : ndarray of int
-        Indices of the frames to search.
-    thresholds : Thresholds
-        `sigma` and `fraction` are used.
+    The arguments `images_e`, `good` and `by` are those of the module.
     """
-    prediction = neighbour_prediction(good, sampling_px)
+    suspicious = frames[_excess(images_e, frames, good, by) > 1].tolist()
     hits = [
         (frame, row, column)
-        for frame in _suspicious_frames(images_e, frames, good, prediction, noise, thresholds)
-        for row, column in np.argwhere(
-            deviant_pixels(images_e[frame][None], good, sampling_px, noise, thresholds)
-        )
+        for frame in suspicious
+        for row, column in np.argwhere(deviant_pixels(images_e[frame][None], good, by))
     ]
     return Hits(*np.array(hits, dtype=int).reshape(-1, 3).T)
 
 
 def odd_frames(
-    images_e: np.ndarray,
-    frames: np.ndarray,
-    good: np.ndarray,
-    core: np.ndarray,
-    sampling_px: float,
-    noise: NoiseModel,
-    thresholds: Thresholds,
+    images_e: np.ndarray, frames: np.ndarray, good: np.ndarray, core: np.ndarray, by: Criteria
 ) -> np.ndarray:
     """Return which of the `frames` have detail that no light makes and the others lack, (frames,).
 
     A damaged row of one frame is such detail. What all frames have, as where the noise is told too small, is
     the fault of none. Pixels of the `core` (rows, columns) do not count: a star that moves beside clipped
-    pixels breaks their usual relation, and what hits them is counted by itself. The other arguments are those
-    of `cosmic_hits`, whose hits are no longer in the images.
+    pixels breaks their usual relation, and what hits them is counted by itself. The arguments `images_e`,
+    `good` and `by` are those of `cosmic_hits`, whose hits are no longer in the images.
     """
-    prediction = neighbour_prediction(good, sampling_px)
-    excess = _excess(images_e, frames, good & ~core, prediction, noise, thresholds)
+    excess = _excess(images_e, frames, good, by, core)
     return excess > ODD * max(1.0, float(np.median(excess)))
 
 
-def _suspicious_frames(
-    images_e: np.ndarray,
-    frames: np.ndarray,
-    good: np.ndarray,
-    prediction: Prediction,
-    noise: NoiseModel,
-    thresholds: Thresholds,
-) -> list[int]:
-    """Frames in which any good pixel leaves its usual relation to its neighbours by more than the limit."""
-    return frames[_excess(images_e, frames, good, prediction, noise, thresholds) > 1].tolist()
-
-
 def _excess(
-    images_e: np.ndarray,
-    frames: np.ndarray,
-    counted: np.ndarray,
-    prediction: Prediction,
-    noise: NoiseModel,
-    thresholds: Thresholds,
+    images_e: np.ndarray, frames: np.ndarray, good: np.ndarray, by: Criteria, core: np.ndarray | None = None
 ) -> np.ndarray:
-    """By how much `counted` pixels leave their usual relation to neighbours: the most over the limit."""
+    """By how much good pixels outside the core leave their usual relation to neighbours, over the limit."""
+    prediction, counted = by.prediction(good), good if core is None else good & ~core
     sample = images_e[frames[sample_frames(len(frames))]]
     usual = np.median(sample - prediction.of(sample), axis=0)
     mean = sample.mean(axis=0, dtype=np.float64)
-    sigma = np.sqrt(prediction.variance(noise.variance_e2(mean)))
-    limit = np.maximum(thresholds.sigma * sigma, optical_limit(prediction, mean, thresholds))
+    sigma = np.sqrt(prediction.variance(by.noise.variance_e2(mean)))
+    limit = np.maximum(by.thresholds.sigma * sigma, optical_limit(prediction, mean, by.thresholds))
     most = []
     for block in blocks(len(frames)):
         searched = images_e[frames[block]]
@@ -138,11 +106,8 @@ def flickering_pixels(hits: Hits, frames: int, window: tuple[int, int], fraction
     return hits.per_pixel(window) > max(2, fraction * frames)
 
 
-def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, sampling_px: float) -> np.ndarray:
-    """Return `images_e` with the pixels of `hits` predicted from `good` ones of the same frame.
-
-    The `sampling_px` is that of the module.
-    """
+def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, by: Criteria) -> np.ndarray:
+    """Return `images_e` with the pixels of `hits` predicted from `good` ones of the same frame, see `by`."""
     if hits.frame.size == 0:
         return images_e
     cleaned = images_e.copy()
@@ -150,6 +115,61 @@ def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, sampling_px
         hit = np.zeros(good.shape, dtype=bool)
         here = hits.frame == frame
         hit[hits.row[here], hits.column[here]] = True
-        filled = without_bad_pixels(images_e[frame][None], good & ~hit, sampling_px)[0]
+        filled = by.filled(images_e[frame][None], good & ~hit)[0]
         cleaned[frame][hit] = filled[hit]
     return cleaned
+
+
+def clipped_samples(images: np.ndarray, good: np.ndarray, sigma: np.ndarray, step: float) -> np.ndarray:
+    """Find values of bright pixels that recur from frame to frame more closely than noise permits.
+
+    For every value the number of others within a fraction of the noise is compared with the number in a
+    wider surrounding; normal noise alone, or any wider distribution, keeps the first to a known share.
+
+    Parameters
+    ----------
+    images : ndarray, (frames, rows, columns)
+        Finite, on any linear scale.
+    good : ndarray of bool, (rows, columns)
+        Pixels to search.
+    sigma : ndarray, (rows, columns)
+        Noise of a value, on the same scale; not more than the true one.
+    step : float
+        Step of the digitisation on the same scale, 0 if there is none; where it rivals the closeness, equal
+        values mean nothing.
+
+    Returns
+    -------
+    ndarray of bool, (frames, rows, columns)
+        All False with fewer than `MIN_FRAMES_FOR_NOISE` frames.
+    """
+    clipped = np.zeros(images.shape, dtype=bool)
+    if len(images) < MIN_FRAMES_FOR_NOISE or not good.any():
+        return clipped
+    typical = np.where(good, np.median(images, axis=0), -np.inf)
+    bright = typical > BRIGHT * typical.max()
+    values = images[:, bright].astype(np.float64)
+    noise = np.broadcast_to(sigma[bright], values.shape)
+    own = np.stack([_piled_up(*one, step) for one in zip(values.T, noise.T, strict=True)], axis=1)
+    # a recording that was recentred shows the level of one pixel of the detector in several of its own
+    together = _piled_up(values.ravel(), noise.ravel(), step).reshape(values.shape)
+    clipped[:, bright] = own | together
+    return clipped
+
+
+def _piled_up(values: np.ndarray, sigma: np.ndarray, step: float) -> np.ndarray:
+    found = np.zeros(len(values), dtype=bool)
+    for close, wide in WIDTHS:
+        near, around = (_others_within(values, width * sigma) for width in (close, wide))
+        # of normal values about their own mean; any wider distribution has a smaller share
+        share = scipy.special.erf(close / np.sqrt(2)) / scipy.special.erf(wide / np.sqrt(2))
+        by_chance = scipy.special.bdtrc(near - 1, around, share)  # that as many or more are near
+        found |= (by_chance < FALSE_ALARM) & (close * sigma > 2 * step)
+    return found
+
+
+def _others_within(values: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    ordered = np.sort(values)
+    below = np.searchsorted(ordered, values - distance, side="left")
+    above = np.searchsorted(ordered, values + distance, side="right")
+    return above - below - 1

@@ -64,11 +64,6 @@ class Prediction:
         return np.sqrt(_apply(self.average, image.astype(np.float64) ** 2))
 
 
-def is_well_sampled(sampling_px: float) -> bool:
-    """Return whether images with `sampling_px` pixels per lambda/D determine a pixel by its neighbours."""
-    return sampling_px >= MIN_SAMPLING_PX
-
-
 def neighbour_prediction(good: np.ndarray, sampling_px: float) -> Prediction:
     """Return the best linear prediction of each pixel from the good pixels around it.
 

@@ -1,24 +1,25 @@
 """What was told of a recording against what its frames show.
 
 A contradiction beyond doubt fails the quality check; a doubtful one is worth a warning that says what hangs
-on it.
+on it. Of the detector's constants, what a person or a header says stands; a value that is only the profile's
+gives way to the frames where these contradict it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM, cutoff_per_px
 from irlos_pipe.frames.blocks import frame_flux
-from irlos_pipe.frames.cutoff import cutoff_ratio
 from irlos_pipe.frames.measured_noise import SIGNIFICANT, MeasuredNoise
-from irlos_pipe.frames.recording import PROFILE, Recording
+from irlos_pipe.frames.recording import FRAMES, PROFILE, Detector, Recording
 
 Range = tuple[float, float]
 ANY = (-math.inf, math.inf)
@@ -32,6 +33,16 @@ CUTOFF_DOUBTFUL, CUTOFF_IMPOSSIBLE = (0.7, 1.12), (0.0, 1.25)
 SCALE_PLAUSIBLE_MAS = (1.0, 100.0)
 SMALLEST_NM = 5.0  # of a diversity or a ramp; anything smaller is likely to be in micrometres
 HIGHEST_NOLL = 37  # of a diversity: a lens or a deformable mirror of low order
+# the end of the spectrum
+RINGS_PER_PX = 2.0  # rings of the spectrum per sample: half a sample wide
+BEYOND = 1.25  # times the expected cut-off, from where on there is nothing but noise
+ABOVE_NOISE = 3.0  # ring means that count as signal, over those of the noise
+LOBE = 2.0  # half of the width of the main lobe of the taper (Hann), in samples of the spectrum
+LEAST_SNR = 1e3  # amplitude at zero frequency over noise: of a fainter image the end is not seen
+# constants of the detector
+GAIN, READ_NOISE, EXCESS = "detector.e_per_adu", "detector.read_noise_e", "detector.excess_noise_factor"
+MAX_SLOPE_ERROR = 0.1  # of the slope: a gain that is known worse is no better than the profile's
+NOTABLE = 0.1  # a smaller difference, relative, is neither believed nor worth a warning
 
 
 @dataclass(frozen=True)
@@ -40,7 +51,6 @@ class Told:
 
     Attributes
     ----------
-    value : float
     doubtful, impossible : (float, float)
         Ranges outside which it is worth a warning, and is wrong.
     text : str
@@ -155,3 +165,128 @@ def _keys(recording: Recording) -> Iterator[Told]:
         largest = float(np.abs(recording.introduced_defocus_nm).max(initial=0.0))
         text = f"introduced defocus (Noll {DEFOCUS}) of {largest:g} nm at most: unit? The slope hangs on it"
         yield Told("introduced defocus", largest or math.nan, (SMALLEST_NM, math.inf), ANY, text)
+
+
+def cutoff_ratio(mean_e: np.ndarray, good: np.ndarray, expected_per_px: float) -> float:
+    """Return the highest spatial frequency with signal over the expected cut-off.
+
+    The noise level is that of the highest frequencies of the image itself, so that hot pixels and an unequal
+    response, whose spectrum is flat, do not count as signal.
+
+    Parameters
+    ----------
+    mean_e : ndarray, (rows, columns)
+        Mean image.
+    good : ndarray of bool, (rows, columns)
+    expected_per_px : float
+        D/λ [cycles per pixel].
+
+    Returns
+    -------
+    float
+        NaN where nothing lies beyond the cut-off, or the image is too faint to tell.
+    """
+    if BEYOND * expected_per_px > 0.45 or min(mean_e.shape) < 16:
+        return float("nan")
+    filled = np.where(good, mean_e, median_filter(mean_e, 5))
+    taper = np.outer(*(np.hanning(side + 2)[1:-1] for side in mean_e.shape))
+    power = np.abs(np.fft.rfft2(filled * taper)) ** 2
+    rows, columns = mean_e.shape
+    frequency = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns)[None, :])
+    width = 1 / (RINGS_PER_PX * max(rows, columns))
+    ring = np.round(frequency / width).astype(int)
+    count = np.bincount(ring.ravel())
+    rings = np.bincount(ring.ravel(), power.ravel()) / np.maximum(count, 1)
+    noise = float(np.median(power[(frequency > BEYOND * expected_per_px) & (frequency < 0.5)])) / np.log(2)
+    if not np.sqrt(power[0, 0]) > LEAST_SNR * np.sqrt(noise) > 0:
+        return float("nan")
+    inside = (count > 0) & (np.arange(len(rings)) * width < 0.5)
+    end = float(np.flatnonzero(inside & (rings > ABOVE_NOISE * noise))[-1]) * width
+    if end > expected_per_px:  # the taper smears the spectrum by half of its main lobe
+        end = max(expected_per_px, end - LOBE / min(mean_e.shape))
+    return end / expected_per_px
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One constant of the detector, as used and as measured beside it.
+
+    Attributes
+    ----------
+    name : str
+        Side-car key.
+    used : float
+        What the reduction goes on with.
+    source : str
+        Where that comes from.
+    measured, error : float
+        From the frames, with its 1-sigma error; NaN where they do not tell.
+    """
+
+    name: str
+    used: float
+    source: str
+    measured: float
+    error: float
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the frames disagree, significantly and by more than `NOTABLE`."""
+        apart = abs(self.measured - self.used)
+        return bool(apart > SIGNIFICANT * self.error and apart > NOTABLE * self.used)
+
+
+def constants(detector: Detector, sources: Mapping[str, str], noise: MeasuredNoise) -> list[Constant]:
+    """Return gain, read noise and excess noise of a `detector`, with what the frames say of each.
+
+    Frames tell only the ratio of excess noise and gain: each is measured as if the other were right. The read
+    noise includes the photon noise of dark current and sky.
+
+    Parameters
+    ----------
+    detector : Detector
+        With which the frames were converted to electrons.
+    sources : mapping of str to str
+        Where its values come from, by side-car key.
+    noise : MeasuredNoise
+        Of those frames.
+    """
+    slope, slope_error = noise.excess_noise_factor, noise.excess_noise_error
+    gain = detector.e_per_adu * detector.excess_noise_factor / slope if slope > 0 else np.nan
+    read_noise = float(np.sqrt(noise.floor_e2)) if noise.floor_e2 > 0 else np.nan
+    measured = {
+        GAIN: (detector.e_per_adu, gain, gain * slope_error / slope if slope > 0 else np.nan),
+        READ_NOISE: (detector.read_noise_e, read_noise, noise.floor_error_e2 / (2 * read_noise)),
+        EXCESS: (detector.excess_noise_factor, slope, slope_error),
+    }
+    return [
+        Constant(name, used, sources.get(name, PROFILE), float(value), float(error))
+        for name, (used, value, error) in measured.items()
+    ]
+
+
+def believed(
+    detector: Detector, sources: Mapping[str, str], noise: MeasuredNoise
+) -> tuple[Detector, dict[str, str]]:
+    """Return the detector with the profile's values replaced where the frames contradict them, and sources.
+
+    Where the gain is not told it gives way, else the excess noise does if that is not told.
+
+    Parameters
+    ----------
+    detector, sources, noise
+        See `constants`.
+    """
+    found = {one.name: one for one in constants(detector, sources, noise)}
+    new, origin = detector, dict(sources)
+    slope = found[EXCESS]
+    if slope.contradicted and slope.error < MAX_SLOPE_ERROR * slope.measured:
+        if found[GAIN].source == PROFILE:
+            new, origin = replace(new, e_per_adu=found[GAIN].measured), origin | {GAIN: FRAMES}
+        elif slope.source == PROFILE and slope.measured > 1 - NOTABLE:
+            measured = max(1.0, slope.measured)  # no detector is quieter than the photons
+            new, origin = replace(new, excess_noise_factor=measured), origin | {EXCESS: FRAMES}
+    if found[READ_NOISE].source == PROFILE and found[READ_NOISE].contradicted:
+        in_electrons = found[READ_NOISE].measured * new.e_per_adu / detector.e_per_adu
+        new, origin = replace(new, read_noise_e=in_electrons), origin | {READ_NOISE: FRAMES}
+    return new, origin

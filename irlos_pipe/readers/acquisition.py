@@ -2,63 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.reads import adds_up, whole_reads
 from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.frames.recording import (
-    HEADER,
-    MODE,
-    PROFILE,
-    RECIPE,
-    SIDECAR,
-    Acquisition,
-    Detector,
-)
+from irlos_pipe.frames.recording import HEADER, MODE, PROFILE, RECIPE, SIDECAR, Acquisition, Detector
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.altitude import altitude_deg
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.sidecar import AcquisitionKeys, SpectrumPoint, read_sidecar, sidecar_path
-from irlos_pipe.readers.star_spectrum import spectrum_of, temperature_of
-from irlos_pipe.readers.told_reads import COADDS, READ_S, reads_of
-
-REQUIRED = ("role", "spectrum", "diversity")  # no value is safe to assume
-REQUIRED_OF_DARK = ("role",)
-REQUIRED_OF_RAMP = (*REQUIRED, "introduced_defocus_nm")
-HARMLESS = {
-    "introduced_defocus_nm": 0.0,
-    "derotator_angle_deg": 0.0,
-    "pupil_rotation_deg": 0.0,
-    "target": "",
-    "filter": "",
-    "dispersion_corrected": False,
-    "sky_e_per_s": 0.0,
-}
-ALTITUDE = ("altitude_deg", "airmass")  # two ways to say the same
-OF_THE_SKY = (
-    "parallactic_angle_deg",
-    "altitude_deg",
-    "airmass",
-    "zenith_angle_deg",
-    "pressure_hpa",
-    "temperature_c",
-    "humidity_percent",
-    "star_temperature_k",
-    "j_minus_h",
+from irlos_pipe.readers.sidecar import (
+    KNOWN,
+    AcquisitionKeys,
+    SpectrumPoint,
+    is_valid,
+    read_sidecar,
+    sidecar_path,
 )
-NOT_WORTH_A_WARNING = {
-    *HARMLESS,
-    *OF_THE_SKY,
-    "detector.excess_noise_factor",
-    "detector.read_s",
-    "detector.dark_e_per_s",
-}
+from irlos_pipe.readers.star_spectrum import spectrum_of, temperature_of
+
+REQUIRED = tuple(key for key, known in KNOWN.items() if known.form)
+REQUIRED_FOR = {"dark": ("role",), "defocus_ramp": (*REQUIRED, "introduced_defocus_nm")}
+HARMLESS = {key: known.otherwise for key, known in KNOWN.items() if known.otherwise is not None}
+ALTITUDE = ("altitude_deg", "airmass")  # two ways to say the same
+AIRMASS_TOLERANCE = 0.03  # an exposure begins and ends at another one; sec z is within 1 % above 15°
+COADDS, READ_S, READ_NOISE = "detector.coadds", "detector.read_s", "detector.read_noise_e"
 
 
 @dataclass(frozen=True)
@@ -76,6 +49,25 @@ class Resolved:
     acquisition: Acquisition
     introduced_defocus_nm: np.ndarray
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """The value of every key and where it came from; `where` begins messages."""
+
+    where: str
+    values: dict[str, Any] = field(default_factory=dict)
+    sources: dict[str, str] = field(default_factory=dict)
+
+    def add(self, source: str, layer: Mapping[str, Any]) -> None:
+        """Take from a `source` the keys that no earlier one has."""
+        for key, value in layer.items():
+            if key not in self.values:
+                self.values[key], self.sources[key] = value, source
+
+    def stated(self, key: str) -> bool:
+        """Whether anybody but the profile states it."""
+        return self.sources.get(key, PROFILE) != PROFILE
 
 
 def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) -> Resolved:
@@ -96,57 +88,193 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
         A key without a safe default is missing, or there is not one defocus per frame.
     """
     path = sidecar_path(raw.path)
-    told = read_sidecar(path).flat()
-    layers = {
-        RECIPE: recipe.flat(),
-        SIDECAR: told,
-        HEADER: _unless_told(_plausible(raw.header), {**told, **recipe.flat()}),
+    layers = {RECIPE: recipe.flat(), SIDECAR: read_sidecar(path).flat()}
+    layers |= {
+        HEADER: _of_header(raw.header, {**layers[SIDECAR], **layers[RECIPE]}),
         MODE: raw.of_mode,
         PROFILE: instrument.defaults | HARMLESS,
     }
-    values, sources = _settle(layers)
-    where = f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};"
-    if "spectrum" not in values and "filter_curve" in values:
-        values["spectrum"], sources["spectrum"] = _spectrum(values, where), sources["filter_curve"]
-    _require(values, sources, where)
-    values["pupil_rotation_deg"] = _pupil_rotation(values, sources, instrument, where)
-    for key, value in _of_the_sky(values, instrument, where).items():
-        values[key], sources[key] = value, sources.get(key, PROFILE)
-    exposure_s = _exposure_s(values, sources)
-    if exposure_s is not None:  # an archive may have lost it; the frames then tell their noise
-        values["exposure_s"] = exposure_s
-    reads = reads_of(values, sources, where)
-    defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
-    warnings = _warnings(raw, values, sources)
-    monitor = _seeing_monitor(layers, sources)
-    if monitor != SPARTA:
-        values, line = _on_sparta_scale(raw, values, monitor, instrument)
-        warnings = (*warnings, line)
-    return Resolved(_acquisition(raw, values, sources, reads), defocus, warnings)
-
-
-def _settle(layers: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], dict[str, str]]:
-    values: dict[str, Any] = {}
-    sources: dict[str, str] = {}
+    known = _Settled(f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};")
     for source, layer in layers.items():
-        for key, value in layer.items():
-            if key not in values:
-                values[key], sources[key] = value, source
-    return values, sources
+        known.add(source, layer)
+    values, sources = known.values, known.sources
+    if "spectrum" not in values and "filter_curve" in values:
+        known.add(sources["filter_curve"], {"spectrum": _spectrum(known)})
+    _require(known)
+    values["pupil_rotation_deg"] = _pupil_rotation(known, instrument)
+    for key, degrees in _of_the_sky(known, instrument).items():
+        values[key], sources[key] = degrees, sources.get(key, PROFILE)
+    _settle_exposure(known)
+    reads = _reads(known)
+    defocus = _per_frame(known, raw)
+    warnings = _warnings(raw, known)
+    monitor = _seeing_monitor(layers, known)
+    if monitor != SPARTA:
+        warnings = (*warnings, _put_on_sparta_scale(raw, values, monitor, instrument))
+    return Resolved(_acquisition(raw, known, reads), defocus, warnings)
 
 
-def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], sources: Mapping[str, str]) -> str:
+def _of_header(header: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
+    """The header without values out of the range of their key: ESO writes -1 where nothing was measured.
+
+    Altitude and airmass are left out where either is `told`: they are of another moment.
+    """
+    dropped = ALTITUDE if any(key in told for key in ALTITUDE) else ()
+    return {key: value for key, value in header.items() if is_valid(key, value) and key not in dropped}
+
+
+def _require(known: _Settled) -> None:
+    needed = REQUIRED_FOR.get(str(known.values.get("role")), REQUIRED)
+    missing = [key for key in needed if not known.stated(key)]
+    if missing:
+        keys = "key" if len(missing) == 1 else "keys"
+        raise InputDataError(
+            f"{known.where} {keys} {', '.join(map(repr, missing))} missing, and no default is safe; "
+            "add to the side-car, or to the recipe under ingest.acquisition"
+        )
+
+
+def _spectrum(known: _Settled) -> list[SpectrumPoint]:
+    """What the curve of the filter passes of the star."""
+    values, where = known.values, known.where
+    kelvin = values.get("star_temperature_k")
+    if kelvin is None and "j_minus_h" in values:
+        kelvin = temperature_of(values["j_minus_h"], where)
+    if kelvin is None:
+        raise InputDataError(f"{where} filter_curve needs the star: give star_temperature_k or j_minus_h")
+    points = spectrum_of(values["filter_curve"], kelvin, where)
+    return [SpectrumPoint(wavelength_nm=nm, weight=weight) for nm, weight in points]
+
+
+def _pupil_rotation(known: _Settled, instrument: Instrument) -> float:
+    """As stated; else by the profile's rule, where it has one, from the angles of the recording [deg]."""
+    rule = instrument.profile.pupil.turns if instrument.profile.pupil else None
+    if known.stated("pupil_rotation_deg") or rule is None or known.values["role"] == "dark":
+        return known.values["pupil_rotation_deg"]
+    missing = [key for key in rule.factors if not known.stated(key)]
+    if missing:
+        angles = ", ".join(map(repr, missing))
+        raise InputDataError(
+            f"{known.where} the pupil of {instrument.name} turns with {angles}, which is not known; give it, "
+            "or pupil_rotation_deg"
+        )
+    return rule.rotation_deg(known.values)
+
+
+def _of_the_sky(known: _Settled, instrument: Instrument) -> dict[str, float]:
+    """Altitude and direction of the zenith, as far as they are known [deg].
+
+    The altitude as stated, or from the airmass; the direction as stated, or by the profile's rule.
+    """
+    values = known.values
+    altitude = altitude_deg(values.get("altitude_deg"), values.get("airmass"), known.where)
+    found = {} if altitude is None else {"altitude_deg": altitude}
+    rule, angles = instrument.profile.zenith, {**values, **found}
+    if "zenith_angle_deg" not in values and rule is not None and rule.factors.keys() <= angles.keys():
+        found["zenith_angle_deg"] = rule.rotation_deg(angles)
+    return found
+
+
+def altitude_deg(altitude: float | None, airmass: float | None, where: str) -> float | None:
+    """Return the `altitude`, from the `airmass` where it is not stated [deg]; `where` begins a message.
+
+    Raises
+    ------
+    InputDataError
+        If the two contradict each other.
+    """
+    if airmass is None:
+        return altitude
+    if altitude is None:
+        return math.degrees(math.asin(1 / airmass))
+    seen = 1 / max(math.sin(math.radians(altitude)), 1e-3)
+    if abs(airmass / seen - 1) > AIRMASS_TOLERANCE:
+        raise InputDataError(
+            f"{where} altitude_deg = {altitude:g} means an airmass of {seen:.3g}, but airmass = {airmass:g}; "
+            "correct one of them"
+        )
+    return altitude
+
+
+def _settle_exposure(known: _Settled) -> None:
+    """As told; else of as many reads as told, before what the profile says. An archive may have lost it."""
+    if known.stated(COADDS) and known.stated(READ_S) and not known.stated("exposure_s"):
+        known.sources["exposure_s"] = known.sources[READ_S]
+        known.values["exposure_s"] = known.values[COADDS] * known.values[READ_S]
+
+
+def _reads(known: _Settled) -> int:
+    """How many reads make up a frame: as told; else as many told reads as fill the exposure.
+
+    The profile's read noise is that of one read: with it and no word of reads, a frame has as many of the
+    profile's reads as its exposure takes.
+    """
+    values = known.values
+    exposure_s, read_s = values.get("exposure_s"), values.get(READ_S)
+    if known.stated(READ_S) and exposure_s is not None:
+        return _filling(exposure_s, values[READ_S], values.get(COADDS), known.where)
+    if known.stated(COADDS):
+        return values[COADDS]
+    if not known.stated(READ_NOISE) and read_s is not None and exposure_s is not None:
+        return max(1, round(exposure_s / read_s))
+    return 1
+
+
+def _filling(exposure_s: float, read_s: float, coadds: int | None, where: str) -> int:
+    if coadds is None:
+        try:
+            return whole_reads(exposure_s, read_s)
+        except ConfigurationError as problem:
+            raise InputDataError(f"{where} {problem}") from None
+    if not adds_up(exposure_s, read_s, coadds):
+        raise InputDataError(
+            f"{where} detector.coadds = {coadds} reads of read_s = {read_s:g} s do not add up to "
+            f"exposure_s = {exposure_s:g}; correct one of them"
+        )
+    return coadds
+
+
+def _per_frame(known: _Settled, raw: RawRecording) -> np.ndarray:
+    source = known.sources["introduced_defocus_nm"]
+    values = np.atleast_1d(np.asarray(known.values["introduced_defocus_nm"], dtype=np.float64))
+    if values.size not in (1, raw.frames):
+        where = sidecar_path(raw.path) if source == SIDECAR else f"{source}: {raw.path}"
+        raise InputDataError(
+            f"{where}: introduced_defocus_nm has {values.size} values for {raw.frames} frames; "
+            "give one, or one per frame"
+        )
+    return np.broadcast_to(values, (raw.frames,)).copy()
+
+
+def _warnings(raw: RawRecording, known: _Settled) -> tuple[str, ...]:
+    """One line per source from which values had to be taken, and one for what stays unknown."""
+    lines = []
+    loud = [
+        key
+        for key, value in sorted(known.values.items())
+        if isinstance(value, float) and not (KNOWN[key].mute or key in HARMLESS)
+    ]
+    for source in (HEADER, MODE, PROFILE):
+        taken = [f"{key} = {known.values[key]:.6g}" for key in loud if known.sources[key] == source]
+        if taken:
+            lines.append(f"{raw.name}: taken from the {source}: {', '.join(taken)}")
+    if "mag_j" not in known.values and known.values["role"] != "dark":
+        lines.append(f"{raw.name}: mag_j is not known; magnitudes can only come from the measured flux")
+    return tuple(lines)
+
+
+def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], known: _Settled) -> str:
     """Whose scale the seeing is on: as the recipe says, else as the source of the seeing says."""
-    source = sources.get("seeing_arcsec", PROFILE)
-    if source == PROFILE:
+    if not known.stated("seeing_arcsec"):
         return SPARTA
-    return layers[RECIPE].get("seeing_scale") or layers[source].get("seeing_scale", SPARTA)
+    own = layers[known.sources["seeing_arcsec"]]
+    return layers[RECIPE].get("seeing_scale") or own.get("seeing_scale", SPARTA)
 
 
-def _on_sparta_scale(
-    raw: RawRecording, values: Mapping[str, Any], monitor: str, instrument: Instrument
-) -> tuple[dict[str, Any], str]:
-    """The values with the seeing translated, and a line that says so."""
+def _put_on_sparta_scale(
+    raw: RawRecording, values: dict[str, Any], monitor: str, instrument: Instrument
+) -> str:
+    """Translate the seeing among the `values`; returns a line that says so."""
     scales = instrument.seeing_scales
     if monitor not in scales:
         raise InputDataError(
@@ -160,169 +288,38 @@ def _on_sparta_scale(
             f"{raw.path}: seeing_arcsec = {given:g} by {monitor} would be {seeing:.3g} by SPARTA; "
             "correct it, or the scale in the instrument profile"
         )
-    line = f"{raw.name}: seeing of {given:.2f} arcsec by {monitor} taken as {seeing:.2f} arcsec by SPARTA"
-    return {**values, "seeing_arcsec": seeing}, line
+    values["seeing_arcsec"] = seeing
+    return f"{raw.name}: seeing of {given:.2f} arcsec by {monitor} taken as {seeing:.2f} arcsec by SPARTA"
 
 
-def _plausible(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Drop header values out of the range of their key: ESO writes -1 where nothing was measured."""
-    return {key: value for key, value in header.items() if _is_valid(key, value)}
-
-
-def _unless_told(header: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
-    """Drop altitude and airmass of a header where either is `told`: they are of another moment."""
-    dropped = ALTITUDE if any(key in told for key in ALTITUDE) else ()
-    return {key: value for key, value in header.items() if key not in dropped}
-
-
-def _is_valid(key: str, value: Any) -> bool:
-    section, _, inner = key.rpartition(".")
-    try:
-        AcquisitionKeys.model_validate({section: {inner: value}} if section else {key: value})
-    except ValidationError:
-        return False
-    return True
-
-
-def _require(values: Mapping[str, Any], sources: Mapping[str, str], where: str) -> None:
-    role = values.get("role")
-    needed = {"dark": REQUIRED_OF_DARK, "defocus_ramp": REQUIRED_OF_RAMP}.get(str(role), REQUIRED)
-    missing = [key for key in needed if sources.get(key, PROFILE) == PROFILE]
-    if missing:
-        keys = "key" if len(missing) == 1 else "keys"
-        raise InputDataError(
-            f"{where} {keys} {', '.join(map(repr, missing))} missing, and no default is safe; "
-            "add to the side-car, or to the recipe under ingest.acquisition"
-        )
-
-
-def _pupil_rotation(
-    values: Mapping[str, Any], sources: Mapping[str, str], instrument: Instrument, where: str
-) -> float:
-    """As stated; else by the profile's rule, where it has one, from the angles of the recording [deg]."""
-    rule = instrument.profile.pupil.turns if instrument.profile.pupil else None
-    if sources["pupil_rotation_deg"] != PROFILE or rule is None or values["role"] == "dark":
-        return values["pupil_rotation_deg"]
-    missing = [key for key in rule.factors if sources.get(key, PROFILE) == PROFILE]
-    if missing:
-        angles = ", ".join(map(repr, missing))
-        raise InputDataError(
-            f"{where} the pupil of {instrument.name} turns with {angles}, which is not known; give it, or "
-            "pupil_rotation_deg"
-        )
-    return rule.rotation_deg(values)
-
-
-def _spectrum(values: Mapping[str, Any], where: str) -> list[SpectrumPoint]:
-    """What the curve of the filter passes of the star."""
-    kelvin = values.get("star_temperature_k")
-    if kelvin is None and "j_minus_h" in values:
-        kelvin = temperature_of(values["j_minus_h"], where)
-    if kelvin is None:
-        raise InputDataError(f"{where} filter_curve needs the star: give star_temperature_k or j_minus_h")
-    points = spectrum_of(values["filter_curve"], kelvin, where)
-    return [SpectrumPoint(wavelength_nm=nm, weight=weight) for nm, weight in points]
-
-
-def _of_the_sky(values: Mapping[str, Any], instrument: Instrument, where: str) -> dict[str, float]:
-    """Altitude and direction of the zenith, as far as they are known [deg].
-
-    The altitude as stated, or from the airmass; the direction as stated, or by the profile's rule.
-    """
-    altitude = altitude_deg(values.get("altitude_deg"), values.get("airmass"), where)
-    found = {} if altitude is None else {"altitude_deg": altitude}
-    rule, known = instrument.profile.zenith, {**values, **found}
-    if "zenith_angle_deg" not in values and rule is not None and rule.factors.keys() <= known.keys():
-        found["zenith_angle_deg"] = rule.rotation_deg(known)
-    return found
-
-
-def _per_frame(defocus_nm: float | list[float], raw: RawRecording, source: str) -> np.ndarray:
-    values = np.atleast_1d(np.asarray(defocus_nm, dtype=np.float64))
-    if values.size not in (1, raw.frames):
-        where = sidecar_path(raw.path) if source == SIDECAR else f"{source}: {raw.path}"
-        raise InputDataError(
-            f"{where}: introduced_defocus_nm has {values.size} values for {raw.frames} frames; "
-            "give one, or one per frame"
-        )
-    return np.broadcast_to(values, (raw.frames,)).copy()
-
-
-def _exposure_s(values: Mapping[str, Any], sources: dict[str, str]) -> float | None:
-    """As told; else of as many reads as told, before what the profile says."""
-    told = [sources.get(key, PROFILE) != PROFILE for key in (COADDS, READ_S)]
-    if all(told) and sources.get("exposure_s", PROFILE) == PROFILE:
-        sources["exposure_s"] = sources[READ_S]
-        return values[COADDS] * values[READ_S]
-    return values.get("exposure_s")
-
-
-def _acquisition(
-    raw: RawRecording, values: Mapping[str, Any], sources: dict[str, str], reads: int
-) -> Acquisition:
+def _acquisition(raw: RawRecording, known: _Settled, reads: int) -> Acquisition:
+    values = known.values
     diversity = values.get("diversity")
-    spectrum = values.get("spectrum", ())
-    optional = {
-        key: values.get(key)
-        for key in (
-            "mag_j",
-            "exposure_s",
-            "frame_rate_hz",
-            "seeing_arcsec",
-            "parallactic_angle_deg",
-            "altitude_deg",
-            "zenith_angle_deg",
-            "pressure_hpa",
-            "temperature_c",
-            "humidity_percent",
-        )
+    names = {one.name for one in fields(Acquisition)}
+    changed = {
+        "detector": _detector(known, reads),
+        "spectrum": tuple((point.wavelength_nm, point.weight) for point in values.get("spectrum", ())),
+        "diversity": dict(diversity.zernike) if diversity else {},
+        "diversity_source": diversity.source if diversity else "",
+        "mode": raw.mode,
+        "lenslets": raw.lenslets,
+        "sources": known.sources,
     }
-    return Acquisition(
-        role=values["role"],
-        detector=_detector(values, reads, told_reads=sources.get(READ_S, PROFILE) != PROFILE),
-        spectrum=tuple((point.wavelength_nm, point.weight) for point in spectrum),
-        diversity=dict(diversity.zernike) if diversity else {},
-        diversity_source=diversity.source if diversity else "",
-        pixel_scale_mas=values["pixel_scale_mas"],
-        target=values["target"],
-        derotator_angle_deg=values["derotator_angle_deg"],
-        pupil_rotation_deg=values["pupil_rotation_deg"],
-        dispersion_corrected=values["dispersion_corrected"],
-        filter=values["filter"],
-        mode=raw.mode,
-        lenslets=raw.lenslets,
-        sources=sources,
-        **optional,
-    )
+    return Acquisition(**{key: value for key, value in values.items() if key in names} | changed)
 
 
-def _detector(values: Mapping[str, Any], reads: int, *, told_reads: bool) -> Detector:
+def _detector(known: _Settled, reads: int) -> Detector:
     """Constants of a frame; the keys are those of one read, of which a frame is the sum or mean."""
-    coadds = values.get(COADDS, reads if told_reads else 1)
+    values = known.values
+    coadds = values.get(COADDS, reads if known.stated(READ_S) else 1)
     background_e_per_s = values["sky_e_per_s"] + values.get("detector.dark_e_per_s", 0.0)
     averaged = values.get("detector.coadds_averaged", False)
     saturation = values.get("detector.saturation_adu")
     return Detector(
         e_per_adu=values["detector.e_per_adu"] * (coadds if averaged else 1),
-        read_noise_e=values["detector.read_noise_e"] * reads**0.5,
+        read_noise_e=values[READ_NOISE] * reads**0.5,
         excess_noise_factor=values.get("detector.excess_noise_factor", 1.0),
         saturation_adu=saturation if saturation is None or averaged else saturation * coadds,
         reads=reads,
         background_e=background_e_per_s * (values.get("exposure_s") or 0.0),
     )
-
-
-def _warnings(raw: RawRecording, values: Mapping[str, Any], sources: Mapping[str, str]) -> tuple[str, ...]:
-    """One line per source from which values had to be taken, and one for what stays unknown."""
-    lines = []
-    for source in (HEADER, MODE, PROFILE):
-        taken = [
-            f"{key} = {values[key]:.6g}"
-            for key in sorted(values)
-            if sources[key] == source and key not in NOT_WORTH_A_WARNING and isinstance(values[key], float)
-        ]
-        if taken:
-            lines.append(f"{raw.name}: taken from the {source}: {', '.join(taken)}")
-    if "mag_j" not in values and values["role"] != "dark":
-        lines.append(f"{raw.name}: mag_j is not known; magnitudes can only come from the measured flux")
-    return tuple(lines)

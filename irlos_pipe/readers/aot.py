@@ -12,7 +12,7 @@ from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.frames.raw import CalibrationMaps
+from irlos_pipe.frames.recording import CalibrationMaps
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.fitsfile import native, require_cube, stem
 from irlos_pipe.readers.raw_file import RawRecording

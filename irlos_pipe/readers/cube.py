@@ -14,7 +14,6 @@ from astropy.io import fits
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import printable
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.eso_header import plain_header_keys
 from irlos_pipe.readers.fitsfile import (
     MIN_WINDOW_PX,
     file_header,
@@ -24,7 +23,7 @@ from irlos_pipe.readers.fitsfile import (
     image_shape,
     stem,
 )
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording, plain_header_keys
 
 LAYOUT = "fits_cube"
 NUMBERED = re.compile(r"(.*?)[ _.-]?(\d+)")  # FRAME12, SCI_1

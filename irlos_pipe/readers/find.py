@@ -1,27 +1,40 @@
-"""Find the recordings under a path and read each with the reader of its layout."""
+"""Find the recordings under a path and read each with the reader of its layout.
+
+A folder is searched through all its depth, each folder and file once, whatever its links.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+import os
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, get_args
 
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.conventions.text import printable
+from irlos_pipe.files.regular import open_regular
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
-from irlos_pipe.readers.fitsfile import file_header, has_fits_name, open_fits
-from irlos_pipe.readers.inherited import inherited_cards
-from irlos_pipe.readers.lone_sidecars import is_sidecar, lone_sidecars, what_lies_beside
-from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.search import Refused, each_once, files_by_folder
-from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, own_sidecar, sidecar_path
+from irlos_pipe.readers.fitsfile import file_header, has_fits_name, open_fits, stem
+from irlos_pipe.readers.raw_file import RawRecording, inherited_cards
+from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, Role, own_sidecar, sidecar_path
 from irlos_pipe.readers.times import start_of
+
+Refused = Callable[[Path, InputDataError], None]
+Identity = tuple[int, int]  # device and inode
+# Files of the real-time computer beside the frames: IRAcq.DET1.DARK.fits, IRCtr.SENSOR_2_MODES.fits
+COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+", re.ASCII)
+# What tells a side-car from recipes, profiles and other YAML files: the key that each must have.
+ROLE = re.compile(rf"^role[ \t]*:[ \t]*['\"]?({'|'.join(get_args(Role))})\b".encode(), re.MULTILINE)
+LOOKED_AT_BYTES = 2**16
+SHOWN_NAMES = 3
 
 
 class Reader(Protocol):
@@ -194,3 +207,133 @@ def unique_name(name: str, path: Path, taken: Collection[str]) -> str:
         (f"{name}-{number}" for number in count(2)),
     )
     return next(choice for choice in choices if choice not in taken)
+
+
+def files_by_folder(root: Path, refused: Refused) -> Iterator[tuple[list[Path], list[Path]]]:
+    """Yield the FITS and YAML files of a folder, then of each folder below it, in the natural order of names.
+
+    Hidden files and folders, and those of the real-time computer, are left out. What is named like a FITS
+    file is listed whatever it is; opening it says what is wrong.
+
+    Parameters
+    ----------
+    root : Path
+        The folder.
+    refused : callable
+        Called with each folder that may not be read, and the error.
+    """
+    for folder in sorted(_folders(root, refused), key=lambda folder: _place(folder, root)):
+        files = [entry for entry in _entries(folder) if not entry.is_dir()]
+        named = [file for file in files if has_fits_name(file) and not COMPUTER_FILE.fullmatch(stem(file))]
+        yield named, [file for file in files if file.suffix == ".yaml" and file.is_file()]
+
+
+def each_once(files: Iterable[Path]) -> list[Path]:
+    """Return `files` without those that are another one under a second name; links give way."""
+    files = list(dict.fromkeys(files))
+    chosen: dict[object, Path] = {}
+    for file in sorted(files, key=_is_linked):  # those without a link come first
+        chosen.setdefault(_identity(file) or file, file)
+    kept = set(chosen.values())
+    return [file for file in files if file in kept]
+
+
+def _is_linked(file: Path) -> bool:
+    return os.path.realpath(file) != str(file)  # Path.resolve raises an error for links in a circle
+
+
+def natural_order(path: Path) -> list:
+    """Sort key that puts ``offset_2`` before ``offset_10``."""
+    return [
+        (1, int(part), "") if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", path.name)
+    ]
+
+
+def _folders(root: Path, refused: Refused) -> Iterator[Path]:
+    """Folders without links to them first, so that a link never takes the place of the folder itself."""
+    seen: set[Identity | None] = set()
+    waiting = [root]
+    links: list[Path] = []
+    while waiting or links:
+        folder = waiting.pop() if waiting else links.pop(0)
+        if _identity(folder) in seen:
+            continue
+        seen.add(_identity(folder))
+        if not os.access(folder, os.R_OK | os.X_OK):
+            refused(folder, InputDataError(f"{folder}: no permission to read the folder"))
+            continue
+        yield folder
+        below = [entry for entry in _entries(folder) if entry.is_dir()]
+        waiting += [entry for entry in below if not entry.is_symlink()]
+        links += [entry for entry in below if entry.is_symlink() and not _is_above(entry, root)]
+
+
+def _is_above(link: Path, root: Path) -> bool:
+    """Whether a link leads to a folder that holds the one that is searched."""
+    return Path(os.path.realpath(root)).is_relative_to(os.path.realpath(link))
+
+
+def _entries(folder: Path) -> list[Path]:
+    return sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=natural_order)
+
+
+def _place(folder: Path, root: Path) -> list:
+    return [natural_order(Path(part)) for part in folder.relative_to(root).parts]
+
+
+def _identity(path: Path) -> Identity | None:
+    """Return what is equal for all names of a file or folder; None where it is not there."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def is_sidecar(path: Path) -> bool:
+    """Return whether a file is a side-car, by its name or by what it holds."""
+    if path.suffix != ".yaml" or not path.is_file():
+        return False
+    if path.name == FOLDER_SIDECAR:
+        return True
+    try:
+        with open_regular(path) as stream:
+            return ROLE.search(stream.read(LOOKED_AT_BYTES)) is not None
+    except OSError:
+        return False
+
+
+def lone_sidecars(sidecars: Sequence[Path], named: Sequence[Path], with_data: Collection[Path]) -> list[Path]:
+    """Return the side-cars of a folder that describe nothing.
+
+    Parameters
+    ----------
+    sidecars : sequence of Path
+        YAML files of the folder.
+    named : sequence of Path
+        Its files that are named like FITS files.
+    with_data : collection of Path
+        Folders that hold a recording, in them or below.
+    """
+    stems = {stem(file) for file in named}
+    return [
+        path
+        for path in sidecars
+        if (path.parent not in with_data if path.name == FOLDER_SIDECAR else path.stem not in stems)
+        and is_sidecar(path)
+    ]
+
+
+def what_lies_beside(sidecar: Path) -> str:
+    """Return a line that says that a side-car is no recording, and what lies beside it."""
+    own = sidecar.parent.name if sidecar.name == FOLDER_SIDECAR else sidecar.stem
+    others = sorted(one.name for one in sidecar.parent.iterdir() if one != sidecar and one.name[0] != ".")
+    names = [name for name in others if name.startswith(own)] or others
+    more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
+    beside = (
+        f"beside it: {printable(', '.join(names[:SHOWN_NAMES]))}{more}" if names else "nothing lies beside it"
+    )
+    return (
+        f"{sidecar}: a side-car, and no recording that could be read belongs to it; {beside}; "
+        "complete the recording, or remove the side-car"
+    )

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.measured_noise import mean_variance
+from irlos_pipe.frames.recording import CalibrationMaps
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
-from irlos_pipe.readers.eso_header import plain_header_keys
 from irlos_pipe.readers.fitsfile import (
     file_header,
+    first_image,
     has_fits_name,
     hdu_label,
     native,
@@ -22,7 +24,7 @@ from irlos_pipe.readers.fitsfile import (
     require_one,
     stem,
 )
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording, plain_header_keys
 from irlos_pipe.readers.times import column, pair_by_counter, require_times, unix_seconds
 
 LAYOUT = "sparta_recorder"
@@ -30,6 +32,9 @@ PIXEL_TABLE = "IRPIXELFRAME"
 LOOP_TABLE = "IRLOOPFRAME"
 PIXELS = "Pixels"
 NOT_READ = (".z", ".zip")  # what nobody can unpack here is no reason to refuse the recording beside it
+# Calibration images beside the table: IRAcq.DET1.DARK.fits and its siblings.
+PREFIX, KINDS = "IRAcq.DET1.", ("DARK", "BACKGROUND", "FLAT", "DEAD", "WEIGHT")
+MAX_BAD_FRACTION = 0.5  # a map that excludes more than this means something else
 PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) beside NAME_IR_PIX (pixels)
 
 
@@ -215,3 +220,75 @@ def _searched(candidates: list[Path]) -> tuple[list[Path], _TableTimes | None]:
         if times is not None:
             return candidates[:number], times
     return candidates, None
+
+
+def calibration_files(folders: Sequence[Path]) -> dict[str, Path]:
+    """Return the calibration images by kind; the first of the `folders` that has an image wins."""
+    found: dict[str, Path] = {}
+    for folder in folders:
+        for path in sorted(folder.glob(f"{PREFIX}*")):  # X.fits before X.fits.gz
+            if has_fits_name(path) and path.is_file():
+                found.setdefault(stem(path).removeprefix(PREFIX), path)
+    return {kind: found[kind] for kind in KINDS if kind in found}
+
+
+def read_calibration_maps(
+    found: Mapping[str, Path], window: tuple[int, int]
+) -> tuple[CalibrationMaps, tuple[str, ...]]:
+    """Read the calibration images `found`, of a `window` (rows, columns); also remarks for the log.
+
+    Raises
+    ------
+    InputDataError
+        An image that cannot be read or does not fit the window.
+    """
+    images = {kind: _read_stack(path, window) for kind, path in found.items()}
+    means = {kind: stack.mean(axis=0) for kind, stack in images.items()}
+    maps = CalibrationMaps(
+        dark_adu=means.get("DARK"),
+        background_adu=means.get("BACKGROUND"),
+        flat=means.get("FLAT"),
+        bad=_dead(means.get("DEAD"), found.get("DEAD")),
+    )
+    if "DARK" in images:
+        maps = replace(maps, dark_variance_adu2=mean_variance(images["DARK"]))
+    return _with_weight(maps, means.get("WEIGHT"), found.get("WEIGHT"))
+
+
+def _read_stack(path: Path, window: tuple[int, int]) -> np.ndarray:
+    """Read an image or a stack of images as float32 (images, rows, columns)."""
+    with open_fits(path) as hdus:
+        index, hdu = first_image(path, hdus)
+        data = native(hdu.data).astype(np.float32)
+        where = hdu_label(path, index, hdu)
+    # SPARTA also stores maps as one long vector, x fastest
+    data = data.reshape(1, *window) if data.size == window[0] * window[1] else data
+    if data.ndim != 3 or data.shape[1:] != window:
+        raise InputDataError(
+            f"{where}: {'x'.join(map(str, data.shape))} (y, x) px do not fit the window of "
+            f"{window[0]}x{window[1]} px"
+        )
+    return data
+
+
+def _dead(dead: np.ndarray | None, path: Path | None) -> np.ndarray | None:
+    if dead is None:
+        return None
+    bad = ~(dead == 0)
+    if bad.mean() > MAX_BAD_FRACTION:
+        raise InputDataError(f"{path}: marks {bad.sum()} of {bad.size} pixels as dead; 0 means good, 1 dead")
+    return bad
+
+
+def _with_weight(
+    maps: CalibrationMaps, weight: np.ndarray | None, path: Path | None
+) -> tuple[CalibrationMaps, tuple[str, ...]]:
+    if weight is None:
+        return maps, ()
+    bad = ~(weight > 0)
+    if bad.mean() > MAX_BAD_FRACTION:
+        return maps, (
+            f"{path}: no weight on {bad.sum()} of {bad.size} pixels: taken for a centroiding window, "
+            "not for bad pixels",
+        )
+    return replace(maps, bad=bad if maps.bad is None else maps.bad | bad), ()

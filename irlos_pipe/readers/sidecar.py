@@ -1,11 +1,16 @@
-"""The side-car ``acquisition.yaml``: what the data themselves cannot say."""
+"""The side-car ``acquisition.yaml``: what the data themselves cannot say.
+
+`AcquisitionKeys` declares every key once: its limits, its meaning, and what else may know its value.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.text import and_more
@@ -16,6 +21,36 @@ from irlos_pipe.readers.fitsfile import stem
 FOLDER_SIDECAR = "acquisition.yaml"
 MAX_WAVELENGTH_RATIO = 3.0
 Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf", "dark"]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What knows the value of a key where neither side-car nor recipe has it.
+
+    Attributes
+    ----------
+    eso : str
+        Keyword of an ESO header with the same meaning and unit, which is believed.
+    proposed : tuple of str
+        Keywords of common use, whose values are only proposed to who writes the side-car.
+    otherwise : object
+        Value that does no harm where nothing is known.
+    mute : bool
+        Whether a value from elsewhere is not worth a warning.
+    form : str
+        What to write, of a key of which no value is safe to assume.
+    """
+
+    eso: str = ""
+    proposed: tuple[str, ...] = ()
+    otherwise: Any = None
+    mute: bool = False
+    form: str = ""
+
+    @property
+    def keywords(self) -> tuple[str, ...]:
+        """All keywords, the one of ESO first."""
+        return (self.eso, *self.proposed) if self.eso else self.proposed
 
 
 class _Section(BaseModel):
@@ -58,66 +93,106 @@ class DiversityKeys(_Section):
         return self
 
 
+def _key(meaning: str, known: Known = Known(), **limits: Any) -> Any:
+    field = Field(None, description=meaning, **limits)
+    field.metadata.append(known)
+    return field
+
+
 class DetectorKeys(_Section):
     """Detector constants."""
 
-    e_per_adu: float | None = Field(None, gt=0, le=1e5, description="photo-electrons per ADU")
-    read_noise_e: float | None = Field(
-        None, ge=0, le=1e5, description="RMS per pixel and read in e-, rounding included"
+    e_per_adu: float | None = _key(
+        "photo-electrons per ADU", Known(proposed=("EGAIN", "ESO DET OUT1 CONAD", "GAIN")), gt=0, le=1e5
     )
-    excess_noise_factor: float | None = Field(None, ge=1, le=10, description="photon variance over Poisson's")
-    saturation_adu: float | None = Field(None, gt=0, description="raw level that counts as saturated")
-    coadds: int | None = Field(None, ge=1, le=10**6, description="reads in a frame")
-    coadds_averaged: bool | None = Field(None, description="mean of the reads, not their sum")
-    read_s: float | None = Field(None, gt=0, le=3600, description="exposure of a read in seconds")
-    dark_e_per_s: float | None = Field(None, ge=0, le=1e8, description="dark current per pixel in e-/s")
+    read_noise_e: float | None = _key(
+        "RMS per pixel and read in e-, rounding included",
+        Known(proposed=("RDNOISE", "READNOIS", "ESO DET OUT1 RON")),
+        ge=0,
+        le=1e5,
+    )
+    excess_noise_factor: float | None = _key("photon variance over Poisson's", Known(mute=True), ge=1, le=10)
+    saturation_adu: float | None = _key("raw level that counts as saturated", gt=0)
+    coadds: int | None = _key(
+        "reads in a frame", Known(proposed=("COADDS", "COADDONE", "CO_ADDS", "NCOADDS")), ge=1, le=10**6
+    )
+    coadds_averaged: bool | None = _key("mean of the reads, not their sum")
+    read_s: float | None = _key("exposure of a read in seconds", Known(mute=True), gt=0, le=3600)
+    dark_e_per_s: float | None = _key("dark current per pixel in e-/s", Known(mute=True), ge=0, le=1e8)
 
 
 class AcquisitionKeys(_Section):
     """Every key of the side-car. All may be left out here; `acquisition.resolve` knows what is required."""
 
-    role: Role | None = Field(None, description="what the recording is for")
-    target: str | None = Field(None, description="name of the star")
-    mag_j: float | None = Field(None, ge=-5, le=30, description="J magnitude")
-    exposure_s: float | None = Field(None, gt=0, le=3600, description="exposure of a frame in seconds")
-    frame_rate_hz: float | None = Field(None, gt=0, le=1e5, description="recorded frames per second")
-    pixel_scale_mas: float | None = Field(None, gt=0, le=10000, description="mas per pixel")
-    seeing_arcsec: float | None = Field(None, gt=0, le=10, description="seeing, on SPARTA's scale or another")
-    seeing_scale: str | None = Field(None, min_length=1, description="who measured it, for example mass_dimm")
-    spectrum: list[SpectrumPoint] | None = Field(
-        None, min_length=1, max_length=100, description="wavelengths with weights"
+    role: Role | None = _key(
+        "what the recording is for", Known(form="ncpa_calibration, defocus_ramp, derotator, psf or dark")
     )
-    diversity: DiversityKeys | None = Field(None, description="aberration introduced on purpose")
-    introduced_defocus_nm: float | list[float] | None = Field(
-        None, description="nm RMS, one or one per frame"
+    target: str | None = _key("name of the star", Known(proposed=("OBJECT", "TARGNAME"), otherwise=""))
+    mag_j: float | None = _key("J magnitude", Known("ESO SEQ NGS MAG"), ge=-5, le=30)
+    exposure_s: float | None = _key(
+        "exposure of a frame in seconds", Known(proposed=("EXPTIME",)), gt=0, le=3600
     )
-    derotator_angle_deg: float | None = Field(None, ge=-720, le=720, description="angle of the derotator")
-    parallactic_angle_deg: float | None = Field(None, ge=-360, le=360, description="parallactic angle")
-    pupil_rotation_deg: float | None = Field(
-        None, ge=-720, le=720, description="of the pupil on the detector, anticlockwise from the profile's"
+    frame_rate_hz: float | None = _key("recorded frames per second", gt=0, le=1e5)
+    pixel_scale_mas: float | None = _key("mas per pixel", gt=0, le=10000)
+    seeing_arcsec: float | None = _key(
+        "seeing, on SPARTA's scale or another", Known("ESO TEL AMBI FWHM START", ("SEEING",)), gt=0, le=10
     )
-    altitude_deg: float | None = Field(None, ge=0, le=90, description="altitude of the telescope")
-    airmass: float | None = Field(None, ge=1, le=40, description="1 / sin(altitude), instead of it")
-    zenith_angle_deg: float | None = Field(
-        None, ge=-720, le=720, description="direction of the zenith in the image, from +x towards +y"
+    seeing_scale: str | None = _key("who measured it, for example mass_dimm", min_length=1)
+    spectrum: list[SpectrumPoint] | None = _key(
+        "wavelengths with weights",
+        Known(form="[{wavelength_nm: 1600, weight: 1.0}], any number of points"),
+        min_length=1,
+        max_length=100,
     )
-    pressure_hpa: float | None = Field(None, gt=0, le=1100, description="air pressure at the telescope")
-    temperature_c: float | None = Field(None, ge=-90, le=60, description="its temperature")
-    humidity_percent: float | None = Field(None, ge=0, le=100, description="its relative humidity")
-    dispersion_corrected: bool | None = Field(None, description="a corrector takes out the atmosphere's")
-    sky_e_per_s: float | None = Field(None, ge=0, le=1e8, description="light of the sky per pixel in e-/s")
-    filter: str | None = Field(None, min_length=1, description="name of the filter")
-    filter_curve: list[tuple[float, float]] | None = Field(
-        None, min_length=3, description="[wavelength in nm, transmission], …; instead of spectrum"
+    diversity: DiversityKeys | None = _key(
+        "aberration introduced on purpose",
+        Known(form="{source: lens, zernike: {6: -170.0}}, Noll: nm RMS; zernike: {} without one"),
     )
-    star_temperature_k: float | None = Field(
-        None, ge=1000, le=50000, description="of the star, with the curve"
+    introduced_defocus_nm: float | list[float] | None = _key(
+        "nm RMS, one or one per frame", Known(otherwise=0.0)
     )
-    j_minus_h: float | None = Field(None, ge=-5, le=20, description="colour of the star, instead of it")
-    mode: str | None = Field(
-        None, min_length=1, description="read-out mode of a MUSE raw file whose header lacks it"
+    derotator_angle_deg: float | None = _key(
+        "angle of the derotator", Known("ESO INS DROT START", otherwise=0.0), ge=-720, le=720
     )
-    detector: DetectorKeys | None = Field(None, description="detector constants")
+    parallactic_angle_deg: float | None = _key(
+        "parallactic angle", Known("ESO TEL PARANG START", ("PARANG",), mute=True), ge=-360, le=360
+    )
+    pupil_rotation_deg: float | None = _key(
+        "of the pupil on the detector, anticlockwise from the profile's",
+        Known(otherwise=0.0),
+        ge=-720,
+        le=720,
+    )
+    altitude_deg: float | None = _key(
+        "altitude of the telescope", Known("ESO TEL ALT", ("EL",), mute=True), ge=0, le=90
+    )
+    airmass: float | None = _key(
+        "1 / sin(altitude), instead of it", Known("ESO TEL AIRM START", ("AIRMASS",), mute=True), ge=1, le=40
+    )
+    zenith_angle_deg: float | None = _key(
+        "direction of the zenith in the image, from +x towards +y", Known(mute=True), ge=-720, le=720
+    )
+    pressure_hpa: float | None = _key(
+        "air pressure at the telescope", Known("ESO TEL AMBI PRES START", mute=True), gt=0, le=1100
+    )
+    temperature_c: float | None = _key(
+        "its temperature", Known("ESO TEL AMBI TEMP", mute=True), ge=-90, le=60
+    )
+    humidity_percent: float | None = _key(
+        "its relative humidity", Known("ESO TEL AMBI RHUM", mute=True), ge=0, le=100
+    )
+    dispersion_corrected: bool | None = _key("a corrector takes out the atmosphere's", Known(otherwise=False))
+    sky_e_per_s: float | None = _key("light of the sky per pixel in e-/s", Known(otherwise=0.0), ge=0, le=1e8)
+    filter: str | None = _key("name of the filter", Known(proposed=("FILTER",), otherwise=""), min_length=1)
+    filter_curve: list[tuple[float, float]] | None = _key(
+        "[wavelength in nm, transmission], …; instead of spectrum", min_length=3
+    )
+    star_temperature_k: float | None = _key(
+        "of the star, with the curve", Known(mute=True), ge=1000, le=50000
+    )
+    j_minus_h: float | None = _key("colour of the star, instead of it", Known(mute=True), ge=-5, le=20)
+    mode: str | None = _key("read-out mode of a MUSE raw file whose header lacks it", min_length=1)
+    detector: DetectorKeys | None = _key("detector constants")
 
     @model_validator(mode="after")
     def _has_light(self) -> AcquisitionKeys:
@@ -149,6 +224,23 @@ class AcquisitionKeys(_Section):
         detector = given.pop("detector", None)
         inner = {} if detector is None else detector.model_dump(exclude_none=True)
         return given | {f"detector.{key}": value for key, value in inner.items()}
+
+
+KEYS: dict[str, FieldInfo] = {
+    **{key: field for key, field in AcquisitionKeys.model_fields.items() if key != "detector"},
+    **{f"detector.{key}": field for key, field in DetectorKeys.model_fields.items()},
+}
+KNOWN = {key: next(one for one in field.metadata if isinstance(one, Known)) for key, field in KEYS.items()}
+
+
+def is_valid(key: str, value: Any) -> bool:
+    """Return whether a `key`, dotted if it is of the detector, can have a `value`."""
+    section, _, inner = key.rpartition(".")
+    try:
+        AcquisitionKeys.model_validate({section: {inner: value}} if section else {key: value})
+    except ValidationError:
+        return False
+    return value is not None and value != ""
 
 
 def own_sidecar(data_file: Path) -> Path:

@@ -1,34 +1,95 @@
-"""A side-car to be filled in: every key with what it means, and what the header of the file says."""
+"""A side-car to be filled in: every key with what it means, and what the header of the file says.
+
+Keywords of common use say it by the convention of their authors.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel
+from astropy.io import fits
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.find import read_recordings
-from irlos_pipe.readers.fitsfile import file_header, open_fits, stem
-from irlos_pipe.readers.keywords import Proposal, proposals
-from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, AcquisitionKeys, DetectorKeys
+from irlos_pipe.readers.fitsfile import file_header, header_number, open_fits, stem
+from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, KEYS, KNOWN, is_valid
 
-FORMS = {
-    "role": "ncpa_calibration, defocus_ramp, derotator, psf or dark",
-    "spectrum": "[{wavelength_nm: 1600, weight: 1.0}], any number of points",
-    "diversity": "{source: lens, zernike: {6: -170.0}}, Noll: nm RMS; zernike: {} without one",
-}
-REQUIRED = tuple(FORMS)
 HEADER, PROFILE = "the header", "the instrument profile"
 HEAD = """\
 # How {name} was taken. Three keys have no default: fill them in. A key behind a # keeps the
 # value of the header or of the instrument profile, if they give one; remove the # to set another. A value of
 # a keyword is only a proposal: compare its meaning and its unit.
 """
+READ_TIMES = ("TRUITIME", "ITIME", "COADDEXP")  # of one coadd, as Keck, IRTF and Gemini write it [s]
+ESO_DIT, ESO_NDIT = ("ESO DET SEQ1 DIT", "ESO DET DIT"), "ESO DET NDIT"
+ELECTRONS_PER_COUNT = re.compile(r"\be(lectrons?|l)?-?s?\s*(/|per)\s*(adu|dn|count)", re.IGNORECASE)
+GAIN_DOUBT = "GAIN may be e-/ADU, ADU/e- or a setting of the camera: remove the # only in the first case"
+NDIT_DOUBT = (
+    "a frame of ESO is the mean of NDIT exposures, or one of them; if their mean, set coadds_averaged too"
+)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A value for a key of the side-car, the keywords it is from, and what makes it doubtful."""
+
+    value: Any
+    source: str
+    doubt: str = ""
+
+
+def proposals(header: fits.Header, planes: int) -> dict[str, Proposal]:
+    """Return what the `header` of a recording of so many `planes` says, by side-car key."""
+    found = {}
+    for key, known in KNOWN.items():
+        name = next((one for one in known.keywords if is_valid(key, header.get(one))), None)
+        if name is not None:
+            sure = name != "GAIN" or ELECTRONS_PER_COUNT.search(header.comments[name])
+            found[key] = Proposal(header[name], name, "" if sure else GAIN_DOUBT)
+    if "altitude_deg" in found:
+        # one of the two says it; of different moments they would contradict each other
+        found.pop("airmass", None)
+    return found | (_of_coadds(header, found) or _of_ndit(header, planes))
+
+
+def _of_coadds(header: fits.Header, found: dict[str, Proposal]) -> dict[str, Proposal]:
+    """Keck's convention: the time is that of one coadd, and an exposure is their sum."""
+    name, read_s = _first(header, READ_TIMES)
+    if read_s is None:
+        return {}
+    coadds = found.get("detector.coadds")
+    if coadds is None:
+        return {"exposure_s": Proposal(read_s, name)}
+    return {
+        "exposure_s": Proposal(read_s * coadds.value, f"{name} x {coadds.source}"),
+        "detector.read_s": Proposal(read_s, name),
+    }
+
+
+def _of_ndit(header: fits.Header, planes: int) -> dict[str, Proposal]:
+    """ESO's convention: a cube has NDIT exposures of DIT, and may end with their mean."""
+    name, dit_s = _first(header, ESO_DIT)
+    ndit = header_number(header, ESO_NDIT)
+    if dit_s is None or ndit is None or ndit <= 1 or planes in (ndit, ndit + 1):
+        return {} if dit_s is None else {"exposure_s": Proposal(dit_s, name)}
+    return {
+        "exposure_s": Proposal(dit_s * ndit, f"{name} x {ESO_NDIT}", NDIT_DOUBT),
+        "detector.coadds": Proposal(int(ndit), ESO_NDIT, NDIT_DOUBT),
+    }
+
+
+def _first(header: fits.Header, names: tuple[str, ...]) -> tuple[str, float | None]:
+    found = (
+        (name, header_number(header, name)) for name in names if is_valid("exposure_s", header.get(name))
+    )
+    return next(found, ("", None))
 
 
 def sidecar_template(path: Path, instrument: Instrument) -> str:
@@ -52,7 +113,7 @@ def sidecar_template(path: Path, instrument: Instrument) -> str:
         told = proposals(file_header(hdus), first.frames)
     told |= {key: Proposal(value, PROFILE) for key, value in first.of_mode.items()}
     told |= {key: Proposal(value, HEADER) for key, value in first.header.items()}
-    lines = _lines(AcquisitionKeys, "", told, instrument.defaults)
+    lines = _lines(told, instrument.defaults)
     remarks = "".join(f"# {line}\n" for line in first.warnings)
     return HEAD.format(name=path.name) + remarks + "\n".join(lines) + "\n"
 
@@ -91,29 +152,23 @@ def write_template(text: str, data_file: Path, path: Path | None = None, *, repl
     return path
 
 
-def _lines(
-    model: type[BaseModel], above: str, told: Mapping[str, Proposal], assumed: Mapping[str, Any]
-) -> list[str]:
-    lines = []
-    for key, field in model.model_fields.items():
-        name = f"{above}{key}"
-        if name == "detector":
-            inner = _lines(DetectorKeys, "detector.", told, assumed)
-            proposed = any(not line.startswith("#") for line in inner)
-            lines += ["detector:" if proposed else "# detector:", *inner]
-        else:
-            lines.append(_line(name, field.description or "", told, assumed))
-    return lines
+def _lines(told: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> list[str]:
+    lines = {key: _line(key, told, assumed) for key in KEYS}
+    inner = [line for key, line in lines.items() if "." in key]
+    proposed = any(not line.startswith("#") for line in inner)
+    own = [line for key, line in lines.items() if "." not in key]
+    return [*own, "detector:" if proposed else "# detector:", *inner]
 
 
-def _line(name: str, meaning: str, told: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> str:
-    if name in REQUIRED:
-        return f"{name}:  # {FORMS[name]}"
-    one = told.get(name, Proposal(assumed.get(name), PROFILE))
+def _line(key: str, told: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> str:
+    if KNOWN[key].form:
+        return f"{key}:  # {KNOWN[key].form}"
+    one = told.get(key, Proposal(assumed.get(key), PROFILE))
     origin = "" if one.value is None else f"; from {one.source}" + (f". {one.doubt}" if one.doubt else "")
     mark = "# " if one.value is None or one.doubt or one.source in (HEADER, PROFILE) else ""
-    indent = "  " if "." in name else ""
-    return f"{mark}{indent}{name.rpartition('.')[2]}:{_written(one.value)}  # {meaning}{origin}"
+    indent = "  " if "." in key else ""
+    meaning = KEYS[key].description
+    return f"{mark}{indent}{key.rpartition('.')[2]}:{_written(one.value)}  # {meaning}{origin}"
 
 
 def _written(value: Any) -> str:

@@ -47,8 +47,7 @@ from irlos_pipe.effects import CATALOGUE, FixedEffect, Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.motion import Vibration
-from irlos_pipe.effects.public_errors import public_sigma
-from irlos_pipe.effects.public_values import measured
+from irlos_pipe.effects.public_values import measured, public_sigma
 from irlos_pipe.effects.pupil_places import PhaseBump
 from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration

@@ -41,7 +41,7 @@ from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import CATALOGUE, FixedEffect, in_form, narrower_kinds
 from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
-from irlos_pipe.effects.public_errors import public_sigma
+from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.numerics.parallel import workers
 
 

@@ -14,8 +14,8 @@ from scipy.special import j0
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import FixedEffect
-from irlos_pipe.effects.bessel import j0_of_twice_root
 from irlos_pipe.effects.detector import BadPixels, DetectorNonlinearity
+from irlos_pipe.effects.motion import j0_of_twice_root
 from irlos_pipe.numerics.directional import Directional
 
 CONTRACT = {

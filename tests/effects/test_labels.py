@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from irlos_pipe.effects.labels import kind_of, label_after, labels_of
+from irlos_pipe.effects.base import kind_of, label_after, labels_of
 
 KINDS = ["companion", "plate_scale", "companion", "companion", "tip_tilt_jitter", "companion"]
 

@@ -1,18 +1,20 @@
 """Bad pixels and cosmic hits: those put in are found, and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.sparta_files import SAMPLING_PX, frames_e, star
 
 from irlos_pipe.frames.bad_pixels import (
+    Criteria,
     deviant_pixels,
     hot_in_dark,
     noisy_pixels,
     stuck_pixels,
-    without_bad_pixels,
 )
 from irlos_pipe.frames.hits import cosmic_hits, flickering_pixels, without_hits
-from irlos_pipe.frames.neighbour_prediction import is_well_sampled, neighbour_prediction
+from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Detector
 from irlos_pipe.stages.ingest.stage import Config
@@ -20,7 +22,8 @@ from irlos_pipe.stages.ingest.stage import Config
 DETECTOR = Detector(e_per_adu=0.5, read_noise_e=1.0)
 THRESHOLDS = Config().thresholds()
 ALL = np.ones((48, 44), bool)
-SETTINGS = (ALL, SAMPLING_PX, NoiseModel.of_detector(DETECTOR), THRESHOLDS)
+BY = Criteria(SAMPLING_PX, NoiseModel.of_detector(DETECTOR), THRESHOLDS)
+SETTINGS = (ALL, BY)
 IMAGE = star(48, 44, flux_e=1e6)
 PEAK = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
 
@@ -66,8 +69,8 @@ def test_bad_pixels_do_not_enter_the_prediction():
 
 
 def test_two_pixels_per_lambda_over_d_are_too_few():
-    assert is_well_sampled(3.1)
-    assert not is_well_sampled(2.0)
+    assert replace(BY, sampling_px=3.1).well_sampled
+    assert not replace(BY, sampling_px=2.0).well_sampled
 
 
 @pytest.mark.parametrize(
@@ -201,7 +204,7 @@ def test_a_replaced_pixel_has_the_value_it_would_have_had():
     for place in [PEAK, (10, 10), (10, 11), (0, 0)]:
         good[place] = False
     spoilt[:, ~good] = -1e6
-    filled = without_bad_pixels(spoilt, good, SAMPLING_PX)
+    filled = BY.filled(spoilt, good)
     assert np.abs(filled[0] - IMAGE).max() < 0.02 * IMAGE.max()
     assert np.abs(filled[1] - 2 * IMAGE).max() < 0.04 * IMAGE.max()
     assert (spoilt[:, ~good] == -1e6).all()
@@ -210,7 +213,7 @@ def test_a_replaced_pixel_has_the_value_it_would_have_had():
 def test_only_the_hit_pixels_of_the_hit_frames_are_replaced():
     images = frames()
     images[3, 10, 10] += 5000
-    cleaned = without_hits(images, cosmic_hits(images, np.arange(len(images)), *SETTINGS), ALL, SAMPLING_PX)
+    cleaned = without_hits(images, cosmic_hits(images, np.arange(len(images)), *SETTINGS), ALL, BY)
     assert np.argwhere(cleaned != images).tolist() == [[3, 10, 10]]
     assert abs(cleaned[3, 10, 10] - IMAGE[10, 10]) < 20
 
@@ -219,4 +222,4 @@ def test_bad_pixels_of_no_images_at_all_are_filled_too():
     """As where every frame of a recording is saturated."""
     good = np.ones((12, 10), dtype=bool)
     good[3, 4] = False
-    assert without_bad_pixels(np.empty((0, 12, 10)), good, SAMPLING_PX).shape == (0, 12, 10)
+    assert BY.filled(np.empty((0, 12, 10)), good).shape == (0, 12, 10)

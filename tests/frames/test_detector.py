@@ -15,8 +15,7 @@ from irlos_pipe.frames.detector import (
 from irlos_pipe.frames.measured_noise import MeasuredNoise, measure_noise
 from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.frames.raw import CalibrationMaps
-from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.recording import CalibrationMaps, Detector
 
 DETECTOR = Detector(e_per_adu=0.5, read_noise_e=1.0)
 

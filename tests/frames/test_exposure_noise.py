@@ -2,8 +2,7 @@
 
 import pytest
 
-from irlos_pipe.frames.exposure_noise import ExposureNoise
-from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 
 
 def test_reads_sky_and_dark_add_up_in_variance():

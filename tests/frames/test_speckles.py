@@ -8,12 +8,13 @@ from astropy.io import fits
 from helpers import paths
 from helpers.speckle_cubes import SAMPLING_PX, speckle_cube
 
-from irlos_pipe.frames.believed_detector import EXCESS, GAIN, READ_NOISE, believed, constants
+from irlos_pipe.frames.bad_pixels import Criteria
 from irlos_pipe.frames.cleaning import clean
+from irlos_pipe.frames.hits import odd_frames
 from irlos_pipe.frames.measured_noise import MeasuredNoise
-from irlos_pipe.frames.pixel_search import PixelSearch
-from irlos_pipe.frames.raw import RawFrames
-from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector, RawFrames
+from irlos_pipe.frames.told import EXCESS, GAIN, READ_NOISE, believed, constants
 from irlos_pipe.stages.ingest.config import Config
 
 GAIN_E = 4.0
@@ -100,11 +101,11 @@ def test_odd_detail_in_the_core_is_no_fault_of_a_frame_and_elsewhere_it_is():
     """Of ten frames, in which a star that moves has no usual relation to a clipped pixel."""
     images, core, good = cube_e()[:10], np.zeros((64, 64), dtype=bool), np.ones((64, 64), dtype=bool)
     core[28:37, 28:37] = True
-    search = PixelSearch(SAMPLING_PX, Detector(GAIN_E, 15.0), Config().thresholds())
+    by = Criteria(SAMPLING_PX, NoiseModel.of_detector(Detector(GAIN_E, 15.0)), Config().thresholds())
     for place, odd in ((33, 31), []), ((33, 45), [9]):
         changed = images.copy()
         changed[9, *place] += 3.0 * max(images[9, *place], 2000.0)
-        found = search.odd(changed, good, core, np.full(10, "", dtype=object))
+        found = odd_frames(changed, np.arange(10), good, core, by)
         assert np.flatnonzero(found).tolist() == odd
 
 

@@ -8,10 +8,9 @@ import torch
 from helpers import made_run
 from helpers import optics_cases as cases
 
-from irlos_pipe.frames.cutoff import cutoff_ratio
 from irlos_pipe.frames.measured_noise import MeasuredNoise
 from irlos_pipe.frames.recording import SIDECAR, Detector
-from irlos_pipe.frames.told import told_of
+from irlos_pipe.frames.told import cutoff_ratio, told_of
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 

@@ -21,8 +21,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import axis_ratios
 from irlos_pipe.frames.cleaning import clean
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.frames.raw import RawFrames
-from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.recording import Detector, RawFrames
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.stages.ingest.stage import Config
 

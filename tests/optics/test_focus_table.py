@@ -11,8 +11,8 @@ from helpers import optics_cases as cases
 from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale
 from irlos_pipe.effects.detector import InterpixelCrosstalk
-from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.tabulated import TabulatedModel, tabulated

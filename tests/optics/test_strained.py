@@ -18,8 +18,7 @@ from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
-from irlos_pipe.effects.anamorphism import Anamorphism
-from irlos_pipe.effects.colour import PlateScale, Spectrum
+from irlos_pipe.effects.colour import Anamorphism, PlateScale, Spectrum
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate
 from irlos_pipe.optics.psf import PsfModel

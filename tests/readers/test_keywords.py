@@ -3,7 +3,7 @@
 import pytest
 from astropy.io import fits
 
-from irlos_pipe.readers.keywords import proposals
+from irlos_pipe.readers.sidecar_template import proposals
 
 ESO = {"HIERARCH ESO DET DIT": 0.2, "EXPTIME": 1.0}
 

@@ -8,7 +8,7 @@ from helpers.patience import within
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from irlos_pipe.readers.search import each_once, files_by_folder
+from irlos_pipe.readers.find import each_once, files_by_folder
 
 FOLDERS = st.sampled_from(["a", "b", "a/c", "b/d", "a/c/e"])
 LINKS = st.tuples(

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.raw import CalibrationMaps
-from irlos_pipe.frames.recording import Acquisition, Detector
+from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
 from irlos_pipe.readers.acquisition import Resolved
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.stages.ingest.accumulate import accumulated

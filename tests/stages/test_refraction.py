@@ -9,7 +9,7 @@ import pytest
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, Detector
-from irlos_pipe.readers.altitude import altitude_deg
+from irlos_pipe.readers.acquisition import altitude_deg
 from irlos_pipe.stages.model.refraction import refraction_mas, refraction_of
 
 J_H = ((1215.0, 0.5), (1625.0, 0.5))

@@ -18,8 +18,8 @@ from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
 from irlos_pipe.effects import FixedEffect
-from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 

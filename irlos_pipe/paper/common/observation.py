@@ -14,8 +14,7 @@ import torch
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import Conditions, Effect, SeeingHalo, TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.frames.exposure_noise import ExposureNoise
-from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.simulate.exposure import Exposed

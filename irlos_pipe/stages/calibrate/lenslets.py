@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.labels import labels_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior

@@ -8,7 +8,7 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.reads import adds_up
-from irlos_pipe.frames.raw import CalibrationMaps
+from irlos_pipe.frames.recording import CalibrationMaps
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.times import counter_step
 from irlos_pipe.stages.ingest.sources import Source

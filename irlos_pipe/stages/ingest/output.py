@@ -6,13 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from irlos_pipe.frames.believed_detector import READ_NOISE, constants
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.frames.screening import SATURATED, tally
-from irlos_pipe.frames.told import Told
+from irlos_pipe.frames.told import READ_NOISE, Told, constants
 from irlos_pipe.product.observed import Observed
 from irlos_pipe.product.product import Check
 from irlos_pipe.readers.raw_file import RawRecording

@@ -11,11 +11,10 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.files.memory import require_memory
-from irlos_pipe.frames.believed_detector import READ_NOISE, believed
 from irlos_pipe.frames.cleaning import Cleaned, clean
 from irlos_pipe.frames.recording import PROFILE, Acquisition, Recording
 from irlos_pipe.frames.screening import REPEATED_IMAGE, tally
-from irlos_pipe.frames.told import told_of
+from irlos_pipe.frames.told import READ_NOISE, believed, told_of
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.readers.raw_file import RawRecording

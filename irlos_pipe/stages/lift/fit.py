@@ -9,8 +9,8 @@ import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects import Effect
+from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.colour import AtmosphericDispersion, Spectrum
-from irlos_pipe.effects.labels import labels_of
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior

@@ -11,7 +11,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect
-from irlos_pipe.effects.labels import labels_of
+from irlos_pipe.effects.base import labels_of
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product

@@ -6,8 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Literal
 
-from irlos_pipe.frames.exposure_noise import ExposureNoise
-from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.product.results import Number, ResultsPart
 
 if TYPE_CHECKING:
