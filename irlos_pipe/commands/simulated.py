@@ -156,7 +156,7 @@ def paper(
     """
     from irlos_pipe.files.shipped import PAPER, shipped_folder
     from irlos_pipe.paper.run.recipes import find_experiments
-    from irlos_pipe.paper.run.run import run_paper, summary_text
+    from irlos_pipe.paper.run.run import run_paper
     from irlos_pipe.pipeline.terminal import messages
 
     if verbose and quiet:
@@ -165,7 +165,7 @@ def paper(
     with terminated_like_interrupted(), messages(-1 if quiet else verbose):
         ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
     if not quiet:
-        click.echo(summary_text(ran))
+        click.echo(ran.summary())
     for name, problem in ran.problems.items():
         report_error(f"{name}: {problem}")
     sys.exit(ran.exit_code)

@@ -17,13 +17,14 @@ from pydantic import Field
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import aligned
-from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import run_samples
 from irlos_pipe.paper.common.figures import lines, strips
+from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.common.table import (
     Frame,
     Listing,
     Tables,
+    checked,
     filled,
     frame,
     grouped,
@@ -31,7 +32,8 @@ from irlos_pipe.paper.common.table import (
     rms_in_range,
     spread,
     spreads,
-)
+    stacked,
+)  # fmt: skip
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import StageResults
 from irlos_pipe.report.content import Block, Figure, Section
@@ -42,12 +44,12 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 __all__ = [
     "Blocks", "Check", "Context", "Drawn", "Experiment", "ExperimentResults", "Field", "Figure", "Frame",
-    "Listing", "Quantity", "Rows", "Sample", "StageConfig", "Tables", "at_least", "at_most", "frame",
-    "grouped", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "strips",
+    "Listing", "Quantity", "Rows", "Sample", "Samples", "StageConfig", "Tables", "checked", "each", "frame",
+    "grouped", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "stacked", "strips",
 ]  # fmt: skip
 Context = StageContext[Any]
 Rows = Iterator[dict[str, Any]]
-Blocks = Sequence[Block]
+Blocks = list[Block]
 UNITS = {"nm": "nm", "arcsec": "arcsec", "mas": "mas", "deg": "deg", "s": "s", "e": "e-", "j": "mag"}
 
 
@@ -59,8 +61,6 @@ class Sample:
     ----------
     name : str
         For messages, and the column ``sample`` of its rows.
-    seed : tuple of int
-    facility : Facility
     sizes : StageConfig
         Of the experiment.
     of : mapping of str to object
@@ -77,13 +77,22 @@ class Sample:
         return self.of[key]
 
     def cube(self, seeing_arcsec: float, frames: int, mag_j: float, shape: Shape = "power_law") -> Scene:
-        """Return the recording of a calibration cube, see `CubeSample`."""
-        return CubeSample(self.name, self.seed, self.facility, seeing_arcsec, frames, mag_j, shape).scene()
+        """Return the recording of a calibration cube, see `cube_scene`."""
+        return cube_scene(self.name, self.seed, self.facility, seeing_arcsec, frames, mag_j, shape)
+
+
+Samples = Iterator[Sample]
 
 
 def sample(ctx: Context, name: str, *seed: int, **of: Any) -> Sample:
     """Return a sample of the experiment that `ctx` runs; its seed begins with that of the recipe."""
     return Sample(name, (ctx.seed, *seed), ctx.instrument.facility, ctx.config, of)
+
+
+def each(ctx: Context, count: int, name: str, **of: Any) -> Samples:
+    """Yield samples with their ``index`` as seed; `name` is a pattern for it and for what they have."""
+    for index in range(count):
+        yield sample(ctx, name.format(index=index, **of), index, **of)
 
 
 class ExperimentResults(StageResults):
@@ -116,10 +125,9 @@ class Drawn:
     def rows(self) -> Frame:
         """Return the numbers and texts of the rows of all samples."""
         names = [name for name in self.run.products[self.stage].arrays if name.startswith("rows/")]
-        columns = {name.removeprefix("rows/"): self.array(name) for name in names}
+        columns = {name.removeprefix("rows/"): map(_plain, self.array(name)) for name in names}
         return frame(
-            dict(zip(columns, map(_plain, values), strict=True))
-            for values in zip(*columns.values(), strict=True)
+            dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
         )
 
 
@@ -165,7 +173,7 @@ class Experiment:
     tables: Callable[[Frame, Context], Tables]
     checks: Callable[[Tables], Sequence[Check]]
     listings: Sequence[Listing]
-    figures: Callable[[Drawn], Blocks]
+    figures: Callable[[Drawn], Sequence[Block]]
     lead: str
     unit: str = "samples"
     arrays: Callable[[Frame, Context], Mapping[str, Quantity]] | None = None
@@ -174,26 +182,24 @@ class Experiment:
     DEPENDS_ON: ClassVar[tuple[str, ...]] = ("instrument", "seed")
 
     def __post_init__(self) -> None:
-        own = {
-            "stage": self.NAME,
-            "__module__": __name__,
-            "__doc__": f"Tables of the experiment `{self.NAME}`.",
-        }
+        text = f"Tables of the experiment `{self.NAME}`."
+        own = {"stage": self.NAME, "__module__": __name__, "__doc__": text}
         object.__setattr__(self, "Results", type(f"{self.NAME}_results", (ExperimentResults,), own))
 
     def run(self, ctx: Context) -> StageOutput:
         """Compute the rows of all samples, summarise and judge them."""
         samples = list(self.samples(ctx))
-        found = run_samples(self.rows, samples, ctx, self.unit)
         rows = frame(
             {"sample": one.name} | {key: value for key, value in one.of.items() if _is_scalar(value)} | row
-            for one, of_it in zip(samples, found, strict=True)
-            for row in of_it
+            for one, own in zip(samples, run_samples(self.rows, samples, ctx, self.unit), strict=True)
+            for row in own
         )
         tables = self.tables(rows, ctx)
         arrays = _row_arrays(rows) | dict(self.arrays(rows, ctx) if self.arrays else {})
         results = self.Results(tables={name: table.to_dict("records") for name, table in tables.items()})
-        return StageOutput(arrays, results, self.checks(tables), summary=self._summary(tables))
+        first = self.listings[0].table(tables, ranges=False)
+        summary = aligned([first.columns, *first.rows]).splitlines()
+        return StageOutput(arrays, results, self.checks(tables), summary=summary)
 
     def checks_of(self, results: ExperimentResults) -> Sequence[Check]:
         """Return the checks of results, which may be older than these checks."""
@@ -206,10 +212,6 @@ class Experiment:
         blocks = [*self.figures(Drawn(run, self.NAME, tables)), *shown]
         first = next(iter(tables.values())).to_dict("records")[0] if tables else {}
         return Section(self.NAME, self.title, filled(self.lead, first), blocks)
-
-    def _summary(self, tables: Tables) -> list[str]:
-        first = self.listings[0].table(tables, ranges=False)
-        return aligned([first.columns, *first.rows]).splitlines()
 
 
 def _is_scalar(value: Any) -> bool:
@@ -229,13 +231,3 @@ def _array(column: Frame) -> np.ndarray:
     if column.dtype.kind in "biuf":
         return np.asarray(column)
     return np.array(["" if value != value else str(value) for value in column], dtype=object)
-
-
-def at_most(name: str, value: float, limit: float, message: str, unit: str = "") -> Check:
-    """Return a check whose value may not exceed a limit."""
-    return Check(name, float(value), unit, None, limit, message)
-
-
-def at_least(name: str, value: float, limit: float, message: str, unit: str = "") -> Check:
-    """Return a check whose value may not fall below a limit."""
-    return Check(name, float(value), unit, limit, None, message)
