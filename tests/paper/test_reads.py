@@ -9,9 +9,8 @@ import pytest
 from helpers import optics_cases as cases
 from scipy import stats
 
-from irlos_pipe.paper.common.broad_band import star_scene
-from irlos_pipe.paper.common.observation import noise_of, recorded_e
-from irlos_pipe.paper.common.reads import Read, as_read
+from irlos_pipe.paper.common.observation import Read, as_read, noise_of, recorded_e
+from irlos_pipe.paper.common.scenes import star_scene
 from irlos_pipe.simulate.readout import electrons
 
 READ = Read(0.05, 2.0, 1.4, 30.0)  # twenty in a second

@@ -27,7 +27,7 @@ TABLES = {"rows": frame(ROWS)}
 
 def test_groups_stand_in_the_order_in_which_they_appear():
     rows = frame({"key": key, "x": x} for key, x in (("b", 3.0), ("a", 1.0), ("b", 5.0)))
-    found = grouped(rows, ["key"], lambda group: spreads(group, "x"))
+    found = grouped(rows, ["key"], lambda group, key: spreads(group, "x"))
     assert list(found.key) == ["b", "a"]
     assert found.x.tolist() == [4.0, 1.0]
 

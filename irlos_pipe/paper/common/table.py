@@ -120,17 +120,15 @@ def checked(
 ) -> list[Check]:  # fmt: skip
     """Return one check per row of a frame, or of mappings; `name` and `text` are patterns of its columns."""
 
-    def number(given: Number | None, row: Record) -> float | None:
-        if given is None:
-            return None
-        return float(row[given] if isinstance(given, str) else given(row) if callable(given) else given)
+    def number(given: Number | None, row: Record) -> Any:
+        return row[given] if isinstance(given, str) else given(row) if callable(given) else given
 
     found = []
     for row in rows if isinstance(rows, list) else rows.to_dict("records"):
-        own = number(value, row)
+        own = float(number(value, row))
+        named = {**row, "value": own}
         limits = number(low, row), number(high, row)
-        named = {**row, "value": own, "low": limits[0], "high": limits[1]}
-        found.append(Check(name.format(**named), own, unit, *limits, text.format(**named)))  # type: ignore[arg-type]
+        found.append(Check(name.format(**named), own, unit, *limits, text.format(**named)))
     return found
 
 
