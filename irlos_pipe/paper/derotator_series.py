@@ -209,16 +209,13 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The default's parts err as quoted."""
-    found, modes = [], tables["modes"].query(f"method == '{DEFAULT}' and noll <= {HIGHEST_REPORTED_NOLL}")
+    modes = tables["modes"].query(f"method == '{DEFAULT}' and noll <= {HIGHEST_REPORTED_NOLL}")
+    default, found = tables["methods"].query(f"method == '{DEFAULT}'").iloc[0], []
     for part in PARTS:
-        quoted_nm = math.hypot(*modes.sigma_nm[modes.part == part])
-        found += ex.checked(
-            tables["methods"].query(f"method == '{DEFAULT}'"), f"error over quoted error, {part} part",
-            lambda row, part=part, quoted_nm=quoted_nm:
-                row[f"{part}_error_nm"] / quoted_nm if quoted_nm > 0 else math.nan,
-            f"{{{part}_error_nm:.1f}} nm where {quoted_nm:.1f} are quoted, Noll 4 to {HIGHEST_REPORTED_NOLL}",
-            high=LARGEST_PULL,
-        )  # fmt: skip
+        quoted_nm, error_nm = math.hypot(*modes.sigma_nm[modes.part == part]), default[f"{part}_error_nm"]
+        pull = error_nm / quoted_nm if quoted_nm > 0 else math.nan
+        text = f"{error_nm:.1f} nm where {quoted_nm:.1f} are quoted, Noll 4 to {HIGHEST_REPORTED_NOLL}"
+        found += ex.checked([{}], f"error over quoted error, {part} part", pull, text, high=LARGEST_PULL)
     return found
 
 

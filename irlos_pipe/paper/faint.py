@@ -151,7 +151,9 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     def curve_of_all(group, key):
         bounds_nm = (np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm"))
         errors_nm = np.concatenate(list(group.abs_error_nm), axis=1)
-        return curve_of(LIFT_VARIANTS[key].modes, group.magnitudes.iloc[0], errors_nm, *bounds_nm, criterion)
+        return curve_of(
+            LIFT_VARIANTS[key].modes, group.magnitudes.iloc[0], errors_nm, *bounds_nm, criterion=criterion
+        )
 
     def limit(group, exposure_s, key):
         variant, curve = LIFT_VARIANTS[key], curve_of_all(group, key)

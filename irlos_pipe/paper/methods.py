@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -141,7 +142,8 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
         }
 
     def errors(group, shape, seeing_arcsec, variant):
-        found = {"label": VARIANTS[variant].label, "method": METHOD_NAMES.get(variant), "samples": len(group)}
+        found: dict[str, Any] = {"label": VARIANTS[variant].label, "method": METHOD_NAMES.get(variant)}
+        found["samples"] = len(group)
         for name in ("modes_nm", "pupil_nm"):
             found |= ex.spreads(group, name) | ex.median_in_range(name, group[name])
             found[f"{name}_worst"] = group[name].max()

@@ -217,7 +217,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
     def summary(group, *_):
         own = Loop(*(group[name].iloc[0] for name in ("sensor", "mag_j", "gain", "exposures")))
-        outcome = outcome_of(*ex.stacked(group, *RECORDED), drift, sizes.settle)
+        outcome = outcome_of(*ex.stacked(group, *RECORDED), drift=drift, settle=sizes.settle)
         photons_nm, rate = float(np.median(group.photon_noise_nm)), float(own.exposures)
         noise_nm = float(np.hypot(photons_nm, sky_focus_nm / np.sqrt(rate)))
         integrator = Integrator(float(own.gain), rate, sizes.delay)

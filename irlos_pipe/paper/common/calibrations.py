@@ -12,7 +12,7 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS
 from irlos_pipe.effects import Effect, FixedEffect, SeeingHalo
 from irlos_pipe.estimate.calibration import Calibration, calibrate
-from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, CalibrationOptions
+from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, CalibrationOptions, HighestNoll
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import modes_at, opd_maps_nm
@@ -77,7 +77,7 @@ class Variant:
         prior = CalibrateConfig.model_validate({}).options(ncpa_law).prior if self.prior else None
         return replace(self.options, prior=prior)
 
-    def with_modes(self, highest_noll: int | str) -> Variant:
+    def with_modes(self, highest_noll: HighestNoll) -> Variant:
         """Return the same with other modes."""
         return replace(self, options=replace(self.options, highest_noll=highest_noll))
 

@@ -160,8 +160,9 @@ class Read:
             raise ConfigurationError(
                 f"the profile {instrument.name} gives no {' and '.join(missing)}; set {stage}.noise=one_read"
             )
+        read_s, noise_e = (known[key] for key in needed)
         factor = max(1.0, known.get("detector.excess_noise_factor", 0.0))
-        return cls(*(known[key] for key in needed), factor, known.get("detector.dark_e_per_s", 0.0))
+        return cls(read_s, noise_e, factor, known.get("detector.dark_e_per_s", 0.0))
 
 
 def as_read(scene: Scene, read: Read | None) -> Scene:

@@ -83,8 +83,8 @@ class Condition:
 
 
 COLOURS, FRONTS, NARROW_WAYS = ("default", "plain"), ("wavefronts", "default"), ("plain", *list(WAYS)[-3:])
-BOTH_FRONTS: dict[str, float] = {"chromatic_nm": 60.0, "filter_nm": 30.0}
-DISPERSED: dict[str, float] = {"dispersion_mas_per_um": 100.0, "angle_deg": 45.0}
+BOTH_FRONTS: dict[str, Any] = {"chromatic_nm": 60.0, "filter_nm": 30.0}
+DISPERSED: dict[str, Any] = {"dispersion_mas_per_um": 100.0, "angle_deg": 45.0}
 CONDITIONS = {
     "clean": Condition("nothing", ("default", "plain", "wavefronts", *list(WAYS)[4:9], *list(WAYS)[-2:])),
     "chromatic_30": Condition("chromatic NCPAs of 30 nm", FRONTS, chromatic_nm=30.0),

@@ -53,7 +53,7 @@ def grouped(rows: Frame, by: Sequence[str], summary: Callable[..., Record | Iter
     for values, group in rows.groupby(list(by), sort=False, dropna=False):
         own = summary(group, *values)
         for one in [own] if isinstance(own, Mapping) else own:
-            found.append(dict(zip(by, values, strict=True)) | one)
+            found.append({**dict(zip(by, values, strict=True)), **one})
     return frame(found)
 
 
