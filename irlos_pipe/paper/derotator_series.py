@@ -215,7 +215,7 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
         quoted_nm, error_nm = math.hypot(*modes.sigma_nm[modes.part == part]), default[f"{part}_error_nm"]
         pull = error_nm / quoted_nm if quoted_nm > 0 else math.nan
         text = f"{error_nm:.1f} nm where {quoted_nm:.1f} are quoted, Noll 4 to {HIGHEST_REPORTED_NOLL}"
-        found += ex.checked([{}], f"error over quoted error, {part} part", pull, text, high=LARGEST_PULL)
+        found.append(ex.check(f"error over quoted error, {part} part", pull, text, high=LARGEST_PULL))
     return found
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import aligned
@@ -24,6 +23,7 @@ from irlos_pipe.paper.common.table import (
     Frame,
     Listing,
     Tables,
+    check,
     checked,
     filled,
     frame,
@@ -43,8 +43,8 @@ from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 __all__ = [
-    "Blocks", "Check", "Context", "Drawn", "Experiment", "ExperimentResults", "Field", "Figure", "Frame",
-    "Listing", "Quantity", "Rows", "Sample", "Samples", "StageConfig", "Tables", "checked", "each", "frame",
+    "Blocks", "Check", "Context", "Drawn", "Experiment", "ExperimentResults", "Figure", "Frame", "Listing",
+    "Quantity", "Rows", "Sample", "Samples", "StageConfig", "Tables", "check", "checked", "each", "frame",
     "grouped", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "stacked", "strips",
 ]  # fmt: skip
 Context = StageContext[Any]

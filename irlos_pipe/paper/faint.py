@@ -185,18 +185,18 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
         of, curves = f"{exposure_s:g} s", group.set_index("key")
         reached = int(np.isfinite(group.limit_mag[~group.calibrated]).sum())
         name = f"ways without NCPAs that meet the criterion, {of}"
-        found += ex.checked([{}], name, reached, f"{reached} of the uncalibrated ways", high=0)
+        found.append(ex.check(name, reached, f"{reached} of the uncalibrated ways", high=0))
         for kind in LABELS:
             three, nine = curves.loc[f"{kind}_3"], curves.loc[f"{kind}_9"]
             if nine.calibrated:
                 name = f"magnitudes that three modes reach further than nine, {kind}, {of}"
                 text = f"m_J {three.limit_mag:.1f} and {nine.limit_mag:.1f}"
-                found += ex.checked([{}], name, three.limit_mag - nine.limit_mag, text, low=0.0, unit="mag")
+                found.append(ex.check(name, three.limit_mag - nine.limit_mag, text, low=0.0, unit="mag"))
         default = curves.loc["default_3"]
         theory_nm = math.hypot(default.residual_floor_nm, MEDIAN_OF_NORMAL * default.bright_crb_nm)
         text = f"median {default.bright_error_nm:.1f} nm, theory {theory_nm:.1f} nm"
         name = f"error of the brightest star over theory, default, {of}"
-        found += ex.checked([{}], name, default.bright_error_nm / theory_nm, text, high=OVER_THEORY)
+        found.append(ex.check(name, default.bright_error_nm / theory_nm, text, high=OVER_THEORY))
     return found
 
 

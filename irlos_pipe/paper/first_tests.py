@@ -234,15 +234,13 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
         own = tables["ramps"].query(default.format(**row))
         first = tables["starts"].query(default.format(**row) + " and start == 'default'")
         pulls = (own.stage_found_nm - own.stage_true_nm) / own.stage_sigma_nm
-        pull, ramps_ = float(np.sqrt(np.mean(pulls.to_numpy() ** 2))), len(own)
-        found += ex.checked(
-            [row], "pull of the focus stage's error, {label}", pull,
-            f"{pull:.1f}, RMS over {ramps_} ramps, of an introduced error of {own.stage_true_nm.iloc[0]:g} "
-            "nm",
-            high=float(np.sqrt(stats.chi2.isf(BY_CHANCE, ramps_) / ramps_)),
-        )  # fmt: skip
-        text = "{wrong} of {frames} frames of the default"
-        found += ex.checked(first, f"frames in a wrong minimum, {row['label']}", "wrong", text, high=0)
+        pull, count = float(np.sqrt(np.mean(pulls.to_numpy() ** 2))), len(own)
+        limit, true_nm = float(np.sqrt(stats.chi2.isf(BY_CHANCE, count) / count)), own.stage_true_nm.iloc[0]
+        name = f"pull of the focus stage's error, {row['label']}"
+        text = f"{pull:.1f}, RMS over {count} ramps, of an introduced error of {true_nm:g} nm"
+        found.append(ex.check(name, pull, text, high=limit))
+        name, text = f"frames in a wrong minimum, {row['label']}", "{wrong} of {frames} frames of the default"
+        found += ex.checked(first, name, "wrong", text, high=0)
     return found
 
 

@@ -124,7 +124,7 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
         value, sigma, introduced = laws[column][DEFAULT], laws[error][DEFAULT], laws[column][TRUTH]
         name = f"law of the default, term {column[0]}: deviation over standard error"
         text = f"{value:.3g} ± {sigma:.2g}, introduced {introduced:.3g}"
-        found += ex.checked([{}], name, abs(value - introduced) / sigma, text, high=1.0)
+        found.append(ex.check(name, abs(value - introduced) / sigma, text, high=1.0))
     return found
 
 

@@ -125,9 +125,9 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     relation, median = tables["relation"].iloc[0], tables["distributions"].set_index("quantity")["median"]
     expected_arcsec = SeeingScale(relation.ratio, relation.offset_arcsec).to_sparta(median["monitor_arcsec"])
     sparta_arcsec = median["sparta_arcsec"]
-    text, limits = f"{sparta_arcsec:.3f} and {expected_arcsec:.3f} arcsec", (1 - WITHIN, 1 + WITHIN)
-    name = "SPARTA's median seeing over that of the relation"
-    return [ex.Check(name, float(sparta_arcsec / expected_arcsec), "", *limits, text)]
+    text = f"{sparta_arcsec:.3f} and {expected_arcsec:.3f} arcsec"
+    name, ratio = "SPARTA's median seeing over that of the relation", sparta_arcsec / expected_arcsec
+    return [ex.check(name, ratio, text, low=1 - WITHIN, high=1 + WITHIN)]
 
 
 LISTING = ex.Listing("conditions", "The paper's conditions",

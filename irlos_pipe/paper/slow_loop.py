@@ -263,7 +263,7 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     if pairs:
         worst, mag_j = max((math.inf if math.isnan(ratio) else ratio, mag_j) for ratio, mag_j in pairs)
         text = f"{worst:.2f} at m_J {mag_j:g}, where it is largest"
-        checks += ex.checked([{}], "residual over that of the 2x2 centroids", worst, text, high=1.0)
+        checks.append(ex.check("residual over that of the 2x2 centroids", worst, text, high=1.0))
     return checks
 
 

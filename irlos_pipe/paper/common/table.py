@@ -114,21 +114,33 @@ Number = str | float | Callable[[Record], float]
 """A number, a column, or what is computed of a row."""
 
 
+def check(
+    name: str, value: float, text: str, *, low: float | None = None, high: float | None = None, unit: str = ""
+) -> Check:
+    """Return a check of one number."""
+    return Check(name, float(value), unit, low, high, text)
+
+
 def checked(
-    rows: Any, name: str, value: Number, text: str, *, low: Number | None = None, high: Number | None = None,
+    rows: Frame,
+    name: str,
+    value: Number,
+    text: str,
+    *,
+    low: Number | None = None,
+    high: Number | None = None,
     unit: str = "",
-) -> list[Check]:  # fmt: skip
-    """Return one check per row of a frame, or of mappings; `name` and `text` are patterns of its columns."""
+) -> list[Check]:
+    """Return a check of every row of a frame; `name` and `text` are patterns of its columns and ``value``."""
 
     def number(given: Number | None, row: Record) -> Any:
         return row[given] if isinstance(given, str) else given(row) if callable(given) else given
 
     found = []
-    for row in rows if isinstance(rows, list) else rows.to_dict("records"):
-        own = float(number(value, row))
+    for row in rows.to_dict("records"):
+        own, limits = number(value, row), {"low": number(low, row), "high": number(high, row)}
         named = {**row, "value": own}
-        limits = number(low, row), number(high, row)
-        found.append(Check(name.format(**named), own, unit, *limits, text.format(**named)))
+        found.append(check(name.format(**named), own, text.format(**named), **limits, unit=unit))
     return found
 
 
