@@ -101,7 +101,6 @@ class ExperimentResults(StageResults):
     tables: dict[str, list[dict[str, Any]]] = {}
 
     def frames(self) -> dict[str, Frame]:
-        """Return the tables as frames."""
         return {name: frame(rows) for name, rows in self.tables.items()}
 
 
@@ -115,7 +114,6 @@ class Drawn:
 
     @property
     def sizes(self) -> Mapping[str, Any]:
-        """Return the sizes it was run with."""
         return self.run.products[self.stage].config
 
     def array(self, name: str) -> np.ndarray:
@@ -137,31 +135,12 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment as a stage of a recipe.
+    """An experiment as a stage of a recipe; `docs/extending.md` says what its parts state.
 
-    Attributes
-    ----------
-    NAME, VERSION, Config
-        See `Stage`; `Config` are the sizes.
-    title : str
-        Of its section of the report.
-    samples : callable
-        ``samples(ctx)``: what the workers compute. `unit` says what they are.
-    rows : callable
-        ``rows(sample)``: mappings of columns to numbers, texts and arrays, computed in a worker process.
-    tables : callable
-        ``tables(rows, ctx)``: frames by name, from a frame of the rows of all samples.
-    checks : callable
-        ``checks(tables)``: what the numbers are to show, each with a limit from the paper, from theory or
-        from what is asked.
-    listings : sequence of Listing
-        Tables that are shown; the first one on the terminal as well.
-    figures : callable
-        ``figures(drawn)``: blocks of the report before these tables.
-    lead : str
-        The sentence below the title, a pattern for the first row of the first table.
-    arrays : callable, optional
-        ``arrays(rows, ctx)``: quantities for the product, beside the numbers and texts of the rows.
+    Samples are what the workers compute, as many `unit`; `rows` are computed there. `tables` come from a frame
+    of the rows of all samples, checks from the tables, and quantities for the product, beside the numbers and
+    texts of the rows, from `arrays`. The report has `lead`, a pattern for the first row of the first table,
+    the figures, and the listings, of which the first is shown on the terminal as well.
     """
 
     NAME: str
@@ -187,7 +166,6 @@ class Experiment:
         object.__setattr__(self, "Results", type(f"{self.NAME}_results", (ExperimentResults,), own))
 
     def run(self, ctx: Context) -> StageOutput:
-        """Compute the rows of all samples, summarise and judge them."""
         samples = list(self.samples(ctx))
         rows = frame(
             {"sample": one.name} | {key: value for key, value in one.of.items() if _is_scalar(value)} | row
@@ -206,7 +184,6 @@ class Experiment:
         return self.checks(results.frames())
 
     def section(self, run: RunData) -> Section:
-        """Return the section of the report of a run."""
         tables = run.results(self.Results).frames()
         shown = [listing.table(tables) for listing in self.listings if len(tables.get(listing.of, ()))]
         blocks = [*self.figures(Drawn(run, self.NAME, tables)), *shown]

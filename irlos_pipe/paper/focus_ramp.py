@@ -66,7 +66,6 @@ class Sizes(ex.StageConfig):
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
-    """One set of NCPAs each."""
     return ex.each(ctx, ctx.config.samples, "ramp {index}")
 
 
@@ -108,7 +107,6 @@ def ramp_errors(
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
-    """Median and spread over the ramps."""
 
     def summary(group, key):
         variant = LIFT_VARIANTS[key]
@@ -157,7 +155,6 @@ LISTING = ex.Listing("ways", "Variants of LIFT",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """The first ramp frame by frame."""
     found = {}
     for row in rows[rows["sample"] == rows["sample"].iloc[0]].itertuples():
         for name in ("introduced_nm", "true_nm"):
@@ -168,7 +165,6 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """All modes of the first ramp, and the errors of all ramps."""
     keys = [key for key in drawn.tables["ways"].key if key in DRAWN]
     caption = (
         "First ramp, nine modes, median per offset. Dashed: the true wavefront (introduced defocus, NCPAs, "

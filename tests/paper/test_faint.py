@@ -26,15 +26,6 @@ def test_calibrated_ncpas_leave_the_residual_of_the_sky():
     assert 10**0.8 < dim / bright < 10**1.6
 
 
-def test_ramps_differ_from_the_cube_in_time_and_defocus_only():
-    cube = faint.cube_of(STAR)
-    short, long = (faint.ramp_of(STAR, cube, index, one) for index, one in enumerate((0.1, 1.0)))
-    assert short.ncpa_nm == long.ncpa_nm == cube.ncpa_nm and 4 not in cube.ncpa_nm
-    assert cube.bands == short.bands and cube.diversity_nm == {6: 170.0}
-    assert len({cube.seed, short.seed, long.seed}) == 3
-    assert long.photons == pytest.approx(10 * short.photons)
-
-
 def test_curves_pool_the_errors_of_all_samples_and_the_floor_is_that_of_a_perfect_sensor(monkeypatch):
     errors = {0: [[1, 2], [30, np.nan]], 1: [[3, 4], [50, 40]]}
 

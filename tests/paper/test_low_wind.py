@@ -12,19 +12,10 @@ from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.paper import low_wind
 from irlos_pipe.paper.common.calibrations import ObservedCube
-from irlos_pipe.paper.low_wind import BROAD, NARROW, folded, in_reported_modes, left_of, rms, scene
+from irlos_pipe.paper.low_wind import NARROW, folded, in_reported_modes, left_of, rms, scene
 
 STAR = sample(low_wind, sizes={"sizes_nm": (150.0,), "total_s": 4.0})
 PATTERN = low_wind.pattern(STAR.seed, STAR.facility)
-
-
-def test_every_recording_has_the_same_light_through_its_own_optics():
-    kinds = ((NARROW, 0.1), (NARROW, 1.0), (BROAD, 0.1))
-    short, long, broad = (scene(STAR, *one, 0 * PATTERN) for one in kinds)
-    assert (short.frames, long.frames, broad.frames) == (40, 4, 40)
-    assert short.frames * short.photons == pytest.approx(long.frames * long.photons)
-    assert (short.diversity_source, broad.diversity_source) == ("mirror", "lens")
-    assert (len(short.bands), len(broad.bands)) == (1, 2)
 
 
 def test_whole_waves_of_a_petal_are_folded_and_parts_of_a_wave_stay():

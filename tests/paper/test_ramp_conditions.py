@@ -25,16 +25,6 @@ def effects(key: str) -> dict:
     return effects_of(CONDITIONS[key], STAR.seed, STAR.facility)
 
 
-def test_the_pair_is_a_cube_by_the_mirror_in_narrow_h_and_a_ramp_by_the_lens_in_j_and_h():
-    ramp = ramp_of(STAR, CUBE, CONDITIONS["clean"])
-    assert (len(CUBE.bands), len(ramp.bands)) == (1, 2)
-    assert (CUBE.diversity_nm, ramp.diversity_nm) == ({6: 170.0}, {6: -170.0})
-    assert (CUBE.diversity_source, ramp.diversity_source) == ("mirror", "lens")
-    assert CUBE.ncpa_nm == ramp.ncpa_nm
-    assert CUBE.seed != ramp.seed
-    assert not ramp.effects
-
-
 def test_chromatic_ncpas_have_their_size_between_j_and_h_and_none_at_the_calibration():
     made = effects("chromatic_60")["chromatic_ncpa"]
     slopes = made["zernike_nm_per_um"]

@@ -23,10 +23,6 @@ def scene():
     return replace(star, facility=skies, window=(1, 1), detector=replace(star.detector, e_per_adu=1e9))
 
 
-def test_without_a_read_nothing_changes():
-    assert as_read(scene(), None) == scene()
-
-
 @pytest.mark.slow
 def test_the_exposure_has_the_statistics_of_all_its_reads():
     """Two samples of 20 000 exposures: one noisy read, and the sum of twenty that the simulator draws."""
