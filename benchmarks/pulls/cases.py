@@ -11,12 +11,12 @@ from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.lift_errors import FrameErrors, instant_error_nm, nominal_frame_chi2, optics_sigma_nm
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.paper.common.broad_band import COARSE
-from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.calibrations import DEFAULT, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, knowledge_of, observe, ramp_scene
-from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
+from irlos_pipe.paper.common.scenes import COARSE, cube_scene
 from irlos_pipe.simulate.atmosphere import Shape
 from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.scene import Scene
 
 SEEINGS_ARCSEC = (0.35, 0.5, 0.7, 1.0)
 SHAPES: tuple[Shape, ...] = get_args(Shape)
@@ -38,24 +38,32 @@ class Case:
         """Return the name of its file."""
         return f"{self.index:04d}"
 
-    def sample(self) -> CubeSample:
-        """Return the cube: seeings and shapes of the residual in turn."""
-        seeing = SEEINGS_ARCSEC[self.index % len(SEEINGS_ARCSEC)]
-        shape = SHAPES[self.index // len(SEEINGS_ARCSEC) % len(SHAPES)]
+    @property
+    def seeing_arcsec(self) -> float:
+        """Return the seeing: all of them in turn."""
+        return SEEINGS_ARCSEC[self.index % len(SEEINGS_ARCSEC)]
+
+    @property
+    def shape(self) -> Shape:
+        """Return the shape of the residual: all of them in turn."""
+        return SHAPES[self.index // len(SEEINGS_ARCSEC) % len(SHAPES)]
+
+    def scene(self) -> Scene:
+        """Return the cube."""
         facility = load_instrument("irlos").facility
-        return CubeSample(self.name, (self.seed, self.index), facility, seeing, self.frames, MAG_J, shape)
+        seed = self.seed, self.index
+        return cube_scene(self.name, seed, facility, self.seeing_arcsec, self.frames, MAG_J, self.shape)
 
 
 def outcome_of(case: Case) -> dict:
     """Simulate and estimate a `case`; return errors beside what was quoted, in JSON types."""
-    sample = case.sample()
-    cube = ObservedCube.of(sample.scene())
+    cube = ObservedCube.of(case.scene())
     calibration = cube.calibrated(VARIANTS[DEFAULT])
     return {
         "seed": case.seed,
         "frames": case.frames,
-        "seeing_arcsec": sample.seeing_arcsec,
-        "shape": sample.shape,
+        "seeing_arcsec": case.seeing_arcsec,
+        "shape": case.shape,
         "cube": _of_cube(cube, calibration),
         "ramp": _of_ramp(cube, calibration),
     }

@@ -112,13 +112,13 @@ def paper(
     """
     from irlos_pipe.files.shipped import PAPER, shipped_folder
     from irlos_pipe.paper.run.recipes import find_experiments
-    from irlos_pipe.paper.run.run import run_paper, summary_text
+    from irlos_pipe.paper.run.run import run_paper
 
     experiments = find_experiments(recipes or shipped_folder(PAPER), quick=quick, only=only, seed=seed)
     with at_work(verbose, quiet):
         ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
     if not quiet:
-        click.echo(summary_text(ran))
+        click.echo(ran.summary())
     for name, problem in ran.problems.items():
         report_error(f"{name}: {problem}")
     sys.exit(ran.exit_code)

@@ -1,1 +1,1 @@
-"""The paper's experiments, one folder each, and the run of all of them."""
+"""The paper's experiments, one file each, and the run of all of them."""

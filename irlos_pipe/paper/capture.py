@@ -6,9 +6,7 @@ random defocus, pointing and AO residual. Every frame is estimated from every st
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -25,11 +23,10 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.broad_band import J_AND_H, frame_settings, star_scene
-from irlos_pipe.paper.common.cube import NCPA_NM
-from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of
+from irlos_pipe.paper.common.calibrations import DEFAULT
+from irlos_pipe.paper.common.observation import frame_settings, images_of, model_effects_of, noise_of
 from irlos_pipe.paper.common.ramps import TTF, elongation_defocus_nm, from_every_start
-from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.paper.common.scenes import J_AND_H, NCPA_NM, star_scene
 from irlos_pipe.report.drawing import BLUE, FAINT, svg
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.light import Band
@@ -59,12 +56,11 @@ class Sizes(ex.StageConfig):
     bin_nm: float = Field(100.0, gt=0, description="width of the bins of the success curve [nm RMS]")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """Ramps in J and H, and in H alone with the NCPAs known exactly, for which the paper states a range."""
-    error_nm = ctx.config.calibration_error_nm
-    for bands, count, known_to_nm in ((BOTH, ctx.config.ramps, error_nm), (H_ALONE, ctx.config.h_ramps, 0.0)):
-        for index in range(count):
-            yield ex.sample(ctx, f"ramp {index}", index, bands=bands, known_to_nm=known_to_nm)
+    sizes = ctx.config
+    yield from ex.each(ctx, sizes.ramps, "ramp {index}", bands=BOTH, known_to_nm=sizes.calibration_error_nm)
+    yield from ex.each(ctx, sizes.h_ramps, "ramp {index}", bands=H_ALONE, known_to_nm=0.0)
 
 
 def rows(star: ex.Sample) -> ex.Rows:
@@ -75,11 +71,12 @@ def rows(star: ex.Sample) -> ex.Rows:
     prior_nm = elongation_defocus_nm(scene, data) - known_nm.get(DEFOCUS, 0.0)
     elongation_nm = start_from_defocus(psf, data, prior_nm)
     for name, (start_nm, result) in from_every_start(model, data, elongation_nm, LiftOptions()).items():
+        defocus_nm, sigma_nm = result.mode(DEFOCUS)
         columns = {
             "true_nm": data.introduced_nm,
             "start_nm": start_nm[:, TTF.index(DEFOCUS)].numpy(),
-            "defocus_nm": result.mode(DEFOCUS)[0].numpy(),
-            "sigma_nm": result.mode(DEFOCUS)[1].numpy(),
+            "defocus_nm": defocus_nm.numpy(),
+            "sigma_nm": sigma_nm.numpy(),
             "converged": result.solution.converged.numpy(),
             "chi2_nu": result.chi2_nu.numpy(),
         }
@@ -116,11 +113,8 @@ def simulate_ramp(star: ex.Sample) -> tuple[Scene, RampData, dict[int, float]]:
 def _frame_scene(
     star: ex.Sample, index: int, ncpa_nm: dict[int, float], shift_px: np.ndarray, defocus_nm: float
 ) -> Scene:
-    sizes, seed = star.sizes, (*star.seed, index)
-    scene = star_scene(
-        f"{star.name}, frame {index}", star.facility, seed, 1, sizes.mag_j, ncpa_nm, defocus_nm,
-        seeing_arcsec=sizes.seeing_arcsec,
-    )  # fmt: skip
+    of = f"{star.name}, frame {index}", star.facility, (*star.seed, index), 1, star.sizes.mag_j
+    scene = star_scene(*of, ncpa_nm, defocus_nm, seeing_arcsec=star.sizes.seeing_arcsec)
     pixel_nm = tilt_nm(scene.pixel_scale_mas, star.facility.pupil.diameter_m)
     tilts_nm = {noll: ncpa_nm[noll] + float(px) * pixel_nm for noll, px in zip((2, 3), shift_px, strict=True)}
     scene = replace(scene, ncpa_nm={**ncpa_nm, **tilts_nm})
@@ -130,75 +124,57 @@ def _frame_scene(
     return replace(scene, bands=(Band.of(h),), throughput=scene.throughput * h.share)
 
 
-def counts(group: ex.Frame, what: str) -> dict[str, int]:
-    """Return the cases of estimates, and those captured, wrong, or flagged as failed.
-
-    Captured are those that are right and reported as right, wrong those that are wrong and reported as right.
-    """
-    captured = group.converged & (group.error_nm <= WRONG_NM)
-    wrong, flagged = group.converged & ~captured, ~group.converged
-    numbers = {
-        "cases": len(group),
-        "captured": captured.sum(),
-        "wrong": wrong.sum(),
-        "flagged": flagged.sum(),
-    }
-    return {f"{what}_{name}": int(count) for name, count in numbers.items()}
-
-
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
-    """What came of every start, all together and in bins of true defocus."""
+    """What came of every start, all together and in bins of true defocus.
+
+    Captured are estimates that are right and reported as right, wrong those that are reported as right and
+    are not, flagged those that are reported as failed.
+    """
     sizes = ctx.config
     edges_nm = np.linspace(-sizes.reach_nm, sizes.reach_nm, round(2 * sizes.reach_nm / sizes.bin_nm) + 1)
-    limits = {
-        "required_nm": sizes.required_nm,
-        "paper_nm": PAPER_NM,
-        "wrong_limit_nm": WRONG_NM,
-        "mag_j": sizes.mag_j,
-    }
-    rows = rows.assign(error_nm=(rows.defocus_nm - rows.true_nm).abs())
+    limits = {"required_nm": sizes.required_nm, "paper_nm": PAPER_NM, "wrong_limit_nm": WRONG_NM}
+    rows = rows.assign(error_nm=(rows.defocus_nm - rows.true_nm).abs(), size_nm=rows.true_nm.abs())
+    rows["captured"] = rows.converged & (rows.error_nm <= WRONG_NM)
+    rows["wrong"], rows["flagged"] = rows.converged & ~rows.captured, ~rows.converged
 
-    def start(group: ex.Frame) -> dict[str, Any]:
-        captured, size_nm = group.converged & (group.error_nm <= WRONG_NM), group.true_nm.abs()
-        required = size_nm <= sizes.required_nm
-        right_nm, wrong_nm = group.error_nm[captured], group.error_nm[group.converged & ~captured]
-        within_nm = right_nm[required].to_numpy()
-        return {
-            **counts(group[required], "required"),
-            **counts(group, "all"),
+    def start(group, *_):
+        required = group[group.size_nm <= sizes.required_nm]
+        within_nm = required.error_nm[required.captured].to_numpy()
+        lost_nm = group.size_nm[~group.captured]
+        counts = {
+            f"{name}_{what}": int(cases[what].sum()) if what != "cases" else len(cases)
+            for name, cases in (("required", required), ("all", group))
+            for what in ("cases", "captured", "wrong", "flagged")
+        }
+        return counts | {
             # Defocus up to which every case was captured.
-            "range_nm": float(size_nm[~captured].min() if len(size_nm[~captured]) else size_nm.max()),
+            "range_nm": float(lost_nm.min() if len(lost_nm) else group.size_nm.max()),
             "rms_nm": float(np.sqrt(np.mean(within_nm**2))) if len(within_nm) else None,
-            "largest_right_nm": right_nm.max(),
-            "smallest_wrong_nm": wrong_nm.min(),
+            "largest_right_nm": group.error_nm[group.captured].max(),
+            "smallest_wrong_nm": group.error_nm[group.wrong].min(),
             **limits,
+            "mag_j": sizes.mag_j,
         }
 
-    bins = []
-    for (bands, name), group in rows.groupby(["bands", "start"], sort=False):
-        captured = group.converged & (group.error_nm <= WRONG_NM)
-        cases, right = (np.histogram(one, edges_nm)[0] for one in (group.true_nm, group.true_nm[captured]))
-        for low, high, found, count in zip(edges_nm[:-1], edges_nm[1:], right, cases, strict=True):
-            bins.append(
-                {
-                    "bands": bands,
-                    "start": name,
-                    "from_nm": low,
-                    "to_nm": high,
-                    "captured": found,
-                    "cases": count,
-                }
-            )
-    return {"starts": ex.grouped(rows, ["bands", "start"], start), "bins": ex.frame(bins)}
+    def bins(group, *_):
+        true_nm = group.true_nm[group.captured], group.true_nm
+        counts = (np.histogram(one, edges_nm)[0] for one in true_nm)
+        columns = edges_nm[:-1], edges_nm[1:], *counts
+        names = ("from_nm", "to_nm", "captured", "cases")
+        return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
+
+    by = ["bands", "start"]
+    return {"starts": ex.grouped(rows, by, start), "bins": ex.grouped(rows, by, bins)}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The default finds all within the required range."""
-    starts = tables["starts"]
-    default = starts[(starts.bands == BOTH) & (starts.start == "default")].iloc[0]
-    missed = default.required_cases - default.required_captured
-    text = f"{missed} of {default.required_cases} cases were not found by the default"
-    return [ex.at_most("defocus not found within the required range", missed, 0, text)]
+    return ex.checked(
+        tables["starts"].query(f"bands == '{BOTH}' and start == 'default'"),
+        "defocus not found within the required range",
+        lambda row: row["required_cases"] - row["required_captured"],
+        "{value:.0f} of {required_cases} cases were not found by the default", high=0,
+    )  # fmt: skip
 
 
 CELLS = {
@@ -227,25 +203,22 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Success against defocus, where the iteration starts, and where it ends."""
-    bins, sizes = drawn.tables["bins"], drawn.sizes
-    bins = bins[bins.bands == BOTH].assign(
-        middle_nm=lambda one: (one.from_nm + one.to_nm) / 2, part=lambda one: 100 * one.captured / one.cases
-    )
-    success = ex.lines(
-        "capture-success", bins, "middle_nm", "part", colour="start",
-        labels=("true defocus [nm RMS]", "captured [%]"),
-        marks=[side * one for one in (PAPER_NM, sizes["required_nm"]) for side in (-1, 1)], yscale="linear",
-    )  # fmt: skip
-    caption = "Frames whose defocus is found. Dotted: ranges that the paper states from zero, and asked for."
+    bins, sizes = drawn.tables["bins"].query(f"bands == '{BOTH}'"), drawn.sizes
+    bins = bins.assign(middle_nm=(bins.from_nm + bins.to_nm) / 2, part=100 * bins.captured / bins.cases)
     against = (
         "Elongation and scan: where the iteration starts; zero and default: where it ends. Most wrong "
         "estimates lie near the opposite defocus, whose image is the most similar one."
     )
     return [
-        ex.Figure(success, "Success against defocus", caption),
+        ex.lines(
+            "capture-success", "Success against defocus",
+            "Frames whose defocus is found. Dotted: ranges that the paper states from zero, and asked for.",
+            bins, "middle_nm", "part",
+            colour="start", labels=("true defocus [nm RMS]", "captured [%]"), yscale="linear",
+            marks=[side * one for one in (PAPER_NM, sizes["required_nm"]) for side in (-1, 1)],
+        ),
         ex.Figure(_against_truth(drawn, 1.1 * sizes["reach_nm"]), "Starts and estimates", against),
-    ]
+    ]  # fmt: skip
 
 
 def _against_truth(drawn: ex.Drawn, reach_nm: float) -> Markup:

@@ -6,7 +6,7 @@ accepts: Noll 4–30 of the estimate, subtracted from the wavefront. Tip and til
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,8 @@ from pydantic import Field
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, TIP_TILT
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.common.star import star_image
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS, ObservedCube
+from irlos_pipe.paper.common.scenes import star_image
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, log_scale, symmetric_scale
 from irlos_pipe.report.radial import profile_plot
@@ -39,11 +38,11 @@ class Sizes(ex.StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One star at one seeing; the n-th of every seeing has the same NCPAs."""
     for seeing in ctx.config.seeings_arcsec:
-        for index in range(ctx.config.samples):
-            yield ex.sample(ctx, f"{seeing:g} arcsec, star {index}", index, seeing_arcsec=seeing)
+        name = "{seeing_arcsec:g} arcsec, star {index}"
+        yield from ex.each(ctx, ctx.config.samples, name, seeing_arcsec=seeing)
 
 
 def rows(star: ex.Sample) -> ex.Rows:
@@ -51,14 +50,11 @@ def rows(star: ex.Sample) -> ex.Rows:
     sizes = star.sizes
     cube = ObservedCube.of(star.cube(star["seeing_arcsec"], sizes.frames, sizes.mag_j))
     scene, exposed = cube.scene, cube.exposed
+    still_nm = {noll: value for noll, value in scene.ncpa_nm.items() if noll not in TIP_TILT}
     truth_nm = np.where(exposed.transmission > 0, exposed.mean_opd_nm, np.nan)
 
     def imaged(state: str, removed_nm: Mapping[int, float], wavefront_nm: np.ndarray) -> dict[str, Any]:
-        ncpa_nm = {
-            noll: value - removed_nm.get(noll, 0.0)
-            for noll, value in scene.ncpa_nm.items()
-            if noll not in TIP_TILT
-        }
+        ncpa_nm = {noll: value - removed_nm.get(noll, 0.0) for noll, value in still_nm.items()}
         image, strehl = star_image(scene, sizes.star_frames, ncpa_nm)
         drawn = {"image": image, "wavefront_nm": wavefront_nm}
         return {"state": state, "strehl": strehl, "pixel_scale_mas": scene.pixel_scale_mas, **drawn}
@@ -76,7 +72,7 @@ def rows(star: ex.Sample) -> ex.Rows:
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """Medians over the stars of a seeing; won: part of the Strehl ratio that a perfect correction gains."""
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
+    def stars(group, seeing_arcsec):
         strehl = group.pivot(index="sample", columns="state", values="strehl")
         numbers = {"samples": len(strehl)} | {state: float(np.median(strehl[state])) for state in STATES}
         for method in METHODS:
@@ -85,25 +81,22 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
             numbers |= {f"{method}_won": np.median(won), f"{method}_delta_wfe_nm": np.median(delta_nm)}
         return numbers
 
-    return {"stars": ex.grouped(rows, ["seeing_arcsec"], summary)}
+    return {"stars": ex.grouped(rows, ["seeing_arcsec"], stars)}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """Every correction sharpens the star, the default's not less than the paper's choice."""
-    gains, orders = [], []
-    for row in tables["stars"].to_dict("records"):
-        seeing, before, default, published = (
-            f"{row['seeing_arcsec']:g} arcsec",
-            row["before"],
-            *map(row.get, METHODS),
-        )
+    stars, gains = tables["stars"], []
+    for row in stars.to_dict("records"):
         for method in METHODS:
-            text = f"from {before:.3f} to {row[method]:.3f}, median of {row['samples']} stars"
-            name = f"gain in Strehl ratio by {METHOD_NAMES[method]}, {seeing}"
-            gains.append(ex.at_least(name, row[method] / before, 1.0, text))
-        name = f"Strehl ratio by the default over that by DIP global, {seeing}"
-        orders.append(ex.at_least(name, default / published, 1.0, f"{default:.3f} and {published:.3f}"))
-    return [*gains, *orders]
+            name = f"gain in Strehl ratio by {METHOD_NAMES[method]}, {row['seeing_arcsec']:g} arcsec"
+            text = f"from {row['before']:.3f} to {row[method]:.3f}, median of {row['samples']} stars"
+            gains.append(ex.check(name, row[method] / row["before"], text, low=1.0))
+    return gains + ex.checked(
+        stars, "Strehl ratio by the default over that by DIP global, {seeing_arcsec:g} arcsec",
+        lambda row: row[DEFAULT] / row[PAPER_CHOICE],
+        f"{{{DEFAULT}:.3f}} and {{{PAPER_CHOICE}:.3f}}", low=1.0,
+    )  # fmt: skip
 
 
 LISTING = ex.Listing("stars", "Strehl ratio",
@@ -117,10 +110,8 @@ LISTING = ex.Listing("stars", "Strehl ratio",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """Images and wavefronts of the first star of every seeing."""
-    first = rows.drop_duplicates(["seeing_arcsec", "state"])
     found = {}
-    for row in first.itertuples():
+    for row in rows.drop_duplicates(["seeing_arcsec", "state"]).itertuples():
         name = f"{row.seeing_arcsec:g}/{row.state}"
         found[f"{name}/image"] = ex.Quantity(row.image, "1/px", "averaged star, part of the photons")
         found[f"{name}/wavefront_nm"] = ex.Quantity(row.wavefront_nm, "nm", "wavefront, true or estimated")
@@ -128,37 +119,26 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Images, wavefronts and profiles of the first star of every seeing."""
     scale_mas = float(drawn.array("rows/pixel_scale_mas")[0])
-    found = []
+    found: ex.Blocks = []
     for seeing in drawn.tables["stars"].seeing_arcsec:
         images = {state: drawn.array(f"{seeing:g}/{state}/image") for state in STATES}
         maps = {state: drawn.array(f"{seeing:g}/{state}/wavefront_nm") for state in ("before", *METHODS)}
-        name = f"{seeing:g}".replace(".", "-")
-        profiles = {
-            STATES[state]: _profile(image, scale_mas, *LOOKS[state]) for state, image in images.items()
-        }
+        name, at = f"{seeing:g}".replace(".", "-"), f'at {seeing:g}"'
+        profiles: dict[str, Any] = {}
+        for state, image in images.items():
+            radius_px, mean = ring_means(image, ((image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2))
+            profiles[STATES[state]] = (radius_px * scale_mas, mean, *LOOKS[state])
+        stars = _stars(f"gain-stars-{name}", images, scale_mas)
+        left = _wavefronts(f"gain-wavefronts-{name}", maps)
         labels = ("mas", "photons per pixel, part of all")
-        stars, left = (
-            _stars(f"gain-stars-{name}", images, scale_mas),
-            _wavefronts(f"gain-wavefronts-{name}", maps),
-        )
+        drawing = profile_plot(f"gain-profiles-{name}", profiles, labels)
         found += [
-            ex.Figure(stars, f'Averaged star at {seeing:g}"', "One logarithmic scale.", "full"),
-            ex.Figure(
-                left, f'Wavefronts at {seeing:g}"', "Averaged over time, tip and tilt included.", "full"
-            ),
-            ex.Figure(
-                profile_plot(f"gain-profiles-{name}", profiles, labels), f'Radial profiles at {seeing:g}"'
-            ),
+            ex.Figure(stars, f"Averaged star {at}", "One logarithmic scale.", "full"),
+            ex.Figure(left, f"Wavefronts {at}", "Averaged over time, tip and tilt included.", "full"),
+            ex.Figure(drawing, f"Radial profiles {at}"),
         ]
     return found
-
-
-def _profile(image: np.ndarray, scale_mas: float, colour: str, line: str) -> tuple[Any, ...]:
-    centre = (image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2
-    radius_px, mean = ring_means(image, centre)
-    return radius_px * scale_mas, mean, colour, line
 
 
 def _stars(name: str, images: Mapping[str, np.ndarray], scale_mas: float) -> Markup:

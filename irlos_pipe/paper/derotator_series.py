@@ -7,8 +7,8 @@ are split into what turns and what does not.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -18,16 +18,22 @@ from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, 
 from irlos_pipe.estimate.derotator import Series, Split, try_both_senses, usable_modes
 from irlos_pipe.optics.rotation import partner, rotation_matrix
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, NARROW_H, NARROW_THROUGHPUT, ObservedCube
+from irlos_pipe.paper.common.calibrations import (
+    DEFAULT,
+    METHOD_NAMES,
+    VARIANTS,
+    ObservedCube,
+    frames_per_method,
+)
+from irlos_pipe.paper.common.observation import on_spartas_scale
 from irlos_pipe.paper.common.phase_bump import phase_bump_nm
-from irlos_pipe.paper.common.reads import on_spartas_scale
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, VARIANTS, frames_per_method
+from irlos_pipe.paper.common.scenes import BY_MIRROR
 from irlos_pipe.report.section_derotator import maps_figure
 from irlos_pipe.report.wavefront_plots import common_limit_nm, wavefront_grid
-from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Sampling, Scene
 from irlos_pipe.stages.derotator import SplitOutput, map_of
 
 LARGEST_PULL = 1.5  # error over quoted error
@@ -74,12 +80,11 @@ def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: 
 
 
 def truth_of(ctx: ex.Context) -> Truth:
-    """Return the wavefront of all angles."""
     law = ctx.instrument.facility.ncpa_law
     return draw_truth((ctx.seed,), law, ctx.config.rotating_nm, ctx.config.fixed_nm)
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """The cube of one angle each, at the seeing on SPARTA's scale."""
     truth, seeing = truth_of(ctx), on_spartas_scale(ctx.instrument, ctx.config.seeing_arcsec)
     for index, angle in enumerate(ctx.config.angles_deg):
@@ -106,24 +111,18 @@ def rows(star: ex.Sample) -> ex.Rows:
 
 
 def scene_of(star: ex.Sample, frames: int) -> Scene:
-    """Return the recording: narrow H band, 0.1 s at 10 Hz, diversity by the deformable mirror."""
-    return Scene(
-        star.name,
-        star.facility,
-        NARROW_H,
-        star.seed,
-        frames,
-        0.1,
+    """Return the recording of one angle: a cube with diversity by the deformable mirror."""
+    truth = star["truth"]
+    return replace(
+        star.cube(star["sparta_arcsec"], frames, star.sizes.mag_j),
         role="derotator",
-        mag_j=star.sizes.mag_j,
-        throughput=NARROW_THROUGHPUT,
-        ncpa_nm=star["truth"].fixed_nm,
-        rotating_nm=star["truth"].rotating_nm,
+        ncpa_nm=truth.fixed_nm,
+        rotating_nm=truth.rotating_nm,
         derotator_angle_deg=star["angle_deg"],
-        diversity_nm=MIRROR_DIVERSITY_NM,
-        diversity_source="mirror",
-        sky=Sky(star["sparta_arcsec"]),
         motion=Motion(),
+        detector=DetectorModel(),
+        sampling=Sampling(),
+        **BY_MIRROR,
     )
 
 
@@ -131,9 +130,9 @@ def splits(rows: ex.Frame) -> dict[str, SplitOutput]:
     """Return the estimates of every method split into what turns and what does not."""
     found = {}
     for method, own in rows.groupby("method", sort=False):
-        nolls = tuple(own.nolls.iloc[0].tolist())
-        stacks = (np.stack(list(own[name])) for name in ("zernike_nm", "covariance_nm2"))
-        series = Series(nolls, own.angle_deg.to_numpy(float), *stacks).only(usable_modes(nolls))
+        nolls, angles_deg = tuple(own.nolls.iloc[0].tolist()), own.angle_deg.to_numpy(float)
+        stacks = ex.stacked(own, "zernike_nm", "covariance_nm2")
+        series = Series(nolls, angles_deg, *stacks).only(usable_modes(nolls))
         senses = try_both_senses(series)
         found[method] = SplitOutput(series, senses.best, senses)
     return found
@@ -176,43 +175,46 @@ def _values(given_nm: Mapping[int, float], nolls: Sequence[int]) -> np.ndarray:
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """The split of every method against the truth, its parts mode by mode, and every angle."""
     truth, found = truth_of(ctx), splits(rows)
-    methods, parts, modes, angles = [], [], [], []
-    for method, split in found.items():
-        own, of, told = rows[rows.method == method], {"method": method}, split.results()
-        methods.append({
-            **of, "label": METHOD_NAMES[method], "frames": int(own.frames.iloc[0]),
-            "truth_rotating_nm": rms_beyond_tilt_nm(truth.rotating_nm),
-            "truth_fixed_nm": rms_beyond_tilt_nm(truth.fixed_nm),
-            **{name: told[name] for name in ("sense", "delta_chi2", "chi2_nu", "freedom")},
+    results = {method: split.results() for method, split in found.items()}
+    in_all = {f"truth_{part}_nm": rms_beyond_tilt_nm(getattr(truth, f"{part}_nm")) for part in PARTS}
+
+    def errors(group, method):
+        split, result = found[method], results[method]
+        return {
+            "label": METHOD_NAMES[method], "frames": int(group.frames.iloc[0]), **in_all,
+            **{name: result[name] for name in ("sense", "delta_chi2", "chi2_nu", "freedom")},
             **asdict(split.consistency),
             **split_errors(split.series, split.split, truth),
-        })  # fmt: skip
-        for part, row in told["parts"].items():
-            parts.append({**of, "part": part, "rms_nm": row.rms_nm, "noise_nm": row.noise_nm})
+        }  # fmt: skip
+
+    def parts(group, method):
+        for part, row in results[method]["parts"].items():
+            yield {"part": part, "rms_nm": row.rms_nm, "noise_nm": row.noise_nm}
+
+    def modes(group, method):
+        for part, row in results[method]["parts"].items():
             for noll, value_nm in row.zernike_nm.items():
-                of_mode = {"part": part, "noll": noll, "zernike_nm": value_nm, "sigma_nm": row.sigma_nm[noll]}
-                modes.append({**of, **of_mode})
-        columns = own[["method", "angle_deg", "delta_nm", "chi2_nu"]]
-        left = {
-            "measured_nm": told["measured_nm"],
-            "residual_nm": told["residual_nm"],
-            "label": METHOD_NAMES[method],
-        }
-        angles += columns.assign(**left).to_dict("records")
-    names = {"methods": methods, "parts": parts, "angles": angles, "modes": modes}
-    return {name: ex.frame(records) for name, records in names.items()}
+                numbers = {"zernike_nm": value_nm, "sigma_nm": row.sigma_nm[noll]}
+                yield {"part": part, "noll": noll, **numbers}
+
+    def angles(group, method):
+        measured = {name: results[method][name] for name in ("measured_nm", "residual_nm")}
+        columns = group[["angle_deg", "delta_nm", "chi2_nu"]]
+        return columns.assign(**measured, label=METHOD_NAMES[method]).to_dict("records")
+
+    tables = {"methods": errors, "parts": parts, "angles": angles, "modes": modes}
+    return {name: ex.grouped(rows, ["method"], summary) for name, summary in tables.items()}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The default's parts err as quoted."""
-    found, modes = [], tables["modes"]
-    for row in tables["methods"][tables["methods"].method == DEFAULT].to_dict("records"):
-        for part in PARTS:
-            own = (modes.method == DEFAULT) & (modes.part == part) & (modes.noll <= HIGHEST_REPORTED_NOLL)
-            quoted_nm, error_nm = math.hypot(*modes.sigma_nm[own]), row[f"{part}_error_nm"]
-            pull = error_nm / quoted_nm if quoted_nm > 0 else math.nan
-            text = f"{error_nm:.1f} nm where {quoted_nm:.1f} are quoted, Noll 4 to {HIGHEST_REPORTED_NOLL}"
-            found.append(ex.at_most(f"error over quoted error, {part} part", pull, LARGEST_PULL, text))
+    modes = tables["modes"].query(f"method == '{DEFAULT}' and noll <= {HIGHEST_REPORTED_NOLL}")
+    default, found = tables["methods"].query(f"method == '{DEFAULT}'").iloc[0], []
+    for part in PARTS:
+        quoted_nm, error_nm = math.hypot(*modes.sigma_nm[modes.part == part]), default[f"{part}_error_nm"]
+        pull = error_nm / quoted_nm if quoted_nm > 0 else math.nan
+        text = f"{error_nm:.1f} nm where {quoted_nm:.1f} are quoted, Noll 4 to {HIGHEST_REPORTED_NOLL}"
+        found.append(ex.check(f"error over quoted error, {part} part", pull, text, high=LARGEST_PULL))
     return found
 
 
@@ -245,13 +247,12 @@ LISTINGS = [
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """Images, and maps of the truth, of the estimates and of the parts."""
     pupil, truth, found = ctx.instrument.pupil, truth_of(ctx), {}
     for part in PARTS:
         seen = {noll: value for noll, value in getattr(truth, f"{part}_nm").items() if noll > 3}
         map_nm = map_of(pupil, list(seen), np.array(list(seen.values())))
         found[f"truth/maps/{part}_nm"] = ex.Quantity(map_nm, "nm", "simulated, without tip and tilt")
-    images = np.stack(list(rows.mean_image_e[rows.method == DEFAULT]))
+    (images,) = ex.stacked(rows[rows.method == DEFAULT], "mean_image_e")
     found["mean_image_e"] = ex.Quantity(images, "e-", "of a frame")
     for method, split in splits(rows).items():
         found |= {f"{method}/{name}": quantity for name, quantity in split.arrays(pupil).items()}
@@ -259,8 +260,8 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Every angle by both methods, and both parts as simulated and as found."""
-    methods, found = list(drawn.tables["methods"].method), []
+    methods = list(drawn.tables["methods"].method)
+    found: ex.Blocks = []
     for method in methods:
         images = drawn.array("mean_image_e") if method == methods[0] else None
         title = f"Every angle, {METHOD_NAMES[method]}"

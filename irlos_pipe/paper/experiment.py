@@ -13,17 +13,18 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import aligned
-from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import run_samples
 from irlos_pipe.paper.common.figures import lines, strips
+from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.common.table import (
     Frame,
     Listing,
     Tables,
+    check,
+    checked,
     filled,
     frame,
     grouped,
@@ -31,7 +32,8 @@ from irlos_pipe.paper.common.table import (
     rms_in_range,
     spread,
     spreads,
-)
+    stacked,
+)  # fmt: skip
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import StageResults
 from irlos_pipe.report.content import Block, Figure, Section
@@ -41,13 +43,13 @@ from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 __all__ = [
-    "Blocks", "Check", "Context", "Drawn", "Experiment", "ExperimentResults", "Field", "Figure", "Frame",
-    "Listing", "Quantity", "Rows", "Sample", "StageConfig", "Tables", "at_least", "at_most", "frame",
-    "grouped", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "strips",
+    "Blocks", "Check", "Context", "Drawn", "Experiment", "ExperimentResults", "Figure", "Frame", "Listing",
+    "Quantity", "Rows", "Sample", "Samples", "StageConfig", "Tables", "check", "checked", "each", "frame",
+    "grouped", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "stacked", "strips",
 ]  # fmt: skip
 Context = StageContext[Any]
 Rows = Iterator[dict[str, Any]]
-Blocks = Sequence[Block]
+Blocks = list[Block]
 UNITS = {"nm": "nm", "arcsec": "arcsec", "mas": "mas", "deg": "deg", "s": "s", "e": "e-", "j": "mag"}
 
 
@@ -59,8 +61,6 @@ class Sample:
     ----------
     name : str
         For messages, and the column ``sample`` of its rows.
-    seed : tuple of int
-    facility : Facility
     sizes : StageConfig
         Of the experiment.
     of : mapping of str to object
@@ -77,13 +77,22 @@ class Sample:
         return self.of[key]
 
     def cube(self, seeing_arcsec: float, frames: int, mag_j: float, shape: Shape = "power_law") -> Scene:
-        """Return the recording of a calibration cube, see `CubeSample`."""
-        return CubeSample(self.name, self.seed, self.facility, seeing_arcsec, frames, mag_j, shape).scene()
+        """Return the recording of a calibration cube, see `cube_scene`."""
+        return cube_scene(self.name, self.seed, self.facility, seeing_arcsec, frames, mag_j, shape)
+
+
+Samples = Iterator[Sample]
 
 
 def sample(ctx: Context, name: str, *seed: int, **of: Any) -> Sample:
     """Return a sample of the experiment that `ctx` runs; its seed begins with that of the recipe."""
     return Sample(name, (ctx.seed, *seed), ctx.instrument.facility, ctx.config, of)
+
+
+def each(ctx: Context, count: int, name: str, **of: Any) -> Samples:
+    """Yield samples with their ``index`` as seed; `name` is a pattern for it and for what they have."""
+    for index in range(count):
+        yield sample(ctx, name.format(index=index, **of), index, **of)
 
 
 class ExperimentResults(StageResults):
@@ -92,7 +101,6 @@ class ExperimentResults(StageResults):
     tables: dict[str, list[dict[str, Any]]] = {}
 
     def frames(self) -> dict[str, Frame]:
-        """Return the tables as frames."""
         return {name: frame(rows) for name, rows in self.tables.items()}
 
 
@@ -106,7 +114,6 @@ class Drawn:
 
     @property
     def sizes(self) -> Mapping[str, Any]:
-        """Return the sizes it was run with."""
         return self.run.products[self.stage].config
 
     def array(self, name: str) -> np.ndarray:
@@ -116,10 +123,9 @@ class Drawn:
     def rows(self) -> Frame:
         """Return the numbers and texts of the rows of all samples."""
         names = [name for name in self.run.products[self.stage].arrays if name.startswith("rows/")]
-        columns = {name.removeprefix("rows/"): self.array(name) for name in names}
+        columns = {name.removeprefix("rows/"): map(_plain, self.array(name)) for name in names}
         return frame(
-            dict(zip(columns, map(_plain, values), strict=True))
-            for values in zip(*columns.values(), strict=True)
+            dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
         )
 
 
@@ -129,31 +135,12 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment as a stage of a recipe.
+    """An experiment as a stage of a recipe; `docs/extending.md` says what its parts state.
 
-    Attributes
-    ----------
-    NAME, VERSION, Config
-        See `Stage`; `Config` are the sizes.
-    title : str
-        Of its section of the report.
-    samples : callable
-        ``samples(ctx)``: what the workers compute. `unit` says what they are.
-    rows : callable
-        ``rows(sample)``: mappings of columns to numbers, texts and arrays, computed in a worker process.
-    tables : callable
-        ``tables(rows, ctx)``: frames by name, from a frame of the rows of all samples.
-    checks : callable
-        ``checks(tables)``: what the numbers are to show, each with a limit from the paper, from theory or
-        from what is asked.
-    listings : sequence of Listing
-        Tables that are shown; the first one on the terminal as well.
-    figures : callable
-        ``figures(drawn)``: blocks of the report before these tables.
-    lead : str
-        The sentence below the title, a pattern for the first row of the first table.
-    arrays : callable, optional
-        ``arrays(rows, ctx)``: quantities for the product, beside the numbers and texts of the rows.
+    Samples are what the workers compute, as many `unit`; `rows` are computed there. `tables` come from a frame
+    of the rows of all samples, checks from the tables, and quantities for the product, beside the numbers and
+    texts of the rows, from `arrays`. The report has `lead`, a pattern for the first row of the first table,
+    the figures, and the listings, of which the first is shown on the terminal as well.
     """
 
     NAME: str
@@ -165,7 +152,7 @@ class Experiment:
     tables: Callable[[Frame, Context], Tables]
     checks: Callable[[Tables], Sequence[Check]]
     listings: Sequence[Listing]
-    figures: Callable[[Drawn], Blocks]
+    figures: Callable[[Drawn], Sequence[Block]]
     lead: str
     unit: str = "samples"
     arrays: Callable[[Frame, Context], Mapping[str, Quantity]] | None = None
@@ -174,42 +161,34 @@ class Experiment:
     DEPENDS_ON: ClassVar[tuple[str, ...]] = ("instrument", "seed")
 
     def __post_init__(self) -> None:
-        own = {
-            "stage": self.NAME,
-            "__module__": __name__,
-            "__doc__": f"Tables of the experiment `{self.NAME}`.",
-        }
+        text = f"Tables of the experiment `{self.NAME}`."
+        own = {"stage": self.NAME, "__module__": __name__, "__doc__": text}
         object.__setattr__(self, "Results", type(f"{self.NAME}_results", (ExperimentResults,), own))
 
     def run(self, ctx: Context) -> StageOutput:
-        """Compute the rows of all samples, summarise and judge them."""
         samples = list(self.samples(ctx))
-        found = run_samples(self.rows, samples, ctx, self.unit)
         rows = frame(
             {"sample": one.name} | {key: value for key, value in one.of.items() if _is_scalar(value)} | row
-            for one, of_it in zip(samples, found, strict=True)
-            for row in of_it
+            for one, own in zip(samples, run_samples(self.rows, samples, ctx, self.unit), strict=True)
+            for row in own
         )
         tables = self.tables(rows, ctx)
         arrays = _row_arrays(rows) | dict(self.arrays(rows, ctx) if self.arrays else {})
         results = self.Results(tables={name: table.to_dict("records") for name, table in tables.items()})
-        return StageOutput(arrays, results, self.checks(tables), summary=self._summary(tables))
+        first = self.listings[0].table(tables, ranges=False)
+        summary = aligned([first.columns, *first.rows]).splitlines()
+        return StageOutput(arrays, results, self.checks(tables), summary=summary)
 
     def checks_of(self, results: ExperimentResults) -> Sequence[Check]:
         """Return the checks of results, which may be older than these checks."""
         return self.checks(results.frames())
 
     def section(self, run: RunData) -> Section:
-        """Return the section of the report of a run."""
         tables = run.results(self.Results).frames()
         shown = [listing.table(tables) for listing in self.listings if len(tables.get(listing.of, ()))]
         blocks = [*self.figures(Drawn(run, self.NAME, tables)), *shown]
         first = next(iter(tables.values())).to_dict("records")[0] if tables else {}
         return Section(self.NAME, self.title, filled(self.lead, first), blocks)
-
-    def _summary(self, tables: Tables) -> list[str]:
-        first = self.listings[0].table(tables, ranges=False)
-        return aligned([first.columns, *first.rows]).splitlines()
 
 
 def _is_scalar(value: Any) -> bool:
@@ -229,13 +208,3 @@ def _array(column: Frame) -> np.ndarray:
     if column.dtype.kind in "biuf":
         return np.asarray(column)
     return np.array(["" if value != value else str(value) for value in column], dtype=object)
-
-
-def at_most(name: str, value: float, limit: float, message: str, unit: str = "") -> Check:
-    """Return a check whose value may not exceed a limit."""
-    return Check(name, float(value), unit, None, limit, message)
-
-
-def at_least(name: str, value: float, limit: float, message: str, unit: str = "") -> Check:
-    """Return a check whose value may not fall below a limit."""
-    return Check(name, float(value), unit, limit, None, message)

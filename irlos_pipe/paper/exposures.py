@@ -6,16 +6,12 @@ So all cubes of a sample show the same star and AO residual for the same time, e
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 from pydantic import Field
 
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.common.observation import frames_of
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, VARIANTS
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
 
 STEADY = 1.5  # the default may change by so much from one exposure to another: it fits the mean image
 
@@ -34,11 +30,11 @@ class Sizes(ex.StageConfig):
     methods: tuple[str, ...] = Field(tuple(METHOD_NAMES), min_length=1, description="methods compared")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One star at one seeing; the n-th of every seeing has the same NCPAs."""
     for seeing in ctx.config.seeings_arcsec:
-        for index in range(ctx.config.samples):
-            yield ex.sample(ctx, f"{seeing:g} arcsec, cube {index}", index, seeing_arcsec=seeing)
+        name = "{seeing_arcsec:g} arcsec, cube {index}"
+        yield from ex.each(ctx, ctx.config.samples, name, seeing_arcsec=seeing)
 
 
 def rows(star: ex.Sample) -> ex.Rows:
@@ -48,10 +44,9 @@ def rows(star: ex.Sample) -> ex.Rows:
     scene = replace(scene, exposure_s=sizes.shortest_s, frame_rate_hz=1 / sizes.shortest_s)
     shortest = ObservedCube.of(scene)
     for count in sizes.sums:
-        cube = summed(shortest, count)
+        cube, exposure_s = summed(shortest, count), sizes.shortest_s * count
         for method in sizes.methods:
-            error_nm = cube.modes_delta_nm(cube.calibrated(VARIANTS[method]))
-            yield {"method": method, "exposure_s": sizes.shortest_s * count, "modes_nm": error_nm}
+            yield {"method": method, "exposure_s": exposure_s, "modes_nm": cube.error_nm(VARIANTS[method])}
 
 
 def summed(cube: ObservedCube, count: int) -> ObservedCube:
@@ -62,43 +57,35 @@ def summed(cube: ObservedCube, count: int) -> ObservedCube:
     if count == 1:
         return cube
     frames = cube.scene.frames // count
-    used = frames * count
-    mean_e = cube.exposed.mean_e[:used]
-    exposed = replace(
-        cube.exposed,
-        mean_e=mean_e.reshape(frames, count, *mean_e.shape[1:]).sum(axis=1),
-        zernike_nm=cube.exposed.zernike_nm[:used].reshape(frames, count, -1).mean(axis=1),
+    mean_e, zernike_nm = (
+        one[: frames * count].reshape(frames, count, *one.shape[1:])
+        for one in (cube.exposed.mean_e, cube.exposed.zernike_nm)
     )
-    exposure_s = cube.scene.exposure_s * count
-    scene = replace(
-        cube.scene,
-        frames=frames,
-        exposure_s=exposure_s,
-        frame_rate_hz=1 / exposure_s,
-        seed=(*cube.scene.seed, count),
-    )
-    return ObservedCube(scene, exposed, frames_of(scene, exposed))
+    exposed = replace(cube.exposed, mean_e=mean_e.sum(axis=1), zernike_nm=zernike_nm.mean(axis=1))
+    time_s, seed = cube.scene.exposure_s * count, (*cube.scene.seed, count)
+    scene = replace(cube.scene, frames=frames, exposure_s=time_s, frame_rate_hz=1 / time_s, seed=seed)
+    return ObservedCube.of(scene, exposed)
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """Errors of Noll 2–30 over the cubes of a seeing."""
+    total_s = ctx.config.shortest_s * ctx.config.frames
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
-        label = METHOD_NAMES.get(group.method.iloc[0], group.method.iloc[0])
-        total_s = ctx.config.shortest_s * ctx.config.frames
-        return {"label": label, **ex.spreads(group, "modes_nm"), "cubes": len(group), "total_s": total_s}
+    def errors(group, seeing_arcsec, method, exposure_s):
+        label = {"label": METHOD_NAMES.get(method, method)}
+        return label | ex.spreads(group, "modes_nm") | {"cubes": len(group), "total_s": total_s}
 
-    return {"methods": ex.grouped(rows, ["seeing_arcsec", "method", "exposure_s"], summary)}
+    return {"methods": ex.grouped(rows, ["seeing_arcsec", "method", "exposure_s"], errors)}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The exposure does not matter to the default."""
-    found, table = [], tables["methods"]
-    for seeing, row in table[table.method == DEFAULT].groupby("seeing_arcsec", sort=False):
-        best, worst = row.modes_nm.min(), row.modes_nm.max()
-        name = f"default's worst over its best exposure, {seeing:g} arcsec"
-        found.append(ex.at_most(name, worst / best, STEADY, f"medians from {best:.1f} to {worst:.1f} nm"))
-    return found
+    default = tables["methods"].query(f"method == '{DEFAULT}'").groupby("seeing_arcsec", sort=False)
+    return ex.checked(
+        default.modes_nm.agg(["min", "max"]).reset_index(),
+        "default's worst over its best exposure, {seeing_arcsec:g} arcsec",
+        lambda row: row["max"] / row["min"], "medians from {min:.1f} to {max:.1f} nm", high=STEADY,
+    )  # fmt: skip
 
 
 LISTING = ex.Listing("methods", "Exposures",
@@ -111,21 +98,12 @@ LISTING = ex.Listing("methods", "Exposures",
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error against exposure."""
-    labels = ("exposure [s]", "Δ-WFE in Noll 2–30 [nm]")
-    drawing = ex.lines(
-        "exposures",
-        drawn.tables["methods"],
-        "exposure_s",
-        "modes_nm",
-        colour="label",
-        panels="seeing_arcsec",
-        labels=labels,
-        size=(9.0, 4.4),
-        xscale="log",
-    )
     caption = "Medians over the cubes, by the seeing [arcsec]. All exposures are sums of the same short ones."
-    return [ex.Figure(drawing, "Error against exposure", caption, "full")]
+    return [ex.lines(
+        "exposures", "Error against exposure", caption, drawn.tables["methods"], "exposure_s", "modes_nm",
+        colour="label", panels="seeing_arcsec", labels=("exposure [s]", "Δ-WFE in Noll 2–30 [nm]"),
+        size=(9.0, 4.4), width="full", xscale="log",
+    )]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

@@ -7,7 +7,6 @@ Every variant of LIFT sees the same dimmed frames, and starts from zero defocus 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -19,21 +18,26 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, curve_of, scan
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.broad_band import FINE
-from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM
-from irlos_pipe.paper.common.observation import exposure_noise, noise_of
-from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, RAMP_STREAM, calibrated, methods_of, observe
-from irlos_pipe.paper.common.reads import NoiseOf, Read, as_read, on_spartas_scale
+from irlos_pipe.paper.common.observation import (
+    NoiseOf,
+    Read,
+    as_read,
+    exposure_noise,
+    noise_of,
+    on_spartas_scale,
+)
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, RAMP_STREAM, calibrated, observe, offsets_nm
+from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
 from irlos_pipe.report.section_sensitivity import Curve, Look, sensitivity_plot
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.stages.sensitivity.stage import CriterionRow
 
-COMPARED = ("none_3", "none_9", "published_3", "published_9", "default_3", "default_9")
+LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
+COMPARED = tuple(f"{kind}_{modes}" for kind in LABELS for modes in (3, 9))
 SIGNAL_VARIANT = "default_9"  # the best model gives the noise-free signal of the frames that are dimmed
 OVER_THEORY = 1.5
-LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
 COLOURS = {"none": ORANGE, "published": GREEN, "default": BLUE}
 
 
@@ -70,25 +74,25 @@ class Sizes(ex.StageConfig):
         return self
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One set of NCPAs each, at the seeing on SPARTA's scale."""
     seeing = on_spartas_scale(ctx.instrument, ctx.config.seeing_arcsec)
     read = Read.of(ctx.instrument, ctx.config.noise, "faint")
-    for index in range(ctx.config.samples):
-        yield ex.sample(ctx, f"sample {index}", index, sparta_arcsec=seeing, read=read)
+    return ex.each(ctx, ctx.config.samples, "sample {index}", sparta_arcsec=seeing, read=read)
 
 
 def rows(star: ex.Sample) -> ex.Rows:
     """Dim a ramp of every length of exposure, and estimate it by every variant at every magnitude."""
     sizes, read = star.sizes, star["read"]
     cube = cube_of(star)
-    knowledge = calibrated(cube, methods_of(LIFT_VARIANTS[key] for key in COMPARED))
+    knowledge = calibrated(cube, [LIFT_VARIANTS[key].ncpa for key in COMPARED])
     for index, (exposure_s, faintest) in enumerate(zip(sizes.exposures_s, sizes.faintest_mag_j, strict=True)):
         ramp = ramp_of(star, cube, index, exposure_s)
         exposed = expose(ramp)
         observed = observe(ramp, exposed, knowledge)
         data, signal_e = observed.data, observed.estimate(LIFT_VARIANTS[SIGNAL_VARIANT]).result.model_e
         magnitudes = faintest - np.arange(sizes.magnitudes)[::-1] * sizes.mag_step
+        faint = None if read is None else exposure_noise(as_read(ramp, read)).beyond(noise_of(ramp))
         for key in COMPARED:
             variant = LIFT_VARIANTS[key]
             curve = scan(
@@ -101,7 +105,7 @@ def rows(star: ex.Sample) -> ex.Rows:
                 torch.zeros(len(data.images_e), len(variant.modes), dtype=torch.float64),
                 Criterion(np.inf, 1.0),  # the limit is that of all samples together
                 star.seed[-1],
-                faint=None if read is None else exposure_noise(as_read(ramp, read)).beyond(noise_of(ramp)),
+                faint=faint,
             )
             yield {
                 "exposure_s": exposure_s,
@@ -110,9 +114,7 @@ def rows(star: ex.Sample) -> ex.Rows:
                 "abs_error_nm": curve.abs_error_nm,
                 "crb_nm": curve.crb_nm,
                 "one_read_crb_nm": curve.one_read_crb_nm,
-                "residual_nm": exposed.zernike_nm[
-                    :, DEFOCUS - 2
-                ],  # mean defocus of the AO residual in a frame
+                "residual_nm": exposed.zernike_nm[:, DEFOCUS - 2],  # of the AO residual, mean of a frame
             }
 
 
@@ -124,51 +126,56 @@ def cube_of(star: ex.Sample) -> Scene:
     """
     cube = star.cube(star["sparta_arcsec"], star.sizes.cube_frames, star.sizes.mag_j)
     ncpa_nm = {noll: value_nm for noll, value_nm in cube.ncpa_nm.items() if noll != DEFOCUS}
-    mirror: dict[str, Any] = {"diversity_nm": MIRROR_DIVERSITY_NM, "diversity_source": "mirror"}
-    return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE, **mirror)
+    return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE, **BY_MIRROR)
 
 
 def ramp_of(star: ex.Sample, cube: Scene, index: int, exposure_s: float) -> Scene:
     """Return the ramp of the length of exposure number `index`, with one frame per offset."""
-    offsets_nm = np.linspace(-star.sizes.reach_nm, star.sizes.reach_nm, star.sizes.offsets)
+    introduced_nm = offsets_nm(star.sizes.reach_nm, star.sizes.offsets)
     return replace(
         cube,
         role="defocus_ramp",
         seed=(*star.seed, RAMP_STREAM, index),
-        frames=len(offsets_nm),
+        frames=len(introduced_nm),
         exposure_s=exposure_s,
         frame_rate_hz=1 / exposure_s,
-        introduced_nm=tuple(offsets_nm.tolist()),
+        introduced_nm=introduced_nm,
     )
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """Limits of all variants, all samples pooled, and their errors at every magnitude."""
     sizes, criterion = ctx.config, Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
-    limits, magnitudes = [], []
-    for (exposure_s, key), group in rows.groupby(["exposure_s", "key"], sort=False):
-        variant, of = LIFT_VARIANTS[key], {"exposure_s": exposure_s, "key": key}
+    names = ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "one_read_crb_nm", "failures")
+
+    def curve_of_all(group, key):
+        bounds_nm = (np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm"))
         errors_nm = np.concatenate(list(group.abs_error_nm), axis=1)
-        bound_nm, one_read_nm = (
-            np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm")
+        return curve_of(
+            LIFT_VARIANTS[key].modes, group.magnitudes.iloc[0], errors_nm, *bounds_nm, criterion=criterion
         )
-        of_all = variant.modes, group.magnitudes.iloc[0], errors_nm
-        curve = curve_of(*of_all, bound_nm, one_read_nm, criterion)
-        # A perfect sensor errs by the defocus that the AO residual has of its own in every frame.
+
+    def limit(group, exposure_s, key):
+        variant, curve = LIFT_VARIANTS[key], curve_of_all(group, key)
         residual_nm = np.concatenate(list(group.residual_nm))
-        limits.append({
-            **of, "label": variant.name, "modes": len(variant.modes), "calibrated": bool(variant.ncpa),
+        return {
+            "label": variant.name, "modes": len(variant.modes), "calibrated": bool(variant.ncpa),
             "trials": curve.trials, "limit_mag": curve.limit_mag,
             "one_read_bound_mag": curve.bound_mag(criterion),
+            # A perfect sensor errs by the defocus that the AO residual has of its own in every frame.
             "residual_floor_nm": float(MEDIAN_OF_NORMAL * np.sqrt(np.mean(residual_nm**2))),
             "bright_error_nm": curve.median_abs_error_nm[0], "bright_crb_nm": curve.crb_nm[0],
             "samples": len(group), "limit_nm": sizes.limit_nm, "limit_failures": sizes.limit_failures,
             "implausible_nm": criterion.implausible_nm,
-        })  # fmt: skip
-        names = ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "one_read_crb_nm", "failures")
+        }  # fmt: skip
+
+    def magnitudes(group, exposure_s, key):
+        curve = curve_of_all(group, key)
         columns = zip(*(getattr(curve, name).tolist() for name in names), strict=True)
-        magnitudes += [of | dict(zip(names, column, strict=True)) for column in columns]
-    return {"curves": ex.frame(limits), "magnitudes": ex.frame(magnitudes)}
+        return [dict(zip(names, column, strict=True)) for column in columns]
+
+    by = ["exposure_s", "key"]
+    return {"curves": ex.grouped(rows, by, limit), "magnitudes": ex.grouped(rows, by, magnitudes)}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
@@ -177,21 +184,19 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     for exposure_s, group in tables["curves"].groupby("exposure_s", sort=False):
         of, curves = f"{exposure_s:g} s", group.set_index("key")
         reached = int(np.isfinite(group.limit_mag[~group.calibrated]).sum())
-        name, text = (
-            f"ways without NCPAs that meet the criterion, {of}",
-            f"{reached} of the uncalibrated ways",
-        )
-        found.append(ex.at_most(name, reached, 0, text))
-        for kind in (key.removesuffix("_9") for key in COMPARED if key.endswith("_9")):
-            if curves.calibrated[f"{kind}_9"]:
-                three, nine = curves.limit_mag[f"{kind}_3"], curves.limit_mag[f"{kind}_9"]
+        name = f"ways without NCPAs that meet the criterion, {of}"
+        found.append(ex.check(name, reached, f"{reached} of the uncalibrated ways", high=0))
+        for kind in LABELS:
+            three, nine = curves.loc[f"{kind}_3"], curves.loc[f"{kind}_9"]
+            if nine.calibrated:
                 name = f"magnitudes that three modes reach further than nine, {kind}, {of}"
-                found.append(ex.at_least(name, three - nine, 0.0, f"m_J {three:.1f} and {nine:.1f}", "mag"))
+                text = f"m_J {three.limit_mag:.1f} and {nine.limit_mag:.1f}"
+                found.append(ex.check(name, three.limit_mag - nine.limit_mag, text, low=0.0, unit="mag"))
         default = curves.loc["default_3"]
         theory_nm = math.hypot(default.residual_floor_nm, MEDIAN_OF_NORMAL * default.bright_crb_nm)
         text = f"median {default.bright_error_nm:.1f} nm, theory {theory_nm:.1f} nm"
         name = f"error of the brightest star over theory, default, {of}"
-        found.append(ex.at_most(name, default.bright_error_nm / theory_nm, OVER_THEORY, text))
+        found.append(ex.check(name, default.bright_error_nm / theory_nm, text, high=OVER_THEORY))
     return found
 
 
@@ -209,8 +214,8 @@ LISTING = ex.Listing("curves", "Limiting magnitude",
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error and failures against magnitude, for every length of exposure."""
-    found, magnitudes = [], drawn.tables["magnitudes"]
+    found: ex.Blocks = []
+    magnitudes = drawn.tables["magnitudes"]
     caption = (
         "Median |estimated − introduced defocus|. Circles, thick lines: three modes, with the 16th to 84th "
         f"percentile as a band and, dashed, the Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median error "

@@ -7,9 +7,8 @@ lessons of the test get numbers: the gain by elongation prior, kernel, more mode
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -25,11 +24,10 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp import summarise, travel_direction
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common import ramps
-from irlos_pipe.paper.common.broad_band import FINE
-from irlos_pipe.paper.common.cube import BRIGHT_MAG_J
-from irlos_pipe.paper.common.ramps import KERNEL_MAS, NINE, TTF, LiftVariant, ObservedRamp
-from irlos_pipe.paper.common.reads import on_spartas_scale
-from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.paper.common.calibrations import DEFAULT
+from irlos_pipe.paper.common.observation import on_spartas_scale
+from irlos_pipe.paper.common.ramps import NINE, TTF, LiftVariant
+from irlos_pipe.paper.common.scenes import BRIGHT_MAG_J, FINE
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
 from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.effects.focus_stage import reached_nm
@@ -39,8 +37,8 @@ from irlos_pipe.simulate.scene import Scene
 
 WRONG_NM = 50.0  # an estimate this far from the best minimum lies in another one
 BY_CHANCE = 1e-3  # probability with which right errors give a larger pull
-STARTED = ("hand_9", "default_3")  # the paper's variant and this project's, begun from every start
-DRAWN = {"hand_9": "the paper: kernel by hand, nine modes", "default_3": "this pipeline, three modes"}
+# The paper's variant and this project's, begun from every start, and drawn.
+SHOWN = {"hand_9": "the paper: kernel by hand, nine modes", "default_3": "this pipeline, three modes"}
 
 
 @dataclass(frozen=True)
@@ -63,20 +61,22 @@ class Target:
     @property
     def stage_effects(self) -> dict[str, dict[str, float]]:
         """Return the errors of the focus stage as effects of a scene."""
-        effects = {
-            "focus_stage_hysteresis": {"nm": self.hysteresis_nm},
-            "focus_stage_offset": {"nm": self.second_run_bias_nm, "above_nm": 0.0},
-        }
-        return {name: effect for name, effect in effects.items() if effect["nm"]}
+        if self.hysteresis_nm:
+            return {"focus_stage_hysteresis": {"nm": self.hysteresis_nm}}
+        return {"focus_stage_offset": {"nm": self.second_run_bias_nm, "above_nm": 0.0}}
 
     def order(self, offsets: int) -> np.ndarray:
-        """Return the offsets in the order of recording: ping-pong, or from end to end."""
+        """Return the offsets in the order of recording: ping-pong, or from end to end.
+
+        Ping-pong goes from the ends inwards, from one side to the other after every step.
+        """
         ascending = np.linspace(*self.reach_nm, offsets)
-        return ramps.ping_pong(ascending.tolist()) if self.hysteresis_nm else ascending
+        inwards = np.stack([ascending, ascending[::-1]], axis=1).ravel()[:offsets]
+        return inwards if self.hysteresis_nm else ascending
 
 
 TARGETS = {
-    "target_1": Target("target 1", 9.0, 0.5, (-432.0, 467.0), KERNEL_MAS, hysteresis_nm=15.0),
+    "target_1": Target("target 1", 9.0, 0.5, (-432.0, 467.0), ramps.KERNEL_MAS, hysteresis_nm=15.0),
     "target_2": Target("target 2", 12.5, 1.5, (-302.0, 288.0), 14.5, second_run_bias_nm=40.0),
 }
 
@@ -88,10 +88,10 @@ def variants_of(target: Target) -> dict[str, LiftVariant]:
     residual = LiftVariant("AO residual and jitter as expected", NINE)
     default = LiftVariant("NCPAs, AO residual and jitter as calibrated", NINE, ncpa=DEFAULT)
     return {
-        "point_9": LiftVariant("no kernel", NINE, halo="off", kernel=0.0),
+        "point_9": replace(by_hand, name="no kernel", kernel=0.0),
         "hand_3": replace(by_hand, modes=TTF),
         "hand_9": by_hand,
-        "fit_9": LiftVariant("kernel fitted to the ramp", NINE, halo="off", kernel="fit"),
+        "fit_9": replace(by_hand, name="kernel fitted to the ramp", kernel="fit"),
         "residual_3": replace(residual, modes=TTF),
         "residual_9": residual,
         "ncpa_hand_3": replace(by_hand, name=f"NCPAs, {text}", modes=TTF, ncpa=DEFAULT),
@@ -111,7 +111,7 @@ class Sizes(ex.StageConfig):
     ncpa_nm: float = Field(170.0, ge=0, le=1000, description="NCPAs over 50 modes: strong ones [nm RMS]")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One set of NCPAs for a target; its first ramp has the paper's number of frames, the others few."""
     sizes = ctx.config
     for place, (key, target) in enumerate(TARGETS.items()):
@@ -133,23 +133,29 @@ def rows(star: ex.Sample) -> ex.Rows:
     true_nm = ramps.true_modes_nm(ramp, exposed)[:, DEFOCUS - 2]
     for key, variant in variants_of(target).items():
         fit = observed.estimate(variant)
-        given_nm, line = observed.given_defocus_nm(variant), summarise(introduced_nm, fit.defocus_nm)
-        wrong_nm = fit.defocus_nm + given_nm - true_nm
+        line, found_nm = summarise(introduced_nm, fit.defocus_nm), fit.defocus_nm
+        whole_nm = found_nm + observed.given_nm(variant).get(DEFOCUS, 0.0)
         yield {
             "variant": key,
             "frames": len(commanded_nm),
             "slope": line.slope,
-            "rms_nm": float(np.sqrt(np.nanmean(wrong_nm**2))),
+            "rms_nm": float(np.sqrt(np.nanmean((whole_nm - true_nm) ** 2))),
             "line_rms_nm": line.residual_rms_nm,
             "converged": float(np.mean(fit.result.solution.converged.numpy())),
             "kernel_mas": fit.effects.get("tip_tilt_jitter", {}).get("sigma_mas", np.nan),
-            **stage_error(target, commanded_nm, fit.defocus_nm),
+            **stage_error(target, commanded_nm, found_nm),
             "commanded_nm": commanded_nm,
             "reached_nm": introduced_nm,
-            "without_ncpa_nm": fit.defocus_nm + given_nm - ramp.ncpa_nm[DEFOCUS],
+            "without_ncpa_nm": whole_nm - ramp.ncpa_nm[DEFOCUS],
         }
-        for start, result in _started(observed, variant).items() if key in STARTED else ():
-            yield {"variant": key, "start": start, **result}
+        if key in SHOWN:
+            model = ImageModel(observed.model(variant), observed.effects(variant))
+            start_nm = observed.start_nm(variant, model.psf)
+            started = ramps.from_every_start(model, observed.data, start_nm, LiftOptions("data"))
+            results = {name: result for name, (_, result) in started.items()}
+            for start, wrong in wrong_minima(results).items():
+                iterations = results[start].solution.iterations.numpy()
+                yield {"variant": key, "start": start, "wrong": wrong, "iterations": iterations}
 
 
 def scenes_of(star: ex.Sample) -> tuple[Scene, Scene]:
@@ -167,26 +173,13 @@ def stage_error(target: Target, commanded_nm: np.ndarray, estimated_nm: np.ndarr
 
     The saw-tooth of target 1, twice the hysteresis, or the bias of the second run of target 2.
     """
-    second_run = None if target.hysteresis_nm else commanded_nm > 0
-    line = summarise(commanded_nm, estimated_nm, second_run)
     if target.hysteresis_nm:
-        true_nm, found = 2 * target.hysteresis_nm, (line.saw_tooth_nm, line.saw_tooth_sigma_nm)
+        line = summarise(commanded_nm, estimated_nm)
+        values = 2 * target.hysteresis_nm, line.saw_tooth_nm, line.saw_tooth_sigma_nm
     else:
-        true_nm, found = target.second_run_bias_nm, (line.part_bias_nm, line.part_bias_sigma_nm)
-    return {"stage_true_nm": true_nm, "stage_found_nm": found[0], "stage_sigma_nm": found[1]}
-
-
-def _started(observed: ObservedRamp, variant: LiftVariant) -> dict[str, dict[str, np.ndarray]]:
-    """Whether LIFT ends in the best minimum found, and after how many iterations, from every start."""
-    model = ImageModel(observed.model(variant), observed.effects(variant))
-    elongation_nm = observed.start_nm(variant, model.psf)
-    found = ramps.from_every_start(model, observed.data, elongation_nm, LiftOptions("data"))
-    results = {name: result for name, (_, result) in found.items()}
-    wrong = wrong_minima(results)
-    return {
-        name: {"wrong": wrong[name], "iterations": result.solution.iterations.numpy()}
-        for name, result in results.items()
-    }
+        line = summarise(commanded_nm, estimated_nm, commanded_nm > 0)
+        values = target.second_run_bias_nm, line.part_bias_nm, line.part_bias_sigma_nm
+    return dict(zip(("stage_true_nm", "stage_found_nm", "stage_sigma_nm"), values, strict=True))
 
 
 def wrong_minima(results: Mapping[str, LiftResult]) -> dict[str, np.ndarray]:
@@ -199,74 +192,56 @@ def wrong_minima(results: Mapping[str, LiftResult]) -> dict[str, np.ndarray]:
     return dict(zip(results, (~converged | apart).numpy(), strict=True))
 
 
+RAMP_COLUMNS = (
+    "target", "ramp", "variant", "frames", "slope", "rms_nm", "line_rms_nm", "converged", "kernel_mas",
+    "stage_true_nm", "stage_found_nm", "stage_sigma_nm",
+)  # fmt: skip
+
+
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """The targets; every ramp by every variant; and the frames of all ramps by start."""
 
-    def target(key: str, own: Target) -> dict[str, Any]:
-        error = "saw_tooth" if own.hysteresis_nm else "second_run_bias"
-        facts = {"label": own.label, "mag_j": own.mag_j, "seeing_arcsec": own.seeing_arcsec}
-        seeing = on_spartas_scale(ctx.instrument, own.seeing_arcsec)
-        return {
-            "target": key,
-            **facts,
-            "sparta_arcsec": seeing,
-            "samples": ctx.config.samples,
-            "stage_error": error,
-        }
-
-    def start(group: ex.Frame) -> dict[str, Any]:
+    def start(group, *_):
         wrong, iterations = (np.concatenate(list(group[name])) for name in ("wrong", "iterations"))
-        return {
-            "frames": len(wrong),
-            "wrong": int(wrong.sum()),
-            "median_iterations": float(np.median(iterations)),
-        }
+        counts = {"frames": len(wrong), "wrong": int(wrong.sum())}
+        return counts | {"median_iterations": float(np.median(iterations))}
 
     every = rows[rows.start.isna()]
-    variants = {(key, name): one for key, own in TARGETS.items() for name, one in variants_of(own).items()}
-    own = [variants[pair] for pair in zip(every.target, every.variant, strict=True)]
-    names = [
-        "target",
-        "ramp",
-        "variant",
-        "frames",
-        "slope",
-        "rms_nm",
-        "line_rms_nm",
-        "converged",
-        "kernel_mas",
-    ]
-    names += ["stage_true_nm", "stage_found_nm", "stage_sigma_nm"]
-    shown = every[names].assign(label=[one.name for one in own], modes=[len(one.modes) for one in own])
+    variants = {key: variants_of(target) for key, target in TARGETS.items()}
+    own = [variants[key][name] for key, name in zip(every.target, every.variant, strict=True)]
+    shown = every[list(RAMP_COLUMNS)].assign(
+        label=[one.name for one in own], modes=[len(one.modes) for one in own]
+    )
     return {
-        "targets": ex.frame(target(*one) for one in TARGETS.items()),
+        "targets": ex.frame(
+            {
+                "target": key, "label": own.label, "mag_j": own.mag_j, "seeing_arcsec": own.seeing_arcsec,
+                "sparta_arcsec": on_spartas_scale(ctx.instrument, own.seeing_arcsec),
+                "samples": ctx.config.samples,
+                "stage_error": "saw_tooth" if own.hysteresis_nm else "second_run_bias",
+            }
+            for key, own in TARGETS.items()
+        ),
         "ramps": shown.astype({"frames": int}),
         "starts": ex.grouped(rows[rows.start.notna()], ["target", "variant", "start"], start),
-    }
+    }  # fmt: skip
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The default finds the focus stage's error, from its own start."""
-    found, ramps_, starts = [], tables["ramps"], tables["starts"]
-    for row in tables["targets"].itertuples():
-        own = ramps_[(ramps_.target == row.target) & (ramps_.variant == "default_3")]
-        pull, count, true_nm = pull_of(own), len(own), own.stage_true_nm.iloc[0]
-        limit = float(np.sqrt(stats.chi2.isf(BY_CHANCE, count) / count))
+    found, default = [], "target == '{target}' and variant == 'default_3'"
+    for row in tables["targets"].to_dict("records"):
+        own = tables["ramps"].query(default.format(**row))
+        first = tables["starts"].query(default.format(**row) + " and start == 'default'")
+        pulls = (own.stage_found_nm - own.stage_true_nm) / own.stage_sigma_nm
+        pull, count = float(np.sqrt(np.mean(pulls.to_numpy() ** 2))), len(own)
+        limit, true_nm = float(np.sqrt(stats.chi2.isf(BY_CHANCE, count) / count)), own.stage_true_nm.iloc[0]
+        name = f"pull of the focus stage's error, {row['label']}"
         text = f"{pull:.1f}, RMS over {count} ramps, of an introduced error of {true_nm:g} nm"
-        found.append(ex.at_most(f"pull of the focus stage's error, {row.label}", pull, limit, text))
-        first = starts[
-            (starts.target == row.target) & (starts.variant == "default_3") & (starts.start == "default")
-        ]
-        wrong, frames = first.wrong.iloc[0], first.frames.iloc[0]
-        text = f"{wrong} of {frames} frames of the default"
-        found.append(ex.at_most(f"frames in a wrong minimum, {row.label}", wrong, 0, text))
+        found.append(ex.check(name, pull, text, high=limit))
+        name, text = f"frames in a wrong minimum, {row['label']}", "{wrong} of {frames} frames of the default"
+        found += ex.checked(first, name, "wrong", text, high=0)
     return found
-
-
-def pull_of(group: ex.Frame) -> float:
-    """Return the RMS over the ramps of (found − true) / error, of the focus stage's error."""
-    pulls = (group.stage_found_nm - group.stage_true_nm) / group.stage_sigma_nm
-    return float(np.sqrt(np.mean(pulls.to_numpy() ** 2)))
 
 
 LISTINGS = [
@@ -290,20 +265,17 @@ LISTINGS = [
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """The first ramp of every target, frame by frame in the order of recording."""
-    found, names = {}, ("commanded_nm", "reached_nm", "without_ncpa_nm")
-    for row in rows[(rows.ramp == 0) & rows.variant.isin(DRAWN) & rows.start.isna()].itertuples():
-        for name in names:
-            found[f"{row.target}/{row.variant}/{name}"] = ex.Quantity(
-                getattr(row, name), "nm", "defocus, first ramp"
-            )
-    return found
+    first = rows[(rows.ramp == 0) & rows.variant.isin(SHOWN) & rows.start.isna()]
+    return {
+        f"{row['target']}/{row['variant']}/{name}": ex.Quantity(row[name], "nm", "defocus, first ramp")
+        for row in first.to_dict("records")
+        for name in ("commanded_nm", "reached_nm", "without_ncpa_nm")
+    }
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """The first ramp of every target: what was estimated beyond what was commanded."""
     caption = "First ramp, the defocus of the NCPAs taken off; line: error of the focus stage."
-    found = []
+    found: ex.Blocks = []
     for row in drawn.tables["targets"].itertuples():
         seeing = f'seeing {row.seeing_arcsec:g}" by MASS-DIMM ({row.sparta_arcsec:.2g}" by SPARTA)'
         title = f"{row.label.capitalize()}: m_J {row.mag_j:g}, {seeing}"
@@ -316,8 +288,8 @@ def _ramp(drawn: ex.Drawn, target: str, stage_error: str) -> Markup:
     names = ("reached upwards", "reached downwards") if saw_tooth else ("second run", "first run")
 
     def draw(figure: Canvas) -> None:
-        panels = figure.subplots(1, len(DRAWN), sharex=True, sharey=True)
-        for axes, (variant, title) in zip(panels, DRAWN.items(), strict=True):
+        panels = figure.subplots(1, len(SHOWN), sharex=True, sharey=True)
+        for axes, (variant, title) in zip(panels, SHOWN.items(), strict=True):
             commanded_nm, reached, found_nm = (
                 drawn.array(f"{target}/{variant}/{name}")
                 for name in ("commanded_nm", "reached_nm", "without_ncpa_nm")
@@ -325,19 +297,11 @@ def _ramp(drawn: ex.Drawn, target: str, stage_error: str) -> Markup:
             direction = travel_direction(commanded_nm) if saw_tooth else np.sign(commanded_nm)
             upwards = np.where(direction == 0, commanded_nm, direction) > 0
             for name, own, look, ink in zip(names, (upwards, ~upwards), "^v", (ORANGE, BLUE), strict=True):
-                axes.plot(
-                    commanded_nm[own],
-                    (found_nm - commanded_nm)[own],
-                    look,
-                    color=ink,
-                    markersize=3.5,
-                    label=name,
-                )
+                left_nm = (found_nm - commanded_nm)[own]
+                axes.plot(commanded_nm[own], left_nm, look, color=ink, markersize=3.5, label=name)
             order = np.argsort(commanded_nm, kind="stable")
-            error_nm = (reached - commanded_nm)[order]
-            axes.step(
-                commanded_nm[order], error_nm, where="mid", color=INK, linewidth=1.0, label="focus stage"
-            )
+            steps = commanded_nm[order], (reached - commanded_nm)[order]
+            axes.step(*steps, where="mid", color=INK, linewidth=1.0, label="focus stage")
             axes.set(title=title, xlabel="commanded defocus [nm RMS]")
         panels[0].set_ylabel("estimated − commanded [nm RMS]")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")

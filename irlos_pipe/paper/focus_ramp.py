@@ -6,7 +6,6 @@ has the same NCPAs and other residuals. Every variant of LIFT sees the same fram
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -19,15 +18,15 @@ from pydantic import Field, field_validator
 from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.broad_band import FINE
 from irlos_pipe.paper.common.ramps import (
     LIFT_VARIANTS,
     calibrated,
-    methods_of,
     observe,
+    offsets_nm,
     ramp_scene,
     true_modes_nm,
 )
+from irlos_pipe.paper.common.scenes import FINE
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YELLOW, svg
 from irlos_pipe.report.text import mode_label
 from irlos_pipe.simulate.exposure import expose
@@ -35,12 +34,7 @@ from irlos_pipe.simulate.exposure import expose
 ASKED_NM = 4.0  # RMS error of a calibrated ramp
 SLOPE_WITHIN = 0.03  # of 1: the ramp's sign and scale
 ASKED_OF = ("default_3", "default_9")
-UNCALIBRATED = {
-    "published_3": "none_3",
-    "published_9": "none_9",
-    "default_3": "none_3",
-    "default_9": "none_9",
-}
+CALIBRATED = ("published_3", "published_9", *ASKED_OF)
 DRAWN = {
     "none_9": "no NCPAs in the model",
     "published_9": "NCPAs by DIP global",
@@ -71,30 +65,24 @@ class Sizes(ex.StageConfig):
         return ways
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
-    """One set of NCPAs each."""
-    for index in range(ctx.config.samples):
-        yield ex.sample(ctx, f"ramp {index}", index)
+def samples(ctx: ex.Context) -> ex.Samples:
+    return ex.each(ctx, ctx.config.samples, "ramp {index}")
 
 
 def rows(star: ex.Sample) -> ex.Rows:
     """Simulate cube and ramp, and estimate the ramp by every variant of LIFT."""
     sizes = star.sizes
     cube = replace(star.cube(sizes.seeing_arcsec, sizes.cube_frames, sizes.cube_mag_j), sampling=FINE)
-    offsets_nm = np.linspace(-sizes.reach_nm, sizes.reach_nm, sizes.offsets)
-    ramp = ramp_scene(cube, sizes.ramp_mag_j, np.repeat(offsets_nm, sizes.frames_per_offset).tolist())
-    exposed = expose(ramp)
-    variants = {key: LIFT_VARIANTS[key] for key in sizes.ways}
-    observed = observe(ramp, exposed, calibrated(cube, methods_of(variants.values())))
+    offsets = offsets_nm(sizes.reach_nm, sizes.offsets, sizes.frames_per_offset)
+    ramp = ramp_scene(cube, sizes.ramp_mag_j, offsets)
+    exposed, variants = expose(ramp), {key: LIFT_VARIANTS[key] for key in sizes.ways}
+    observed = observe(ramp, exposed, calibrated(cube, [variant.ncpa for variant in variants.values()]))
     introduced_nm, true_nm = ramp.introduced_per_frame_nm, true_modes_nm(ramp, exposed)
     for key, variant in variants.items():
         fit = observed.estimate(variant)
-        given_nm = observed.knowledge[variant.ncpa].ncpa_nm
-        modes_nm = fit.result.zernike_nm.numpy() + [given_nm.get(noll, 0.0) for noll in variant.modes]
-        converged = fit.result.solution.converged.numpy()
-        errors = ramp_errors(
-            introduced_nm, true_nm, fit.defocus_nm, modes_nm[:, variant.modes.index(DEFOCUS)]
-        )
+        modes_nm, converged = observed.modes_nm(variant, fit), fit.result.solution.converged.numpy()
+        focus_nm = modes_nm[:, variant.modes.index(DEFOCUS)]
+        errors = ramp_errors(introduced_nm, true_nm, fit.defocus_nm, focus_nm)
         drawn = {"introduced_nm": introduced_nm, "true_nm": true_nm, "estimated_nm": modes_nm}
         yield {"key": key, **errors, "converged": float(np.mean(converged)), **drawn}
 
@@ -104,13 +92,8 @@ def ramp_errors(
 ) -> dict[str, float]:
     """Return the errors of one variant on one ramp.
 
-    Parameters
-    ----------
-    introduced_nm : ndarray, (frames,)
-    true_nm : ndarray, (frames, 10)
-        Noll 2–11 that there were: introduced defocus, NCPAs, and the mean AO residual of every frame.
-    estimated_nm, total_nm : ndarray, (frames,)
-        Estimated defocus, and the same with that of the NCPAs that were given.
+    `true_nm`, (frames, 10), is Noll 2–11 as they were: introduced defocus, NCPAs, and the mean AO residual
+    of every frame; `total_nm`, (frames,), the estimated defocus with that of the NCPAs that were given.
     """
     line = summarise(introduced_nm, estimated_nm)
     wrong_nm = total_nm - true_nm[:, DEFOCUS - 2]
@@ -124,10 +107,9 @@ def ramp_errors(
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
-    """Median and spread over the ramps."""
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
-        variant = LIFT_VARIANTS[group.key.iloc[0]]
+    def summary(group, key):
+        variant = LIFT_VARIANTS[key]
         what = {"label": variant.name, "modes": str(list(variant.modes)), "ncpa": variant.ncpa or None}
         numbers = ("slope", "offset_nm", "rms_nm", "line_rms_nm", "true_rms_nm", "converged")
         return what | {"samples": len(group)} | ex.spreads(group, *numbers)
@@ -137,23 +119,27 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """A calibration mends the ramp, the default's to what is asked."""
-    ways = {row["key"]: row for row in tables["ways"].to_dict("records")}
-    of = {key: f"{row['label']}, {len(LIFT_VARIANTS[key].modes)} modes" for key, row in ways.items()}
-    gains, errors, slopes = [], [], []
-    for key, without in UNCALIBRATED.items():
-        if key in ways and without in ways:
-            error, before = ways[key]["true_rms_nm"], ways[without]["true_rms_nm"]
-            text = f"medians {error:.1f} and {before:.1f} nm RMS"
-            gains.append(
-                ex.at_most(f"error with NCPAs over that without, {of[key]}", error / before, 1.0, text)
-            )
-    for key in filter(ways.__contains__, ASKED_OF):
-        error, slope = ways[key]["true_rms_nm"], ways[key]["slope"]
-        text = f"median {error:.1f} nm RMS over the ramps"
-        errors.append(ex.at_most(f"defocus error, {of[key]}", error, ASKED_NM, text, "nm"))
-        limits, text = (1 - SLOPE_WITHIN, 1 + SLOPE_WITHIN), f"median {slope:.3f}"
-        slopes.append(ex.Check(f"slope, {of[key]}", slope, "", *limits, text))
-    return [*gains, *errors, *slopes]
+    ways = tables["ways"].set_index("key")
+    ways["count"] = [len(LIFT_VARIANTS[key].modes) for key in ways.index]
+    ways["before_nm"] = [ways.true_rms_nm.get(f"none_{count}") for count in ways["count"]]
+    compared, asked = (
+        ways.loc[[key for key in keys if key in ways.index]] for keys in (CALIBRATED, ASKED_OF)
+    )
+    of = "{label}, {count} modes"
+    return [
+        *ex.checked(
+            compared.dropna(subset="before_nm"), f"error with NCPAs over that without, {of}",
+            lambda row: row["true_rms_nm"] / row["before_nm"],
+            "medians {true_rms_nm:.1f} and {before_nm:.1f} nm RMS", high=1.0,
+        ),
+        *ex.checked(
+            asked, f"defocus error, {of}", "true_rms_nm", "median {true_rms_nm:.1f} nm RMS over the ramps",
+            high=ASKED_NM, unit="nm",
+        ),
+        *ex.checked(
+            asked, f"slope, {of}", "slope", "median {slope:.3f}", low=1 - SLOPE_WITHIN, high=1 + SLOPE_WITHIN
+        ),
+    ]  # fmt: skip
 
 
 LISTING = ex.Listing("ways", "Variants of LIFT",
@@ -169,7 +155,6 @@ LISTING = ex.Listing("ways", "Variants of LIFT",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """The first ramp frame by frame."""
     found = {}
     for row in rows[rows["sample"] == rows["sample"].iloc[0]].itertuples():
         for name in ("introduced_nm", "true_nm"):
@@ -180,23 +165,21 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """All modes of the first ramp, and the errors of all ramps."""
     keys = [key for key in drawn.tables["ways"].key if key in DRAWN]
     caption = (
         "First ramp, nine modes, median per offset. Dashed: the true wavefront (introduced defocus, NCPAs, "
         "AO residual of each frame). NCPAs given to LIFT count as estimated; tip and tilt are not drawn."
     )
-    first = [
-        ex.Figure(_first_ramp(drawn, keys), "Estimated modes against introduced defocus", caption, "full")
-    ]
+    first = ex.Figure(_first_ramp(drawn, keys), "Estimated modes against introduced defocus", caption, "full")
     rows = drawn.rows()
     rows["named"] = [f"{LIFT_VARIANTS[key].name}, {len(LIFT_VARIANTS[key].modes)}" for key in rows.key]
-    columns = {"true_rms_nm": "introduced + NCPA + AO residual", "rms_nm": "introduced"}
     errors = ex.strips(
-        "focus-ramp-errors", rows, columns, by="named", label="error of the defocus [nm RMS]", width=9
-    )
-    caption = "RMS of every ramp against the true and against the introduced defocus. Bars: medians."
-    return [*(first if keys else []), ex.Figure(errors, "Error of every ramp", caption, "full")]
+        "focus-ramp-errors", "Error of every ramp",
+        "RMS of every ramp against the true and against the introduced defocus. Bars: medians.", rows,
+        {"true_rms_nm": "introduced + NCPA + AO residual", "rms_nm": "introduced"},
+        by="named", label="error of the defocus [nm RMS]", inches=9, width="full",
+    )  # fmt: skip
+    return [first, errors] if keys else [errors]
 
 
 def _first_ramp(drawn: ex.Drawn, keys: list[str]) -> Markup:

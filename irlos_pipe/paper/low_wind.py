@@ -7,9 +7,7 @@ same NCPAs and the same pattern; they differ in the size of the pattern, in band
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -20,10 +18,10 @@ from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.optics.wavefront import modes_at
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.broad_band import COADDED, FINE, J_AND_H
-from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, ObservedCube
+from irlos_pipe.paper.common.calibrations import DEFAULT, VARIANTS, ObservedCube
+from irlos_pipe.paper.common.calibrations import weighted_rms as rms
 from irlos_pipe.paper.common.observation import conditions_of
-from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
+from irlos_pipe.paper.common.scenes import BY_MIRROR, COADDED, FINE, J_AND_H
 from irlos_pipe.simulate.aperture import petal_count, petal_index
 from irlos_pipe.simulate.scene import Scene
 
@@ -47,10 +45,9 @@ class Sizes(ex.StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One set of NCPAs and one pattern of petals, in cubes of all sizes of the pattern."""
-    for index in range(ctx.config.samples):
-        yield ex.sample(ctx, f"petals {index}", index)
+    return ex.each(ctx, ctx.config.samples, "petals {index}")
 
 
 def rows(petals: ex.Sample) -> ex.Rows:
@@ -59,8 +56,9 @@ def rows(petals: ex.Sample) -> ex.Rows:
     for band, exposure_s in ((NARROW, sizes.short_s), (NARROW, sizes.long_s), (BROAD, sizes.short_s)):
         for size_nm in sizes.sizes_nm:
             cube = ObservedCube.of(scene(petals, band, exposure_s, size_nm * shape))
-            for model in (WITHOUT, WITH):
-                calibration = calibrated(cube, model)
+            petals_in_model = [LowWindEffect.under(conditions_of(cube.scene))]
+            for model, further in ((WITHOUT, []), (WITH, petals_in_model)):
+                calibration = cube.calibrated(VARIANTS[DEFAULT], further)
                 left_nm, petal, weight = left_of(cube, calibration)
                 pupil_nm = rms(left_nm, weight)
                 folded_nm = rms(folded(left_nm, petal, weight, cube.scene.bands[-1].centre_nm), weight)
@@ -95,22 +93,11 @@ def scene(petals: ex.Sample, band: str, exposure_s: float, piston_nm: np.ndarray
         frame_rate_hz=min(10.0, 1 / exposure_s),
         sampling=FINE,
         effects={"low_wind_effect": {"piston_nm": piston_nm.tolist()}} if piston_nm.any() else {},
-        diversity_nm=MIRROR_DIVERSITY_NM,
-        diversity_source="mirror",
         detector=COADDED,
     )
     if band == NARROW:
-        return narrow
-    return replace(
-        narrow, bands=J_AND_H, throughput=1.0, diversity_nm=cube.diversity_nm, diversity_source="lens"
-    )
-
-
-def calibrated(cube: ObservedCube, model: str) -> Calibration:
-    """Return the default calibration of a cube, with petals in the `model` or without."""
-    petals = [LowWindEffect.under(conditions_of(cube.scene))] if model == WITH else []
-    law = cube.scene.facility.ncpa_law
-    return VARIANTS[DEFAULT].calibrate(cube.frames, cube.settings, [*cube.effects, *petals], law)
+        return replace(narrow, **BY_MIRROR)
+    return replace(narrow, bands=J_AND_H, throughput=1.0)
 
 
 def left_of(cube: ObservedCube, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,20 +141,14 @@ def folded(values_nm: np.ndarray, petal: np.ndarray, weight: np.ndarray, wave_nm
     return values_nm - wave_nm * np.round((means_nm - means_nm[0]) / wave_nm)[petal]
 
 
-def rms(values_nm: Sequence[float] | np.ndarray, weight: np.ndarray) -> float:
-    """Return the RMS of `values_nm`, (points,), about their mean, weighted by `weight`."""
-    mean_nm = np.average(values_nm, weights=weight)
-    return float(np.sqrt(np.average((np.asarray(values_nm) - mean_nm) ** 2, weights=weight)))
-
-
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """Medians over the patterns, and the worst of them, which has a limit with petals in the model."""
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
+    def summary(group, recording, size_nm, model):
         medians = ex.spreads(
             group, "largest_difference_nm", "introduced_nm", "pupil_nm", "folded_nm", "modes_nm", "chi2_nu"
         )
-        asked_nm = ASKED_NM if group.model.iloc[0] == WITH else None
+        asked_nm = ASKED_NM if model == WITH else None
         return medians | {"asked_nm": asked_nm, "worst_nm": group.judged_nm.max(), "samples": len(group)}
 
     return {"rows": ex.grouped(rows, ["recording", "size_nm", "model"], summary)}
@@ -175,13 +156,13 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """What is left of the wavefront, where a limit is asked."""
-    found = []
-    for row in tables["rows"].dropna(subset="asked_nm").itertuples():
-        name = f"wavefront left with petals in the model, {row.recording}, {row.size_nm:g} nm"
-        waves = ", whole waves of a petal apart" if row.recording.startswith(NARROW) else ""
-        text = f"{row.worst_nm:.1f} nm RMS in the worst cube{waves}, asked {row.asked_nm:g} nm"
-        found.append(ex.at_most(name, row.worst_nm, row.asked_nm, text, "nm"))
-    return found
+    rows = tables["rows"].dropna(subset="asked_nm")
+    narrow = rows.recording.str.startswith(NARROW)
+    return ex.checked(
+        rows.assign(waves=narrow.map({True: ", whole waves of a petal apart", False: ""})),
+        "wavefront left with petals in the model, {recording}, {size_nm:g} nm", "worst_nm",
+        "{worst_nm:.1f} nm RMS in the worst cube{waves}, asked {asked_nm:g} nm", high="asked_nm", unit="nm",
+    )  # fmt: skip
 
 
 LISTING = ex.Listing("rows", "Sizes of the effect",
@@ -198,14 +179,13 @@ LISTING = ex.Listing("rows", "Sizes of the effect",
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """What is left, whole waves of a petal apart."""
     table = drawn.tables["rows"].assign(line=lambda one: one.recording + ", " + one.model)
-    labels = ("pistons [nm RMS over the petals]", "left [nm RMS]")
-    drawing = ex.lines(
-        "low-wind-left", table, "size_nm", "folded_nm", colour="line", labels=labels, levels=[ASKED_NM]
-    )
-    caption = "Medians, whole waves of H of a petal apart; dotted: what is asked with petals in the model."
-    return [ex.Figure(drawing, "What is left of the wavefront", caption)]
+    return [ex.lines(
+        "low-wind-left", "What is left of the wavefront",
+        "Medians, whole waves of H of a petal apart; dotted: what is asked with petals in the model.",
+        table, "size_nm", "folded_nm", colour="line", levels=[ASKED_NM],
+        labels=("pistons [nm RMS over the petals]", "left [nm RMS]"),
+    )]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

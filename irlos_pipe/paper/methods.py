@@ -7,15 +7,21 @@ power spectrum can have another shape than the model of the default assumes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, PUBLISHED, VARIANTS
+from irlos_pipe.paper.common.calibrations import (
+    DEFAULT,
+    METHOD_NAMES,
+    PAPER_CHOICE,
+    PUBLISHED,
+    VARIANTS,
+    ObservedCube,
+)
 from irlos_pipe.simulate.atmosphere import Shape
 
 MODEL_SHAPE: Shape = "power_law"  # what the model assumes, up to slope and direction
@@ -47,31 +53,29 @@ class Sizes(ex.StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """Cubes of all conditions, and the ways each is calibrated; the n-th of every one has the same NCPAs."""
     sizes = ctx.config
-    conditions: list[tuple[Shape, float, int, Sequence[str]]] = [
-        *((MODEL_SHAPE, seeing, sizes.samples, METHODS) for seeing in sizes.seeings_arcsec),
-        *((MODEL_SHAPE, seeing, sizes.samples_between, METHODS) for seeing in sizes.between_arcsec),
-        *(
-            (shape, seeing, sizes.samples_of_shapes, (DEFAULT, PAPER_CHOICE))
-            for shape in sizes.shapes
-            for seeing in sizes.seeings_arcsec
-        ),
-    ]
-    for place, (shape, seeing, count, variants) in enumerate(conditions):
-        for index in range(count):
-            dissected = place < len(sizes.seeings_arcsec) and index < sizes.samples_of_parts
-            tried = (*PARTS, *PUBLISHED) if dissected else variants
-            of = {"shape": shape, "seeing_arcsec": seeing, "dissected": dissected, "variants": tried}
-            yield ex.sample(ctx, f"{shape}, {seeing:g} arcsec, cube {index}", index, **of)
+    main, others = sizes.seeings_arcsec, (DEFAULT, PAPER_CHOICE)
+    for place, (shape, seeings, count, variants) in enumerate(
+        (
+            (MODEL_SHAPE, main, sizes.samples, METHODS),
+            (MODEL_SHAPE, sizes.between_arcsec, sizes.samples_between, METHODS),
+            *((shape, main, sizes.samples_of_shapes, others) for shape in sizes.shapes),
+        )
+    ):
+        for seeing in seeings:
+            for index in range(count):
+                dissected = not place and index < sizes.samples_of_parts
+                tried = (*PARTS, *PUBLISHED) if dissected else variants
+                of = {"shape": shape, "seeing_arcsec": seeing, "dissected": dissected, "variants": tried}
+                yield ex.sample(ctx, f"{shape}, {seeing:g} arcsec, cube {index}", index, **of)  # fmt: skip
 
 
 def rows(star: ex.Sample) -> ex.Rows:
     """Calibrate a cube in every way, and parts of it by the default."""
-    cube = ObservedCube.of(
-        star.cube(star["seeing_arcsec"], star.sizes.frames, star.sizes.mag_j, star["shape"])
-    )
+    sizes = star.sizes
+    cube = ObservedCube.of(star.cube(star["seeing_arcsec"], sizes.frames, sizes.mag_j, star["shape"]))
     for name in star["variants"]:
         calibration = cube.calibrated(VARIANTS[name])
         yield {
@@ -82,10 +86,9 @@ def rows(star: ex.Sample) -> ex.Rows:
             "pupil_nm": cube.pupil_delta_nm(calibration),
             "chi2_nu": calibration.chi2_nu,
         }
-    for part in star.sizes.fractions if star["dissected"] else ():
+    for part in sizes.fractions if star["dissected"] else ():
         fewer = cube.first(max(2, round(part * len(cube.frames.images_e))))
-        error_nm = fewer.modes_delta_nm(fewer.calibrated(VARIANTS[DEFAULT]))
-        yield {"variant": DEFAULT, "part": part, "modes_nm": error_nm}
+        yield {"variant": DEFAULT, "part": part, "modes_nm": fewer.error_nm(VARIANTS[DEFAULT])}
 
 
 def speckle_floor_nm(errors_nm: Mapping[float, Sequence[float]]) -> tuple[float, float]:
@@ -113,75 +116,74 @@ def speckle_floor_nm(errors_nm: Mapping[float, Sequence[float]]) -> tuple[float,
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """Conditions; all methods under each; the parts of the default, on the cubes where all were changed."""
-    condition, whole = ["shape", "seeing_arcsec"], rows[rows.part == 1]
+    by, whole = ["shape", "seeing_arcsec"], rows[rows.part == 1]
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
-        cubes = group[group.part == 1].drop_duplicates("sample")
-        median_nm = {name: _median(group, name) for name in (DEFAULT, PAPER_CHOICE)}
-        numbers = {
-            "samples": len(cubes),
-            "introduced_nm": np.mean(cubes.introduced_nm.to_numpy()),
-            "introduced_scatter_nm": np.std(cubes.introduced_nm.to_numpy()),
-            "ratio_to_dip_global": median_nm[DEFAULT] / median_nm[PAPER_CHOICE],
-            **{f"{name}_nm": value for name, value in median_nm.items()},
-        }
-        by_part = group[group.dissected & (group.variant == DEFAULT)].groupby("part").modes_nm
-        floor = (
-            speckle_floor_nm({part: values.to_numpy() for part, values in by_part}) if len(by_part) else ()
+    def condition(group, *_):
+        all_of_it = group[group.part == 1]
+        introduced_nm = all_of_it.drop_duplicates("sample").introduced_nm.to_numpy()
+        own_nm, other_nm = (
+            float(np.median(all_of_it.modes_nm[all_of_it.variant == name]))
+            for name in (DEFAULT, PAPER_CHOICE)
         )
-        names = ("speckle_floor_nm", "beside_floor_nm", "default_of_parts_nm", "samples_of_parts")
-        of_parts = group[group.dissected & (group.variant == DEFAULT) & (group.part == 1)].modes_nm
-        own = (*floor, np.median(of_parts), len(of_parts)) if floor else [None] * 4
-        return numbers | dict(zip(names, own, strict=True))
-
-    def errors(group: ex.Frame) -> dict[str, Any]:
-        name = group.variant.iloc[0]
-        found: dict[str, Any] = {
-            "label": VARIANTS[name].label,
-            "method": METHOD_NAMES.get(name),
-            "samples": len(group),
+        dissected = group[group.dissected & (group.variant == DEFAULT)]
+        by_part = {part: own.to_numpy() for part, own in dissected.groupby("part").modes_nm}
+        floor_nm, beside_nm = speckle_floor_nm(by_part) if by_part else (None, None)
+        return {
+            "samples": len(introduced_nm),
+            "introduced_nm": np.mean(introduced_nm),
+            "introduced_scatter_nm": np.std(introduced_nm),
+            "ratio_to_dip_global": own_nm / other_nm,
+            f"{DEFAULT}_nm": own_nm,
+            f"{PAPER_CHOICE}_nm": other_nm,
+            "speckle_floor_nm": floor_nm,
+            "beside_floor_nm": beside_nm,
+            "default_of_parts_nm": np.median(by_part[1.0]) if by_part else None,
+            "samples_of_parts": len(by_part[1.0]) if by_part else None,
         }
+
+    def errors(group, shape, seeing_arcsec, variant):
+        found: dict[str, Any] = {"label": VARIANTS[variant].label, "method": METHOD_NAMES.get(variant)}
+        found["samples"] = len(group)
         for name in ("modes_nm", "pupil_nm"):
             found |= ex.spreads(group, name) | ex.median_in_range(name, group[name])
             found[f"{name}_worst"] = group[name].max()
         return found | {"chi2_nu": np.median(group.chi2_nu)}
 
-    of_all = whole[whole.variant.isin(METHODS)].sort_values("variant", key=_places, kind="stable")
+    in_order = {"by": "variant", "key": lambda variants: variants.map(METHODS.index), "kind": "stable"}
+    of_all = whole[whole.variant.isin(METHODS)].sort_values(**in_order)
     of_parts = whole[whole.dissected & whole.variant.isin(PARTS)]
     shown = {
-        "conditions": ex.grouped(rows, condition, summary),
-        "methods": ex.grouped(of_all, [*condition, "variant"], errors),
-        "parts": ex.grouped(of_parts, [*condition, "variant"], errors),
+        "conditions": ex.grouped(rows, by, condition),
+        "methods": ex.grouped(of_all, [*by, "variant"], errors),
+        "parts": ex.grouped(of_parts, [*by, "variant"], errors),
     }
     return {name: table for name, table in shown.items() if len(table)}
 
 
-def _places(variants: ex.Frame) -> ex.Frame:
-    return variants.map(METHODS.index)
-
-
-def _median(group: ex.Frame, variant: str) -> float:
-    return float(np.median(group.modes_nm[(group.variant == variant) & (group.part == 1)]))
-
-
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """NCPAs as in the paper, the default near its floor and well before the paper's choice."""
-    introduced, floors, ratios = [], [], []
-    for row in tables["conditions"].itertuples():
-        of = f"{row.shape}, {row.seeing_arcsec:g} arcsec"
-        reach_nm = STANDARD_ERRORS * DRAWN_SCATTER_NM / math.sqrt(row.samples)
-        text = f"{row.introduced_nm:.0f} nm in the mean of {row.samples} cubes, {DRAWN_NM:g} in the paper"
-        limits = DRAWN_NM - reach_nm, DRAWN_NM + reach_nm
-        introduced.append(ex.Check(f"introduced NCPAs, {of}", row.introduced_nm, "nm", *limits, text))
-        floor_nm, own_nm = row.speckle_floor_nm, row.default_of_parts_nm
-        if math.isfinite(floor_nm):
-            over = own_nm / floor_nm if floor_nm > 0 else math.inf
-            text = f"median {own_nm:.1f} nm of {row.samples_of_parts:g} cubes, floor {floor_nm:.1f} nm"
-            floors.append(ex.at_most(f"default over the floor of the speckles, {of}", over, OVER_FLOOR, text))
-        text = f"medians {row.long_exposure_nm:.1f} and {row.dip_global_nm:.1f} nm"
-        name = f"default over DIP global, {of}"
-        ratios.append(ex.at_most(name, row.ratio_to_dip_global, 1 / SEVERAL_TIMES, text))
-    return [*introduced, *floors, *ratios]
+    conditions, of = tables["conditions"], "{shape}, {seeing_arcsec:g} arcsec"
+    own_nm, floor_nm = "default_of_parts_nm", "speckle_floor_nm"
+    introduced = conditions.assign(reach_nm=STANDARD_ERRORS * DRAWN_SCATTER_NM / np.sqrt(conditions.samples))
+    return [
+        *ex.checked(
+            introduced, f"introduced NCPAs, {of}", "introduced_nm",
+            f"{{introduced_nm:.0f}} nm in the mean of {{samples}} cubes, {DRAWN_NM:g} in the paper",
+            low=lambda row: DRAWN_NM - row["reach_nm"], high=lambda row: DRAWN_NM + row["reach_nm"],
+            unit="nm",
+        ),
+        *ex.checked(
+            conditions[np.isfinite(conditions.speckle_floor_nm)],
+            f"default over the floor of the speckles, {of}",
+            lambda row: row[own_nm] / row[floor_nm] if row[floor_nm] > 0 else math.inf,
+            "median {default_of_parts_nm:.1f} nm of {samples_of_parts:g} cubes, "
+            "floor {speckle_floor_nm:.1f} nm", high=OVER_FLOOR,
+        ),
+        *ex.checked(
+            conditions, f"default over DIP global, {of}", "ratio_to_dip_global",
+            "medians {long_exposure_nm:.1f} and {dip_global_nm:.1f} nm", high=1 / SEVERAL_TIMES,
+        ),
+    ]  # fmt: skip
 
 
 MODES, PUPIL = "{modes_nm:.1f} ({modes_nm_low:.1f}–{modes_nm_high:.1f})", "{pupil_nm:.1f}"
@@ -214,28 +216,22 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error against seeing, and all cubes of the seeings at which parts were changed."""
-    modelled = (
-        drawn.tables["methods"].query(f"shape == '{MODEL_SHAPE}'").sort_values("seeing_arcsec", kind="stable")
-    )
-    labels, caption = ('seeing ["]', "Δ-WFE in Noll 2–30 [nm RMS]"), "Medians; bars: 16th to 84th percentile."
-    seeing = ex.lines(
-        "methods-seeing",
-        modelled,
-        "seeing_arcsec",
-        "modes_nm",
-        colour="method",
-        labels=labels,
-        ends=("p16", "p84"),
-    )
-    rows = drawn.rows().query(f"shape == '{MODEL_SHAPE}' and part == 1")
-    rows = rows[rows.variant.isin(METHODS)].sort_values("seeing_arcsec", kind="stable")
+    modelled, by_seeing = f"shape == '{MODEL_SHAPE}'", {"by": "seeing_arcsec", "kind": "stable"}
+    table = drawn.tables["methods"].query(modelled).sort_values(**by_seeing)
+    rows = drawn.rows().query(f"{modelled} and part == 1 and variant in {METHODS}").sort_values(**by_seeing)
     rows["named"] = rows.seeing_arcsec.map("{:g}″, ".format) + rows.variant.map(METHOD_NAMES)
-    cubes = ex.strips("methods-samples", rows, {"modes_nm": "Noll 2–30"}, by="named", label=labels[1])
+    label = "Δ-WFE in Noll 2–30 [nm RMS]"
     return [
-        ex.Figure(seeing, "Error against seeing", caption),
-        ex.Figure(cubes, "Distribution over cubes", "Every point is a cube with NCPAs of its own."),
-    ]
+        ex.lines(
+            "methods-seeing", "Error against seeing", "Medians; bars: 16th to 84th percentile.",
+            table, "seeing_arcsec", "modes_nm",
+            colour="method", labels=('seeing ["]', label), ends=("p16", "p84"),
+        ),
+        ex.strips(
+            "methods-samples", "Distribution over cubes", "Every point is a cube with NCPAs of its own.",
+            rows, {"modes_nm": "Noll 2–30"}, by="named", label=label,
+        ),
+    ]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

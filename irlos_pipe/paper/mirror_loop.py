@@ -7,9 +7,8 @@ actuators are shifted and turned against the pupil. The star was refocused befor
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -19,12 +18,10 @@ from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.correction import modal_offsets, predict_correction
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.broad_band import FINE
-from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, ObservedCube
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.mirror_bench import BY_MIRROR, EXACT, LEFT, Bench, MirrorErrors, further
 from irlos_pipe.paper.common.ramps import knowledge_of
-from irlos_pipe.paper.common.star import star_image
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS
+from irlos_pipe.paper.common.scenes import FINE, MIRROR_DIVERSITY_NM, star_image
 from irlos_pipe.simulate.scene import Scene
 
 IMPROVES = 0.9  # an estimate is followed where it is below this part of the one before
@@ -53,11 +50,10 @@ class Sizes(ex.StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One set of NCPAs with one bias of the defocus."""
     for bias_nm in ctx.config.biases_nm:
-        for index in range(ctx.config.samples):
-            yield ex.sample(ctx, f"bias {bias_nm:g} nm, NCPAs {index}", index, bias_nm=bias_nm)
+        yield from ex.each(ctx, ctx.config.samples, "bias {bias_nm:g} nm, NCPAs {index}", bias_nm=bias_nm)
 
 
 def rows(star: ex.Sample) -> ex.Rows:
@@ -79,12 +75,8 @@ def rows(star: ex.Sample) -> ex.Rows:
             last = not falling or done == sizes.corrections
             yield {"what": "state", **loop, "corrections": done, **state, "last": last, "falling": falling}
             if done == 0:
-                yield {
-                    "what": "star",
-                    **loop,
-                    "predicted": predicted_strehl(cube, calibration),
-                    "ideal": ideal,
-                }
+                predicted = predicted_strehl(cube, calibration)
+                yield {"what": "star", **loop, "predicted": predicted, "ideal": ideal}
             if last:
                 break
             mirror = replace(mirror, offsets_nm=further(mirror.offsets_nm, estimate_nm))
@@ -100,7 +92,6 @@ def rows(star: ex.Sample) -> ex.Rows:
 
 
 def scene_of(star: ex.Sample) -> Scene:
-    """Return the cube before any correction."""
     cube = star.cube(star.sizes.seeing_arcsec, star.sizes.frames, star.sizes.mag_j)
     ncpa_nm = {**cube.ncpa_nm, DEFOCUS: star["bias_nm"]}
     return replace(
@@ -133,11 +124,15 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """The loops, their wavefront after every correction, the causes of what is left, and mirrors alone."""
     kinds, loop = dict(list(rows.groupby("what", sort=False))), ["method", "diversity", "bias_nm"]
     states, stars = kinds["state"], kinds["star"].set_index([*loop, "sample"])
-    causes = ex.grouped(kinds["cause"], [*loop, "cause"], _medians, "modes_nm", "beyond_nm")
+    places = {pair: place for place, pair in enumerate(LOOPS)}
+    states["loop"] = [places[pair] for pair in zip(states.method, states.diversity, strict=True)]
+    states = states.sort_values("loop", kind="stable")
+    causes = ex.grouped(kinds["cause"], [*loop, "cause"], lambda group, *_: {
+        name: float(np.median(group[name])) for name in ("modes_nm", "beyond_nm")
+    })  # fmt: skip
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
+    def loops(group, *key):
         first, last = group[group.corrections == 0], group[group["last"]]
-        key = tuple(group[name].iloc[0] for name in loop)
         star, done = stars.loc[key], last.corrections.astype(int)
         after_one = group.modes_nm[group.corrections == 1]
         numbers = {
@@ -148,11 +143,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
         own = causes[(causes[loop] == key).all(axis=1)]
         return {
             "samples": len(first),
-            **{
-                one: value
-                for name, values in numbers.items()
-                for one, value in ex.spread(name, values).items()
-            },
+            **dict(item for name, values in numbers.items() for item in ex.spread(name, values).items()),
             "after_one_nm": np.median(after_one) if len(after_one) else None,
             "most_corrections": done.max(),
             "cut_off": int(last.falling.sum()),  # the estimate still fell at the last correction allowed
@@ -161,46 +152,39 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
             "worst_nm": last.modes_nm.max(),
         }
 
-    def state(group: ex.Frame) -> dict[str, Any]:
-        return {"samples": len(group)} | ex.spreads(group, *STATE)
-
-    def alone(group: ex.Frame) -> dict[str, Any]:
-        by_step = group.groupby("corrections")
-        steps = {f"modes_nm_{int(done)}": np.median(own.modes_nm) for done, own in by_step}
+    def alone(group, *_):
+        steps = {
+            f"modes_nm_{int(done)}": np.median(own) for done, own in group.groupby("corrections").modes_nm
+        }
         return steps | {"beyond_nm": np.median(group.beyond_nm[group.corrections == group.corrections.max()])}
 
-    order = states.assign(
-        loop=[LOOPS.index(pair) for pair in zip(states.method, states.diversity, strict=True)]
+    by_step = ex.grouped(
+        states, [*loop, "corrections"], lambda group, *_: {"samples": len(group)} | ex.spreads(group, *STATE)
     )
-    order = order.sort_values("loop", kind="stable")
-    by_step = ex.grouped(order, [*loop, "corrections"], state).astype({"corrections": int})
+    mirrors = ex.grouped(kinds["alone"], ["pitch_m", "actuators", "error"], alone)
     return {
-        "loops": ex.grouped(order, loop, summary),
-        "states": by_step,
+        "loops": ex.grouped(states, loop, loops),
+        "states": by_step.astype({"corrections": int}),
         "causes": causes,
-        "alone": ex.grouped(kinds["alone"], ["pitch_m", "actuators", "error"], alone).astype(
-            {"actuators": int}
-        ),
+        "alone": mirrors.astype({"actuators": int}),
     }
-
-
-def _medians(group: ex.Frame, *names: str) -> dict[str, float]:
-    return {name: float(np.median(group[name])) for name in names}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The default's loops end, and leave no more than is asked."""
-    ended, left = [], []
-    for row in tables["loops"].itertuples():
-        if row.method == DEFAULT:
-            text = "loops in which the estimate still fell at the last correction that is allowed: "
-            name = f"loops cut off, {row.diversity} diversity, bias {row.bias_nm:g} nm"
-            ended.append(ex.at_most(name, row.cut_off, 0, f"{text}{row.cut_off}"))
-        if np.isfinite(row.asked_nm):
-            text = f"{row.worst_nm:.1f} nm RMS in the worst sample, asked {row.asked_nm:g} nm"
-            name = f"Noll 4–30 left, bias {row.bias_nm:g} nm"
-            left.append(ex.at_most(name, row.worst_nm, row.asked_nm, text, "nm"))
-    return [*ended, *left]
+    loops = tables["loops"]
+    return [
+        *ex.checked(
+            loops[loops.method == DEFAULT], "loops cut off, {diversity} diversity, bias {bias_nm:g} nm",
+            "cut_off",
+            "loops in which the estimate still fell at the last correction that is allowed: {cut_off}",
+            high=0,
+        ),
+        *ex.checked(
+            loops.dropna(subset="asked_nm"), "Noll 4–30 left, bias {bias_nm:g} nm", "worst_nm",
+            "{worst_nm:.1f} nm RMS in the worst sample, asked {asked_nm:g} nm", high="asked_nm", unit="nm",
+        ),
+    ]  # fmt: skip
 
 
 LISTINGS = [
@@ -238,15 +222,14 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """What is left after every correction."""
     states = drawn.tables["states"]
     states = states.assign(loop=states.method.map(METHOD_NAMES) + ", diversity " + states.diversity)
-    drawing = ex.lines(
-        "mirror-loop-left", states, "corrections", "modes_nm", colour="loop", panels="bias_nm",
-        labels=("corrections", "left in Noll 4–30 [nm RMS]"), size=(9.5, 4.2),
-    )  # fmt: skip
-    caption = "Medians over the samples whose loop came that far, by the bias of the defocus [nm]."
-    return [ex.Figure(drawing, "What is left in Noll 4–30", caption, "full")]
+    return [ex.lines(
+        "mirror-loop-left", "What is left in Noll 4–30",
+        "Medians over the samples whose loop came that far, by the bias of the defocus [nm].",
+        states, "corrections", "modes_nm", colour="loop", panels="bias_nm",
+        labels=("corrections", "left in Noll 4–30 [nm RMS]"), size=(9.5, 4.2), width="full",
+    )]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

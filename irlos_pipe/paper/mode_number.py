@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
-from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.common.reads import NoiseOf, Read, as_read
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, Variant, frames_per_method
+from irlos_pipe.paper.common.calibrations import (
+    DEFAULT,
+    METHOD_NAMES,
+    PAPER_CHOICE,
+    ObservedCube,
+    Variant,
+    frames_per_method,
+)
+from irlos_pipe.paper.common.observation import NoiseOf, Read, as_read
 
 LIFT = "lift_avg"
 MODES_INTRODUCED = 50
+LAST = MODES_INTRODUCED + 1  # the highest of them
 HELD_OUT = "held-out frames"
+# The default has its prior; the others have none, as published.
+METHODS = {
+    name: Variant(name, CalibrationOptions(name), prior=name == DEFAULT)
+    for name in (DEFAULT, PAPER_CHOICE, LIFT)
+}
 
 
 class Sizes(ex.StageConfig):
@@ -47,27 +57,32 @@ class Sizes(ex.StageConfig):
         return numbers
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
-    """One cube each."""
+def samples(ctx: ex.Context) -> ex.Samples:
     read = Read.of(ctx.instrument, ctx.config.noise, "mode_number")
-    for index in range(ctx.config.cubes):
-        yield ex.sample(ctx, f"cube {index}", index, read=read)
+    return ex.each(ctx, ctx.config.cubes, "cube {index}", read=read)
 
 
 def rows(star: ex.Sample) -> ex.Rows:
-    """Dim the cube and estimate few and many modes; what held-out frames recommend to the default."""
+    """Dim the cube and estimate few and many modes; what held-out frames recommend to the default.
+
+    The default begins every number of modes from the one before; the published methods begin from none.
+    """
     sizes = star.sizes
     scene = star.cube(sizes.seeing_arcsec, sizes.frames, sizes.magnitudes[0])
     cube = ObservedCube.of(as_read(scene, star["read"]))
+    options = METHODS[DEFAULT].options_with(star.facility.ncpa_law)
     frames = frames_per_method(sizes.frames, sizes.published_frames) | {LIFT: sizes.frames}
     for method, magnitudes in magnitudes_of(sizes).items():
         for mag_j in magnitudes:
             own = cube.dimmed(mag_j).first(frames[method])
-            for highest, fit in zip(sizes.numbers, fits(own, method, sizes.numbers), strict=True):
+            if method == DEFAULT:
+                fits = fit_mode_numbers(own.frames, own.settings, options, sizes.numbers, own.effects)
+            else:
+                fits = [own.calibrated(METHODS[method].with_modes(highest)) for highest in sizes.numbers]
+            for highest, fit in zip(sizes.numbers, fits, strict=True):
                 error_nm = own.modes_delta_nm(fit)
                 yield {"method": method, "mag_j": mag_j, "highest_noll": highest, "error_nm": error_nm}
     bright = cube.dimmed(sizes.magnitudes[0])
-    options = _variant(DEFAULT).options_with(bright.scene.facility.ncpa_law)
     scan = scan_mode_numbers(bright.frames, bright.settings, options, sizes.numbers, bright.effects)
     recommended = scan.highest_nolls[choose(scan.misfit).recommended]
     for highest, misfit in zip(sizes.numbers, scan.misfit.mean(axis=1), strict=True):
@@ -80,49 +95,38 @@ def magnitudes_of(sizes: Sizes) -> Mapping[str, tuple[float, ...]]:
     return {DEFAULT: sizes.magnitudes, PAPER_CHOICE: sizes.magnitudes[:1], LIFT: sizes.magnitudes}
 
 
-def fits(cube: ObservedCube, method: str, highest_nolls: tuple[int, ...]) -> list[Calibration]:
-    """The default begins every number of modes from the one before; the published methods begin from none."""
-    variant = _variant(method)
-    if method == DEFAULT:
-        options = variant.options_with(cube.scene.facility.ncpa_law)
-        return fit_mode_numbers(cube.frames, cube.settings, options, highest_nolls, cube.effects)
-    return [
-        cube.calibrated(replace(variant, options=replace(variant.options, highest_noll=highest)))
-        for highest in highest_nolls
-    ]
-
-
-def _variant(method: str) -> Variant:
-    """The default has its prior; the others have none, as published."""
-    return Variant(method, CalibrationOptions(method), prior=method == DEFAULT)
-
-
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """Median and extremes over the cubes, and what each cube recommends."""
 
-    def summary(group: ex.Frame) -> Mapping[str, object]:
-        error_nm, label = group.error_nm.to_numpy(), METHOD_NAMES[group.method.iloc[0]]
+    def curve(group, method, *_):
+        error_nm, of_all = group.error_nm, {"cubes": len(group), "modes_introduced": MODES_INTRODUCED}
         numbers = {"median_nm": np.median(error_nm), "least_nm": error_nm.min(), "worst_nm": error_nm.max()}
-        return {"label": label, **numbers, "cubes": len(group), "modes_introduced": MODES_INTRODUCED}
+        return {"label": METHOD_NAMES[method], **numbers, **of_all}
 
     curves, held_out = rows[rows.method != HELD_OUT], rows[rows.method == HELD_OUT]
-    recommended = held_out.drop_duplicates("sample")[["sample", "recommended_noll"]].astype(
-        {"recommended_noll": int}
-    )
-    return {"curves": ex.grouped(curves, ["method", "mag_j", "highest_noll"], summary), "cubes": recommended}
+    recommended = held_out.drop_duplicates("sample")[["sample", "recommended_noll"]]
+    return {
+        "curves": ex.grouped(curves, ["method", "mag_j", "highest_noll"], curve),
+        "cubes": recommended.astype({"recommended_noll": int}),
+    }
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """DIP is best at the number introduced (the paper's appendix B), and the frames tell this number."""
-    found, last, curves = [], MODES_INTRODUCED + 1, tables["curves"]
-    for mag_j, curve in curves[curves.method == PAPER_CHOICE].groupby("mag_j", sort=False):
-        best = curve.highest_noll[curve.median_nm.idxmin()]
-        name = f"modes from those introduced to DIP global's best, m_J {mag_j:g}"
-        found.append(ex.at_most(name, abs(best - last), 0, f"best to Noll {best}, introduced to Noll {last}"))
-    recommended = tables["cubes"].recommended_noll
-    others, cubes = int((recommended != last).sum()), len(recommended)
-    name = "cubes whose held-out frames choose another number than the introduced one"
-    return [*found, ex.at_most(name, others, cubes / 2, f"{others} of {cubes}")]
+    curves, recommended = tables["curves"].query(f"method == '{PAPER_CHOICE}'"), tables["cubes"]
+    others = int((recommended.recommended_noll != LAST).sum())
+    return [
+        *ex.checked(
+            curves.loc[curves.groupby("mag_j", sort=False).median_nm.idxmin()],
+            "modes from those introduced to DIP global's best, m_J {mag_j:g}",
+            lambda row: abs(row["highest_noll"] - LAST),
+            f"best to Noll {{highest_noll}}, introduced to Noll {LAST}", high=0,
+        ),
+        ex.check(
+            "cubes whose held-out frames choose another number than the introduced one",
+            others, f"{others} of {len(recommended)}", high=len(recommended) / 2,
+        ),
+    ]  # fmt: skip
 
 
 LISTINGS = [
@@ -139,27 +143,17 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Medians against the number of modes: calibration of bright cubes, and LIFT of their mean image."""
-    curves, found = drawn.tables["curves"], []
-    labels = ("highest Noll mode estimated", "Δ-WFE in Noll 2–30 [nm]")
-    caption = f"Medians over the cubes. Dotted: the introduced modes, Noll 2–{MODES_INTRODUCED + 1}."
-    named = curves.assign(line=curves.label + ", m_J " + curves.mag_j.map("{:g}".format))
-    for title, part in (
-        ("Calibration", named[named.method != LIFT]),
-        (METHOD_NAMES[LIFT], named[named.method == LIFT]),
-    ):
-        name = f"number-{title.split()[0].lower()}"
-        drawing = ex.lines(
-            name,
-            part,
-            "highest_noll",
-            "median_nm",
-            colour="line",
-            labels=labels,
-            marks=[MODES_INTRODUCED + 1],
+    curves = drawn.tables["curves"]
+    curves = curves.assign(line=curves.label + ", m_J " + curves.mag_j.map("{:g}".format))
+    caption = f"Medians over the cubes. Dotted: the introduced modes, Noll 2–{LAST}."
+    parts = {"Calibration": curves[curves.method != LIFT], METHOD_NAMES[LIFT]: curves[curves.method == LIFT]}
+    return [
+        ex.lines(
+            f"number-{title.split()[0].lower()}", title, caption, part, "highest_noll", "median_nm",
+            colour="line", labels=("highest Noll mode estimated", "Δ-WFE in Noll 2–30 [nm]"), marks=[LAST],
         )
-        found.append(ex.Figure(drawing, title, caption))
-    return found
+        for title, part in parts.items()
+    ]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from pydantic import Field
@@ -12,8 +12,14 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, PAPER_CHOICE, Variant, frames_per_method
+from irlos_pipe.paper.common.calibrations import (
+    DEFAULT,
+    METHOD_NAMES,
+    PAPER_CHOICE,
+    ObservedCube,
+    Variant,
+    frames_per_method,
+)
 from irlos_pipe.report.section_modes import Points, strength_plot
 from irlos_pipe.stages.modes import LawRow
 
@@ -21,7 +27,6 @@ INTRODUCED = 51  # highest Noll mode of the simulated NCPAs
 FIRST_FITTED = 4  # tip and tilt hold the residual image motion of a finite cube
 TRUTH = "introduced"
 NAMES = {TRUTH: TRUTH} | {method: METHOD_NAMES[method] for method in (DEFAULT, PAPER_CHOICE)}
-TERMS = {"A": ("A_nm", "A_sigma_nm"), "B": ("B", "B_sigma"), "C": ("C_nm", "C_sigma_nm")}
 
 
 class Sizes(ex.StageConfig):
@@ -39,10 +44,8 @@ class Sizes(ex.StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
-    """One cube each."""
-    for index in range(ctx.config.cubes):
-        yield ex.sample(ctx, f"cube {index}", index)
+def samples(ctx: ex.Context) -> ex.Samples:
+    return ex.each(ctx, ctx.config.cubes, "cube {index}")
 
 
 def rows(star: ex.Sample) -> ex.Rows:
@@ -53,30 +56,24 @@ def rows(star: ex.Sample) -> ex.Rows:
     for method, count in frames_per_method(sizes.frames, sizes.published_frames).items():
         options = CalibrationOptions(method, highest_noll=sizes.highest_noll)
         fit = cube.first(count).calibrated(Variant(method, options, prior=False))
-        wrong_nm = (fit.zernike_nm - introduced_nm)[2:]
         yield {
             "method": method,
             "introduced_nm": introduced_nm,
             "zernike_nm": fit.zernike_nm,
             "sigma_nm": fit.sigma_nm,
-            "error_nm": float(np.sqrt(np.sum(wrong_nm**2))),  # beyond tip and tilt
+            "error_nm": float(np.sqrt(np.sum((fit.zernike_nm - introduced_nm)[2:] ** 2))),  # beyond tilt
             "chi2_nu": fit.chi2_nu,
         }
 
 
 def scatters(rows: ex.Frame) -> dict[str, ModeScatter]:
     """Return the scatter over the cubes of the introduced modes, and of the estimates of every method."""
-    by_method = dict(list(rows.groupby("method", sort=False)))
-    true_nm = np.stack(list(by_method[DEFAULT].introduced_nm))
-    found = {TRUTH: _scatter(true_nm, np.zeros_like(true_nm))}
-    for method, own in by_method.items():
-        found[method] = _scatter(np.stack(list(own.zernike_nm)), np.stack(list(own.sigma_nm)))
-    return found
-
-
-def _scatter(zernike_nm: np.ndarray, sigma_nm: np.ndarray) -> ModeScatter:
-    nolls = list(range(2, zernike_nm.shape[1] + 2))
-    return equalised_tilts(mode_scatter(nolls, zernike_nm, sigma_nm))
+    (true_nm,) = ex.stacked(rows[rows.method == DEFAULT], "introduced_nm")
+    values = {TRUTH: [true_nm, np.zeros_like(true_nm)]}
+    for method, own in rows.groupby("method", sort=False):
+        values[method] = ex.stacked(own, "zernike_nm", "sigma_nm")
+    nolls = list(range(2, true_nm.shape[1] + 2))
+    return {name: equalised_tilts(mode_scatter(nolls, *own)) for name, own in values.items()}
 
 
 def law_of(scatter: ModeScatter, start: NcpaLaw, last: int | None = None) -> ModeLaw:
@@ -96,13 +93,10 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     start, found = ctx.instrument.facility.ncpa_law, scatters(rows)
     laws = {(f"Noll 4–{INTRODUCED}", name): law_of(one, start, INTRODUCED) for name, one in found.items()}
     laws |= {("all from Noll 4 on", name): law_of(one, start) for name, one in found.items() if name != TRUTH}
-    counts = {
-        "cubes": ctx.config.cubes,
-        "modes_introduced": INTRODUCED - 1,
-        "modes_estimated": ctx.config.highest_noll - 1,
-    }
+    cubes, estimated = ctx.config.cubes, ctx.config.highest_noll - 1
+    counts = {"cubes": cubes, "modes_introduced": INTRODUCED - 1, "modes_estimated": estimated}
 
-    def method(name: str, scatter: ModeScatter) -> dict[str, object]:
+    def method(name, scatter):
         errors_nm = rows.error_nm[rows.method == name]
         median_nm = float(np.median(errors_nm)) if len(errors_nm) else None
         beyond = beyond_nm(scatter.nolls, scatter.std_nm)
@@ -123,17 +117,13 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
 
     Both laws are fitted to the same draws, so they differ by less than a fit's error, which is theirs.
     """
-    laws = {
-        row["name"]: row
-        for row in tables["laws"].to_dict("records")
-        if row["modes"] == f"Noll 4–{INTRODUCED}"
-    }
+    laws = tables["laws"].query(f"modes == 'Noll 4–{INTRODUCED}'").set_index("name")
     found = []
-    for term, (column, error) in TERMS.items():
-        value, sigma, introduced = laws[DEFAULT][column], laws[DEFAULT][error], laws[TRUTH][column]
-        name = f"law of the default, term {term}: deviation over standard error"
+    for column, error in (("A_nm", "A_sigma_nm"), ("B", "B_sigma"), ("C_nm", "C_sigma_nm")):
+        value, sigma, introduced = laws[column][DEFAULT], laws[error][DEFAULT], laws[column][TRUTH]
+        name = f"law of the default, term {column[0]}: deviation over standard error"
         text = f"{value:.3g} ± {sigma:.2g}, introduced {introduced:.3g}"
-        found.append(ex.at_most(name, abs(value - introduced) / sigma, 1.0, text))
+        found.append(ex.check(name, abs(value - introduced) / sigma, text, high=1.0))
     return found
 
 
@@ -158,7 +148,6 @@ LISTINGS = [
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """Standard deviations with their laws: DIP global's of all modes, the others' of the introduced ones."""
     start, quantities = ctx.instrument.facility.ncpa_law, {}
     for name, one in scatters(rows).items():
         law = law_of(one, start, None if name == PAPER_CHOICE else INTRODUCED)
@@ -171,15 +160,12 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Standard deviation against Noll index."""
     noll, points = drawn.array("noll"), {}
     for name, text in NAMES.items():
         std_nm, law_nm = drawn.array(f"{name}/std_nm"), drawn.array(f"{name}/law_nm")
         shown = np.where(std_nm > 0, std_nm, np.nan)
         points[text] = Points(noll, shown, None if name == TRUTH else law_nm)
-    line: Mapping[str, np.ndarray] = {
-        "law of the introduced modes": np.stack([noll, drawn.array(f"{TRUTH}/law_nm")])
-    }
+    line = {"law of the introduced modes": np.stack([noll, drawn.array(f"{TRUTH}/law_nm")])}
     caption = (
         "RMS over the cubes, tip and tilt equalised. Lines: laws fitted from Noll 4 on, that of DIP global "
         "to all modes, the others to the introduced ones."

@@ -6,8 +6,8 @@ J and H through the lens. All ramps of a sample have the same NCPAs, AO residual
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,17 @@ from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.broad_band import FINE
-from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM
-from irlos_pipe.paper.common.ramp_light import ASKED_NM, CONDITIONS, WAYS, Condition, Way, effects_of, fit_way
+from irlos_pipe.paper.common.calibrations import DEFAULT
+from irlos_pipe.paper.common.ramp_light import ASKED_NM, CONDITIONS, WAYS, Condition, effects_of, fit_way
 from irlos_pipe.paper.common.ramps import (
     RAMP_STREAM,
-    ObservedRamp,
     calibrated,
     observe,
+    offsets_nm,
     ramp_scene,
     true_modes_nm,
 )
-from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
@@ -57,10 +56,9 @@ class Sizes(ex.StageConfig):
         return conditions
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One set of NCPAs each: a cube to calibrate them, and a ramp under every condition."""
-    for index in range(ctx.config.samples):
-        yield ex.sample(ctx, f"NCPAs {index}", index)
+    return ex.each(ctx, ctx.config.samples, "NCPAs {index}")
 
 
 def rows(star: ex.Sample) -> ex.Rows:
@@ -72,23 +70,32 @@ def rows(star: ex.Sample) -> ex.Rows:
         ramp = ramp_of(star, cube, condition)
         exposed = expose(ramp)
         observed = observe(ramp, exposed, knowledge)
-        true_nm = true_modes_nm(ramp, exposed)
+        true_nm, introduced_nm = true_modes_nm(ramp, exposed), ramp.introduced_per_frame_nm
         for name in condition.ways:
-            yield {"condition": key, "way": name, **errors_of(observed, true_nm, WAYS[name])}
+            way = WAYS[name]
+            fit = fit_way(observed, way)
+            there_nm, found_nm = true_nm[:, [noll - 2 for noll in way.modes]], observed.modes_nm(way, fit)
+            given_nm = observed.given_nm(way).get(DEFOCUS, 0.0)
+            yield {
+                "condition": key,
+                "way": name,
+                **mode_errors(way.modes, introduced_nm, there_nm, found_nm, given_nm),
+                "sigma_nm": np.nanmedian(fit.result.sigma_nm.numpy(), axis=0),
+                "converged": float(np.mean(fit.result.solution.converged.numpy())),
+            }
 
 
 def cube_of(star: ex.Sample) -> Scene:
     """Return the calibration cube, through the narrow filter by the mirror."""
     sizes = star.sizes
     cube = star.cube(sizes.seeing_arcsec, sizes.cube_frames, sizes.cube_mag_j)
-    return replace(cube, diversity_nm=MIRROR_DIVERSITY_NM, diversity_source="mirror", sampling=FINE)
+    return replace(cube, sampling=FINE, **BY_MIRROR)
 
 
 def ramp_of(star: ex.Sample, cube: Scene, condition: Condition) -> Scene:
     """Return the ramp under a condition, through the lens with frames of a second, or through the filter."""
     sizes = star.sizes
-    offsets_nm = np.linspace(-sizes.reach_nm, sizes.reach_nm, sizes.offsets)
-    introduced_nm = tuple(np.repeat(offsets_nm, sizes.frames_per_offset).tolist())
+    introduced_nm = offsets_nm(sizes.reach_nm, sizes.offsets, sizes.frames_per_offset)
     if condition.bands == "J+H":
         ramp = ramp_scene(cube, sizes.ramp_mag_j, introduced_nm)
         return replace(ramp, effects=effects_of(condition, star.seed, star.facility))
@@ -103,32 +110,6 @@ def ramp_of(star: ex.Sample, cube: Scene, condition: Condition) -> Scene:
     )
 
 
-def errors_of(ramp: ObservedRamp, true_nm: np.ndarray, way: Way) -> dict[str, Any]:
-    """Estimate a ramp in one way and return its errors.
-
-    Returns
-    -------
-    dict
-        ``rms_nm`` of the defocus against the introduced one and the NCPA given to the estimator;
-        ``true_rms_nm`` and ``bias_nm`` against the one there was in the frame. Of every mode, (modes,): RMS
-        ``mode_nm`` of the error; median quoted ``sigma_nm``; ``scatter_nm`` and ``true_scatter_nm`` over the
-        frames beside that which goes with the introduced defocus, estimated and there; and the ``leak`` of
-        the introduced defocus into it (defocus itself: 1 less).
-    """
-    fit, introduced_nm = fit_way(ramp, way), ramp.scene.introduced_per_frame_nm
-    given = ramp.knowledge[DEFAULT if way.calibrated else ""].ncpa_nm
-    return mode_errors(
-        way.modes,
-        introduced_nm,
-        true_nm[:, [noll - 2 for noll in way.modes]],
-        fit.result.zernike_nm.numpy() + [given.get(noll, 0.0) for noll in way.modes],
-        given.get(DEFOCUS, 0.0),
-    ) | {
-        "sigma_nm": np.nanmedian(fit.result.sigma_nm.numpy(), axis=0),
-        "converged": float(np.mean(fit.result.solution.converged.numpy())),
-    }
-
-
 def mode_errors(
     modes: tuple[int, ...],
     introduced_nm: np.ndarray,
@@ -136,7 +117,17 @@ def mode_errors(
     modes_nm: np.ndarray,
     given_nm: float,
 ) -> dict[str, Any]:
-    """Return the errors of estimates `modes_nm`, (frames, modes), of `true_nm`; `given_nm` of the defocus."""
+    """Return the errors of estimates `modes_nm`, (frames, modes), of `true_nm`; `given_nm` of the defocus.
+
+    Returns
+    -------
+    dict
+        ``rms_nm`` of the defocus against the introduced one and the NCPA given to the estimator;
+        ``true_rms_nm`` and ``bias_nm`` against the one there was in the frame. Of every mode, (modes,): RMS
+        ``mode_nm`` of the error; ``scatter_nm`` and ``true_scatter_nm`` over the frames beside that which
+        goes with the introduced defocus, estimated and there; and the ``leak`` of the introduced defocus into
+        it (defocus itself: 1 less).
+    """
     focus, wrong_nm = modes.index(DEFOCUS), modes_nm - true_nm
     slope, rest_nm = _line(introduced_nm, modes_nm)
     return {
@@ -164,38 +155,42 @@ def _line(introduced_nm: np.ndarray, modes_nm: np.ndarray) -> tuple[np.ndarray, 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """RMS over the ramps of every way under every condition, and of all modes."""
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
-        key, way = group.condition.iloc[0], group.way.iloc[0]
-        condition = CONDITIONS[key]
-        ranges = {name: ex.rms_in_range(name, group[name]) for name in ("rms_nm", "true_rms_nm", "bias_nm")}
+    def summary(group, key, way):
+        condition, ranges = (
+            CONDITIONS[key],
+            [ex.rms_in_range(name, group[name]) for name in ("rms_nm", "true_rms_nm", "bias_nm")],
+        )
         return {
             "condition_label": condition.label,
-            "label": WAYS[way].label,
+            "label": WAYS[way].name,
             "samples": len(group),
             "converged": group.converged.min(),
             "asked_nm": condition.asked_nm if way == condition.ways[0] else None,
-        } | {key: value for one in ranges.values() for key, value in one.items()}
+        } | dict(chain.from_iterable(one.items() for one in ranges))
 
-    modes = []
-    for (key, way), group in rows.groupby(["condition", "way"], sort=False):
+    def modes(group, key, way):
         for place, noll in enumerate(WAYS[way].modes):
-            of_it = {"condition": key, "way": way, "noll": noll}
-            of_it |= ex.rms_in_range("error_nm", [one[place] for one in group.mode_nm])
-            for name in ("sigma_nm", "scatter_nm", "true_scatter_nm", "leak"):
-                of_it[name] = float(np.sqrt(np.mean([one[place] ** 2 for one in group[name]])))
-            modes.append(of_it)
-    return {"ways": ex.grouped(rows, ["condition", "way"], summary), "modes": ex.frame(modes)}
+            error_nm = ex.rms_in_range("error_nm", [one[place] for one in group.mode_nm])
+            yield (
+                {"noll": noll}
+                | error_nm
+                | {
+                    name: float(np.sqrt(np.mean([one[place] ** 2 for one in group[name]])))
+                    for name in ("sigma_nm", "scatter_nm", "true_scatter_nm", "leak")
+                }
+            )
+
+    by = ["condition", "way"]
+    return {"ways": ex.grouped(rows, by, summary), "modes": ex.grouped(rows, by, modes)}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The error of the defocus, where a limit is asked."""
-    found = []
-    for row in tables["ways"].dropna(subset="asked_nm").itertuples():
-        low, high = row.true_rms_nm_low, row.true_rms_nm_high
-        text = f"{row.true_rms_nm:.1f} nm RMS (90 %: {low:.1f} to {high:.1f}), asked {row.asked_nm:g} nm"
-        name = f"defocus error, ramp with {row.condition_label}"
-        found.append(ex.at_most(name, row.true_rms_nm, row.asked_nm, text, "nm"))
-    return found
+    return ex.checked(
+        tables["ways"].dropna(subset="asked_nm"), "defocus error, ramp with {condition_label}", "true_rms_nm",
+        "{true_rms_nm:.1f} nm RMS (90 %: {true_rms_nm_low:.1f} to {true_rms_nm_high:.1f}), "
+        "asked {asked_nm:g} nm", high="asked_nm", unit="nm",
+    )  # fmt: skip
 
 
 LISTINGS = [
@@ -230,18 +225,18 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error of every ramp."""
     rows = drawn.rows()
-    rows["named"] = [
-        f"{CONDITIONS[key].label}; {WAYS[way].label}"
-        for key, way in zip(rows.condition, rows.way, strict=True)
-    ]
-    label, columns = "error of the defocus [nm RMS]", {"true_rms_nm": "error of a ramp"}
-    drawing = ex.strips(
-        "ramp-conditions-errors", rows, columns, by="named", label=label, levels=[ASKED_NM], width=10.5
+    rows["named"] = (
+        rows.condition.map(lambda key: CONDITIONS[key].label)
+        + "; "
+        + rows.way.map(lambda key: WAYS[key].name)
     )
-    caption = "Every point is a ramp; bars: medians; dotted: what is asked of the first estimate."
-    return [ex.Figure(drawing, "Error of the defocus of every ramp", caption, "full")]
+    return [ex.strips(
+        "ramp-conditions-errors", "Error of the defocus of every ramp",
+        "Every point is a ramp; bars: medians; dotted: what is asked of the first estimate.",
+        rows, {"true_rms_nm": "error of a ramp"}, by="named", label="error of the defocus [nm RMS]",
+        levels=[ASKED_NM], inches=10.5, width="full",
+    )]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

@@ -7,17 +7,14 @@ the NCPAs are drawn from as prior, which makes no difference at m_J 7 (`methods`
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from irlos_pipe.estimate.calibration_options import OPEN, HighestNoll
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, VARIANTS, Variant
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
 from irlos_pipe.simulate.ncpa import draw_tail_nm
 from irlos_pipe.simulate.scene import Scene
 
@@ -44,7 +41,7 @@ class Sizes(ex.StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """Cubes without a tail, then with each; the n-th of every condition has the same NCPAs but for it."""
     sizes = ctx.config
     for seeing in sizes.seeings_arcsec:
@@ -59,16 +56,17 @@ def rows(star: ex.Sample) -> ex.Rows:
     """Calibrate a cube by every method with every number of modes, and its first frames with its own."""
     scene = with_tail(star.cube(star["seeing_arcsec"], star.sizes.frames, star.sizes.mag_j), star["tail_nm"])
     cube = ObservedCube.of(scene)
-    drawn = {"introduced_nm": float(np.linalg.norm(list(scene.ncpa_nm.values())))}
+    introduced_nm = float(np.linalg.norm(list(scene.ncpa_nm.values())))
     for method in METHOD_NAMES:
-        for last in highest_nolls(method, star.sizes.highest_nolls):
-            error_nm = cube.modes_delta_nm(cube.calibrated(with_modes(method, last)))
-            fitted = last if isinstance(last, str) else f"{last - 1} modes"
-            yield {"method": method, "fitted": fitted, "frames": scene.frames, "error_nm": error_nm, **drawn}
-        for count in star["parts"]:
-            fewer = cube.first(count)
-            error_nm = fewer.modes_delta_nm(fewer.calibrated(VARIANTS[method]))
-            yield {"method": method, "fitted": OWN, "frames": count, "error_nm": error_nm, **drawn}
+        variant = VARIANTS[method]
+        tried = [
+            (last if isinstance(last, str) else f"{last - 1} modes", variant.with_modes(last), scene.frames)
+            for last in highest_nolls(method, star.sizes.highest_nolls)
+        ]
+        for fitted, own, frames in [*tried, *((OWN, variant, count) for count in star["parts"])]:
+            error_nm = cube.first(frames).error_nm(own)
+            found = {"frames": frames, "error_nm": error_nm, "introduced_nm": introduced_nm}
+            yield {"method": method, "fitted": fitted, **found}
 
 
 def with_tail(scene: Scene, tail_nm: float) -> Scene:
@@ -85,37 +83,33 @@ def highest_nolls(method: str, asked: tuple[int, ...]) -> tuple[HighestNoll, ...
     return (*asked, OPEN) if method == DEFAULT else asked
 
 
-def with_modes(method: str, highest_noll: HighestNoll) -> Variant:
-    """Return a method with another number of modes."""
-    variant = VARIANTS[method]
-    return replace(variant, options=replace(variant.options, highest_noll=highest_noll))
-
-
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
-    """Medians over the cubes of a condition, with their range."""
     drawn_nm = rows[rows.tail_nm == 0].drop_duplicates("sample").introduced_nm.to_numpy()
     of_all = {"introduced_nm": np.mean(drawn_nm), "introduced_scatter_nm": np.std(drawn_nm)}
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
-        label = {"label": METHOD_NAMES[group.method.iloc[0]], "cubes": len(group)}
+    def errors(group, seeing_arcsec, tail_nm, method, *_):
+        label = {"label": METHOD_NAMES[method], "cubes": len(group)}
         return label | ex.median_in_range("error_nm", group.error_nm) | of_all
 
-    return {"methods": ex.grouped(rows, ["seeing_arcsec", "tail_nm", "method", "fitted", "frames"], summary)}
+    return {"methods": ex.grouped(rows, ["seeing_arcsec", "tail_nm", "method", "fitted", "frames"], errors)}
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The default against the best of the others with any modes."""
-    found, table = [], tables["methods"]
-    for (seeing, tail_nm), group in table[table.fitted != OWN].groupby(
-        ["seeing_arcsec", "tail_nm"], sort=False
-    ):
-        own_nm = group[group.method == DEFAULT].error_nm.iloc[-1]
+
+    def best(group, *_):
         others = group[group.method != DEFAULT]
-        best = others.loc[others.error_nm.idxmin()]
-        name = f"default over the best of the others, {seeing:g} arcsec, tail {tail_nm:g} nm"
-        text = f"medians {own_nm:.1f} nm, {best.label} {best.error_nm:.1f} nm"
-        found.append(ex.at_most(name, own_nm / best.error_nm, 1.0, text))
-    return found
+        other = others.loc[others.error_nm.idxmin()]
+        own_nm = group[group.method == DEFAULT].error_nm.iloc[-1]
+        return {"own_nm": own_nm, "label": other.label, "other_nm": other.error_nm}
+
+    table = tables["methods"]
+    return ex.checked(
+        ex.grouped(table[table.fitted != OWN], ["seeing_arcsec", "tail_nm"], best),
+        "default over the best of the others, {seeing_arcsec:g} arcsec, tail {tail_nm:g} nm",
+        lambda row: row["own_nm"] / row["other_nm"],
+        "medians {own_nm:.1f} nm, {label} {other_nm:.1f} nm", high=1.0,
+    )  # fmt: skip
 
 
 RANGE = "{error_nm:.1f} ({error_nm_low:.1f}–{error_nm_high:.1f})"
@@ -149,13 +143,12 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error against modes, without a tail."""
-    table = drawn.tables["methods"].query(f"tail_nm == 0 and fitted != '{OWN}'")
-    drawing = ex.lines(
-        "ranking", table, "fitted", "error_nm", colour="label", panels="seeing_arcsec", ends=("low", "high"),
-        labels=("fitted", "error in Noll 2–30 [nm]"), size=(9.0, 4.4),
-    )  # fmt: skip
-    return [ex.Figure(drawing, "Error against modes", "Without a tail, by the seeing [arcsec].", "full")]
+    return [ex.lines(
+        "ranking", "Error against modes", "Without a tail, by the seeing [arcsec].",
+        drawn.tables["methods"].query(f"tail_nm == 0 and fitted != '{OWN}'"), "fitted", "error_nm",
+        colour="label", panels="seeing_arcsec", ends=("low", "high"),
+        labels=("fitted", "error in Noll 2–30 [nm]"), size=(9.0, 4.4), width="full",
+    )]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

@@ -6,7 +6,6 @@ scatter, as the two look at different air. Of the paper's figure only the tenden
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Annotated
 
@@ -21,7 +20,7 @@ from irlos_pipe.paper import experiment as ex
 from irlos_pipe.report.drawing import BLUE, FAINT, INK, ORANGE, svg
 
 WITHIN = 0.02  # some six standard errors of the median of 20 000 draws
-RANKS = (16.0, 50.0, 84.0)  # percentiles of the distributions
+RANKS = {"median": 50.0, "p16": 16.0, "p84": 84.0}  # percentiles of the distributions
 SIZE_IN = (4.4, 3.2)
 
 Seeing = Annotated[float, Field(gt=0, le=10)]
@@ -41,13 +40,12 @@ class Sizes(ex.StageConfig):
     on_sky_arcsec: tuple[Seeing, ...] = Field((0.5, 1.2, 1.5), description="of the sky tests, by the monitor")
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """All draws together; SPARTA's scale from the monitor's by the profile, changed as the recipe says."""
     yield ex.sample(ctx, "draws", scale=scale_of(ctx))
 
 
 def scale_of(ctx: ex.Context) -> SeeingScale:
-    """Return the relation of the two."""
     sizes, known = ctx.config, ctx.instrument.seeing_scales
     monitors = sorted(known.keys() - {SPARTA})
     if sizes.monitor not in monitors:
@@ -88,7 +86,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     sizes, scale, law = ctx.config, scale_of(ctx), ctx.instrument.facility.residual_law
     monitor, sparta = rows.monitor_arcsec.iloc[0], rows.sparta_arcsec.iloc[0]
 
-    def condition(where: str, sparta_arcsec: float) -> dict[str, object]:
+    def condition(where, sparta_arcsec):
         monitor_arcsec = scale.from_sparta(sparta_arcsec)
         return {
             "where": where,
@@ -100,9 +98,9 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
             "wfe_untranslated_nm": law.wfe_nm(monitor_arcsec),
         }
 
-    def distribution(quantity: str, values: np.ndarray) -> dict[str, object]:
-        p16, median, p84 = map(float, np.percentile(values, RANKS))
-        return {"quantity": quantity, "median": median, "p16": p16, "p84": p84, "draws": len(values)}
+    def distribution(quantity, values):
+        ranks = {name: float(np.percentile(values, rank)) for name, rank in RANKS.items()}
+        return {"quantity": quantity, **ranks, "draws": len(values)}
 
     source = {"status": "given", "source": "recipe"}
     if sizes.ratio is None:
@@ -124,12 +122,11 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """SPARTA's seeing is, in the median, that of the relation."""
     relation, median = tables["relation"].iloc[0], tables["distributions"].set_index("quantity")["median"]
-    scale = SeeingScale(relation.ratio, relation.offset_arcsec)
-    expected_arcsec = scale.to_sparta(median["monitor_arcsec"])
-    ratio = float(median["sparta_arcsec"] / expected_arcsec)
-    text = f"{median['sparta_arcsec']:.3f} and {expected_arcsec:.3f} arcsec"
-    name = "SPARTA's median seeing over that of the relation"
-    return [ex.Check(name, ratio, "", 1 - WITHIN, 1 + WITHIN, text)]
+    expected_arcsec = SeeingScale(relation.ratio, relation.offset_arcsec).to_sparta(median["monitor_arcsec"])
+    sparta_arcsec = median["sparta_arcsec"]
+    text = f"{sparta_arcsec:.3f} and {expected_arcsec:.3f} arcsec"
+    name, ratio = "SPARTA's median seeing over that of the relation", sparta_arcsec / expected_arcsec
+    return [ex.check(name, ratio, text, low=1 - WITHIN, high=1 + WITHIN)]
 
 
 LISTING = ex.Listing("conditions", "The paper's conditions",
@@ -144,13 +141,11 @@ LISTING = ex.Listing("conditions", "The paper's conditions",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """The draws."""
     names = ("monitor_arcsec", "sparta_arcsec")
     return {f"draws/{name}": ex.Quantity(rows[name].iloc[0], "arcsec", "drawn seeing") for name in names}
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """How often each sees what, the mapping of one scale to the other, and the AO residual."""
     relation, conditions, sizes = drawn.tables["relation"].iloc[0], drawn.tables["conditions"], drawn.sizes
     scale = SeeingScale(relation.ratio, relation.offset_arcsec)
     law = ResidualLaw(*(relation[name] for name in relation.index if name.startswith("residual_law_")))
@@ -159,10 +154,8 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
     label = f'{relation.monitor} ["]'
 
     def distributions(figure: Canvas) -> None:
-        axes, draws = (
-            figure.subplots(),
-            {name: drawn.array(f"draws/{name}_arcsec") for name in ("monitor", "sparta")},
-        )
+        axes = figure.subplots()
+        draws = {name: drawn.array(f"draws/{name}_arcsec") for name in ("monitor", "sparta")}
         edges = np.linspace(0, np.percentile(draws["monitor"], 99.5), 60)
         for (name, values), ink in zip(draws.items(), (ORANGE, BLUE), strict=True):
             axes.hist(values, edges.tolist(), density=True, color=ink, alpha=0.35, label=name)
@@ -190,16 +183,12 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
         axes.legend()
 
     shown = {
-        "How often each sees what": (
-            distributions,
-            "Line: the distribution from which the monitor's are drawn.",
-        ),
-        "From one scale to the other": (
-            mapping,
-            "Line: relation, band: 1σ of the disagreement, grey: equal scales.",
-        ),
+        "How often each sees what":
+            (distributions, "Line: the distribution from which the monitor's are drawn."),
+        "From one scale to the other":
+            (mapping, "Line: relation, band: 1σ of the disagreement, grey: equal scales."),
         "What it means for the AO residual": (residual, "The residual's law is stated for SPARTA's seeing."),
-    }
+    }  # fmt: skip
     return [
         ex.Figure(svg(f"seeing-{draw.__name__}", SIZE_IN, draw), title, caption, "third")
         for title, (draw, caption) in shown.items()

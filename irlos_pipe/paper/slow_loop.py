@@ -9,9 +9,8 @@ The 2x2 mode that the full pupil replaces runs on the same drifts, with the same
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -21,25 +20,23 @@ from pydantic import Field
 from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.linear_theory import Integrator, best_gain
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.broad_band import FINE, in_four_images, star_scene
-from irlos_pipe.paper.common.cube import BRIGHT_MAG_J
+from irlos_pipe.paper.common.calibrations import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.common.focus_loop import (
     CENTROIDS,
     LIFT,
     TWO_BY_TWO,
+    FocusSensor,
     FrameTable,
     Loop,
-    Sensor,
     close_loops,
     focus_sensor,
     frame_table,
     outcome_of,
     two_by_two_sensors,
 )
-from irlos_pipe.paper.common.observation import noise_of
+from irlos_pipe.paper.common.observation import NoiseOf, Read, as_read, noise_of
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
-from irlos_pipe.paper.common.reads import NoiseOf, Read, as_read
-from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
+from irlos_pipe.paper.common.scenes import BRIGHT_MAG_J, FINE, in_four_images, star_scene
 from irlos_pipe.report.drawing import BLUE, FAINT, ORANGE, svg
 from irlos_pipe.simulate.scene import Scene
 
@@ -96,25 +93,18 @@ class Sizes(ex.StageConfig):
 # -- what is run -----------------------------------------------------------------------------------
 
 
-def samples(ctx: ex.Context) -> Iterator[ex.Sample]:
+def samples(ctx: ex.Context) -> ex.Samples:
     """One sky each, on which all loops run: every star at its best gain, and the scans; each loop once."""
     sizes, drift, read = ctx.config, drift_of(ctx), Read.of(ctx.instrument, ctx.config.noise, "slow_loop")
     sky = ex.sample(ctx, "noise", read=read)
-    loops = [
-        loop
-        for name in sizes.configurations
-        for loop in at_best_gain(name, sizes.magnitudes, drift, sizes.delay, noise_law(sky, name))
-    ]
-    if sizes.half_rate:
-        loops += at_best_gain(DEFAULT, sizes.magnitudes, drift, sizes.delay, noise_law(sky, DEFAULT), 2)
+    tried = [(name, 1) for name in sizes.configurations] + [(DEFAULT, 2)] * sizes.half_rate
+    loops = [loop for name, exposures in tried for loop in at_best_gain(sky, drift, name, exposures)]
     loops += [Loop(DEFAULT, mag_j, gain) for mag_j in sizes.scan_magnitudes for gain in sizes.scan_gains]
     each = tuple(dict.fromkeys(loops))
-    for index in range(sizes.skies):
-        yield ex.sample(ctx, f"sky {index}", index, loops=each, drift=drift, read=read)
+    return ex.each(ctx, sizes.skies, "sky {index}", loops=each, drift=drift, read=read)
 
 
 def drift_of(ctx: ex.Context) -> Drift:
-    """Return the drift of the layer's defocus."""
     return SodiumLayer(**ctx.config.layer.model_dump()).drift(ctx.instrument.facility.pupil.diameter_m)
 
 
@@ -123,13 +113,10 @@ def noise_law(sky: ex.Sample, sensor: str) -> Callable[[float, int], float]:
 
     For the choice of gains: photons, and the sky's defocus; `sensor` is one of the 2x2 mode, or any other.
     """
-    seeing = sky.sizes.seeing_arcsec
-    scene = star_scene("noise", sky.facility, (0,), 1, 0.0, {}, seeing_arcsec=seeing)
+    scene = star_scene("noise", sky.facility, (0,), 1, 0.0, {}, seeing_arcsec=sky.sizes.seeing_arcsec)
     if sensor in TWO_BY_TWO:
         scene = in_four_images(scene)
-        measuring = two_by_two_sensors(scene)[sensor]
-    else:
-        measuring = focus_sensor(scene, Knowledge())
+    measuring = sensors_of([sensor], scene)[sensor]
 
     def noise_nm(mag_j: float, exposures: int) -> float:
         seen_e = SEEN * scene.photons * 10 ** (-0.4 * mag_j) * exposures
@@ -139,38 +126,25 @@ def noise_law(sky: ex.Sample, sensor: str) -> Callable[[float, int], float]:
     return noise_nm
 
 
-def at_best_gain(
-    sensor: str,
-    magnitudes: Sequence[float],
-    drift: Drift,
-    delay: int,
-    noise_nm: Callable[[float, int], float],
-    exposures: int = 1,
-) -> list[Loop]:
+def at_best_gain(sky: ex.Sample, drift: Drift, sensor: str, exposures: int) -> list[Loop]:
     """Return one loop per star, at the gain with the smallest predicted residual, see `noise_law`."""
-    gains = [best_gain(drift, noise_nm(mag_j, exposures), float(exposures), delay) for mag_j in magnitudes]
-    return [
-        Loop(sensor, mag_j, round(gain, 3), exposures) for mag_j, gain in zip(magnitudes, gains, strict=True)
-    ]
+    sizes, noise_nm = sky.sizes, noise_law(sky, sensor)
+    gains = {
+        mag_j: best_gain(drift, noise_nm(mag_j, exposures), float(exposures), sizes.delay)
+        for mag_j in sizes.magnitudes
+    }
+    return [Loop(sensor, mag_j, round(gain, 3), exposures) for mag_j, gain in gains.items()]
 
 
 def rows(sky: ex.Sample) -> ex.Rows:
     """Calibrate the NCPAs of a sky and run its loops, first those of the full pupil, then of the 2x2 mode."""
     sizes, cube = sky.sizes, cube_of(sky)
-    star = star_scene(
-        sky.name,
-        sky.facility,
-        (*sky.seed, SKY_STREAM),
-        sizes.frames,
-        min(loop.mag_j for loop in sky["loops"]),
-        cube.ncpa_nm,
-        seeing_arcsec=sizes.seeing_arcsec,
-    )
+    brightest, seed = min(loop.mag_j for loop in sky["loops"]), (*sky.seed, SKY_STREAM)
+    of = sky.name, sky.facility, seed, sizes.frames, brightest, cube.ncpa_nm
+    star = star_scene(*of, seeing_arcsec=sizes.seeing_arcsec)
     drift_nm = np.array([drawn_drift_nm(sky, index) for index in range(sizes.drifts)])
-    for scene, stream, in_four in zip(
-        (star, in_four_images(star)), NOISE_STREAMS, (False, True), strict=True
-    ):
-        loops = [loop for loop in sky["loops"] if (loop.sensor in TWO_BY_TWO) == in_four]
+    for scene, stream in zip((star, in_four_images(star)), NOISE_STREAMS, strict=True):
+        loops = [loop for loop in sky["loops"] if (loop.sensor in TWO_BY_TWO) == (scene is not star)]
         if loops:
             yield from _in_one_mode(sky, loops, scene, cube, drift_nm, stream)
 
@@ -180,12 +154,11 @@ def _in_one_mode(
 ) -> ex.Rows:
     scenes = {loop.exposures: exposed_for(star, loop.exposures, sky["read"]) for loop in loops}
     table = frame_table(star, REACH_NM, NODES)
-    sensors = sensors_of(loops, star, cube, table)
-    rngs = [np.random.default_rng([*sky.seed, stream, index]) for index in range(len(drift_nm))]
-    banks = [
-        close_loops(loops, sensors, scenes, table, one, sky.sizes.delay, rng)
-        for one, rng in zip(drift_nm, rngs, strict=True)
-    ]
+    sensors = sensors_of([loop.sensor for loop in loops], star, cube, table)
+    banks = []
+    for index, one in enumerate(drift_nm):
+        rng = np.random.default_rng([*sky.seed, stream, index])
+        banks.append(close_loops(loops, sensors, scenes, table, one, sky.sizes.delay, rng))
     seen_e = float(table.images_e(0, np.zeros(1)).sum())
     for place, loop in enumerate(loops):
         scene, sensor = scenes[loop.exposures], sensors[loop.sensor]
@@ -222,14 +195,14 @@ def drawn_drift_nm(sky: ex.Sample, index: int) -> np.ndarray:
     return steps.reshape(frames, DRIFT_STEPS).mean(1)
 
 
-def sensors_of(loops: Sequence[Loop], star: Scene, cube: Scene, table: FrameTable) -> dict[str, Sensor]:
-    """Return what measures the defocus of a `star`, by name, the NCPAs calibrated on a `cube`."""
+def sensors_of(
+    names: Sequence[str], star: Scene, cube: Scene | None = None, table: FrameTable | None = None
+) -> Mapping[str, FocusSensor]:
+    """Return what measures the defocus of a `star`, by name, its NCPAs calibrated on a `cube` if given."""
     if star.lenslets > 1:
         return two_by_two_sensors(star, table)
-    names = dict.fromkeys(loop.sensor for loop in loops)
-    methods = [name for name in names if name != UNCALIBRATED]
-    known = calibrated(cube, methods) if methods else {}
-    return {name: focus_sensor(star, known.get(name, Knowledge())) for name in names}
+    known = calibrated(cube, [name for name in names if name != UNCALIBRATED]) if cube else {}
+    return {name: focus_sensor(star, known.get(name, Knowledge())) for name in dict.fromkeys(names)}
 
 
 # -- what came out ---------------------------------------------------------------------------------
@@ -238,15 +211,12 @@ def sensors_of(loops: Sequence[Loop], star: Scene, cube: Scene, table: FrameTabl
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """Every loop, what theory expects and what happened; and what they had to correct."""
     sizes, drift = ctx.config, drift_of(ctx)
-    skies = rows.drop_duplicates("sample")
-    focus = np.stack(list(skies.sky_focus_nm))
-    sky_focus_nm = float(np.sqrt(np.mean(np.var(focus, axis=1, ddof=1))))
-    open_loop_nm = np.stack(list(skies.drift_nm))[:, :, sizes.settle :]
+    focus_nm, drift_nm = ex.stacked(rows.drop_duplicates("sample"), "sky_focus_nm", "drift_nm")
+    sky_focus_nm = float(np.sqrt(np.mean(np.var(focus_nm, axis=1, ddof=1))))
 
-    def summary(group: ex.Frame) -> dict[str, Any]:
+    def summary(group, *_):
         own = Loop(*(group[name].iloc[0] for name in ("sensor", "mag_j", "gain", "exposures")))
-        residual_nm, measured_nm, true_nm, due = (np.stack(list(group[name])) for name in RECORDED)
-        outcome = outcome_of(residual_nm, measured_nm, true_nm, due, drift, sizes.settle)
+        outcome = outcome_of(*ex.stacked(group, *RECORDED), drift=drift, settle=sizes.settle)
         photons_nm, rate = float(np.median(group.photon_noise_nm)), float(own.exposures)
         noise_nm = float(np.hypot(photons_nm, sky_focus_nm / np.sqrt(rate)))
         integrator = Integrator(float(own.gain), rate, sizes.delay)
@@ -260,7 +230,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
     sky = {
         "sky_focus_nm": sky_focus_nm,
-        "open_loop_nm": float(np.sqrt(np.mean(open_loop_nm**2))),
+        "open_loop_nm": float(np.sqrt(np.mean(drift_nm[:, :, sizes.settle :] ** 2))),
         "largest_stable_gain": Integrator(1.0, 1.0, sizes.delay).largest_stable_gain,
         "delay": sizes.delay,
         **{f"drift_{name}": value for name, value in asdict(drift).items()},
@@ -281,11 +251,10 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     The paper expects the latter of the full pupil.
     """
     default, centroids = (best_loops(tables["loops"], name) for name in (DEFAULT, CENTROIDS))
-    if not len(default):
-        return []
-    ratio = float(default.residual_nm.iloc[0] / default.predicted_nm.iloc[0])
-    text = f"bright star: {ratio:.2f} of the prediction"
-    checks = [ex.at_most("residual over prediction", ratio, OVER_THEORY, text)]
+    checks = ex.checked(
+        default.iloc[:1], "residual over prediction", lambda row: row["residual_nm"] / row["predicted_nm"],
+        "bright star: {value:.2f} of the prediction", high=OVER_THEORY,
+    )  # fmt: skip
     held = centroids[centroids.diverged < centroids.runs].set_index("mag_j").residual_nm
     pairs = [
         (row.residual_nm / held[row.mag_j], row.mag_j) for row in default.itertuples() if row.mag_j in held
@@ -293,7 +262,7 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     if pairs:
         worst, mag_j = max((math.inf if math.isnan(ratio) else ratio, mag_j) for ratio, mag_j in pairs)
         text = f"{worst:.2f} at m_J {mag_j:g}, where it is largest"
-        checks.append(ex.at_most("residual over that of the 2x2 centroids", worst, 1.0, text))
+        checks.append(ex.check("residual over that of the 2x2 centroids", worst, text, high=1.0))
     return checks
 
 
@@ -314,13 +283,9 @@ LISTING = ex.Listing("loops", "Loops",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """The residuals of every loop, the drifts, and the sky's own defocus."""
-    skies, by_loop = (
-        rows.drop_duplicates("sample"),
-        rows.sort_values("loop", kind="stable").groupby("sample", sort=False),
-    )
-    residual_nm = np.stack([np.stack(list(own.residual_nm), axis=1) for _, own in by_loop])
-    drift_nm, focus_nm = (np.stack(list(skies[name])) for name in ("drift_nm", "sky_focus_nm"))
+    drift_nm, focus_nm = ex.stacked(rows.drop_duplicates("sample"), "drift_nm", "sky_focus_nm")
+    by_sky = rows.sort_values("loop", kind="stable").groupby("sample", sort=False)
+    residual_nm = np.stack([np.stack(list(own.residual_nm), axis=1) for _, own in by_sky])
     return {
         "residual_nm": ex.Quantity(residual_nm, "nm", "residual defocus (sky, drift, loop, frame of 1 s)"),
         "drift_nm": ex.Quantity(drift_nm, "nm", "defocus of the sodium layer (sky, drift, frame)"),
@@ -329,40 +294,35 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """A bright and a faint star, and residual, noise and gain of all loops."""
     sky, loops = drawn.tables["sky"].iloc[0], drawn.tables["loops"]
     best = loops.drop_duplicates(["sensor", "exposures", "mag_j"]).sort_values("mag_j", kind="stable")
     best = best.assign(line=best.label + best.exposures.map({1: "", 2: ", 2 s"}))
-    residual = ex.lines(
-        "loop-magnitude", best, "mag_j", "residual_nm", colour="line", dashed={"predicted_nm": "--"},
-        labels=("J magnitude", "residual defocus [nm RMS]"), levels=[sky.open_loop_nm],
-    )  # fmt: skip
-    noise = ex.lines(
-        "loop-noise", best, "mag_j", "noise_nm", colour="line", dashed={"expected_noise_nm": "--"},
-        labels=("J magnitude", "noise of a measurement [nm RMS]"), levels=[sky.sky_focus_nm],
-    )  # fmt: skip
     dashed = "Dashed: by theory, with the noise of photons and detector and the AO residual's own defocus."
-    found = [
-        ex.Figure(
-            residual, "Residual against magnitude", f"{dashed} Dotted: without a loop. Nothing is fitted."
+    found: ex.Blocks = [
+        ex.lines(
+            "loop-magnitude", "Residual against magnitude",
+            f"{dashed} Dotted: without a loop. Nothing is fitted.",
+            best, "mag_j", "residual_nm", colour="line", dashed="predicted_nm",
+            labels=("J magnitude", "residual defocus [nm RMS]"), levels=[sky.open_loop_nm],
         ),
-        ex.Figure(noise, "The loop's sensor", f"{dashed} Dotted: that alone."),
-    ]
+        ex.lines(
+            "loop-noise", "The loop's sensor", f"{dashed} Dotted: that alone.",
+            best, "mag_j", "noise_nm", colour="line", dashed="expected_noise_nm",
+            labels=("J magnitude", "noise of a measurement [nm RMS]"), levels=[sky.sky_focus_nm],
+        ),
+    ]  # fmt: skip
     default = best_loops(loops, DEFAULT)
     if len(default):
-        found.insert(
-            0, ex.Figure(_series(drawn, default), "Bright and faint star", "First sky. Grey: the drift.")
-        )
+        series = _series(drawn, default)
+        found.insert(0, ex.Figure(series, "Bright and faint star", "First sky. Grey: the drift."))
     own = loops[(loops.sensor == DEFAULT) & (loops.exposures == 1)].sort_values("gain", kind="stable")
     scanned = own[own.groupby("mag_j").gain.transform("size") > 1]
     if len(scanned):
-        gains = ex.lines(
-            "loop-gain", scanned, "gain", "residual_nm", colour="mag_j", dashed={"predicted_nm": "--"},
-            labels=("gain", "residual defocus [nm RMS]"), marks=[sky.largest_stable_gain], yscale="linear",
-        )  # fmt: skip
-        found.append(
-            ex.Figure(gains, "Residual against gain", "By m_J; dotted: gain at which the loop oscillates.")
-        )
+        found.append(ex.lines(
+            "loop-gain", "Residual against gain", "By m_J; dotted: gain at which the loop oscillates.",
+            scanned, "gain", "residual_nm", colour="mag_j", dashed="predicted_nm", yscale="linear",
+            labels=("gain", "residual defocus [nm RMS]"), marks=[sky.largest_stable_gain],
+        ))  # fmt: skip
     return found
 
 

@@ -9,7 +9,7 @@ from benchmarks.pulls.cases import SEEINGS_ARCSEC, SHAPES, Case
 
 
 def made(index: int, pull: float) -> dict:
-    sample = Case(1, index, 20).sample()
+    case = Case(1, index, 20)
     cube = {"error_nm": [2 * pull, -pull], "sigma_nm": [2.0, 1.0], "chi2": 2 * pull**2}
     ramp = {
         "error_nm": [3 * pull, 3 * pull],
@@ -18,12 +18,12 @@ def made(index: int, pull: float) -> dict:
         "instant_nm": 0.0,
         "optics_nm": [3.0, 3.0],
     }
-    return {"seeing_arcsec": sample.seeing_arcsec, "shape": sample.shape, "cube": cube, "ramp": ramp}
+    return {"seeing_arcsec": case.seeing_arcsec, "shape": case.shape, "cube": cube, "ramp": ramp}
 
 
 def test_cases_go_through_all_seeings_and_shapes():
-    samples = [Case(1, index, 20).sample() for index in range(16)]
-    assert {(one.seeing_arcsec, one.shape) for one in samples} == {
+    cases = [Case(1, index, 20) for index in range(16)]
+    assert {(one.seeing_arcsec, one.shape) for one in cases} == {
         (seeing, shape) for seeing in SEEINGS_ARCSEC for shape in SHAPES
     }
 

@@ -23,8 +23,8 @@ from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.effects.uneven_residual import NOLLS, UnevenResidual
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
-from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
+from irlos_pipe.paper.common.calibrations import DEFAULT, VARIANTS, ObservedCube
+from irlos_pipe.paper.common.scenes import cube_scene
 
 MODES = (2, 4, 5, 7, 8, 9, 22)
 SEEING_ARCSEC, SCREENS = 0.8, 800
@@ -92,7 +92,7 @@ def test_the_light_of_the_star_stays_whole(model, effects, modes):
 @pytest.mark.slow
 def test_a_calibration_finds_what_the_simulated_screens_have():
     facility = load_instrument("irlos").facility
-    scene = CubeSample("cube", (5, 0), facility, SEEING_ARCSEC, 80, 7.0).scene()
+    scene = cube_scene("cube", (5, 0), facility, SEEING_ARCSEC, 80, 7.0)
     sky = replace(scene.sky, variance_zernike={noll: UNEVEN[name] for name, noll in NOLLS.items()})
     cube = ObservedCube.of(replace(scene, sky=sky))
     halo, *others = cube.effects

@@ -47,28 +47,28 @@ def draw(sample: Draw) -> list[dict]:
     return [{"product": matrix @ matrix, "trace": np.trace(matrix), "name": sample.name}]
 
 
-def refuse(sample: dict) -> list[dict]:
+def refuse(sample: Draw) -> list[dict]:
     """Fail on some samples."""
-    if sample["seed"] == 2:
+    if sample.seed == 2:
         raise InputDataError("no star in the window")
-    return [{"seed": sample["seed"]}]
+    return [{"seed": sample.seed}]
 
 
-def die(sample: dict) -> list[dict]:
+def die(sample: Draw) -> list[dict]:
     """End the worker as the kernel does when memory runs out."""
-    if sample["seed"] == 2:
+    if sample.seed == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-    return [{"seed": sample["seed"]}]
+    return [{"seed": sample.seed}]
 
 
-def threads(sample: int) -> list[dict]:
+def threads(sample: Draw) -> list[dict]:
     """The numbers of threads that the numerical libraries would use."""
     import torch
 
     return [{"torch": torch.get_num_threads(), "omp": os.environ["OMP_NUM_THREADS"], "process": os.getpid()}]
 
 
-def object_array(sample: int) -> list[dict]:
+def object_array(sample: Draw) -> list[dict]:
     """Something that cannot be stored."""
     return [{"answer": object()}]
 

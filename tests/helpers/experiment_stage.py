@@ -64,3 +64,9 @@ def section_of(output: StageOutput, name: str, build: Callable[[RunData], Sectio
     settings = config.model_dump() if config else {}
     product = Product(name, output.arrays, output.results.as_json(), config=settings)
     return build(RunData({}, "", "ok", "", "", {name: product}, []))
+
+
+def drawn(output: StageOutput, module, **sizes) -> Section:
+    """Build the section of the output of an experiment's module, run with some sizes of its own."""
+    own = module.EXPERIMENT
+    return section_of(output, own.NAME, own.section, module.Sizes(**sizes))

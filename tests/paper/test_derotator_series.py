@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import run_on, sample, section_of, tables_of
+from helpers.experiment_stage import drawn, run_on, sample, tables_of
 
 from irlos_pipe.estimate.derotator import Series, split_series, usable_modes
 from irlos_pipe.instrument.instrument import load_instrument
@@ -115,6 +115,6 @@ def test_parts_of_a_series_err_as_their_estimates_do_and_are_drawn(monkeypatch):
         assert row.model_error_nm < row.single_error_nm
         assert 0.8 < row.chi2_nu < 1.2
         assert (row.sense, row.delta_chi2 > 100) == ("anticlockwise", True)
-    blocks = section_of(output, "derotator_series", derotator_series.EXPERIMENT.section).blocks
+    blocks = drawn(output, derotator_series).blocks
     assert {"What turns with the derotator", "What does not turn"} <= {block.title for block in blocks}
     assert [row[0] for row in blocks[-1].rows][:2] == ["0°", "23°"]

@@ -15,33 +15,17 @@ from helpers.paths import HELPERS, REPOSITORY
 
 pytestmark = pytest.mark.slow
 
-FAKE_CLI = HELPERS / "ensemble_cases.py"
 
-
-def start(bench: Bench, *options: str) -> subprocess.Popen:
+def start(bench: Bench) -> subprocess.Popen:
     """Start ``irlos run`` in a process group of its own, as a terminal does."""
-    command = [
-        sys.executable,
-        FAKE_CLI,
-        "run",
-        bench.recipe,
-        "--output",
-        bench.output,
-        "--device",
-        "cpu",
-        "--jobs",
-        "2",
-        *options,
-    ]
-    paths = os.pathsep.join(
-        [str(REPOSITORY), str(HELPERS.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
-    )
+    options = ["--output", bench.output, "--device", "cpu", "--jobs", "2"]
+    paths = [str(REPOSITORY), str(HELPERS.parent), os.environ.get("PYTHONPATH", "")]
     return subprocess.Popen(
-        command,
+        [sys.executable, HELPERS / "ensemble_cases.py", "run", bench.recipe, *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": paths},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))},
         start_new_session=True,
     )
 

@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 from helpers import optics_cases as cases
-from helpers.experiment_stage import missed, run_on, section_of, tables_of
+from helpers.experiment_stage import drawn, missed, run_on, tables_of
 
 from irlos_pipe.paper import exposures
-from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.calibrations import ObservedCube
+from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.exposures import summed
 
 
 @pytest.fixture(scope="module")
 def shortest():
-    return ObservedCube.of(CubeSample("test", (31, 0), cases.FACILITY, 0.35, 7, 7.0).scene())
+    return ObservedCube.of(cube_scene("test", (31, 0), cases.FACILITY, 0.35, 7, 7.0))
 
 
 def test_longer_exposures_are_sums_before_the_noise(shortest):
@@ -44,9 +45,5 @@ def test_a_default_that_depends_on_the_exposure_fails_its_check(monkeypatch, lon
     assert (not missed(output)) is kept
     assert output.checks[0].value == pytest.approx(long_nm / 2.0)
     assert tables_of(output)["methods"].modes_nm.tolist() == [2.0, long_nm, 20.0, 40.0]
-    figure, table = section_of(output, "exposures", exposures.EXPERIMENT.section).blocks
-    assert "DIP global" in figure.svg
-    assert [row[-1] for row in table.rows] == [
-        f"{long_nm:.1f} ({long_nm:.1f}…{long_nm:.1f})",
-        "40.0 (40.0…40.0)",
-    ]
+    *_, table = drawn(output, exposures).blocks
+    assert table.rows[0][-1] == f"{long_nm:.1f} ({long_nm:.1f}…{long_nm:.1f})"

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import run_on, sample, section_of, tables_of
+from helpers.experiment_stage import drawn, run_on, sample, tables_of
 from pydantic import ValidationError
 
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
@@ -14,13 +14,9 @@ SIZES = ONE | {"offsets": 2, "reach_nm": 100.0, "realisations": 2, "cube_frames"
 STAR = sample(faint, (33, 0), sizes=SIZES, sparta_arcsec=0.4, read=None)
 
 
-@pytest.fixture(scope="module")
-def found():
-    return list(faint.rows(STAR))
-
-
 @pytest.mark.slow
-def test_calibrated_ncpas_leave_the_residual_of_the_sky(found):
+def test_calibrated_ncpas_leave_the_residual_of_the_sky():
+    found = list(faint.rows(STAR))
     by_key = {row["key"]: row for row in found}
     assert all(by_key[key]["abs_error_nm"].shape == (2, 4) for key in COMPARED)
     default, none = (np.median(by_key[key]["abs_error_nm"][0]) for key in ("default_3", "none_3"))
@@ -28,15 +24,6 @@ def test_calibrated_ncpas_leave_the_residual_of_the_sky(found):
     # Four magnitudes: between the square root of the flux, and the flux, which read noise alone would give.
     bright, dim = by_key["default_3"]["crb_nm"]
     assert 10**0.8 < dim / bright < 10**1.6
-
-
-def test_ramps_differ_from_the_cube_in_time_and_defocus_only():
-    cube = faint.cube_of(STAR)
-    short, long = (faint.ramp_of(STAR, cube, index, one) for index, one in enumerate((0.1, 1.0)))
-    assert short.ncpa_nm == long.ncpa_nm == cube.ncpa_nm and 4 not in cube.ncpa_nm
-    assert cube.bands == short.bands and cube.diversity_nm == {6: 170.0}
-    assert len({cube.seed, short.seed, long.seed}) == 3
-    assert long.photons == pytest.approx(10 * short.photons)
 
 
 def test_curves_pool_the_errors_of_all_samples_and_the_floor_is_that_of_a_perfect_sensor(monkeypatch):
@@ -51,13 +38,16 @@ def test_curves_pool_the_errors_of_all_samples_and_the_floor_is_that_of_a_perfec
                 "residual_nm": (3.0 + star.seed[-1]) * np.array([1.0, -1.0]),
             }  # fmt: skip
 
-    found = tables_of(run_on(monkeypatch, faint, rows, samples=2, **ONE))
+    output = run_on(monkeypatch, faint, rows, samples=2, **ONE)
+    found = tables_of(output)
     own = found["magnitudes"].query("key == 'default_3'")
     assert own.median_abs_error_nm.tolist() == [2.5, 40.0]
     assert (own.failures.tolist(), own.mag_j.tolist()) == ([0, 1], [9.0, 13.0])
     curve = found["curves"].set_index("key").loc["default_3"]
     assert (curve.trials, curve.modes) == (4, 3)
     assert curve.residual_floor_nm == pytest.approx(MEDIAN_OF_NORMAL * np.sqrt(12.5))
+    figure, table = drawn(output, faint).blocks
+    assert "this pipeline, 3 modes" in figure.svg and len(table.rows) == 6
 
 
 @pytest.mark.parametrize(
@@ -70,12 +60,3 @@ def test_curves_pool_the_errors_of_all_samples_and_the_floor_is_that_of_a_perfec
 def test_scans_that_cannot_be_made_are_refused(changes, message):
     with pytest.raises(ValidationError, match=message):
         faint.Sizes(**changes)
-
-
-@pytest.mark.slow
-def test_the_section_draws_every_variant(found, monkeypatch):
-    output = run_on(monkeypatch, faint, lambda star: found, samples=2, **ONE)
-    assert set(tables_of(output)["curves"].trials) == {8}
-    figure, table = section_of(output, "faint", faint.EXPERIMENT.section).blocks
-    assert "this pipeline, 3 modes" in figure.svg and "AO residual" in figure.svg
-    assert len(table.rows) == 6 and table.columns[2] == "limit at 0.1 s [J mag]"

@@ -6,7 +6,7 @@ Truth: the simulator, which shares no optics with the model; arithmetic for the 
 import numpy as np
 import pytest
 import torch
-from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
+from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.effects import SeeingHalo
 from irlos_pipe.estimate.cube import Frames
@@ -16,26 +16,18 @@ from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.paper import methods
-from irlos_pipe.paper.common.cube import CubeSample
-from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS, partial_halo, sharpest_half
+from irlos_pipe.paper.common.calibrations import DEFAULT, partial_halo, sharpest_half
+from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.methods import METHODS, PARTS, speckle_floor_nm
 
 FACILITY = load_instrument("irlos").facility
 
 
-def star(*variants: str, dissected: bool = False):
-    of = {"shape": "power_law", "seeing_arcsec": 0.5, "dissected": dissected, "variants": variants}
-    return sample(methods, (7, 0), FACILITY, {"frames": 24, "fractions": (0.5,)}, **of)
-
-
-@pytest.fixture(scope="module")
-def found():
-    return list(methods.rows(star(DEFAULT, "lift_avg", dissected=True)))
-
-
 @pytest.mark.slow
-def test_the_default_beats_the_mean_image_and_all_leave_less_than_was_introduced(found):
-    default, lift, half = found
+def test_the_default_beats_the_mean_image_and_all_leave_less_than_was_introduced():
+    of = {"shape": "power_law", "seeing_arcsec": 0.5, "dissected": True, "variants": (DEFAULT, "lift_avg")}
+    star = sample(methods, (7, 0), FACILITY, {"frames": 24, "fractions": (0.5,)}, **of)
+    default, lift, half = methods.rows(star)
     assert default["modes_nm"] < 0.5 * lift["modes_nm"]
     for row in (default, lift):
         assert row["modes_nm"] < row["pupil_nm"] < row["introduced_nm"]
@@ -43,21 +35,8 @@ def test_the_default_beats_the_mean_image_and_all_leave_less_than_was_introduced
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_numbers_to_the_bit(found):
-    (again,) = methods.rows(star(DEFAULT))
-    assert again["modes_nm"] == found[0]["modes_nm"]
-
-
-def test_samples_of_one_index_share_their_ncpas_at_every_seeing():
-    first, other = (
-        star().cube(seeing, 24, 7.0, shape) for seeing, shape in ((0.5, "power_law"), (1.0, "aliasing"))
-    )
-    assert first.ncpa_nm == other.ncpa_nm
-
-
-@pytest.mark.slow
 def test_introduced_ncpas_have_the_spread_of_the_paper():
-    cubes = [CubeSample("a", (1, k), FACILITY, 0.5, 24, 7.0).scene() for k in range(400)]
+    cubes = [cube_scene("a", (1, k), FACILITY, 0.5, 24, 7.0) for k in range(400)]
     totals = [np.linalg.norm(list(cube.ncpa_nm.values())) for cube in cubes]
     assert np.mean(totals) == pytest.approx(142, abs=4 * 30 / 20)
     assert np.std(totals) == pytest.approx(30, rel=0.15)
@@ -89,7 +68,7 @@ def test_conditions_methods_and_parts_stand_apart(monkeypatch):
     assert conditions.ratio_to_dip_global.tolist() == [0.05] * 10
     assert set(found["methods"].variant) == set(METHODS) and set(found["parts"].variant) == set(PARTS)
     assert found["parts"].samples.tolist() == [2] * 2 * len(PARTS)
-    _, _, table, shapes, _ = section_of(output, "methods", methods.EXPERIMENT.section).blocks
+    _, _, table, shapes, _ = drawn(output, methods).blocks
     assert table.rows[1][:2] == ["DIP global", "40.0 (40.0…40.0) (40.0–40.0)"] and len(shapes.rows) == 10
 
 
@@ -109,7 +88,3 @@ def test_a_residual_without_direction_has_a_round_transfer_function():
     factor = halo.apply(values, torch.ones((), dtype=torch.float64), grid)[0].numpy()
     along_x, along_y = -np.log(factor[0, 1:20]), -np.log(factor[1:20, 0])
     assert along_x == pytest.approx(along_y, rel=1e-3)
-
-
-def test_every_variant_says_what_it_is():
-    assert all(variant.label for variant in VARIANTS.values())

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
+from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS
 from irlos_pipe.paper import mirror_loop
@@ -16,13 +16,8 @@ from irlos_pipe.paper.common.mirror_bench import Bench, MirrorErrors, diversity_
 from irlos_pipe.paper.mirror_loop import LOOPS, improves
 
 SIZES = {
-    "frames": 12,
-    "star_frames": 2,
-    "corrections": 4,
-    "pitches_m": (0.25,),
-    "shift": 0.02,
-    "turn_deg": 2.0,
-}
+    "frames": 12, "star_frames": 2, "corrections": 4, "pitches_m": (0.25,), "shift": 0.02, "turn_deg": 2.0
+}  # fmt: skip
 STAR = sample(mirror_loop, (3, 0), sizes=SIZES, bias_nm=150.0)
 SCENE = mirror_loop.scene_of(STAR)
 BENCH = Bench(SCENE, 2)
@@ -128,7 +123,7 @@ def test_loops_of_true_estimates_keep_their_checks_and_are_shown(true_rows, monk
     ]
     assert tables["loops"].limit.tolist()[-2:] == ["diversity"] * 2
     assert tables["alone"].error.tolist() == list(MirrorErrors().alone())
-    figure, loops, alone, causes = section_of(output, "mirror_loop", mirror_loop.EXPERIMENT.section).blocks
+    figure, loops, alone, causes = drawn(output, mirror_loop).blocks
     assert (len(loops.rows), len(alone.rows), len(causes.rows)) == (6, 6, 6)
     assert list(loops.marks) == ["good"] * 2 + [""] * 4 and "DIP global" in figure.svg
 

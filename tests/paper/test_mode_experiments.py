@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
+from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper import mode_number, mode_statistics
-from irlos_pipe.paper.common.variants import frames_per_method
 from irlos_pipe.paper.mode_statistics import INTRODUCED, beyond_nm
 
 FACILITY = load_instrument("irlos").facility
@@ -21,15 +20,6 @@ def test_fifty_modes_are_introduced_and_the_default_hardly_sees_others():
     assert np.all((default["introduced_nm"] != 0) == (NOLLS <= INTRODUCED))
     found, other = (beyond_nm(NOLLS, np.abs(row["zernike_nm"])) for row in (default, published))
     assert found < min(3, 0.5 * other)
-
-
-def test_the_rms_beyond_counts_modes_not_introduced_only():
-    assert beyond_nm(NOLLS, np.where(NOLLS > INTRODUCED, 3.0, 100.0)) == pytest.approx(3.0)
-
-
-def test_the_published_method_gets_the_first_frames_only():
-    assert frames_per_method(200, 20) == {"long_exposure": 200, "dip_global": 20}
-    assert frames_per_method(50, 100) == {"long_exposure": 50, "dip_global": 50}
 
 
 def drawn_modes(star):
@@ -64,9 +54,7 @@ def test_modes_beyond_are_the_error_of_the_estimate(statistics):
     for method, error in ERROR_NM.items():
         assert methods.beyond_nm[method] == pytest.approx(error, rel=0.05)
         assert methods.error_nm[method] == pytest.approx(error * 98**0.5, rel=0.05)
-    figure, beyond, laws = section_of(
-        statistics, "mode_statistics", mode_statistics.EXPERIMENT.section
-    ).blocks
+    figure, beyond, laws = drawn(statistics, mode_statistics).blocks
     assert (figure.title, len(beyond.rows), len(laws.rows)) == ("Strength of the modes", 3, 5)
 
 
@@ -100,7 +88,7 @@ def test_the_best_number_is_found_for_every_method_and_magnitude(monkeypatch):
     best = curves.loc[curves.groupby(["method", "mag_j"]).median_nm.idxmin()]
     assert best.query("method == 'lift_avg'").highest_noll.tolist() == [51, 21, 21, 21]
     assert best.query("method == 'dip_global'").mag_j.tolist() == [7.0]
-    *figures, _, cubes = section_of(output, "mode_number", mode_number.EXPERIMENT.section).blocks
+    *figures, _, cubes = drawn(output, mode_number).blocks
     assert [figure.title for figure in figures] == ["Calibration", "LIFT avg."]
     assert cubes.rows == [["cube 0", "Noll 2–51"], ["cube 1", "Noll 2–51"]]
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
+from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.paper import ramp_conditions
+from irlos_pipe.paper.common.calibrations import DEFAULT
 from irlos_pipe.paper.common.ramp_light import CONDITIONS, WAYS, effects_of, fit_way
 from irlos_pipe.paper.common.ramps import calibrated, observe
-from irlos_pipe.paper.common.variants import DEFAULT
 from irlos_pipe.paper.ramp_conditions import cube_of, mode_errors, ramp_of
 from irlos_pipe.simulate.exposure import expose
 
@@ -23,22 +23,6 @@ CUBE = cube_of(STAR)
 
 def effects(key: str) -> dict:
     return effects_of(CONDITIONS[key], STAR.seed, STAR.facility)
-
-
-def test_every_condition_names_ways_that_there_are():
-    assert all(set(one.ways) <= set(WAYS) and one.ways for one in CONDITIONS.values())
-    assert CONDITIONS["narrow_h"].ways == ("plain", "plain_nine", "uncalibrated", "uncalibrated_nine")
-    assert len(CONDITIONS["clean"].ways) == 10 and "tilt_centroid" in CONDITIONS["clean"].ways
-
-
-def test_the_pair_is_a_cube_by_the_mirror_in_narrow_h_and_a_ramp_by_the_lens_in_j_and_h():
-    ramp = ramp_of(STAR, CUBE, CONDITIONS["clean"])
-    assert (len(CUBE.bands), len(ramp.bands)) == (1, 2)
-    assert (CUBE.diversity_nm, ramp.diversity_nm) == ({6: 170.0}, {6: -170.0})
-    assert (CUBE.diversity_source, ramp.diversity_source) == ("mirror", "lens")
-    assert CUBE.ncpa_nm == ramp.ncpa_nm
-    assert CUBE.seed != ramp.seed
-    assert not ramp.effects
 
 
 def test_chromatic_ncpas_have_their_size_between_j_and_h_and_none_at_the_calibration():
@@ -54,12 +38,6 @@ def test_a_lens_has_its_size_and_no_focus():
     assert np.linalg.norm(list(made.values())) == pytest.approx(30)
     assert min(made) == 5
     assert effects("filter_30") == {"filter_ncpa": {"zernike_nm": made}}
-
-
-def test_the_ramp_in_narrow_h_has_the_light_of_the_cube():
-    ramp = ramp_of(STAR, CUBE, CONDITIONS["narrow_h"])
-    assert (ramp.bands, ramp.diversity_nm) == (CUBE.bands, CUBE.diversity_nm)
-    assert (ramp.exposure_s, ramp.frames, ramp.seed == CUBE.seed) == (0.1, 3, False)
 
 
 def made_up(offset_nm: float = 0.0, slope: float = 0.05) -> dict:
@@ -92,7 +70,7 @@ def test_a_ramp_with_a_larger_error_than_asked_fails_its_check(monkeypatch, offs
     assert (not missed(output)) is kept
     assert output.checks[0].value == pytest.approx(np.hypot(offset_nm, 1.0))
     assert set(tables_of(output)["modes"].sigma_nm) == {0.5}
-    _, table, modes = section_of(output, "ramp_conditions", ramp_conditions.EXPERIMENT.section).blocks
+    _, table, modes = drawn(output, ramp_conditions).blocks
     assert list(table.marks) == ["good" if kept else "bad"]
     assert len(modes.rows) == 7
 

@@ -5,16 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import optics_cases as cases
-from helpers.experiment_stage import missed, run_on, sample, section_of, tables_of
+from helpers.experiment_stage import drawn, missed, run_on, tables_of
 
-from irlos_pipe.estimate.calibration_options import OPEN
 from irlos_pipe.paper import ranking
-from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES
-from irlos_pipe.paper.ranking import OWN, highest_nolls, with_modes, with_tail
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
+from irlos_pipe.paper.common.scenes import cube_scene
+from irlos_pipe.paper.ranking import OWN, with_tail
 from irlos_pipe.simulate.exposure import expose
 
-SCENE = CubeSample("test", (31, 0), cases.FACILITY, 0.35, 6, 7.0).scene()
+SCENE = cube_scene("test", (31, 0), cases.FACILITY, 0.35, 6, 7.0)
 
 
 def test_a_tail_follows_the_drawn_ncpas_and_leaves_these_alone():
@@ -26,17 +25,10 @@ def test_a_tail_follows_the_drawn_ncpas_and_leaves_these_alone():
     assert np.std([tailed[noll] for noll in range(52, 201)]) == pytest.approx(3.0, abs=0.7)
 
 
-def test_every_method_has_the_modes_that_are_asked():
-    for method in METHOD_NAMES:
-        assert with_modes(method, 51).options.highest_noll == 51
-        assert with_modes(method, 51).options.method == method
-        assert (OPEN in highest_nolls(method, (30,))) == (method == DEFAULT)
-
-
 def test_the_error_is_that_of_the_29_modes_over_the_whole_cube():
     cube = ObservedCube.of(SCENE)
     truth_nm = cube.exposed.mean_zernike_nm()
-    calibration = cube.calibrated(with_modes("lift_avg", 30))
+    calibration = cube.calibrated(VARIANTS["lift_avg"])
     changed_nm = np.array([truth_nm[noll] for noll in calibration.nolls])
     changed_nm[[2, 5]] += (3.0, 4.0)
     telescope = cube.exposed.telescope
@@ -54,15 +46,6 @@ def test_the_truth_holds_with_a_strong_tail():
     found_nm = expose(scene).mean_zernike_nm()
     drawn_nm = [scene.ncpa_nm[noll] for noll in range(4, 31)]
     assert [found_nm[noll] for noll in range(4, 31)] == pytest.approx(drawn_nm, abs=0.01)
-
-
-@pytest.mark.long
-def test_every_method_is_tried_with_all_modes_and_with_fewer_frames():
-    sizes = {"frames": 10, "highest_nolls": (30,)}
-    star = sample(ranking, sizes=sizes, seeing_arcsec=0.35, tail_nm=0.0, parts=(3,))
-    found = [(row["method"], row["fitted"]) for row in ranking.rows(star)]
-    wanted = {(method, which) for method in METHOD_NAMES for which in ("29 modes", OWN)}
-    assert set(found) == wanted | {(DEFAULT, OPEN)}
 
 
 @pytest.mark.parametrize(("open_nm", "kept"), [(2.0, True), (19.0, False)])
@@ -89,6 +72,6 @@ def test_a_default_that_another_method_beats_fails_its_check(monkeypatch, open_n
     # 142 ± 30 nm as drawn: the mean of 40 within 3 · 30 / sqrt(40).
     assert table.introduced_nm[0] == pytest.approx(142, abs=15)
     assert table.introduced_scatter_nm[0] == pytest.approx(30, abs=11)
-    figure, modes, _, frames = section_of(output, "ranking", ranking.EXPERIMENT.section).blocks
+    figure, modes, _, frames = drawn(output, ranking).blocks
     assert "LIFT slices" in figure.svg
     assert (len(modes.rows), len(frames.rows)) == (6, 6)

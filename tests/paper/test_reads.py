@@ -9,9 +9,8 @@ import pytest
 from helpers import optics_cases as cases
 from scipy import stats
 
-from irlos_pipe.paper.common.broad_band import star_scene
-from irlos_pipe.paper.common.observation import noise_of, recorded_e
-from irlos_pipe.paper.common.reads import Read, as_read
+from irlos_pipe.paper.common.observation import Read, as_read, noise_of, recorded_e
+from irlos_pipe.paper.common.scenes import star_scene
 from irlos_pipe.simulate.readout import electrons
 
 READ = Read(0.05, 2.0, 1.4, 30.0)  # twenty in a second
@@ -22,10 +21,6 @@ def scene():
     star = star_scene("test", cases.FACILITY, (1,), 1, 12.0, {}, seeing_arcsec=0.5)
     skies = replace(cases.FACILITY, sky_mag_per_arcsec2=((1215.0, 16.5), (1625.0, 14.4)))
     return replace(star, facility=skies, window=(1, 1), detector=replace(star.detector, e_per_adu=1e9))
-
-
-def test_without_a_read_nothing_changes():
-    assert as_read(scene(), None) == scene()
 
 
 @pytest.mark.slow

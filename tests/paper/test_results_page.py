@@ -11,17 +11,9 @@ from helpers.paths import REPOSITORY
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.paper.common.table import csv_text, read_csv, read_tables
-from irlos_pipe.paper.run.collect import CHECKS, RUNS
 from irlos_pipe.paper.run.recipes import find_experiments
-from irlos_pipe.paper.run.results_page import (
-    NUMBERS,
-    PAGE,
-    renewed,
-    table_of_checks,
-    table_of_states,
-    take,
-    with_tables,
-)
+from irlos_pipe.paper.run.results_page import NUMBERS, PAGE, renewed, table_of_checks, take, with_tables
+from irlos_pipe.paper.run.run import CHECKS, RUNS
 from irlos_pipe.stages import EXPERIMENTS, STAGES
 
 COMMITTED = REPOSITORY / NUMBERS
@@ -36,56 +28,46 @@ def test_only_the_tables_of_a_page_are_replaced():
         with_tables(text, {"one": "", "two": ""})
 
 
-def test_the_table_counts_the_checks_and_tells_those_that_were_missed():
+def test_the_table_counts_the_checks_and_names_those_that_were_missed():
+    columns = ("experiment", "message", "name", "value", "unit", "low", "high")
     limits = [
         ("slope", "1.0", "", "0.97", "1.03"),
         ("error", "4.56", "nm", "", "4"),
         ("limit", "", "mag", "0", ""),
     ]
-    names = ("name", "value", "unit", "low", "high")
-    rows = [{"experiment": "ramp", "message": "", **dict(zip(names, one, strict=True))} for one in limits]
+    rows = [dict(zip(columns, ("ramp", "", *one), strict=True)) for one in limits]
     assert table_of_checks(rows).splitlines()[2:] == [
         "| `ramp` | 1 of 3 | error: 4.56 nm (≤ 4)<br>limit: nan mag (≥ 0) |"
     ]
 
 
-def runs(day: str = "2026-11-22", quick: bool = False, **code: str) -> list[dict[str, str]]:
-    """Runs of the stages given, each with its state of the code."""
-    rest = {"quick": str(quick), "finished": f"{day}T03:00:00+00:00"}
-    return [{"experiment": name, "stage": name, "code": state, **rest} for name, state in code.items()]
+def numbers(folder: Path, quick: bool = False, **code: str) -> Path:
+    """Numbers of the stages given, each with its state of the code."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rest = {"quick": str(quick), "finished": "2026-11-22T03:00:00+00:00"}
+    runs = [{"experiment": name, "stage": name, "code": one, **rest} for name, one in code.items()]
+    (folder / RUNS).write_text(csv_text(runs))
+    (folder / CHECKS).write_text(csv_text([{"experiment": name, "name": one} for name, one in code.items()]))
+    for name, one in code.items():
+        (folder / f"{name}.csv").write_text(one)
+    return folder
 
 
 ALL = dict.fromkeys(EXPERIMENTS, "1.0")
 
 
-def numbers(folder: Path, found: list[dict[str, str]]) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / RUNS).write_text(csv_text(found))
-    (folder / CHECKS).write_text(
-        csv_text([{"experiment": run["experiment"], "name": run["code"]} for run in found])
-    )
-    for run in found:
-        (folder / f"{run['experiment']}.csv").write_text(run["code"])
-    return folder
-
-
-def test_states_of_the_code_are_told():
-    rows = table_of_states(runs(methods="1.0", faint="1.1", capture="1.0")).splitlines()[2:]
-    assert rows == ["| 1.0 | 2026-11-22 | `methods`, `capture` |", "| 1.1 | 2026-11-22 | `faint` |"]
-
-
 def test_a_run_of_one_state_of_the_code_is_taken_and_one_of_two_is_not(tmp_path):
-    root = numbers(tmp_path / NUMBERS, runs(**ALL)).parents[1]
-    take(root, numbers(tmp_path / "new", runs(**{**ALL, **dict.fromkeys(ALL, "1.1")})), others_stay=False)
+    root = numbers(tmp_path / NUMBERS, **ALL).parents[1]
+    take(root, numbers(tmp_path / "new", **dict.fromkeys(ALL, "1.1")), others_stay=False)
     assert {run["code"] for run in read_csv(root / NUMBERS / RUNS)} == {"1.1"}
     assert (root / NUMBERS / "faint.csv").read_text() == "1.1"
     with pytest.raises(ConfigurationError, match=r"2 states of the code \(1\.0: .*; 1\.2: faint\)"):
-        take(root, numbers(tmp_path / "two", runs(**{**ALL, "faint": "1.2"})), others_stay=False)
+        take(root, numbers(tmp_path / "two", **{**ALL, "faint": "1.2"}), others_stay=False)
 
 
 def test_beside_others_only_its_own_experiments_are_replaced(tmp_path):
-    root = numbers(tmp_path / NUMBERS, runs(**ALL)).parents[1]
-    take(root, numbers(tmp_path / "new", runs(day="2026-11-24", faint="1.2")), others_stay=True)
+    root = numbers(tmp_path / NUMBERS, **ALL).parents[1]
+    take(root, numbers(tmp_path / "new", faint="1.2"), others_stay=True)
     found = read_csv(root / NUMBERS / RUNS)
     assert [run["stage"] for run in found] == list(EXPERIMENTS)
     assert {run["stage"]: run["code"] for run in found if run["code"] != "1.0"} == {"faint": "1.2"}
@@ -93,17 +75,19 @@ def test_beside_others_only_its_own_experiments_are_replaced(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("found", "others_stay", "message"),
+    ("quick", "code", "others_stay", "message"),
     [
-        (runs(methods="1.0"), False, "has no capture, "),
-        (runs(quick=True, **ALL), False, "has small samples"),
-        (runs(quick=True, faint="1.0"), True, "has small samples"),
+        (False, {"methods": "1.0"}, False, "has no capture, "),
+        (True, ALL, False, "has small samples"),
+        (True, {"faint": "1.0"}, True, "has small samples"),
     ],
 )
-def test_a_run_that_lacks_experiments_or_is_a_quick_look_is_not_taken(tmp_path, found, others_stay, message):
-    root = numbers(tmp_path / NUMBERS, runs(**ALL)).parents[1]
+def test_a_run_that_lacks_experiments_or_is_a_quick_look_is_not_taken(
+    tmp_path, quick, code, others_stay, message
+):
+    root = numbers(tmp_path / NUMBERS, **ALL).parents[1]
     with pytest.raises(ConfigurationError, match=message):
-        take(root, numbers(tmp_path / "new", found), others_stay)
+        take(root, numbers(tmp_path / "new", quick, **code), others_stay)
 
 
 @pytest.mark.slow
@@ -145,12 +129,13 @@ def test_the_committed_checks_are_those_of_the_numbers_and_listings_name_their_c
     experiment, tables = STAGES[run["stage"]], read_tables(COMMITTED / f"{run['experiment']}.csv")
     stored = [row for row in read_csv(COMMITTED / CHECKS) if row["experiment"] == run["experiment"]]
     found = experiment.checks(tables)
-    assert [check.name for check in found] == [row["name"] for row in stored]
-    assert [check.value for check in found] == pytest.approx(
-        [float(row["value"]) for row in stored], rel=1e-12
-    )
+    assert [(check.name, check.message) for check in found] == [
+        (row["name"], row["message"]) for row in stored
+    ]
+    values = [float(row["value"]) for row in stored]
+    assert [check.value for check in found] == pytest.approx(values, rel=1e-12)
     for listing in experiment.listings:
         patterns = [*listing.cells.values(), *listing.across, *listing.across.values(), listing.caption]
-        names = {part.split(":")[0].split("}")[0] for text in patterns for part in text.split("{")[1:]}
-        assert names <= set(tables[listing.of].columns)
+        columns = {part.split(":")[0].split("}")[0] for text in patterns for part in text.split("{")[1:]}
+        assert columns <= set(tables[listing.of].columns)
         assert listing.table(tables).rows

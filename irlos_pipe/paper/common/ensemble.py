@@ -21,16 +21,11 @@ from irlos_pipe.files.processes import in_processes
 from irlos_pipe.stages.base import StageContext
 
 Rows = list[dict[str, Any]]
+Function = Callable[[Any], Iterable[Mapping[str, Any]]]
 SCALARS = "rows"  # entry of a sample's file; the others are arrays, each by its row and its name
-LONGEST_NAME = 80
 
 
-def run_samples(
-    function: Callable[[Any], Iterable[Mapping[str, Any]]],
-    samples: Sequence[Any],
-    ctx: StageContext[Any],
-    desc: str,
-) -> list[Rows]:
+def run_samples(function: Function, samples: Sequence[Any], ctx: StageContext[Any], desc: str) -> list[Rows]:
     """Return the rows `function(sample)` of every sample, computed by `ctx.jobs` processes of one thread.
 
     Every result is a file in `ctx.scratch` as soon as it is there, and is read from it when the
@@ -42,17 +37,12 @@ def run_samples(
     function : callable
         Defined at the top level of a module; returns or yields rows: numbers, arrays or texts by name.
     samples : sequence
-        Frozen dataclasses or dicts of what JSON can hold, arrays included. An attribute or key
-        ``name`` stands for the sample in messages. Equal samples are computed once.
+        Frozen dataclasses with a ``name``, for messages, of what JSON can hold, arrays included. Equal
+        samples are computed once.
     ctx : StageContext
         Of the stage that the samples belong to.
     desc : str
         What the samples are, for the progress bar and for messages.
-
-    Returns
-    -------
-    list of list of dict
-        In the order of `samples`.
 
     Raises
     ------
@@ -61,16 +51,22 @@ def run_samples(
         The samples finished by then stay.
     """
     ctx.scratch.mkdir(parents=True, exist_ok=True)
-    files = [ctx.scratch / f"{sample_key(function, sample)}.npz" for sample in samples]
-    missing = {
-        file: sample for file, sample in zip(files, samples, strict=True) if not zipfile.is_zipfile(file)
-    }
-    finished = len(set(files)) - len(missing)
+    files = [ctx.scratch / f"{sample_key(function, one)}.npz" for one in samples]
+    missing = {file: one for file, one in zip(files, samples, strict=True) if not zipfile.is_zipfile(file)}
+    total = len(set(files))
+    finished = total - len(missing)
     if finished:
-        ctx.log.info("%s: %d of %d samples were finished before", desc, finished, finished + len(missing))
-    with ctx.progress(total=finished + len(missing), desc=desc) as bar:
+        ctx.log.info("%s: %d of %d samples were finished before", desc, finished, total)
+    with ctx.progress(total=total, desc=desc) as bar:
         bar.update(finished)
-        _compute(function, missing, ctx.jobs, desc, bar.update)
+        if missing:
+            calls = [(function, one, file) for file, one in missing.items()]
+            with in_processes(min(ctx.jobs, len(calls)), _work, calls) as futures:
+                names = {future: one.name for future, one in zip(futures, missing.values(), strict=True)}
+                for done in as_completed(futures):
+                    with _naming(names[done], desc):
+                        done.result()
+                    bar.update(1)
     return [_read(file) for file in files]
 
 
@@ -80,22 +76,7 @@ def sample_key(function: Callable, sample: Any) -> str:
     return hashlib.sha256(canonical_json(identity).encode()).hexdigest()[:32]
 
 
-def _compute(
-    function: Callable, missing: Mapping[Path, Any], jobs: int, desc: str, report: Callable[[int], Any]
-) -> None:
-    """Leave one file per missing sample."""
-    if not missing:
-        return
-    calls = [(function, sample, file) for file, sample in missing.items()]
-    with in_processes(min(jobs, len(calls)), _work, calls) as futures:
-        samples = dict(zip(futures, missing.values(), strict=True))
-        for done in as_completed(futures):
-            with _naming(samples[done], desc):
-                done.result()
-            report(1)
-
-
-def _work(function: Callable[[Any], Iterable[Mapping[str, Any]]], sample: Any, file: Path) -> None:
+def _work(function: Function, sample: Any, file: Path) -> None:
     scalars: Rows = []
     arrays: dict[str, Any] = {}
     for index, row in enumerate(function(sample)):
@@ -121,7 +102,7 @@ def _read(file: Path) -> Rows:
 
 
 @contextmanager
-def _naming(sample: Any, desc: str) -> Iterator[None]:
+def _naming(name: str, desc: str) -> Iterator[None]:
     """Name the sample in every error."""
     try:
         yield
@@ -131,12 +112,7 @@ def _naming(sample: Any, desc: str) -> Iterator[None]:
             "stay: run the same command to go on, with fewer --jobs"
         ) from error
     except IrlosError as error:
-        raise type(error)(f"{desc}: sample {_name(sample)}: {error}") from error
+        raise type(error)(f"{desc}: sample {name}: {error}") from error
     except Exception as error:
-        error.add_note(f"{desc}: sample {_name(sample)}")
+        error.add_note(f"{desc}: sample {name}")
         raise
-
-
-def _name(sample: Any) -> str:
-    name = sample.get("name") if isinstance(sample, Mapping) else getattr(sample, "name", None)
-    return str(name or canonical_json(sample)[:LONGEST_NAME])

@@ -7,10 +7,10 @@ from itertools import cycle
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.paper.common.table import Frame
+from irlos_pipe.report.content import Figure, Width
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, ORANGE, svg
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -18,6 +18,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 
 def lines(
     name: str,
+    title: str,
+    caption: str,
     table: Frame,
     x: str,
     y: str,
@@ -25,13 +27,14 @@ def lines(
     colour: str,
     labels: tuple[str, str],
     panels: str = "",
-    dashed: Mapping[str, str] | None = None,
+    dashed: str = "",
     ends: Sequence[str] = (),
     levels: Sequence[float] = (),
     marks: Sequence[float] = (),
     size: tuple[float, float] = (5.2, 4.4),
+    width: Width = "half",
     **axes_: Any,
-) -> Markup:
+) -> Figure:
     """Draw the column `y` of a table against `x`, one line for every value of the column `colour`.
 
     Parameters
@@ -42,8 +45,8 @@ def lines(
         Of the axes.
     panels : str
         Column whose values have panels of their own, which they name.
-    dashed : mapping of str to str
-        Further columns, and how they are drawn.
+    dashed : str
+        A further column, drawn dashed.
     ends : (str, str)
         Endings of the columns between which error bars go.
     levels, marks : sequence of float
@@ -56,70 +59,59 @@ def lines(
         parts = list(table.groupby(panels, sort=False)) if panels else [("", table)]
         looks = dict(zip(table[colour].unique(), cycle(zip(CYCLE, MARKERS, strict=True))))
         all_axes = figure.subplots(1, len(parts), sharey=True, squeeze=False)[0]
-        for axes, (title, part) in zip(all_axes, parts, strict=True):
+        for axes, (heading, part) in zip(all_axes, parts, strict=True):
             for key, line in part.groupby(colour, sort=False):
                 ink, marker = looks[key]
                 reach = [abs(line[f"{y}_{end}"] - line[y]) for end in ends] or None
                 axes.errorbar(line[x], line[y], reach, color=ink, fmt=f"{marker}-", markersize=4, label=key)
-                for column, style in (dashed or {}).items():
-                    axes.plot(line[x], line[column], style, color=ink, linewidth=0.9)
-            for level in levels:
-                axes.axhline(level, color=INK, linestyle=":", linewidth=0.9)
-            for mark in marks:
-                axes.axvline(mark, color=INK, linestyle=":", linewidth=0.9)
-            axes.set(**{"title": title, "xlabel": labels[0], "yscale": "log"} | axes_)
+                if dashed:
+                    axes.plot(line[x], line[dashed], "--", color=ink, linewidth=0.9)
+            for draw_line, places in ((axes.axhline, levels), (axes.axvline, marks)):
+                for place in places:
+                    draw_line(place, color=INK, linestyle=":", linewidth=0.9)
+            axes.set(**{"title": heading, "xlabel": labels[0], "yscale": "log"} | axes_)
         all_axes[0].set_ylabel(labels[1])
         figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
 
-    return svg(name, size, draw)
+    return Figure(svg(name, size, draw), title, caption, width)
 
 
 def strips(
     name: str,
+    title: str,
+    caption: str,
     rows: Frame,
     columns: Mapping[str, str],
     *,
     by: str,
     label: str,
     levels: Sequence[float] = (),
-    width: float = 5.4,
-) -> Markup:
+    inches: float = 5.4,
+    width: Width = "half",
+) -> Figure:
     """Draw every value of some `columns`, and their medians, in one line for every value of the column `by`.
 
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    columns : mapping of str to str
-        And what they are.
-    label : str
-        Of the axis.
+    `name` is unique in the page, `columns` say what they are, `label` is that of the axis.
     """
     keys = list(rows[by].unique())[::-1]
+    shifts = np.linspace(0.17, -0.17, len(columns)) if len(columns) > 1 else [0.0]
+    looks = list(zip(shifts, columns.items(), (BLUE, ORANGE), "os", strict=False))
 
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
         for place, key in enumerate(keys):
-            shifts = np.linspace(0.17, -0.17, len(columns)) if len(columns) > 1 else [0.0]
-            for shift, (column, what), ink, marker in zip(
-                shifts, columns.items(), (BLUE, ORANGE), "os", strict=False
-            ):
-                values, height = rows.loc[rows[by] == key, column].to_numpy(float), place + shift
+            for shift, (column, what), ink, marker in looks:
+                values = rows.loc[rows[by] == key, column].to_numpy(float)
+                height = np.full(len(values), place + shift)
                 named = what if place == 0 else None
-                axes.plot(
-                    values,
-                    np.full(len(values), height),
-                    marker,
-                    color=ink,
-                    markersize=3.5,
-                    alpha=0.7,
-                    label=named,
-                )
-                axes.vlines(np.median(values), height - 0.15, height + 0.15, color=INK, linewidth=1.4)
+                axes.plot(values, height, marker, color=ink, markersize=3.5, alpha=0.7, label=named)
+                bar = place + shift - 0.15, place + shift + 0.15
+                axes.vlines(np.median(values), *bar, color=INK, linewidth=1.4)
         for level in levels:
             axes.axvline(level, color=INK, linestyle=":", linewidth=0.9)
         axes.set_yticks(range(len(keys)), keys)
         axes.set(xlabel=label, xscale="log")
         figure.legend(loc="outside upper center", ncols=2)
 
-    return svg(name, (width, 1.0 + 0.26 * len(columns) * len(keys)), draw)
+    size = inches, 1.0 + 0.26 * len(columns) * len(keys)
+    return Figure(svg(name, size, draw), title, caption, width)

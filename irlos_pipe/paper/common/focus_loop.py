@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,8 +23,13 @@ from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.paper.common.broad_band import frame_settings
-from irlos_pipe.paper.common.observation import model_effects_of, noise_of, recorded_e, settings_of
+from irlos_pipe.paper.common.observation import (
+    frame_settings,
+    model_effects_of,
+    noise_of,
+    recorded_e,
+    settings_of,
+)
 from irlos_pipe.paper.common.ramps import TTF, Knowledge
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
@@ -54,7 +59,6 @@ class FrameTable:
 
     Attributes
     ----------
-    reach_nm : float
     series_e : ndarray, (orders, frames, rows, columns)
         Chebyshev coefficients of the mean electrons per pixel.
     sky_focus_nm : ndarray, (frames,)
@@ -86,37 +90,19 @@ def frame_table(scene: Scene, reach_nm: float, nodes: int) -> FrameTable:
 # -- sensors -----------------------------------------------------------------------------------------
 
 
-class Sensor(Protocol):
-    """What measures the defocus of images.
-
-    Noise is that of an image with `seen_e` electrons in the window [nm RMS].
-    """
-
-    def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
-        """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
-        ...
-
-    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """Return the Cramér–Rao bound at zero defocus."""
-        ...
-
-    def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """Return the noise of a measurement without an AO residual."""
-        ...
-
-
 @dataclass(frozen=True)
 class FocusSensor:
     """LIFT with tip, tilt and defocus free, started from zero: the loops hold the image there.
 
     `model` has AO residual and jitter; `zero_nm` is what it measures where there is no defocus, if known.
+    Bound and noise are those of an image with `seen_e` electrons in the window, at zero defocus [nm RMS].
     """
 
     model: ImageModel
     zero_nm: float = 0.0
 
     def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
-        """See `Sensor`."""
+        """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
         start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
@@ -127,44 +113,36 @@ class FocusSensor:
         return measured.numpy() - self.zero_nm
 
     def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """See `Sensor`."""
+        """Return the Cramér–Rao bound."""
         zero = torch.zeros(1, len(TTF), dtype=torch.float64)
         in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
-        flux = seen_e / in_window[None]
-        return float(cramer_rao_nm(self.model, zero, flux, noise)[0, FOCUS])
+        return float(cramer_rao_nm(self.model, zero, seen_e / in_window[None], noise)[0, FOCUS])
 
     def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """See `Sensor`: the bound, which LIFT reaches."""
+        """Return the noise of a measurement without an AO residual: the bound, which LIFT reaches."""
         return self.bound_nm(seen_e, noise)
 
 
 @dataclass(frozen=True)
-class CentroidSensor:
+class CentroidSensor(FocusSensor):
     """Centres of light of four images above a threshold: the classical 2x2 Shack–Hartmann sensor.
 
-    `scene` is in the 2x2 mode; `model` is LIFT of the same images, for their bound.
+    `scene` is in the 2x2 mode; `model`, that of the same images, gives the bound of any estimate from them.
     """
 
-    scene: Scene
-    model: FocusSensor
-    zero_nm: float = 0.0
+    scene: Scene = field(kw_only=True)
 
     def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
-        """See `Sensor`."""
+        """See `FocusSensor`."""
         geometry, scale_mas = self.scene.geometry, self.scene.pixel_scale_mas
         modes_nm = modes_of_centroids_nm(images_e, geometry, scale_mas, float(np.sqrt(noise.floor_e2)), TTF)
         defocus_nm = modes_nm[:, FOCUS] - self.zero_nm
         return np.where(np.abs(defocus_nm) < FARTHEST_NM, defocus_nm, np.nan)
 
-    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """See `Sensor`: that of any estimate from these images."""
-        return self.model.bound_nm(seen_e, noise)
-
     def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """See `Sensor`: the scatter of drawn images, which is above the bound."""
-        image_model = self.model.model
-        image = image_model.psf.images(torch.zeros(1, len(TTF), dtype=torch.float64), image_model.optics)
-        mean_e = image.double().cpu().numpy()
+        """Return the scatter of drawn images, which is above the bound."""
+        zero = torch.zeros(1, len(TTF), dtype=torch.float64)
+        mean_e = self.model.psf.images(zero, self.model.optics).double().cpu().numpy()
         mean_e *= seen_e / mean_e.sum()
         scatter_e = np.sqrt(noise.excess_noise_factor * mean_e + noise.floor_e2)
         drawn_e = mean_e + scatter_e * np.random.default_rng(0).standard_normal((DRAWS, *mean_e.shape[1:]))
@@ -178,17 +156,17 @@ def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
     return FocusSensor(tabulated(ImageModel(psf, effects), torch.zeros(1, len(TTF), dtype=torch.float64)))
 
 
-def two_by_two_sensors(scene: Scene, table: FrameTable | None = None) -> dict[str, Sensor]:
+def two_by_two_sensors(scene: Scene, table: FrameTable | None = None) -> dict[str, FocusSensor]:
     """Return both sensors of a `scene` in the 2x2 mode, by name.
 
-    With the `table` of its frames they are told their own zero without any error, as a perfect reference
-    source would: what they measure of the mean of all frames without defocus and noise.
+    With the `table` of its frames their own zero is known without any error, as from a perfect reference
+    source: what they measure of the mean of all frames without defocus and noise.
     """
     settings = settings_of(scene).for_broad_images().for_single_frames()
-    four = FocusSensor(ImageModel(light_path(settings, TTF), ramp_effects(model_effects_of(scene), {})))
-    sensors: dict[str, FocusSensor | CentroidSensor] = {CENTROIDS: CentroidSensor(scene, four), LIFT: four}
+    model = ImageModel(light_path(settings, TTF), ramp_effects(model_effects_of(scene), {}))
+    sensors = {CENTROIDS: CentroidSensor(model, scene=scene), LIFT: FocusSensor(model)}
     if table is None:
-        return dict(sensors)
+        return sensors
     frames = range(table.series_e.shape[1])
     mean_e = np.mean([table.images_e(frame, np.zeros(1)) for frame in frames], axis=0)
     return {
@@ -244,9 +222,9 @@ class LoopBank:
         residual = drift_nm - self.command_nm[:, frame]
         self.alive &= np.abs(residual) <= self.table.reach_nm
         self.residual_nm[:, frame] = np.where(self.alive, residual, np.nan)
-        seen = np.where(self.alive, residual, 0.0)
         keep = (frame % self.exposures != 0)[:, None, None]
-        self.images_e = keep * self.images_e + flux * self.table.images_e(frame, seen)
+        seen_e = flux * self.table.images_e(frame, np.where(self.alive, residual, 0.0))
+        self.images_e = keep * self.images_e + seen_e
 
     def ready(self, frame: int, sensor: str, exposures: int) -> np.ndarray:
         """Return the loops of `sensor` with exposures of so many frames that end with `frame`."""
@@ -268,7 +246,7 @@ class LoopBank:
 
 def close_loops(
     loops: Sequence[Loop],
-    sensors: Mapping[str, Sensor],
+    sensors: Mapping[str, FocusSensor],
     scenes: Mapping[int, Scene],
     table: FrameTable,
     drift_nm: np.ndarray,
@@ -279,13 +257,8 @@ def close_loops(
 
     Parameters
     ----------
-    loops : sequence of Loop
-    sensors : mapping of str to Sensor
-        By the names that the loops use.
     scenes : mapping of int to Scene
-        The sky in exposures of so many frames.
-    table : FrameTable
-        Its frames at any defocus.
+        The sky in exposures of so many frames; `table` has its frames at any defocus.
     drift_nm : ndarray, (frames,)
         Mean defocus of the disturbance in every frame. What it wanders within one is too little to
         change the image other than through its mean.
@@ -305,9 +278,6 @@ def close_loops(
                 images_e = recorded_e(scenes[exposures], bank.images_e[members], rng)
                 bank.correct(members, frame, sensors[name].measure(images_e, noise_of(scenes[exposures])))
     return bank
-
-
-# -- what came of a loop ------------------------------------------------------------------------------
 
 
 def outcome_of(
@@ -353,16 +323,12 @@ def sensor_of(measured_nm: np.ndarray, true_nm: np.ndarray) -> tuple[float, floa
     `measured_nm`, `true_nm`, (skies, drifts, frames), are NaN where there is no measurement. Noise enters the
     truth only of later frames, so that a plain regression is unbiased.
     """
-    pairs = [_centred(m, t) for m, t in zip(measured_nm, true_nm, strict=True)]
+    pairs = []
+    for m, t in zip(measured_nm, true_nm, strict=True):
+        given = np.isfinite(m) & np.isfinite(t)
+        pairs.append([one[given] - one[given].mean() if given.any() else one[given] for one in (m, t)])
     m, t = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     if len(m) < MIN_FOR_A_SLOPE:
         return math.nan, math.nan
     slope = float(m @ t / (t @ t))
     return slope, float(np.sqrt(np.sum((m - slope * t) ** 2) / (len(m) - len(pairs) - 1)))
-
-
-def _centred(measured_nm: np.ndarray, true_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of one sky less their means."""
-    given = np.isfinite(measured_nm) & np.isfinite(true_nm)
-    m, t = measured_nm[given], true_nm[given]
-    return (m - m.mean(), t - t.mean()) if len(m) else (m, t)

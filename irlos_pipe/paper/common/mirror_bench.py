@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, HIGHEST_REPORTED_NOLL, TIP_TILT
-from irlos_pipe.paper.common.star import star_image
+from irlos_pipe.paper.common.calibrations import weighted_rms
+from irlos_pipe.paper.common.scenes import star_image
 from irlos_pipe.simulate.exposure import telescope_of
 from irlos_pipe.simulate.mirror import Actuators, Mirror
 from irlos_pipe.simulate.scene import Scene
@@ -79,12 +80,11 @@ class Bench:
         found_nm = self.coefficients_nm(opd_nm)
         modes_nm = self.telescope.opd_nm({noll: found_nm[noll] for noll in CORRECTED_NOLLS})
         still_nm = opd_nm - self.telescope.opd_nm({noll: found_nm[noll] for noll in TIP_TILT})
-        parts, weight = (modes_nm, still_nm - modes_nm, still_nm), self.telescope.transmission
-        means_nm = [np.average(part, weights=weight) for part in parts]
-        squares = [
-            np.average((part - mean) ** 2, weights=weight) for part, mean in zip(parts, means_nm, strict=True)
-        ]
-        return dict(zip(LEFT, map(float, np.sqrt(squares)), strict=True))
+        parts = modes_nm, still_nm - modes_nm, still_nm
+        return {
+            name: weighted_rms(part, self.telescope.transmission)
+            for name, part in zip(LEFT, parts, strict=True)
+        }
 
     def left(self, mirror: Mirror) -> dict[str, float]:
         """Return what a mirror leaves of the wavefront."""
@@ -124,11 +124,8 @@ class Bench:
             "diversity": self.told(real, unseen_nm, done)[-1],
             "estimate": self.opd_nm + mirror.opd_nm(self.telescope),
         }
-        befores = [np.zeros_like(self.opd_nm), *states.values()]
-        return {
-            cause: self.of(state - before)
-            for (cause, state), before in zip(states.items(), befores, strict=False)
-        }
+        parts = np.diff([np.zeros_like(self.opd_nm), *states.values()], axis=0)
+        return {cause: self.of(part) for cause, part in zip(states, parts, strict=True)}
 
 
 def further(offsets_nm: Mapping[int, float], seen_nm: Mapping[int, float]) -> dict[int, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,11 +16,11 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import AtmosphericDispersion
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp, ramp_effects, start_from_defocus
+from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.paper.common.observation import conditions_of, model_effects_of, settings_of
-from irlos_pipe.paper.common.ramps import NINE, TTF, ObservedRamp
-from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.paper.common.calibrations import DEFAULT
+from irlos_pipe.paper.common.observation import conditions_of, settings_of
+from irlos_pipe.paper.common.ramps import NINE, TTF, LiftVariant, ObservedRamp
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.stages.model.colour import star_colour
@@ -32,17 +32,15 @@ ASKED_NM = 4.0
 
 
 @dataclass(frozen=True)
-class Way:
-    """One way to estimate a ramp, beside AO residual and jitter, which are as calibrated or expected.
+class Way(LiftVariant):
+    """One way to estimate a ramp, with AO residual and jitter as calibrated or expected.
 
-    Without `calibrated` the NCPAs of the cube are not in the model. With `colour`, dispersion and the slope
-    of the star's spectrum are fitted to all frames together, and up to `last_noll` the wavefront of the lens
-    and the one that changes with wavelength. `tilt` of every frame is estimated, or held.
+    With `colour`, dispersion and the slope of the star's spectrum are fitted to all frames together, and up
+    to `last_noll` the wavefront of the lens and the one that changes with wavelength. `tilt` of every frame
+    is estimated, or held.
     """
 
-    label: str
-    modes: tuple[int, ...] = TTF
-    calibrated: bool = True
+    ncpa: str = DEFAULT
     colour: bool = True
     last_noll: int = 0
     tilt: Literal["free", "calibrated", "centroid"] = "free"
@@ -59,8 +57,8 @@ WAYS = {
     "tilt_calibrated": Way("default, tip and tilt as calibrated", tilt="calibrated"),
     "tilt_centroid": Way("default, tip and tilt of the centroid", tilt="centroid"),
     "plain_nine": Way("nine modes", NINE, colour=False),
-    "uncalibrated": Way("without NCPAs", calibrated=False, colour=False),
-    "uncalibrated_nine": Way("without NCPAs, nine modes", NINE, calibrated=False, colour=False),
+    "uncalibrated": Way("without NCPAs", ncpa="", colour=False),
+    "uncalibrated_nine": Way("without NCPAs, nine modes", NINE, ncpa="", colour=False),
 }
 
 
@@ -85,16 +83,15 @@ class Condition:
 
 
 COLOURS, FRONTS, NARROW_WAYS = ("default", "plain"), ("wavefronts", "default"), ("plain", *list(WAYS)[-3:])
+BOTH_FRONTS: dict[str, Any] = {"chromatic_nm": 60.0, "filter_nm": 30.0}
+DISPERSED: dict[str, Any] = {"dispersion_mas_per_um": 100.0, "angle_deg": 45.0}
 CONDITIONS = {
     "clean": Condition("nothing", ("default", "plain", "wavefronts", *list(WAYS)[4:9], *list(WAYS)[-2:])),
     "chromatic_30": Condition("chromatic NCPAs of 30 nm", FRONTS, chromatic_nm=30.0),
     "chromatic_60": Condition("chromatic NCPAs of 60 nm", FRONTS, chromatic_nm=60.0),
     "filter_30": Condition("lens of 30 nm", FRONTS, filter_nm=30.0),
     "chromatic_60_filter_30": Condition(
-        "chromatic NCPAs of 60 nm, lens of 30 nm",
-        ("wavefronts", "low_wavefronts", "default"),
-        chromatic_nm=60.0,
-        filter_nm=30.0,
+        "chromatic NCPAs of 60 nm, lens of 30 nm", ("wavefronts", "low_wavefronts", "default"), **BOTH_FRONTS
     ),
     **{
         f"dispersion_{size}_at_{angle}": Condition(
@@ -105,63 +102,59 @@ CONDITIONS = {
     "redder": Condition("star redder by 0.5 per µm", COLOURS, colour_per_um=0.5),
     "bluer": Condition("star bluer by 0.5 per µm", COLOURS, colour_per_um=-0.5),
     "all": Condition(
-        "60 nm chromatic, lens 30 nm, 100 mas/µm at 45°, redder",
-        FRONTS,
-        chromatic_nm=60.0,
-        filter_nm=30.0,
-        dispersion_mas_per_um=100.0,
-        angle_deg=45.0,
+        "60 nm chromatic, lens 30 nm, 100 mas/µm at 45°, redder", FRONTS, **BOTH_FRONTS, **DISPERSED,
         colour_per_um=0.5,
     ),
     "narrow_h": Condition("narrow H alone, 0.1 s, by the mirror", NARROW_WAYS, None, "narrow H"),
-}
+}  # fmt: skip
 
 
 def effects_of(
     condition: Condition, seed: tuple[int, ...], facility: Facility
 ) -> dict[str, Mapping[str, Any]]:
     """Return the simulator's effects of a condition, by name."""
-    per_um = condition.chromatic_nm / (bands.H.centre_nm - bands.J.centre_nm) * 1e3
-    effects: dict[str, tuple[float, Mapping[str, Any]]] = {
-        "chromatic_ncpa": (
-            condition.chromatic_nm,
-            {
-                "zernike_nm_per_um": _drawn_nm((*seed, CHROMATIC_STREAM), facility, DEFOCUS, per_um),
-                "reference_nm": bands.NARROW_H.centre_nm,
-            },
-        ),
-        "filter_ncpa": (
-            condition.filter_nm,
-            {"zernike_nm": _drawn_nm((*seed, FILTER_STREAM), facility, DEFOCUS + 1, condition.filter_nm)},
-        ),
-        "atmospheric_dispersion": (
-            condition.dispersion_mas_per_um,
-            {"mas_per_um": condition.dispersion_mas_per_um, "angle_deg": condition.angle_deg},
-        ),
-        "spectrum": (condition.colour_per_um, {"slope": condition.colour_per_um}),
-    }
-    return {name: effect for name, (size, effect) in effects.items() if size}
 
+    def drawn_nm(stream: int, first: int, total_nm: float) -> dict[int, float]:
+        """A wavefront by the law of the NCPAs from Noll `first` on, of `total_nm` RMS.
 
-def _drawn_nm(seed: tuple[int, ...], facility: Facility, first: int, total_nm: float) -> dict[int, float]:
-    """A wavefront by the law of the NCPAs from Noll `first` on, of `total_nm` RMS.
+        Tip and tilt of the colours are dispersion, and the focus of a lens is that of the star.
+        """
+        rng = np.random.default_rng((*seed, stream))
+        drawn = draw_ncpa_nm(rng, facility.ncpa_law, 1.0, WAVEFRONT_MODES)
+        kept = {noll: value for noll, value in drawn.items() if noll >= first}
+        norm = float(np.linalg.norm(list(kept.values())))
+        return {noll: value * total_nm / norm for noll, value in kept.items()}
 
-    Tip and tilt of the colours are dispersion, and the focus of a lens is that of the star.
-    """
-    rng = np.random.default_rng(seed)
-    drawn = draw_ncpa_nm(rng, facility.ncpa_law, 1.0, WAVEFRONT_MODES)
-    kept = {noll: value for noll, value in drawn.items() if noll >= first}
-    norm = float(np.linalg.norm(list(kept.values())))
-    return {noll: value * total_nm / norm for noll, value in kept.items()}
+    found: dict[str, Mapping[str, Any]] = {}
+    if condition.chromatic_nm:
+        per_um = condition.chromatic_nm / (bands.H.centre_nm - bands.J.centre_nm) * 1e3
+        slopes = drawn_nm(CHROMATIC_STREAM, DEFOCUS, per_um)
+        found["chromatic_ncpa"] = {"zernike_nm_per_um": slopes, "reference_nm": bands.NARROW_H.centre_nm}
+    if condition.filter_nm:
+        found["filter_ncpa"] = {"zernike_nm": drawn_nm(FILTER_STREAM, DEFOCUS + 1, condition.filter_nm)}
+    if condition.dispersion_mas_per_um:
+        vector = {"mas_per_um": condition.dispersion_mas_per_um, "angle_deg": condition.angle_deg}
+        found["atmospheric_dispersion"] = vector
+    if condition.colour_per_um:
+        found["spectrum"] = {"slope": condition.colour_per_um}
+    return found
 
 
 def fit_way(ramp: ObservedRamp, way: Way) -> RampFit:
     """Estimate all frames of a ramp in one way, with the model and the sampling of the stage `lift`."""
-    known = ramp.knowledge[DEFAULT if way.calibrated else ""]
-    model = PsfModel(settings_of(ramp.scene, known.ncpa_nm).for_single_frames(), way.modes)
-    start_nm = start_from_defocus(model, ramp.data, ramp.prior_nm - known.ncpa_nm.get(DEFOCUS, 0.0))
-    effects = ramp_effects(model_effects_of(ramp.scene), known.effects) + _of_light(ramp.scene, way)
-    return fit_ramp(model, ramp.data, start_nm, _options(way, start_nm), effects)
+    model = PsfModel(settings_of(ramp.scene, ramp.given_nm(way)).for_single_frames(), way.modes)
+    start_nm = ramp.start_nm(way, model)
+    options = LiftOptions()
+    if way.tilt != "free":
+        sigma_nm = torch.full((len(way.modes),), torch.inf, dtype=torch.float64)
+        mean_nm = start_nm.clone()
+        for place in map(way.modes.index, TIP_TILT):
+            sigma_nm[place] = HELD_NM
+            if way.tilt == "calibrated":
+                mean_nm[:, place] = 0.0
+        options = replace(options, prior_mean_nm=mean_nm, prior_sigma_nm=sigma_nm)
+    effects = ramp.effects(way) + _of_light(ramp.scene, way)
+    return fit_ramp(model, ramp.data, start_nm, options, effects)
 
 
 def _of_light(scene: Scene, way: Way) -> list[Effect]:
@@ -172,16 +165,3 @@ def _of_light(scene: Scene, way: Way) -> list[Effect]:
         return colour
     chromatic, lens = (range(first, way.last_noll + 1) for first in (DEFOCUS, DEFOCUS + 1))
     return [*colour, ChromaticNcpa.under(conditions, chromatic), FilterNcpa.under(conditions, lens)]
-
-
-def _options(way: Way, start_nm: torch.Tensor) -> LiftOptions:
-    """A prior that holds tip and tilt where the way does."""
-    if way.tilt == "free":
-        return LiftOptions()
-    sigma_nm = torch.full((len(way.modes),), torch.inf, dtype=torch.float64)
-    mean_nm = start_nm.clone()
-    for place in map(way.modes.index, TIP_TILT):
-        sigma_nm[place] = HELD_NM
-        if way.tilt == "calibrated":
-            mean_nm[:, place] = 0.0
-    return LiftOptions(prior_mean_nm=mean_nm, prior_sigma_nm=sigma_nm)

@@ -28,16 +28,21 @@ from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.paper.common.broad_band import FINE, frame_settings, star_scene
-from irlos_pipe.paper.common.cube import ObservedCube
-from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of, seeing_of, settings_of
-from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, VARIANTS
+from irlos_pipe.paper.common.calibrations import DEFAULT, PAPER_CHOICE, VARIANTS, ObservedCube
+from irlos_pipe.paper.common.observation import (
+    frame_settings,
+    images_of,
+    model_effects_of,
+    noise_of,
+    seeing_of,
+    settings_of,
+)
+from irlos_pipe.paper.common.scenes import FINE, star_scene
 from irlos_pipe.simulate.exposure import Exposed
 from irlos_pipe.simulate.scene import Scene
 
 TTF = (2, 3, 4)
 NINE = (2, 3, 4, 5, 7, 8, 9, 10, 11)  # the paper's nine modes: without the astigmatism of the diversity
-STARTS = ("zero", "elongation", "scan", "default")
 KERNEL_MAS = 12.0  # σ_obj of the paper's first target
 RAMP_STREAM = 1  # child of a sample's seed: residuals of the ramp are not those of the cube
 
@@ -69,14 +74,13 @@ class LiftVariant:
 
 
 # The kernel is fixed by hand as in the paper, or fitted to the ramp; the default takes what it calibrated.
+_BY_HAND = LiftVariant("NCPAs by DIP global, kernel 12 mas", TTF, PAPER_CHOICE, "off", KERNEL_MAS)
 _BASE = {
-    "none": LiftVariant("no NCPAs, kernel 12 mas", halo="off", kernel=KERNEL_MAS),
+    "none": replace(_BY_HAND, name="no NCPAs, kernel 12 mas", ncpa=""),
     "none_residual": LiftVariant("no NCPAs, AO residual expected"),
-    "published": LiftVariant("NCPAs by DIP global, kernel 12 mas", TTF, PAPER_CHOICE, "off", KERNEL_MAS),
-    "published_fit": LiftVariant("NCPAs by DIP global, kernel fitted", TTF, PAPER_CHOICE, "off", "fit"),
-    "published_l1": LiftVariant(
-        "NCPAs by DIP global, kernel 12 mas, DIP's loss", TTF, PAPER_CHOICE, "off", KERNEL_MAS, "l1"
-    ),
+    "published": _BY_HAND,
+    "published_fit": replace(_BY_HAND, name="NCPAs by DIP global, kernel fitted", kernel="fit"),
+    "published_l1": replace(_BY_HAND, name=f"{_BY_HAND.name}, DIP's loss", loss="l1"),
     "default_l1": LiftVariant("default, DIP's loss", ncpa=DEFAULT, loss="l1"),
     "default": LiftVariant("default: NCPAs, AO residual, jitter as calibrated", ncpa=DEFAULT),
 }
@@ -85,11 +89,6 @@ LIFT_VARIANTS = {
     for key, variant in _BASE.items()
     for modes in (TTF, NINE)
 }
-
-
-def methods_of(variants: Iterable[LiftVariant]) -> list[str]:
-    """Return the calibration methods that some variants need, each once."""
-    return list(dict.fromkeys(variant.ncpa for variant in variants if variant.ncpa))
 
 
 # -- what is known -----------------------------------------------------------------------------------
@@ -122,13 +121,21 @@ def knowledge_of(cube: ObservedCube, calibration: Calibration) -> Knowledge:
     return Knowledge(ncpa_nm, effects)
 
 
-def calibrated(scene: Scene, methods: Sequence[str]) -> dict[str, Knowledge]:
+def calibrated(scene: Scene, methods: Iterable[str]) -> dict[str, Knowledge]:
     """Return what each of the `methods` learns from a cube: simulate `scene` and calibrate it."""
+    wanted = [method for method in dict.fromkeys(methods) if method]
+    if not wanted:
+        return {}
     cube = ObservedCube.of(scene)
-    return {method: knowledge_of(cube, cube.calibrated(VARIANTS[method])) for method in methods}
+    return {method: knowledge_of(cube, cube.calibrated(VARIANTS[method])) for method in wanted}
 
 
 # -- the ramp ----------------------------------------------------------------------------------------
+
+
+def offsets_nm(reach_nm: float, offsets: int, frames: int = 1) -> tuple[float, ...]:
+    """Return the defocus of every frame of a ramp from minus to plus `reach_nm`, `frames` at each offset."""
+    return tuple(np.repeat(np.linspace(-reach_nm, reach_nm, offsets), frames).tolist())
 
 
 def ramp_scene(cube: Scene, mag_j: float, introduced_nm: Sequence[float]) -> Scene:
@@ -136,26 +143,16 @@ def ramp_scene(cube: Scene, mag_j: float, introduced_nm: Sequence[float]) -> Sce
 
     The star has magnitude `mag_j`; `introduced_nm` is the defocus of every frame [nm RMS].
     """
-    ramp = star_scene(
-        cube.name,
-        cube.facility,
-        (*cube.seed, RAMP_STREAM),
-        len(introduced_nm),
-        mag_j,
-        cube.ncpa_nm,
-        tuple(introduced_nm),
-        seeing_arcsec=seeing_of(cube),
-    )
+    seed, seeing = (*cube.seed, RAMP_STREAM), seeing_of(cube)
+    of_frames = len(introduced_nm), mag_j, cube.ncpa_nm, tuple(introduced_nm)
+    ramp = star_scene(cube.name, cube.facility, seed, *of_frames, seeing_arcsec=seeing)
     return replace(ramp, sampling=FINE)
 
 
 def true_modes_nm(ramp: Scene, exposed: Exposed) -> np.ndarray:
     """Return Noll 2–11 of the mean wavefront of every frame of `ramp`, `exposed` without noise.
 
-    Returns
-    -------
-    ndarray, (frames, 10)
-        NCPAs, AO residual and introduced defocus [nm RMS].
+    NCPAs, AO residual and introduced defocus, (frames, 10) [nm RMS].
     """
     true_nm = exposed.zernike_nm[:, :10].copy()
     true_nm[:, DEFOCUS - 2] += ramp.introduced_per_frame_nm
@@ -178,8 +175,6 @@ class ObservedRamp:
 
     Attributes
     ----------
-    scene : Scene
-    data : RampData
     prior_nm : ndarray, (frames,)
         Of the whole defocus, NCPAs included, from the elongation.
     knowledge : mapping of str to Knowledge
@@ -193,7 +188,7 @@ class ObservedRamp:
 
     def model(self, variant: LiftVariant) -> PsfModel:
         """Return the PSF model of a variant with the NCPAs that it knows."""
-        return PsfModel(frame_settings(self.scene, self.knowledge[variant.ncpa].ncpa_nm), variant.modes)
+        return PsfModel(frame_settings(self.scene, self.given_nm(variant)), variant.modes)
 
     def effects(self, variant: LiftVariant) -> list[Effect]:
         """Return AO residual and kernel of a variant."""
@@ -202,54 +197,37 @@ class ObservedRamp:
 
     def start_nm(self, variant: LiftVariant, model: LightPath) -> torch.Tensor:
         """Return the start of `variant` with its `model` from the elongation prior, (frames, modes)."""
-        return start_from_defocus(model, self.data, self.prior_nm - self.given_defocus_nm(variant))
+        given_nm = self.given_nm(variant).get(DEFOCUS, 0.0)
+        return start_from_defocus(model, self.data, self.prior_nm - given_nm)
 
-    def given_defocus_nm(self, variant: LiftVariant) -> float:
-        """Return the defocus among the NCPAs that a variant knows."""
-        return self.knowledge[variant.ncpa].ncpa_nm.get(DEFOCUS, 0.0)
+    def given_nm(self, variant: LiftVariant) -> Mapping[int, float]:
+        """Return the NCPAs that a variant knows, Noll: nm RMS."""
+        return self.knowledge[variant.ncpa].ncpa_nm
 
     def estimate(self, variant: LiftVariant) -> RampFit:
-        """Estimate all frames by LIFT."""
         model, options = self.model(variant), LiftOptions(loss=variant.loss)
         return fit_ramp(model, self.data, self.start_nm(variant, model), options, self.effects(variant))
 
+    def modes_nm(self, variant: LiftVariant, fit: RampFit) -> np.ndarray:
+        """Return all that was found, the NCPAs that were given included, (frames, modes)."""
+        given_nm = self.given_nm(variant)
+        return fit.result.zernike_nm.numpy() + [given_nm.get(noll, 0.0) for noll in variant.modes]
+
 
 def observe(scene: Scene, exposed: Exposed, knowledge: Mapping[str, Knowledge]) -> ObservedRamp:
-    """Return a simulated ramp with noise and its elongation prior.
-
-    Parameters
-    ----------
-    scene, exposed : Scene, Exposed
-        The ramp, with and without being exposed.
-    knowledge : mapping of str to Knowledge
-        By calibration method.
-    """
+    """Return a ramp, `exposed` without noise, with noise, its elongation prior, and what is known of it."""
     good = torch.ones(scene.window, dtype=torch.bool)
     data = RampData(images_of(scene, exposed), good, noise_of(scene), scene.introduced_per_frame_nm.copy())
     return ObservedRamp(scene, data, elongation_defocus_nm(scene, data), {"": Knowledge()} | dict(knowledge))
 
 
-# -- estimates ---------------------------------------------------------------------------------------
-
-
 def from_every_start(
     model: ImageModel, data: RampData, elongation_nm: torch.Tensor, options: LiftOptions
 ) -> dict[str, tuple[torch.Tensor, LiftResult]]:
-    """Estimate a ramp from every one of `STARTS`.
+    """Return starts and estimates of a ramp: from zero, the elongation prior, and the scan of defocus.
 
-    Parameters
-    ----------
-    model : ImageModel
-    data : RampData
-    elongation_nm : Tensor, (frames, modes)
-        Start from the elongation prior [nm RMS]. ``default`` is this start with a second try of outlying
-        frames from the scan of defocus.
-    options : LiftOptions
-
-    Returns
-    -------
-    dict of str to (Tensor, LiftResult)
-        Start and estimates.
+    `elongation_nm`, (frames, modes), is the second of these [nm RMS]; ``default`` is it with a second try of
+    outlying frames from the scan.
     """
     starts = {
         "zero": start_from_defocus(model.psf, data, np.zeros(len(data.images_e))),
@@ -262,10 +240,3 @@ def from_every_start(
     }
     start, result = found["elongation"]
     return found | {"default": (start, second_try(model, data, result, options))}
-
-
-def ping_pong(offsets_nm: Sequence[float]) -> np.ndarray:
-    """Return the offsets from the ends inwards, from one side to the other after every step."""
-    ordered = np.sort(np.asarray(offsets_nm, float))
-    inwards = np.stack([ordered, ordered[::-1]], axis=1).ravel()
-    return inwards[: len(ordered)]

@@ -20,6 +20,7 @@ import numpy as np
 from scipy import stats
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.product.product import Check
 from irlos_pipe.report.content import Table
 
 try:
@@ -30,7 +31,7 @@ except ImportError as error:
     ) from error
 
 Frame = Any  # pandas.DataFrame, which has no types
-Records = list[dict[str, Any]]
+Record = Mapping[str, Any]
 Tables = Mapping[str, Frame]
 MISSING = "–"
 DRAWS, BOOTSTRAP_SEED = 4000, 0
@@ -38,33 +39,35 @@ TAIL = 0.05  # beyond each end of a range of 90 %
 ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
 
 
-def frame(rows: Iterable[Mapping[str, Any]]) -> Frame:
+def frame(rows: Iterable[Record]) -> Frame:
     """Return rows as a frame; None and what a row lacks become NaN."""
     return pd.DataFrame([{key: math.nan if one is None else one for key, one in row.items()} for row in rows])
 
 
-def grouped(rows: Frame, by: Sequence[str], summary: Callable[..., Mapping[str, Any]], *more: Any) -> Frame:
-    """Return one row per group of `rows` with the same values in the columns `by`, in order of appearance.
+def grouped(rows: Frame, by: Sequence[str], summary: Callable[..., Record | Iterable[Record]]) -> Frame:
+    """Return what `rows` with the same values in the columns `by` are summarised to, as they appear.
 
-    Parameters
-    ----------
-    rows : DataFrame
-    by : sequence of str
-    summary : callable
-        ``summary(group, *more)`` returns the other columns of a group's row.
+    ``summary(group, *values)`` returns the other columns of a group's row, or of its rows.
     """
-    groups = rows.groupby(list(by), sort=False, dropna=False)
-    return frame(dict(zip(by, key, strict=True)) | dict(summary(group, *more)) for key, group in groups)
+    found = []
+    for values, group in rows.groupby(list(by), sort=False, dropna=False):
+        own = summary(group, *values)
+        for one in [own] if isinstance(own, Mapping) else own:
+            found.append({**dict(zip(by, values, strict=True)), **one})
+    return frame(found)
+
+
+def stacked(rows: Frame, *names: str) -> list[np.ndarray]:
+    """Return columns of arrays, each as one array (rows, ...)."""
+    return [np.stack(list(rows[name])) for name in names]
 
 
 # -- statistics over samples -------------------------------------------------------------------------
 
 
-def spread(
-    name: str, values: Sequence[float] | np.ndarray, ranks: Sequence[float] = ONE_SIGMA
-) -> dict[str, float]:
+def spread(name: str, values: Any) -> dict[str, float]:
     """Return the median of `values` and their percentiles at -1σ and +1σ, as columns of `name`."""
-    low, median, high = map(float, np.percentile(values, ranks))
+    low, median, high = map(float, np.percentile(values, ONE_SIGMA))
     return {name: median, f"{name}_p16": low, f"{name}_p84": high}
 
 
@@ -73,35 +76,30 @@ def spreads(rows: Frame, *names: str) -> dict[str, float]:
     return {key: one for name in names for key, one in spread(name, rows[name].to_numpy(float)).items()}
 
 
-def median_in_range(name: str, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+def median_in_range(name: str, values: Any) -> dict[str, float]:
     """Return the median of one value per sample, and the range in which it lies, as columns of `name`."""
     found = np.asarray(values, float)
-    return _columns(name, np.median(found), _range(np.median(_redrawn(found), axis=1), len(found)))
+    low, high = _range(np.median(_redrawn(found), axis=1), len(found))
+    return {name: float(np.median(found)), f"{name}_low": low, f"{name}_high": high}
 
 
-def rms_in_range(name: str, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+def rms_in_range(name: str, values: Any) -> dict[str, float]:
     """Return the root of the mean square of one value per sample, and the range in which it lies."""
     squares = np.square(np.asarray(values, float))
-    return _columns(
-        name, np.sqrt(squares.mean()), np.sqrt(_range(_redrawn(squares).mean(axis=1), len(squares)))
-    )
+    low, high = np.sqrt(_range(_redrawn(squares).mean(axis=1), len(squares))).tolist()
+    return {name: float(np.sqrt(squares.mean())), f"{name}_low": low, f"{name}_high": high}
 
 
-def _columns(name: str, value: float, range_: np.ndarray) -> dict[str, float]:
-    low, high = map(float, range_)
-    return {name: float(value), f"{name}_low": low, f"{name}_high": high}
-
-
-def _range(redrawn: np.ndarray, samples: int) -> np.ndarray:
+def _range(redrawn: np.ndarray, samples: int) -> list[float]:
     """Return the range of 90 % from the numbers of redrawn samples, wider where there are few samples.
 
     Percentiles alone are too narrow then. These are the expanded ones of Hesterberg 2015, Am. Stat. 69, 371;
     of three samples they are nearly the smallest and the largest, which hold the truth in some 75 % only.
     """
     if samples < 2:
-        return np.array([np.nan, np.nan])
+        return [math.nan, math.nan]
     reach = np.sqrt(samples / (samples - 1)) * stats.t.isf(TAIL, samples - 1)
-    return np.quantile(redrawn, stats.norm.cdf([-reach, reach]))
+    return np.quantile(redrawn, stats.norm.cdf([-reach, reach])).tolist()
 
 
 def _redrawn(values: np.ndarray) -> np.ndarray:
@@ -110,21 +108,55 @@ def _redrawn(values: np.ndarray) -> np.ndarray:
     return values[rng.integers(len(values), size=(DRAWS, len(values)))]
 
 
+# -- checks ------------------------------------------------------------------------------------------
+
+Number = str | float | Callable[[Record], float]
+"""A number, a column, or what is computed of a row."""
+
+
+def check(
+    name: str, value: float, text: str, *, low: float | None = None, high: float | None = None, unit: str = ""
+) -> Check:
+    """Return a check of one number."""
+    return Check(name, float(value), unit, low, high, text)
+
+
+def checked(
+    rows: Frame,
+    name: str,
+    value: Number,
+    text: str,
+    *,
+    low: Number | None = None,
+    high: Number | None = None,
+    unit: str = "",
+) -> list[Check]:
+    """Return a check of every row of a frame; `name` and `text` are patterns of its columns and ``value``."""
+
+    def number(given: Number | None, row: Record) -> Any:
+        return row[given] if isinstance(given, str) else given(row) if callable(given) else given
+
+    found = []
+    for row in rows.to_dict("records"):
+        own, limits = number(value, row), {"low": number(low, row), "high": number(high, row)}
+        named = {**row, "value": own}
+        found.append(check(name.format(**named), own, text.format(**named), **limits, unit=unit))
+    return found
+
+
 # -- files -------------------------------------------------------------------------------------------
 
 
-def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+def csv_text(rows: Sequence[Record]) -> str:
     """Return rows as CSV; floats have all their digits, None is nothing."""
-    text = io.StringIO()
-    writer = csv.DictWriter(
-        text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n"
-    )
+    text, columns = io.StringIO(), dict.fromkeys(key for row in rows for key in row)
+    writer = csv.DictWriter(text, list(columns), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
 
 
-def csv_of_tables(tables: Mapping[str, Records]) -> str:
+def csv_of_tables(tables: Mapping[str, Iterable[Record]]) -> str:
     """Return tables as one CSV, their names in the first column."""
     return csv_text([{"table": name, **row} for name, records in tables.items() for row in records])
 
@@ -137,7 +169,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 def read_tables(path: Path) -> dict[str, Frame]:
     """Return the tables of a file that `csv_of_tables` made."""
-    records: dict[str, Records] = {}
+    records: dict[str, list[Record]] = {}
     for row in read_csv(path):
         own = records.setdefault(row.pop("table"), [])
         own.append({key: _value(text) for key, text in row.items()})
@@ -197,10 +229,8 @@ class Listing:
         """Return the finished table; with `ranges`, a quantity that has a spread has it in brackets."""
         chosen = tables[self.of].query(self.where, engine="python") if self.where else tables[self.of]
         records = chosen.to_dict("records")
-        columns, body = (
-            list(self.cells),
-            [[filled(cell, row, ranges) for cell in self.cells.values()] for row in records],
-        )
+        columns = list(self.cells)
+        body = [[filled(cell, row, ranges) for cell in self.cells.values()] for row in records]
         if self.across:
             found: dict[tuple[str, ...], dict[str, str]] = {}
             for row, own in zip(records, body, strict=True):
@@ -216,23 +246,28 @@ class Listing:
         """Return the table as Markdown, the first column to the left, the others to the right."""
         shown = self.table(tables, ranges=False)
         rules = ["---", *["---:"] * (len(shown.columns) - 1)]
-        lines = [f"| {' | '.join(row)} |" for row in (shown.columns, rules, *shown.rows)]
-        return "\n".join([*lines, *(["", shown.caption] if shown.caption else [])])
+        text = markdown(shown.columns, rules, shown.rows)
+        return f"{text}\n\n{shown.caption}" if shown.caption else text
+
+
+def markdown(columns: Sequence[str], rules: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as Markdown; `rules` stand below the names of the columns."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows))
 
 
 def _mark(value: float, limit: float) -> str:
     return "" if math.isnan(limit) else "good" if value <= limit else "bad"
 
 
-def filled(pattern: str, row: Mapping[str, Any], ranges: bool = False) -> str:
-    """Return a pattern filled from the columns of a row."""
+def filled(pattern: str, row: Record, ranges: bool = False) -> str:
+    """Return a pattern filled from the columns of a row; what is missing becomes a dash."""
     return _Pattern(row, ranges).format(pattern)
 
 
 class _Pattern(string.Formatter):
-    """Takes what stands in braces for a column of a row; what is missing becomes a dash."""
+    """Takes what stands in braces for a column of a row."""
 
-    def __init__(self, row: Mapping[str, Any], ranges: bool) -> None:
+    def __init__(self, row: Record, ranges: bool) -> None:
         self._row, self._ranges = row, ranges
 
     def get_field(self, field_name: str, args: Any, kwargs: Any) -> tuple[Any, str]:

@@ -19,28 +19,17 @@ QUICK_NAME = "quick.yaml"
 
 @dataclass(frozen=True)
 class Experiment:
-    """A recipe and the name of its file, which is that of its folder too.
-
-    Attributes
-    ----------
-    wanted : bool
-        Whether it is to be run; others are shown when they are up to date.
-    """
+    """A recipe and the name of its file and folder; one not `wanted` is shown only when it is up to date."""
 
     name: str
     recipe: Recipe
     wanted: bool = True
 
-    @property
-    def title(self) -> str:
-        """Return the title of the recipe."""
-        return self.recipe.title or self.name
-
 
 def find_experiments(
     folder: Path, *, quick: bool = False, only: Collection[str] = (), seed: int | None = None
 ) -> list[Experiment]:
-    """Load the recipes of a folder.
+    """Load the recipes of a folder, in the order in which the package lists their last stages.
 
     Parameters
     ----------
@@ -52,11 +41,6 @@ def find_experiments(
         Names of those to run; all if empty. Others that are not valid are left out.
     seed : int, optional
         Replaces the seed of every recipe.
-
-    Returns
-    -------
-    list of Experiment
-        In the order in which the package lists their last stages.
 
     Raises
     ------
@@ -72,31 +56,26 @@ def find_experiments(
         if name not in paths:
             raise ConfigurationError(f"--only {name}: no such experiment{suggestion(name, paths)}")
     changes = _quick_changes(folder / QUICK_NAME, paths) if quick else {}
-    found = [
-        _experiment(path, changes.get(name, {}), seed, not only or name in only)
-        for name, path in paths.items()
-    ]
-    return sorted(filter(None, found), key=lambda one: list(STAGES).index(one.recipe.stages[-1]))
+    found = []
+    for name, path in paths.items():
+        settings = [f"{key}={json.dumps(value)}" for key, value in changes.get(name, {}).items()]
+        wanted = not only or name in only
+        try:
+            found.append(Experiment(name, load_recipe(path, settings, seed=seed), wanted))
+        except ConfigurationError as error:
+            if wanted:
+                # The recipe reports them as options of the command line; they stand in this file.
+                text = str(error).replace("--set ", f"{folder / QUICK_NAME}: ")
+                raise ConfigurationError(text) from error
+    return sorted(found, key=lambda one: list(STAGES).index(one.recipe.stages[-1]))
 
 
 def _quick_changes(path: Path, known: Collection[str]) -> Mapping[str, Mapping[str, Any]]:
     changes, lines = load_yaml(path)
     for name, settings in changes.items():
+        where = f"{path}:{lines[name,]}"
         if name not in known:
-            raise ConfigurationError(f"{path}:{lines[name,]}: no recipe '{name}'{suggestion(name, known)}")
+            raise ConfigurationError(f"{where}: no recipe '{name}'{suggestion(name, known)}")
         if not isinstance(settings, dict):
-            raise ConfigurationError(
-                f"{path}:{lines[name,]}: '{name}' should be a section of 'stage.key: value' lines"
-            )
+            raise ConfigurationError(f"{where}: '{name}' should be a section of 'stage.key: value' lines")
     return changes
-
-
-def _experiment(path: Path, changes: Mapping[str, Any], seed: int | None, wanted: bool) -> Experiment | None:
-    settings = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
-    try:
-        return Experiment(path.stem, load_recipe(path, settings, seed=seed), wanted)
-    except ConfigurationError as error:
-        if not wanted:
-            return None
-        # The recipe reports them as options of the command line; they stand in this file.
-        raise ConfigurationError(str(error).replace("--set ", f"{path.with_name(QUICK_NAME)}: ")) from error

@@ -10,14 +10,15 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_if_changed
-from irlos_pipe.paper.common.table import csv_text, read_csv, read_tables
-from irlos_pipe.paper.run.collect import CHECKS, RUNS
+from irlos_pipe.paper.common.table import csv_text, markdown, read_csv, read_tables
+from irlos_pipe.paper.run.run import CHECKS, RUNS
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages import EXPERIMENTS, STAGES
 
@@ -27,13 +28,7 @@ CsvRows = Sequence[Mapping[str, str]]
 
 
 def with_tables(text: str, tables: Mapping[str, str]) -> str:
-    """Return the `text` of a page with every table renewed.
-
-    Parameters
-    ----------
-    text : str
-    tables : mapping of str to str
-        In Markdown, by name.
+    """Return the `text` of a page with every one of the `tables`, in Markdown by name, renewed.
 
     Raises
     ------
@@ -66,23 +61,22 @@ def table_of_states(runs: CsvRows) -> str:
         (code, max(run["finished"][:10] for run in own), ", ".join(f"`{run['experiment']}`" for run in own))
         for code, own in _by_code(runs).items()
     ]
-    return _markdown(("code", "finished", "experiments"), rows)
+    return markdown(("code", "finished", "experiments"), ["---"] * 3, rows)
 
 
 def table_of_checks(checks: CsvRows) -> str:
     """Return a table of the experiments, how many of their checks were kept, which were missed."""
-    by_experiment: dict[str, list[Check]] = {}
-    for row in checks:
-        low, high = (float(row[end]) if row[end] else None for end in ("low", "high"))
-        value = float(row["value"] or math.nan)
-        one = Check(row["name"], value, row["unit"], low, high, row["message"])
-        by_experiment.setdefault(row["experiment"], []).append(one)
     rows = []
-    for name, own in by_experiment.items():
+    for name, group in groupby(checks, lambda row: row["experiment"]):
+        own = []
+        for row in group:
+            low, high = (float(row[end]) if row[end] else None for end in ("low", "high"))
+            value = float(row["value"] or math.nan)
+            own.append(Check(row["name"], value, row["unit"], low, high, row["message"]))
         missed = [one for one in own if not one.passed]
-        told = [f"{one.name}: {one.value:.3g} {one.unit}".rstrip() + f" ({one.limits})" for one in missed]
-        rows.append((f"`{name}`", f"{len(own) - len(missed)} of {len(own)}", "<br>".join(told) or "–"))
-    return _markdown(("experiment", "kept", "missed"), rows)
+        named = [f"{one.name}: {one.value:.3g} {one.unit}".rstrip() + f" ({one.limits})" for one in missed]
+        rows.append((f"`{name}`", f"{len(own) - len(missed)} of {len(own)}", "<br>".join(named) or "–"))
+    return markdown(("experiment", "kept", "missed"), ["---"] * 3, rows)
 
 
 def _by_code(runs: CsvRows) -> dict[str, list[Mapping[str, str]]]:
@@ -92,58 +86,29 @@ def _by_code(runs: CsvRows) -> dict[str, list[Mapping[str, str]]]:
     return states
 
 
-def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, ["---"] * len(columns), *rows))
-
-
 def take(root: Path, source: Path, others_stay: bool) -> None:
-    """Make the numbers of a run of `irlos paper` those of a source tree.
+    """Make the numbers of a run of `irlos paper`, in the folder `source`, those of the source tree `root`.
 
-    Parameters
-    ----------
-    root : Path
-        The source tree.
-    source : Path
-        Folder of the numbers of the run.
-    others_stay : bool
-        Put its experiments beside those that are there, which may be of other states of the code.
+    With `others_stay`, its experiments stand beside those that are there, which may be of other states of the
+    code.
 
     Raises
     ------
     ConfigurationError
         If samples are small, experiments are missing, or of several states of the code.
     """
-    new = {name: read_csv(source / name) for name in (RUNS, CHECKS)}
+    new: dict[str, CsvRows] = {name: read_csv(source / name) for name in (RUNS, CHECKS)}
     taken = {run["experiment"] for run in new[RUNS]}
+    states = _by_code(new[RUNS])
     if any(run["quick"] != "False" for run in new[RUNS]):
         raise ConfigurationError(f"{source} has small samples (--quick)")
     if others_stay:
         old = {name: read_csv(root / NUMBERS / name) for name in new}
-        kept = {name: [row for row in rows if row["experiment"] not in taken] for name, rows in old.items()}
-        new = {
-            name: sorted([*rows, *kept[name]], key=_place(*old[RUNS], *new[RUNS]))
-            for name, rows in new.items()
-        }
-    else:
-        _require_one_state(new[RUNS])
-    missing = set(EXPERIMENTS) - {run["stage"] for run in new[RUNS]}
-    if missing:
-        raise ConfigurationError(f"{source} has no {', '.join(sorted(missing))}")
-    for name in taken:
-        write_if_changed(root / NUMBERS / f"{name}.csv", (source / f"{name}.csv").read_bytes())
-    for name, rows in new.items():
-        write_if_changed(root / NUMBERS / name, csv_text(rows).encode())
-
-
-def _place(*runs: Mapping[str, str]) -> Callable[[Mapping[str, str]], int]:
-    """Order of experiments: that of the paper."""
-    place = {run["experiment"]: EXPERIMENTS.index(run["stage"]) for run in runs}
-    return lambda row: place[row["experiment"]]
-
-
-def _require_one_state(runs: CsvRows) -> None:
-    states = _by_code(runs)
-    if len(states) > 1:
+        place = {run["experiment"]: EXPERIMENTS.index(run["stage"]) for run in [*old[RUNS], *new[RUNS]]}
+        for name, rows in new.items():
+            kept = [row for row in old[name] if row["experiment"] not in taken]
+            new[name] = sorted([*rows, *kept], key=lambda row: place[row["experiment"]])
+    elif len(states) > 1:
         each = "; ".join(
             f"{code}: {', '.join(one['experiment'] for one in own)}" for code, own in states.items()
         )
@@ -151,6 +116,13 @@ def _require_one_state(runs: CsvRows) -> None:
             f"experiments of {len(states)} states of the code ({each}); repeat them with one, in a new "
             "folder, or give --beside to put them beside those of other states, which the page then tells"
         )
+    missing = set(EXPERIMENTS) - {run["stage"] for run in new[RUNS]}
+    if missing:
+        raise ConfigurationError(f"{source} has no {', '.join(sorted(missing))}")
+    for name in taken:
+        write_if_changed(root / NUMBERS / f"{name}.csv", (source / f"{name}.csv").read_bytes())
+    for name, rows in new.items():
+        write_if_changed(root / NUMBERS / name, csv_text(rows).encode())
 
 
 def main() -> None:

@@ -1,36 +1,44 @@
-"""Run the experiments one after the other; one that fails does not stop the others."""
+"""Run the experiments one after the other, and collect them in one report and a folder of numbers.
+
+An experiment that fails does not stop the others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from irlos_pipe.conventions.errors import ExitCode, IrlosError
+from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosError
 from irlos_pipe.conventions.text import aligned
-from irlos_pipe.paper.run.collect import TABLES, collect_numbers, collect_reports, require_size
+from irlos_pipe.files.atomic import write_if_changed
+from irlos_pipe.files.json import canonical_json
+from irlos_pipe.paper.common.table import csv_of_tables, csv_text, read_csv
 from irlos_pipe.paper.run.recipes import Experiment
-from irlos_pipe.pipeline import Outcome, Resources, run_recipe
+from irlos_pipe.pipeline import Outcome, Resources, Selection, plan_run, run_recipe
 from irlos_pipe.pipeline.runlog import RUN
 from irlos_pipe.pipeline.terminal import quality_line
-from irlos_pipe.product.runfolder import owned_folder, require_free
+from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import provenance_of
+from irlos_pipe.product.runfolder import RunFolder, existing_run, owned_folder, require_free
+from irlos_pipe.product.storage import read_product
+from irlos_pipe.report.chapter import Chapter, read_chapter
+from irlos_pipe.report.collection import write_collection
+from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import judged
 
+TABLES = "tables"  # folder of numbers; beside a file per experiment it holds how they were made, and judged
+RUNS, CHECKS = "runs.csv", "checks.csv"
 OF_THE_PAPER = (TABLES, "*/recipe.resolved.yaml")
+OWN = "irlos_pipe"
+TITLE = "The experiments of the paper"
+NOTES = {True: "Quick look: samples are small and numbers rough.", False: "Full samples."}
 
 
 @dataclass(frozen=True)
 class PaperRun:
-    """Outcome of the run of all experiments.
-
-    Attributes
-    ----------
-    outcomes : dict of str to Outcome
-        Of those that came to an end.
-    problems : dict of str to str
-        What stopped the others.
-    report, numbers : Path
-        The report, and the folder of the numbers of all experiments.
-    """
+    """Outcome of the run of all experiments: of those that came to an end, and what stopped the others."""
 
     outcomes: dict[str, Outcome]
     problems: dict[str, str]
@@ -44,6 +52,16 @@ class PaperRun:
         if self.problems or codes - {ExitCode.DONE, ExitCode.QUALITY}:
             return ExitCode.PARTIAL
         return max(codes, default=ExitCode.DONE)
+
+    def summary(self) -> str:
+        """Return the summary lines of every experiment and where the files are, for the terminal."""
+        rows = []
+        for name, outcome in self.outcomes.items():
+            quality = f", {quality_line(outcome)}" if outcome.quality["checks"] else ""
+            rows.append((name, outcome.status.replace("_", " ") + quality))
+            rows += [(name, line) for lines in outcome.summary.values() for line in lines]
+        rows += [(name, f"failed: {problem}") for name, problem in self.problems.items()]
+        return aligned([*rows, ("report", str(self.report)), ("numbers", str(self.numbers))])
 
 
 def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources: Resources) -> PaperRun:
@@ -68,7 +86,10 @@ def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources:
         When the folder is in use, or cannot be written.
     """
     require_free(folder, OF_THE_PAPER)
-    require_size(folder, quick)
+    runs = folder / TABLES / RUNS
+    if runs.is_file() and any(run["quick"] != str(quick) for run in read_csv(runs)):
+        held = "full experiments, and --quick was" if quick else "--quick experiments, and --quick was not"
+        raise ConfigurationError(f"--output {folder}: holds {held} given; choose another folder")
     wanted = [one for one in known if one.wanted]
     outcomes, problems = {}, {}
     with owned_folder(folder):
@@ -85,20 +106,66 @@ def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources:
                 if outcome.report_error:
                     RUN.warning("%s: %s", name, outcome.report_error)
             # After each experiment, so that the numbers so far can be looked at.
-            numbers = collect_numbers(known, folder, quick)
-        report = collect_reports(known, folder, quick, problems)
-    return PaperRun(outcomes, problems, report, numbers)
+            _write_numbers(known, folder, quick)
+        shown = [one for one in known if one.name in problems or _is_current(one, folder)]
+        chapters = [_chapter(one, folder / one.name, problems.get(one.name, "")) for one in shown]
+        report = write_collection(RunFolder(folder).report, TITLE, NOTES[quick], chapters)
+    return PaperRun(outcomes, problems, report, folder / TABLES)
 
 
-def summary_text(ran: PaperRun) -> str:
-    """Return the summary lines of every experiment and where the files are, for the terminal."""
-    rows = [(name, line) for name, outcome in ran.outcomes.items() for line in _lines(outcome)]
-    rows += [(name, f"failed: {problem}") for name, problem in ran.problems.items()]
-    rows += [("report", str(ran.report)), ("numbers", str(ran.numbers))]
-    return aligned(rows)
+def _write_numbers(known: Sequence[Experiment], folder: Path, quick: bool) -> None:
+    """Write the numbers of all experiments that are up to date.
+
+    What changes from run to run (times, machine, software) stands in ``runs.csv``; all the rest is the same
+    for the same recipes and software.
+    """
+    tables = folder / TABLES
+    tables.mkdir(exist_ok=True)
+    runs: list[Mapping[str, Any]] = []
+    checks: list[Mapping[str, Any]] = []
+    for one in known:
+        path = tables / f"{one.name}.csv"
+        if not _is_current(one, folder):
+            path.unlink(missing_ok=True)
+            continue
+        for stage, file in existing_run(folder / one.name).products().items():
+            product, of = read_product(file, arrays=False), {"experiment": one.name}
+            runs.append(of | {"stage": stage, "quick": quick} | _made(product))
+            checks += [of | check.as_dict() for check in judged(STAGES[stage], product)]
+            if own := product.results.get("tables"):
+                write_if_changed(path, csv_of_tables(own).encode())
+    for name, rows in ((RUNS, runs), (CHECKS, checks)):
+        write_if_changed(tables / name, csv_text(rows).encode())
 
 
-def _lines(outcome: Outcome) -> list[str]:
-    quality = f", {quality_line(outcome)}" if outcome.quality["checks"] else ""
-    summary = [line for lines in outcome.summary.values() for line in lines]
-    return [outcome.status.replace("_", " ") + quality, *summary]
+def _made(product: Product) -> dict[str, Any]:
+    """How a product was made; the name of the host is left out."""
+    made = provenance_of(product)
+    return {
+        "seed": made.seed,
+        "code": made.software.get(OWN, ""),
+        "finished": made.finished,
+        "seconds": made.seconds,
+        "jobs": made.jobs,
+        "device": made.device,
+        "platform": made.machine.platform,
+        "software": ", ".join(f"{name} {one}" for name, one in made.software.items() if name != OWN),
+        "sizes": canonical_json(product.config),
+    }
+
+
+def _is_current(experiment: Experiment, folder: Path) -> bool:
+    """Whether the products on disk are those of the recipe as it is now."""
+    try:
+        _, steps = plan_run(experiment.recipe, folder / experiment.name, Selection())
+    except IrlosError:
+        return False
+    return all(step.current for step in steps)
+
+
+def _chapter(experiment: Experiment, folder: Path, problem: str) -> Chapter:
+    try:
+        return read_chapter(experiment.name, folder, problem)
+    except Exception as error:  # the others can be shown without it
+        reason = problem or f"cannot be shown: {type(error).__name__}: {error}"
+        return Chapter(experiment.name, experiment.recipe.title or experiment.name, problems=[reason])
