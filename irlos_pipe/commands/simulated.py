@@ -81,10 +81,9 @@ def simulate(
     """
     from irlos_pipe.conventions.text import aligned
     from irlos_pipe.pipeline.terminal import messages
-    from irlos_pipe.simulate.recordings.run import plan_simulation
+    from irlos_pipe.simulate.recordings.run import plan_rows, plan_simulation, where_text
     from irlos_pipe.simulate.recordings.run import simulate as simulate_recordings
     from irlos_pipe.simulate.recordings.spec import load_spec
-    from irlos_pipe.simulate.recordings.summary import plan_rows, where_text
 
     checked = load_spec(spec, settings, seed)
     if dry_run:

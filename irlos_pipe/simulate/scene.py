@@ -14,11 +14,11 @@ from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
 from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.effects import effects_of
 from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
-from irlos_pipe.simulate.effects.catalogue import effects_of
-from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.mirror import Mirror
 from irlos_pipe.simulate.motion import Motion

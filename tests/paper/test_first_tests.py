@@ -14,8 +14,8 @@ from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.paper import first_tests
 from irlos_pipe.paper.common.ramps import STARTS, ping_pong
 from irlos_pipe.paper.first_tests import STARTED, TARGETS, stage_error, variants_of, wrong_minima
-from irlos_pipe.simulate.effects.catalogue import effects_of
-from irlos_pipe.simulate.effects.focus_stage import reached_nm
+from irlos_pipe.simulate.effects import effects_of
+from irlos_pipe.simulate.effects.wavefront import reached_nm
 
 TARGET_1, TARGET_2 = TARGETS["target_1"], TARGETS["target_2"]
 

@@ -14,11 +14,10 @@ from scipy.ndimage import label
 from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.effects.base import PupilEffect
-from irlos_pipe.simulate.effects.catalogue import EFFECTS
-from irlos_pipe.simulate.effects.pupil import LowWindEffect
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate.effects import EFFECTS
+from irlos_pipe.simulate.effects.pupil import LowWindEffect, PupilEffect
 from irlos_pipe.simulate.exposure import expose, telescope_of, with_effective_sky
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.scene import Sampling

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from helpers.simulated_scenes import image, scene, worst
 
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.exposure import expose, exposures
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from helpers.simulated_scenes import FACILITY
 
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector import DetectorModel
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate.detector import DetectorModel, Pattern
 from irlos_pipe.simulate.exposure import exposures
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.pattern_noise import Pattern
 from irlos_pipe.simulate.readout import Readout, electrons
 from irlos_pipe.simulate.scene import Sampling, Scene
 

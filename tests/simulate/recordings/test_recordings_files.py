@@ -19,8 +19,7 @@ from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings, recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.simulate.readout import Readout
-from irlos_pipe.simulate.recordings.files import layout_of
-from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.files import Planned, write_files
 from irlos_pipe.simulate.recordings.series import plan_recordings
 from irlos_pipe.simulate.recordings.spec import load_spec
 
@@ -43,7 +42,7 @@ def write(one: Planned, folder: Path) -> Path:
     """Write a recording of random frames; returns its folder."""
     folder.mkdir()
     readout = Readout.of(one.scene, np.zeros(one.scene.window))
-    layout_of(one).write(folder, readout, frames_of(one), np.random.default_rng(1))
+    write_files(one, folder, readout, frames_of(one), np.random.default_rng(1))
     return folder
 
 

@@ -14,8 +14,8 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
-from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
+from irlos_pipe.simulate.effects import EFFECTS, effects_of
+from irlos_pipe.simulate.recordings.keys import EffectKeys
 from irlos_pipe.simulate.recordings.series import plan_recordings
 from irlos_pipe.simulate.recordings.spec import load_spec
 
@@ -44,7 +44,7 @@ def test_the_examples_show_every_effect_of_the_catalogue_with_values_that_load()
     text = (EXAMPLES[0].parent / "hidden_companion.yaml").read_text()
     shown = {name: yaml.safe_load(value) for name, value in EFFECT_LINE.findall(text) if name in EFFECTS}
     assert shown.keys() == EFFECTS.keys() == EffectKeys.model_fields.keys()
-    given = EffectKeys.model_validate(shown).given()
+    given = EffectKeys.model_validate(shown).model_dump(exclude_none=True)
     assert given.keys() == EFFECTS.keys()
     effects_of(given)
 
