@@ -15,8 +15,8 @@ from helpers.paths import SHARED
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.conventions.pupil_parts import Circle, Hexagons
-from irlos_pipe.instrument.facts import FACTS
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
+from irlos_pipe.instrument.profile import FACTS
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.pupil_division import petals_of, segments_of
