@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -40,40 +40,29 @@ def rotated_nm(zernike_nm: Mapping[int, float], angle_deg: float) -> dict[int, f
     """Return the coefficients `zernike_nm` of a wavefront turned anticlockwise by `angle_deg`."""
     turned: dict[int, float] = {}
     for noll, value_nm in zernike_nm.items():
-        _, m = noll_orders(noll)
+        n, m = noll_orders(noll)
         angle = np.deg2rad(m * angle_deg)
-        _add(turned, noll, value_nm * float(np.cos(angle)))
-        if m != 0:
-            _add(turned, _partner(noll), value_nm * float(np.sin(angle)))
+        # the same mode turned by a quarter of its period
+        partner = noll + 1 if noll_orders(noll + 1) == (n, -m) else noll - 1
+        for own, share in ((noll, np.cos(angle)), (partner, np.sin(angle))) if m else ((noll, 1.0),):
+            turned[own] = turned.get(own, 0.0) + value_nm * float(share)
     return turned
-
-
-def _add(coefficients: dict[int, float], noll: int, value: float) -> None:
-    coefficients[noll] = coefficients.get(noll, 0.0) + value
-
-
-def _partner(noll: int) -> int:
-    """Noll index of the same mode turned by a quarter of its period."""
-    n, m = noll_orders(noll)
-    return noll + 1 if noll_orders(noll + 1) == (n, -m) else noll - 1
 
 
 @dataclass(frozen=True, eq=False)
 class Telescope:
     """Sampled pupil; row = y, column = x.
 
-    Attributes
-    ----------
-    geometry : PupilGeometry
-    u_m : ndarray, (n,)
-        Centres of the cells along x and along y, symmetric about the optical axis [m].
-    transmission : ndarray, (n, n)
-        Clear fraction of every cell.
+    Its cells have their centres at `u_m` (n,) along x and along y, symmetric about the optical axis [m];
+    `transmission` (n, n) is the clear fraction of every cell.
     """
 
     geometry: PupilGeometry
     u_m: np.ndarray
     transmission: np.ndarray
+    _modes: dict[int, np.ndarray] = field(init=False, repr=False, default_factory=dict)
+    _fitters: dict[int, np.ndarray] = field(init=False, repr=False, default_factory=dict)
+    _shares: dict[tuple[int, int], np.ndarray] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def step_m(self) -> float:
@@ -84,10 +73,6 @@ class Telescope:
     def area_m2(self) -> float:
         """Return the clear area [m²]."""
         return float(self.transmission.sum()) * self.step_m**2
-
-    @cached_property
-    def _modes(self) -> dict[int, np.ndarray]:
-        return {}
 
     def mode(self, noll: int) -> np.ndarray:
         """Return Zernike `noll` (n, n), of unit RMS over the unobscured disc and continued beyond it."""
@@ -132,16 +117,8 @@ class Telescope:
         return self._shares[key]
 
     @cached_property
-    def _shares(self) -> dict[tuple[int, int], np.ndarray]:
-        return {}
-
-    @cached_property
     def _lit(self) -> np.ndarray:
         return np.flatnonzero(self.transmission)
-
-    @cached_property
-    def _fitters(self) -> dict[int, np.ndarray]:
-        return {}
 
     def _fitter(self, last_noll: int) -> np.ndarray:
         """Weighted pseudo-inverse without the row of piston, (last_noll - 1, lit cells)."""

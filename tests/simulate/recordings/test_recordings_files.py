@@ -47,22 +47,17 @@ def write(one: Planned, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
-def test_ingest_reads_the_frames_back(tmp_path, layout):
+def test_the_files_are_valid_and_ingest_reads_the_frames_back(tmp_path, layout):
     one = planned(tmp_path, layout=layout, window=[24, 30], frames=5)
     files = recording_files([write(one, tmp_path / "night")])
+    for path in (tmp_path / "night").glob("*.fits"):
+        assert path.stat().st_size % 2880 == 0
+        with fits.open(path) as hdus:
+            hdus.verify("exception")
     (raw,) = read_recordings(files[0], load_instrument("irlos"))
     assert raw.layout == {"recorder": "sparta_recorder", "muse_raw": "muse_raw"}[layout]
     assert np.array_equal(raw.adu, list(frames_of(one)))
     assert raw.start_unix_s == one.scene.start_unix_s
-
-
-@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
-def test_the_files_are_valid_fits(tmp_path, layout):
-    folder = write(planned(tmp_path, layout=layout), tmp_path / "night")
-    for path in folder.glob("*.fits"):
-        assert path.stat().st_size % 2880 == 0
-        with fits.open(path) as hdus:
-            hdus.verify("exception")
 
 
 def test_counters_and_times_of_the_recorder_run_with_the_loop(tmp_path):
