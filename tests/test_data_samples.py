@@ -194,7 +194,7 @@ def test_the_simulated_residual_follows_the_seeing_law(telescope):
 
 @pytest.mark.slow
 def test_the_simulated_image_motion_has_the_stated_size(telescope):
-    from simulator.jitter import jitter_mas
+    from simulator.atmosphere import jitter_mas
 
     motion_mas = jitter_mas(7.0, 0.01, 100_000, np.random.default_rng(4))
     assert motion_mas.std(axis=0) == pytest.approx([7.0, 7.0], rel=0.05)
