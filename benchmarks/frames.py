@@ -65,7 +65,7 @@ class _Simulator:
     def __init__(self, count: int):
         if str(SAMPLES) not in sys.path:
             sys.path.insert(0, str(SAMPLES))
-        from simulator import atmosphere, campaign, imaging, jitter, telescope
+        from simulator import atmosphere, campaign, imaging, telescope
 
         scene, step_s = campaign.CALIBRATION, campaign.CALIBRATION.exposure_s / SUBEXPOSURES
         self.rng = np.random.default_rng(SEED)
@@ -73,7 +73,7 @@ class _Simulator:
         self.telescope = telescope.build_telescope()
         self.imager = imaging.Imager(self.telescope, [WAVELENGTH_NM], [1.0], WINDOW_PX, PIXEL_SCALE_MAS)
         self.screens = atmosphere.ResidualScreens(self.telescope, scene.seeing_arcsec, step_s, self.rng)
-        motion_mas = jitter.jitter_mas(scene.jitter_mas, step_s, count * SUBEXPOSURES, self.rng)
+        motion_mas = atmosphere.jitter_mas(scene.jitter_mas, step_s, count * SUBEXPOSURES, self.rng)
         self.tilts_nm = iter([[telescope.tilt_nm(angle) for angle in pair] for pair in motion_mas])
         self.static_nm = self.telescope.opd_nm(scene.ncpa_nm)
         self.stated_nm = np.array([scene.ncpa_nm.get(noll, 0.0) for noll in NOLLS])

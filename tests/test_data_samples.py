@@ -59,20 +59,12 @@ def test_the_samples_stay_below_the_agreed_size():
 
 
 @each_recorder
-def test_the_pixel_table_fills_its_window(folder):
+def test_the_pixel_table_fills_its_window_and_no_pixel_saturates(folder):
     table = pixel_table(folder)
     assert {"FrameCounter", "Seconds", "USeconds"} <= set(table.names)
     assert np.all(table["WindowSizeX"] * table["WindowSizeY"] == table["Pixels"].shape[1])
     assert dark_adu(folder).shape == cube_adu(folder).shape[1:] == (64, 64)
-
-
-@each_recorder
-def test_no_pixel_saturates(folder):
     assert cube_adu(folder).max() < np.iinfo(np.uint16).max
-
-
-@each_recorder
-def test_the_side_car_holds_every_key_of_the_contract(folder):
     keys = "role target mag_j exposure_s frame_rate_hz pixel_scale_mas seeing_arcsec spectrum diversity"
     assert set(side_car(folder)) == {*keys.split(), "introduced_defocus_nm", "detector"}
 
@@ -181,9 +173,7 @@ def test_a_positive_tilt_moves_the_simulated_image_to_larger_indices(telescope, 
     from simulator.imaging import Imager
 
     pixels = 5
-    tilt_nm = (
-        np.deg2rad(pixels * 9.7 / 3.6e6) * 8.0 / 4 * 1e9
-    )  # RMS of angle * x over a disc of 8 m: angle * D / 4
+    tilt_nm = np.deg2rad(pixels * 9.7 / 3.6e6) * 8.0 / 4 * 1e9  # RMS of a tilt: angle * D / 4
     image = Imager(telescope, [1600.0], [1.0], 63, 9.7).image(telescope.opd_nm({noll: tilt_nm}))
     expected = [31, 31]
     expected[axis] += pixels
@@ -204,7 +194,7 @@ def test_the_simulated_residual_follows_the_seeing_law(telescope):
 
 @pytest.mark.slow
 def test_the_simulated_image_motion_has_the_stated_size(telescope):
-    from simulator.jitter import jitter_mas
+    from simulator.atmosphere import jitter_mas
 
     motion_mas = jitter_mas(7.0, 0.01, 100_000, np.random.default_rng(4))
     assert motion_mas.std(axis=0) == pytest.approx([7.0, 7.0], rel=0.05)

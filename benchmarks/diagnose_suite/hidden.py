@@ -12,7 +12,7 @@ from benchmarks.diagnose_suite.settings import EXPOSURE_S, Setting
 from irlos_pipe.conventions.bands import NARROW_H
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.effects.motion import JITTER_CORRELATION_S
+from irlos_pipe.simulate.effects.sky import JITTER_CORRELATION_S
 
 SPREAD = 0.25  # of the drawn size about its level, natural logarithm
 LINES_HZ = (24.2, 45.5, 48.3, 72.5)  # of UT4 above 20 Hz

@@ -15,10 +15,8 @@ from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
 from irlos_pipe.simulate.exposure import exposures, telescope_of
 from irlos_pipe.simulate.readout import Readout
-from irlos_pipe.simulate.recordings.files import layout_of
-from irlos_pipe.simulate.recordings.planned import Planned
-
-DETECTOR_STREAM = 1  # child of a scene's seed; the wavefront has its own
+from irlos_pipe.simulate.recordings.files import Planned, write_files
+from irlos_pipe.simulate.recordings.making import DETECTOR_STREAM
 
 
 def make_case(case: Case, data: Path, truth: Path) -> None:
@@ -74,7 +72,7 @@ def _write(planned: Planned, folder: Path, mean_e: np.ndarray) -> None:
     rng = np.random.default_rng([*planned.scene.seed, DETECTOR_STREAM])
     readout = Readout.of(planned.scene, mean_e.mean(axis=0))
     folder.mkdir(parents=True)
-    layout_of(planned).write(folder, readout, _frames(readout, mean_e, rng), rng)
+    write_files(planned, folder, readout, _frames(readout, mean_e, rng), rng)
 
 
 def _frames(readout: Readout, mean_e: np.ndarray, rng: np.random.Generator) -> Iterator[Any]:

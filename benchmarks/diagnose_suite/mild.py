@@ -15,7 +15,7 @@ from benchmarks.diagnose_suite.hidden import second_image_place
 from benchmarks.diagnose_suite.settings import NARROW, Setting
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.light import mean_centre_nm
-from irlos_pipe.simulate.recordings.scenes import BANDS
+from irlos_pipe.simulate.recordings.spec import BANDS
 
 OBSCURATION = 0.10  # of its diameter
 VANES_DEG = 3.0

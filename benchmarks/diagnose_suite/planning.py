@@ -17,7 +17,7 @@ from benchmarks.diagnose_suite.mild import Mild, drawn_mild
 from benchmarks.diagnose_suite.settings import OFFSETS_NM, RAMP_FRAMES, SKY_PUPIL_SAMPLES
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.files import Planned
 from irlos_pipe.simulate.recordings.series import plan_recordings
 from irlos_pipe.simulate.recordings.spec import load_spec
 from irlos_pipe.simulate.scene import Scene

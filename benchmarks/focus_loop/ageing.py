@@ -15,7 +15,7 @@ import numpy as np
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.zernikes import rotated_nm
+from irlos_pipe.simulate.telescope import rotated_nm
 
 AGEING_STREAM = 3  # of the seed of a night, beside those of the telescope
 

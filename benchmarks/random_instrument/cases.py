@@ -12,7 +12,7 @@ from benchmarks.diagnose_suite.settings import NARROW, SKY, Setting
 from benchmarks.random_instrument.tolerances import drawn_errors
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.paper.common.scenes import JITTER_MAS, LOW_GAIN, NCPA_NM, NCPA_SCATTER_NM
-from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.files import Planned
 from irlos_pipe.simulate.recordings.series import plan_recordings
 from irlos_pipe.simulate.recordings.spec import load_spec
 

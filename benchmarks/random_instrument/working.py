@@ -15,10 +15,9 @@ from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.pipeline.provenance import software_versions
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.simulate.effects.base import WavefrontEffect
-from irlos_pipe.simulate.effects.wavefront import DiversityError
+from irlos_pipe.simulate.effects.wavefront import DiversityError, WavefrontEffect
+from irlos_pipe.simulate.exposure import static_zernike_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.wavefront import static_zernike_nm
 
 HIGHEST_TRUE_NOLL = 200  # fitted to true wavefronts: with fewer modes what lies beyond falls on the last ones
 

@@ -23,7 +23,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.paper.common.scenes import in_four_images
-from irlos_pipe.simulate.charge import multiplied
+from irlos_pipe.simulate.detector import multiplied
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.scene import Scene

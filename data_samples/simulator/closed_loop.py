@@ -55,13 +55,7 @@ LAYERS = (
 class ClosedLoop:
     """Sequence of residual wavefronts behind the loop, in place of `ResidualScreens`.
 
-    Parameters
-    ----------
-    telescope : Telescope
-    seeing_arcsec : float
-    step_s : float
-        Time between two screens [s]; a multiple of the loop's step.
-    rng : numpy.random.Generator
+    The time between two screens, `step_s`, is a multiple of the loop's step.
     """
 
     def __init__(self, telescope: Telescope, seeing_arcsec: float, step_s: float, rng: np.random.Generator):
@@ -121,31 +115,17 @@ class ClosedLoop:
 
 @dataclass(frozen=True)
 class Hardware:
-    """Sensor and mirror on the loop's grid.
+    """Sensor and mirror on the loop's grid of n x n samples."""
 
-    Attributes
-    ----------
-    lit : ndarray of bool, (n, n)
-        Samples inside the pupil.
-    tip_tilt : ndarray, (2, n, n)
-        Tilts along x and y, of unit RMS over the full disc.
-    along, across : dict of float to ndarray, (subapertures, n)
-        By height [m]: mean over a subaperture, and difference of its edges per metre, of what the cone sees.
-    valid : ndarray of bool, (subapertures, subapertures)
-    influence : ndarray, (n, actuators on an edge)
-        Cubic B-splines, one per row of actuators; the mirror's is their product.
-    used : ndarray of bool, (actuators on an edge, actuators on an edge)
-    reconstructor : ndarray of float32, (actuators, 2 x valid subapertures)
-    """
-
-    lit: np.ndarray
-    tip_tilt: np.ndarray
+    lit: np.ndarray  # whether a sample is inside the pupil
+    tip_tilt: np.ndarray  # (2, n, n): tilts along x and y, of unit RMS over the full disc
+    # by height: mean over a subaperture, and difference of its edges per metre, of what the cone sees
     along: dict[float, np.ndarray]
     across: dict[float, np.ndarray]
-    valid: np.ndarray
-    influence: np.ndarray
-    used: np.ndarray
-    reconstructor: np.ndarray
+    valid: np.ndarray  # which subapertures are used
+    influence: np.ndarray  # (n, actuators on an edge): cubic B-splines; the mirror's is their product
+    used: np.ndarray  # which actuators there are
+    reconstructor: np.ndarray  # float32, (actuators, 2 x valid subapertures)
 
     @property
     def actuators(self) -> int:

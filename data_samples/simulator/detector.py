@@ -14,33 +14,15 @@ Pixel = tuple[int, int]
 
 @dataclass(frozen=True)
 class Detector:
-    """Properties of the detector; pixels are (row, column).
-
-    Attributes
-    ----------
-    e_per_adu : float
-        Gain [e-/ADU].
-    read_noise_e : float
-        Noise of a pixel without light, quantisation included [e- RMS per frame].
-    pedestal_adu : float
-        Electronic level without light; it carries no shot noise.
-    excess_noise_factor : float
-        Variance of the photon signal over its Poisson variance; 1.0 here, 1.25 is claimed for SAPHIRA.
-    dead : tuple of Pixel
-        Pixels that do not respond to light.
-    hot_e_per_s : tuple of (Pixel, float)
-        Pixels with a dark current, and the current [e-/s].
-    hot_after_dark_e_per_s : tuple of (Pixel, float)
-        The same for pixels that became hot after the dark frame was taken.
-    """
+    """Properties of the detector; pixels are (row, column)."""
 
     e_per_adu: float
-    read_noise_e: float = 1.0
-    pedestal_adu: float = 32.0
-    excess_noise_factor: float = 1.0
+    read_noise_e: float = 1.0  # of a pixel without light, quantisation included, RMS per frame
+    pedestal_adu: float = 32.0  # electronic level without light; it carries no shot noise
+    excess_noise_factor: float = 1.0  # variance of the signal over Poisson's; SAPHIRA's is claimed to be 1.25
     dead: tuple[Pixel, ...] = ()
-    hot_e_per_s: tuple[tuple[Pixel, float], ...] = ()
-    hot_after_dark_e_per_s: tuple[tuple[Pixel, float], ...] = ()
+    hot_e_per_s: tuple[tuple[Pixel, float], ...] = ()  # pixels with a dark current
+    hot_after_dark_e_per_s: tuple[tuple[Pixel, float], ...] = ()  # those that became hot after the dark
 
     @property
     def analogue_noise_e(self) -> float:

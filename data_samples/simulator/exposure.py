@@ -1,4 +1,4 @@
-"""One recording exposed: sub-exposures summed to frames, then read out."""
+"""Recordings exposed: sub-exposures summed to frames, then read out and written."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulator.atmosphere import ResidualScreens
+from simulator.atmosphere import ResidualScreens, jitter_mas
+from simulator.campaign import Scene
 from simulator.closed_loop import ClosedLoop
 from simulator.imaging import Imager
-from simulator.jitter import jitter_mas
-from simulator.scene import Cosmic, Scene
 from simulator.telescope import Telescope, tilt_nm
 
 Residual = type[ResidualScreens] | type[ClosedLoop]
@@ -18,14 +17,10 @@ Residual = type[ResidualScreens] | type[ClosedLoop]
 
 @dataclass(frozen=True)
 class RawRecording:
-    """What the recorder writes, and the mean wavefront that it saw.
+    """What the recorder writes, and the mean wavefront that it saw over the recorded frames.
 
-    Attributes
-    ----------
-    frames_adu : ndarray of uint16, (frames, rows, columns)
-    dark_adu : ndarray of float32, (rows, columns)
-    mean_opd_nm : ndarray, (n, n)
-        Time average over the recorded frames, diversity excluded [nm].
+    Frames are uint16, (frames, rows, columns), the dark is float32; of the wavefront, (n, n) [nm], the
+    diversity is excluded.
     """
 
     frames_adu: np.ndarray
@@ -43,8 +38,8 @@ def record(scene: Scene, telescope: Telescope, residual: Residual = ResidualScre
     detector = scene.detector
     pedestal_adu = detector.pedestal_map_adu(scene.window_px, detector_rng)
     dark_adu = detector.dark_adu(pedestal_adu, scene.exposure_s, detector_rng)
-    if scene.cosmic:
-        mean_e = _with_cosmic(mean_e, scene.cosmic)
+    for pixel, charge_e in scene.cosmic.charge_e if scene.cosmic else ():
+        mean_e[(scene.cosmic.frame, *pixel)] += charge_e
     frames = [detector.read_out(frame_e, pedestal_adu, scene.exposure_s, detector_rng) for frame_e in mean_e]
     return RawRecording(np.array(frames), dark_adu, mean_opd_nm)
 
@@ -53,7 +48,8 @@ def expose(
     scene: Scene, telescope: Telescope, rng: np.random.Generator, residual: Residual = ResidualScreens
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the frames (frames, rows, columns), as fractions of the photons, and the mean OPD [nm]."""
-    imager = _imager(scene, telescope)
+    wavelengths_nm, weights = zip(*scene.spectrum(scene.points_per_band), strict=True)
+    imager = Imager(telescope, wavelengths_nm, weights, scene.window_px, scene.pixel_scale_mas)
     wavefronts = _Wavefronts(scene, telescope, rng, residual)
     diversity_nm = telescope.opd_nm(scene.diversity_nm)
     recorded = set(scene.exposed.tolist())
@@ -64,11 +60,6 @@ def expose(
             images.append(np.mean([imager.image(opd_nm + diversity_nm) for opd_nm in sequence_nm], axis=0))
             opd_sum_nm = opd_sum_nm + np.sum(sequence_nm, axis=0)
     return np.array(images), opd_sum_nm / (scene.frames * scene.subexposures)
-
-
-def _imager(scene: Scene, telescope: Telescope) -> Imager:
-    wavelengths_nm, weights = zip(*scene.spectrum(scene.points_per_band), strict=True)
-    return Imager(telescope, wavelengths_nm, weights, scene.window_px, scene.pixel_scale_mas)
 
 
 class _Wavefronts:
@@ -85,10 +76,3 @@ class _Wavefronts:
     def next_nm(self) -> np.ndarray:
         tip_tilt_nm = [tilt_nm(motion_mas) for motion_mas in next(self._motion_mas)]
         return self._static_nm + self._screens.next_nm() + np.tensordot(tip_tilt_nm, self._tip_tilt, axes=1)
-
-
-def _with_cosmic(mean_e: np.ndarray, cosmic: Cosmic) -> np.ndarray:
-    struck_e = mean_e.copy()
-    for (row, column), charge_e in cosmic.charge_e:
-        struck_e[cosmic.frame, row, column] += charge_e
-    return struck_e

@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 from astropy.io import fits
 
+from simulator.campaign import SIDE_CAR_POINTS, Scene
 from simulator.exposure import RawRecording
-from simulator.scene import SIDE_CAR_POINTS, Scene
 from simulator.telescope import Telescope
 
 MUSE_MODE = "64x64_FullPupil_200Hz_HighGain"
@@ -25,7 +25,10 @@ def write_recorder_folder(folder: Path, scene: Scene, raw: RawRecording) -> None
         folder / f"{name}.fits", overwrite=True
     )
     fits.PrimaryHDU(raw.dark_adu).writeto(folder / "IRAcq.DET1.DARK.fits", overwrite=True)
-    fits.PrimaryHDU(_dead_map(scene)).writeto(folder / "IRAcq.DET1.DEAD.fits", overwrite=True)
+    dead = np.zeros((scene.window_px, scene.window_px), dtype=np.uint8)
+    for pixel in scene.detector.dead:
+        dead[pixel] = 1
+    fits.PrimaryHDU(dead).writeto(folder / "IRAcq.DET1.DEAD.fits", overwrite=True)
     write_side_car(folder / "acquisition.yaml", scene)
 
 
@@ -65,21 +68,17 @@ def write_truth(
 
     `residual` is what is known of the AO residual beside the parameters of the scene.
     """
+    told_above = {"ncpa_nm", "introduced_defocus_nm"}
+    parameters = {key: value for key, value in asdict(scene).items() if key not in told_above}
     content = {
         "hidden": {},
         "ncpa_nm": scene.ncpa_nm,
         "introduced_defocus_nm": scene.introduced_defocus_nm,
         "mean_zernike_nm": telescope.fit_zernike_nm(raw.mean_opd_nm, scene.ncpa_nm),
-        "simulation": _simulation(scene) | residual,
+        "simulation": parameters | {"photons_per_frame": scene.photons} | residual,
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=1) + "\n")
-
-
-def _simulation(scene: Scene) -> dict:
-    told_above = {"ncpa_nm", "introduced_defocus_nm"}
-    parameters = {key: value for key, value in asdict(scene).items() if key not in told_above}
-    return parameters | {"photons_per_frame": scene.photons}
 
 
 def _primary_header() -> fits.PrimaryHDU:
@@ -104,17 +103,10 @@ def _pixel_table(scene: Scene, raw: RawRecording) -> fits.BinTableHDU:
     return fits.BinTableHDU.from_columns(fields, name="IRPixelFrame")
 
 
-def _dead_map(scene: Scene) -> np.ndarray:
-    dead = np.zeros((scene.window_px, scene.window_px), dtype=np.uint8)
-    for pixel in scene.detector.dead:
-        dead[pixel] = 1
-    return dead
-
-
 def _muse_primary(scene: Scene) -> fits.PrimaryHDU:
     hdu = _primary_header()
     hdu.header["OBJECT"] = scene.target
-    hdu.header["DATE-OBS"] = _iso_time(scene.start_s)
+    hdu.header["DATE-OBS"] = f"{np.datetime64(scene.start_s, 's')}.000"
     hdu.header["EXPTIME"] = scene.frames * scene.exposure_s
     eso = {
         "AOS MAIN MODES IRLOS": MUSE_MODE,
@@ -137,7 +129,3 @@ def _atmosphere_table(scene: Scene) -> fits.BinTableHDU:
         seeing = scene.seeing_arcsec + 0.01 * np.array([0, 1]) * (-1) ** star
         columns.append(fits.Column(f"LGS{star}_SEEING", "E", unit="arcsec", array=seeing))
     return fits.BinTableHDU.from_columns(columns, name="SPARTA_ATM_DATA")
-
-
-def _iso_time(unix_s: int) -> str:
-    return f"{np.datetime64(unix_s, 's')}.000"

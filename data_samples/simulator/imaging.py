@@ -25,14 +25,8 @@ def pixel_nodes_px(window_px: int) -> tuple[np.ndarray, np.ndarray]:
 class Imager:
     """Images of a point source through the telescope in a given spectrum.
 
-    Parameters
-    ----------
-    telescope : Telescope
-    wavelengths_nm, weights : sequences of float
-        Spectrum as photon weights; normalised here to a sum of one.
-    window_px : int
-        Edge of the square window [px]; the optical axis lies at (window_px - 1) / 2.
-    pixel_scale_mas : float
+    `weights` of the wavelengths are those of photons, normalised here to a sum of one. The window is square;
+    the optical axis lies at (window_px - 1) / 2.
     """
 
     def __init__(self, telescope: Telescope, wavelengths_nm, weights, window_px: int, pixel_scale_mas: float):
@@ -63,7 +57,8 @@ class Imager:
                 self._transforms, self.wavelengths_nm, self.weights, self._scales, strict=True
             )
         )
-        return self._integrate_pixels(nodes)
+        shape = (self.window_px, PIXEL_NODES, self.window_px, PIXEL_NODES)
+        return np.einsum("yjxi,j,i->yx", nodes.reshape(shape), self._node_weights, self._node_weights)
 
     def _intensity(self, transform, opd_nm: np.ndarray, wavelength_nm: float) -> np.ndarray:
         phase = np.asarray(opd_nm, dtype=np.float32) * np.float32(2 * np.pi / wavelength_nm)
@@ -72,10 +67,6 @@ class Imager:
         field.imag = self.amplitude * np.sin(phase)
         focal = transform.forward(Field(field.ravel(), transform.input_grid))
         return np.asarray(focal.real**2 + focal.imag**2, dtype=float)
-
-    def _integrate_pixels(self, nodes: np.ndarray) -> np.ndarray:
-        shape = (self.window_px, PIXEL_NODES, self.window_px, PIXEL_NODES)
-        return np.einsum("yjxi,j,i->yx", nodes.reshape(shape), self._node_weights, self._node_weights)
 
 
 def _transform(telescope: Telescope, angle_rad: np.ndarray, wavelength_nm: float) -> MatrixFourierTransform:

@@ -37,21 +37,11 @@ def ut4_aperture(grid):
 
 @dataclass(frozen=True)
 class Telescope:
-    """Sampled pupil.
+    """Sampled pupil; rows are y, columns x."""
 
-    Attributes
-    ----------
-    grid : hcipy.CartesianGrid
-        Sampling points, symmetric about the optical axis [m].
-    transmission : ndarray, (n, n)
-        Area-weighted transmission, 0 to 1; row = y, column = x.
-    modes : ndarray, (LAST_NOLL, n, n)
-        Noll 1 to LAST_NOLL, unit RMS over the unobscured disc.
-    """
-
-    grid: CartesianGrid
-    transmission: np.ndarray
-    modes: np.ndarray
+    grid: CartesianGrid  # symmetric about the optical axis [m]
+    transmission: np.ndarray  # (n, n), area-weighted, 0 to 1
+    modes: np.ndarray  # (LAST_NOLL, n, n): Noll 1 to LAST_NOLL, unit RMS over the unobscured disc
 
     @property
     def step_m(self) -> float:

@@ -58,10 +58,9 @@ def simulate(
       simulation.resolved.yaml  the specification with every default; can be simulated again
     """
     from irlos_pipe.conventions.text import aligned
-    from irlos_pipe.simulate.recordings.run import plan_simulation
+    from irlos_pipe.simulate.recordings.run import plan_rows, plan_simulation, where_text
     from irlos_pipe.simulate.recordings.run import simulate as simulate_recordings
     from irlos_pipe.simulate.recordings.spec import load_spec
-    from irlos_pipe.simulate.recordings.summary import plan_rows, where_text
 
     checked = load_spec(spec, settings, seed)
     if dry_run:

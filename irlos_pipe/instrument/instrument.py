@@ -15,9 +15,9 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.overrides import Override, absolute
-from irlos_pipe.files.validation import ValidationErrors
+from irlos_pipe.files.validation import Origins, ValidationErrors, require_valid
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
+from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry
 from irlos_pipe.instrument.pupil import drawn, require_usable
 
 PROFILES = Path(__file__).parent
@@ -26,14 +26,9 @@ PROFILE_SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class Mode:
-    """A read-out mode.
+    """A read-out mode: lenslets per side of the pupil are 1 in full-pupil modes, 2 in 2x2 modes.
 
-    Attributes
-    ----------
-    lenslets : int
-        Lenslets per side of the pupil: 1 in full-pupil modes, 2 in 2x2 modes.
-    e_per_adu : float
-        Photo-electrons per ADU, the avalanche gain taken out.
+    `e_per_adu` are photo-electrons per ADU, the avalanche gain taken out.
     """
 
     name: str
@@ -100,7 +95,8 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
         Unknown name (with a suggestion), or a profile that cannot be used (``file:line: problem``).
     """
     path = _profile_path(str(name_or_path))
-    profile = parse_profile(*load_yaml(path), path)
+    data, lines = load_yaml(path)
+    profile = require_valid(data, Profile, Origins(path, lines))
     try:
         return _instrument(profile, None, path.parent)
     except ConfigurationError as error:
@@ -108,22 +104,10 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
 
 
 def checked_instrument(name: str, folder: Path, errors: ValidationErrors) -> tuple[str, Instrument | None]:
-    """Load the profile that a settings file asks for.
+    """Load the profile `name` that a settings file asks for; a path counts from the `folder` of that file.
 
-    Parameters
-    ----------
-    name : str
-        Name of a profile, or the path of its file relative to `folder`.
-    folder : Path
-        Folder of the settings file.
-    errors : ValidationErrors
-        Where a profile that cannot be used is noted, under ``instrument``.
-
-    Returns
-    -------
-    name : str
-        The name, or the absolute path.
-    instrument : Instrument or None
+    One that cannot be used is noted in `errors`, under ``instrument``. Returns the name, or the absolute
+    path, and the instrument.
     """
     if _is_path(name):
         name = str(absolute(name, folder))
@@ -207,27 +191,18 @@ class _Values:
 
 
 def _facility(values: _Values, pupil: PupilGeometry) -> Facility:
-    amplitude_nm, decay, plateau_nm = map(
-        values.number, ("ncpa_amplitude_nm", "ncpa_decay", "ncpa_plateau_nm")
-    )
-    lines = tuple(
-        VibrationLine(float(hz), float(x), float(y)) for hz, x, y in values.get("vibration_lines", ())
-    )
+    lines, sky = values.get("vibration_lines", ()), values.get("sky_mag_per_arcsec2", ())
     return Facility(
         pupil=pupil,
         photons_per_s_m15=values.number("photons_per_s_m15"),
         cutoff_per_m=values.number("ao_cutoff_per_m"),
         outer_scale_m=values.number("outer_scale_m"),
-        residual_law=ResidualLaw(
-            values.number("ao_residual_nm_per_arcsec"), values.number("ao_residual_floor_nm")
-        ),
-        ncpa_law=NcpaLaw(amplitude_nm, decay, plateau_nm),
+        residual_law=ResidualLaw(*map(values.number, ("ao_residual_nm_per_arcsec", "ao_residual_floor_nm"))),
+        ncpa_law=NcpaLaw(*map(values.number, ("ncpa_amplitude_nm", "ncpa_decay", "ncpa_plateau_nm"))),
         typical_seeing_arcsec=values.number("seeing_arcsec"),
-        vibration_lines=lines,
+        vibration_lines=tuple(VibrationLine(*map(float, line)) for line in lines),
         numerical_aperture=float(values.get("focus_numerical_aperture", 0.0)),
-        sky_mag_per_arcsec2=tuple(
-            (float(nm), float(mag)) for nm, mag in values.get("sky_mag_per_arcsec2", ())
-        ),
+        sky_mag_per_arcsec2=tuple((float(nm), float(mag)) for nm, mag in sky),
     )
 
 

@@ -1,24 +1,154 @@
-"""The keys of the YAML file of an instrument profile."""
+"""The YAML file of an instrument profile: its keys, and the facts that it may state."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.validation import Origins, require_valid
-from irlos_pipe.instrument.facts import DEFAULTS, require_facts, require_used_units
-from irlos_pipe.instrument.pupil import PupilSection, ZenithSection
-from irlos_pipe.instrument.status import Status
-from irlos_pipe.instrument.units import unit_of_name
+from irlos_pipe.instrument.pupil import PupilSection, Section, Status, ZenithSection
+
+MOST_CYCLES = 500  # per diameter that adaptive optics may correct: a thousand actuators across
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
+@dataclass(frozen=True)
+class FactRule:
+    """What a fact has to be: limits are those of a number, or of every number in a list.
+
+    Lists are of vanes [[x, y], [x, y]], of vibrations [Hz, share_x, share_y], or of bands [nm, mag].
+    """
+
+    unit: str
+    text: str
+    low: float
+    high: float
+    required: bool = True
+    kind: Literal["number", "vanes", "lines", "sky"] = "number"
+
+
+FACTS: dict[str, FactRule] = {
+    "pupil_diameter_m": FactRule(
+        "m", "disc that contains the pupil; Zernikes have unit RMS on it", 1e-4, 100
+    ),
+    "pupil_obscuration_m": FactRule("m", "round hole about the axis", 0, 100, False),
+    "pupil_vanes_m": FactRule("m", "vanes of one width, [[x, y], [x, y]] each", -200, 200, False, "vanes"),
+    "pupil_vane_width_m": FactRule("m", "their width", 0, 10, False),
+    "focus_numerical_aperture": FactRule("1", "NA / n at which defocus is introduced", 0, 1, False),
+    "photons_per_s_m15": FactRule("1/s", "through aperture and sensor band at m_J = 15", 1e-6, 1e12),
+    "ao_cutoff_per_m": FactRule("1/m", "end of the AO correction, 1/(2 actuator pitch)", 1e-3, 1e6),
+    "outer_scale_m": FactRule("m", "of the turbulence", 1, 1000),
+    "ao_residual_nm_per_arcsec": FactRule("nm/arcsec", "slope of the AO residual against seeing", 0, 1e4),
+    "ao_residual_floor_nm": FactRule("nm", "AO residual at zero seeing", 0, 1e4),
+    "ncpa_amplitude_nm": FactRule("nm", "std of Noll i+2 = amplitude exp(-decay i) + plateau", 0, 1e4),
+    "ncpa_decay": FactRule("1", "see ncpa_amplitude_nm", 0, 100),
+    "ncpa_plateau_nm": FactRule("nm", "see ncpa_amplitude_nm", 0, 1e4),
+    "seeing_arcsec": FactRule("arcsec", "where none was measured", 0.01, 10),
+    "vibration_lines": FactRule(
+        "Hz, 1, 1", "[Hz, share of the variance along x, along y]", 0, 1e5, False, "lines"
+    ),
+    "sky_mag_per_arcsec2": FactRule(
+        "nm, mag/arcsec2", "brightness of the sky in each band, [wavelength, mag]", -10, 1e6, False, "sky"
+    ),
+    "amplifier_e_per_adu": FactRule("e-/ADU", "gain behind the avalanche, for `modes`", 1e-9, 1e6, False),
+}
+# Facts that defaults, modes and seeing scales choose among; any other name must be used by one of them.
+FAMILIES = (
+    r"(site|pixel_scale|apd_gain|read_noise|read_exposure|dark_current|excess_noise|recorder|seeing_ratio|"
+    r"seeing_offset)_\w+"
+)
+# Keys of the side-car that a profile may give.
+DEFAULTS = (
+    "pixel_scale_mas",
+    "frame_rate_hz",
+    "exposure_s",
+    "seeing_arcsec",
+    "pressure_hpa",
+    "temperature_c",
+    "humidity_percent",
+    "detector.e_per_adu",
+    "detector.read_noise_e",
+    "detector.excess_noise_factor",
+    "detector.saturation_adu",
+    "detector.read_s",
+    "detector.dark_e_per_s",
+)
+
+
+# What the end of a name says; a longer one comes first.
+ENDINGS = {
+    "nm_per_arcsec": "nm/arcsec",
+    "mag_per_arcsec2": "mag/arcsec2",
+    "e_per_adu": "e-/ADU",
+    "e_per_s": "e-/s",
+    "per_m": "1/m",
+    "per_s": "1/s",
+    "arcsec": "arcsec",
+    "percent": "%",
+    "hpa": "hPa",
+    "adu": "ADU",
+    "mas": "mas",
+    "deg": "deg",
+    "nm": "nm",
+    "hz": "Hz",
+    "m": "m",
+    "s": "s",
+    "e": "e-",
+}
+OTHER_KEYS = {"temperature_c": "C", "detector.excess_noise_factor": "1"}  # of the side-car
+SYNONYMS = {
+    "1": ("", "-", "none", "dimensionless", "number", "cycles", "frames", "photons", "photon", "ph"),
+    "1/s": ("hz", "s-1", "s^-1", "fps"),
+    "1/m": ("m-1", "m^-1"),
+    "m": ("metre", "metres", "meter", "meters"),
+    "nm": ("nanometre", "nanometres", "nanometer", "nanometers"),
+    "mas": ("milliarcsec", "milliarcsecond", "milliarcseconds"),
+    "arcsec": ("arcsecond", "arcseconds", '"', "″"),
+    "s": ("sec", "second", "seconds"),
+    "deg": ("degree", "degrees", "°"),
+    "e-": ("e", "e⁻", "electron", "electrons"),
+    "adu": ("dn", "count", "counts"),
+    "hpa": ("mbar",),
+    "c": ("°c", "degc", "celsius"),
+    "%": ("percent",),
+    "arcsec2": ("arcsec^2", "arcsec²"),
+}  # fmt: skip
+PLAIN = {spelling: unit for unit, spellings in SYNONYMS.items() for spelling in spellings}
+PER_PIXEL = ("px", "pix", "pixel")
+
+
+def unit_of_name(name: str) -> str | None:
+    """Return the unit that a fact or a key of the side-car carries in its `name`; None without one."""
+    if name in OTHER_KEYS:
+        return OTHER_KEYS[name]
+    key = name.rpartition(".")[2]
+    return next((unit for end, unit in ENDINGS.items() if key == end or key.endswith(f"_{end}")), None)
+
+
+def require_unit(name: str, unit: str, wanted: str) -> None:
+    """Raise a ValueError that names both where the `unit` of the fact `name` is not the one that is `wanted`.
+
+    Values are not converted: which of the two is the mistake, only the author of the profile knows. Of a unit
+    for several columns (``Hz, 1, 1``) the first counts.
+    """
+    if _plain(unit) != _plain(wanted):
+        raise ValueError(
+            f"fact '{name}' should be in {wanted}, but its unit is '{unit}'; "
+            "convert the value, or correct the unit"
+        )
+
+
+def _plain(unit: str) -> str:
+    """The unit in one spelling."""
+    first = re.split(r",|\band\b", unit.lower())[0]
+    text = re.sub(r"\s+per\s+", "/", f" {first} ").replace(" ", "").removesuffix("rms")
+    parts = [PLAIN.get(part, part) for part in PLAIN.get(text, text).split("/") if part not in PER_PIXEL]
+    return "/".join(parts)
 
 
 def _iso_date(value: Any) -> Any:
@@ -28,7 +158,7 @@ def _iso_date(value: Any) -> Any:
 IsoDate = Annotated[str, BeforeValidator(_iso_date), Field(pattern=r"^\d{4}-\d\d-\d\d$")]
 
 
-class Fact(_Section):
+class Fact(Section):
     """One value with its unit, its source, how far to trust it, and when it held."""
 
     value: Any = Field(description="the value itself")
@@ -45,13 +175,13 @@ class Fact(_Section):
         return (self.since is None or self.since <= day) and (self.until is None or day < self.until)
 
 
-class Ratio(_Section):
+class Ratio(Section):
     """The first fact divided by the others."""
 
     divide: list[str] = Field(min_length=2, description="names of facts")
 
 
-class ModeEntry(_Section):
+class ModeEntry(Section):
     """A read-out mode; pixel scale and gain are names of facts."""
 
     lenslets: Literal[1, 2] = Field(description="lenslets per side of the pupil")
@@ -64,14 +194,14 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
-class SeeingScaleEntry(_Section):
+class SeeingScaleEntry(Section):
     """A seeing monitor; ratio and offset are names of facts."""
 
     ratio: str = Field(description="name of the fact with SPARTA's seeing over the monitor's")
     offset_arcsec: str = Field(description="name of the fact with what is added then")
 
 
-class Profile(_Section):
+class Profile(Section):
     """The whole file."""
 
     name: str = Field(min_length=1, description="name of the instrument")
@@ -94,9 +224,39 @@ class Profile(_Section):
             raise ValueError(
                 f"defaults: unknown side-car key '{unknown[0]}'{suggestion(unknown[0], DEFAULTS)}"
             )
-        require_facts(self.facts, self._used(), modes=bool(self.modes))
-        require_used_units(self.facts, self._uses())
+        self._require_facts()
+        for key, name, unit in self._uses():
+            for entry in self.facts.get(name, ()) if unit is not None else ():
+                try:
+                    require_unit(name, entry.unit, str(unit))
+                except ValueError as problem:
+                    raise ValueError(f"{key}: {problem}") from None
         return self
+
+    def _require_facts(self) -> None:
+        """Check names, units, dates and values of the facts."""
+        needed = [name for name, rule in FACTS.items() if rule.required]
+        for name in [*needed, *(["amplifier_e_per_adu"] if self.modes else [])]:
+            if name not in self.facts:
+                text = FACTS[name].text
+                raise ValueError(f"fact '{name}' is missing ({text}); docs/instruments.md lists all")
+        known = {*FACTS, *self._used()}
+        for name, entries in self.facts.items():
+            if name not in known and not re.fullmatch(FAMILIES, name):
+                raise ValueError(f"unknown fact '{name}'{suggestion(name, FACTS)}")
+            for entry in entries:
+                if entry.since and entry.until and entry.since >= entry.until:
+                    raise ValueError(f"fact '{name}': since {entry.since} is not before until {entry.until}")
+                unit = FACTS[name].unit if name in FACTS else unit_of_name(name)
+                if unit is not None:
+                    require_unit(name, entry.unit, unit)
+                if name in FACTS:
+                    _require_value(name, FACTS[name], entry.value)
+        if ("pupil_vanes_m" in self.facts) != ("pupil_vane_width_m" in self.facts):
+            raise ValueError(
+                "facts 'pupil_vanes_m' and 'pupil_vane_width_m' belong together; give both or none"
+            )
+        _require_correction(self.facts)
 
     def _uses(self) -> Iterator[tuple[str, str, str | None]]:
         """Keys that a fact gives as it is: the key, the fact, and the unit of the key."""
@@ -119,12 +279,51 @@ class Profile(_Section):
         return {*of_defaults, *of_modes, *of_scales}
 
 
-def parse_profile(data: dict, lines: dict, path: Path) -> Profile:
-    """Return the profile in `data`, read from `path` with the `lines` of its keys.
+def _require_value(name: str, rule: FactRule, value: Any) -> None:
+    shapes = {
+        "number": (_is_number, f"a number from {rule.low:g} to {rule.high:g}"),
+        "vanes": (_is_vane, "a list of [[x, y], [x, y]] in metres"),
+        "lines": (_is_line, "a list of [Hz, share_x, share_y]"),
+        "sky": (_is_point, "a list of [wavelength in nm, mag]"),
+    }
+    fits, text = shapes[rule.kind]
+    several = value if rule.kind != "number" else [value]
+    if not isinstance(several, list) or not all(fits(one) for one in several):
+        shown = f" = {value!r}" if rule.kind == "number" else ""
+        raise ValueError(f"fact '{name}'{shown} should be {text}")
+    if rule.kind == "number" and not rule.low <= value <= rule.high:
+        raise ValueError(f"fact '{name}' = {value!r} should be {text}")
+    if rule.kind == "lines" and any(sum(line[axis] for line in several) > 1 for axis in (1, 2)):
+        raise ValueError(f"fact '{name}': the shares of one axis add up to more than 1")
 
-    Raises
-    ------
-    ConfigurationError
-        One line ``file:line: problem`` for everything that is wrong.
-    """
-    return require_valid(data, Profile, Origins(path, lines))
+
+def _require_correction(facts: Mapping[str, Sequence[Fact]]) -> None:
+    """A cut-off below 1/D corrects nothing; one beyond a thousand actuators is a mistake of units."""
+    for diameter in facts["pupil_diameter_m"]:
+        for cutoff in facts["ao_cutoff_per_m"]:
+            cycles = cutoff.value * diameter.value
+            if not 1 < cycles <= MOST_CYCLES:
+                raise ValueError(
+                    f"fact 'ao_cutoff_per_m' = {cutoff.value:g} is {cycles:g} cycles per pupil diameter; "
+                    f"it should be 1/(2 actuator pitch), between 1 and {MOST_CYCLES} of them"
+                )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_list(value: Any, length: int) -> bool:
+    return isinstance(value, list) and len(value) == length
+
+
+def _is_line(value: Any) -> bool:
+    return _is_list(value, 3) and all(map(_is_number, value)) and min(value) >= 0
+
+
+def _is_vane(value: Any) -> bool:
+    return _is_list(value, 2) and all(map(_is_point, value))
+
+
+def _is_point(value: Any) -> bool:
+    return _is_list(value, 2) and all(map(_is_number, value))

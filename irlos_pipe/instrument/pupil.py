@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
@@ -15,8 +15,10 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Flip, Part, Placement, Samples
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.first_image import first_image
-from irlos_pipe.instrument.status import Status
 
+# How far a value can be trusted. adopted: the project's convention; published: in a refereed paper or report
+# of the observatory; unverified: seen in public code or headers only; assumed: does little harm if wrong
+Status = Literal["adopted", "published", "unverified", "assumed"]
 PLACEMENT_KEYS = ("rotation_deg", "flip", "centre_m")
 SCALE_KEYWORD = "PUPLSCAL"  # of the header of a map, metres per sample, as poppy writes it
 Point = tuple[float, float]
@@ -29,11 +31,13 @@ LEAST_LIGHT = 1e-3  # of the disc's; aperture masks pass some per cents
 LEAST_REACH = 2 / 3  # of half the diameter
 
 
-class _Section(BaseModel):
+class Section(BaseModel):
+    """Base of the sections of a profile: unknown keys are refused."""
+
     model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class VaneEntry(_Section):
+class VaneEntry(Section):
     """A vane with a width of its own."""
 
     start_m: Point = Field(description="[x, y] where its middle line starts")
@@ -41,7 +45,7 @@ class VaneEntry(_Section):
     width_m: float = Field(gt=0, description="full width")
 
 
-class MapEntry(_Section):
+class MapEntry(Section):
     """A FITS image of amplitudes between 0 and 1."""
 
     file: str = Field(min_length=1, description="path of the FITS file, counted from the profile")
@@ -50,7 +54,7 @@ class MapEntry(_Section):
     )
 
 
-class TurnRule(_Section):
+class TurnRule(Section):
     """How the pupil turns on the detector: offset + Σ factor · angle, anticlockwise."""
 
     offset_deg: float = Field(0.0, ge=-720, le=720, description="at angles of zero")
@@ -61,12 +65,11 @@ class TurnRule(_Section):
     @property
     def factors(self) -> dict[str, float]:
         """The factors that are not zero, by the key of the side-car that has the angle."""
-        every = {
-            "parallactic_angle_deg": self.parallactic,
-            "derotator_angle_deg": self.derotator,
-            "altitude_deg": self.altitude,
+        names = ("parallactic", "derotator", "altitude")
+        keys = ("parallactic_angle_deg", "derotator_angle_deg", "altitude_deg")
+        return {
+            key: getattr(self, name) for key, name in zip(keys, names, strict=True) if getattr(self, name)
         }
-        return {key: factor for key, factor in every.items() if factor}
 
     def rotation_deg(self, angles_deg: Mapping[str, float]) -> float:
         """Return the angle of the pupil for the `angles_deg` of a recording, by key of the side-car."""
@@ -80,7 +83,7 @@ class ZenithSection(TurnRule):
     status: Status = Field(description="how far to trust it")
 
 
-class PupilSection(_Section):
+class PupilSection(Section):
     """What the facts of the pupil leave out; these still give diameter, central hole and plain vanes."""
 
     source: str = Field(min_length=1, description="where the drawing comes from")
@@ -105,20 +108,12 @@ class PupilSection(_Section):
 
 
 def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeometry:
-    """Return the pupil of a profile.
-
-    Parameters
-    ----------
-    plain : PupilGeometry
-        Disc, hole and vanes of the facts.
-    section : PupilSection
-    folder : Path
-        From which the path of a map counts.
+    """Return the pupil of a profile: `plain` disc, hole and vanes of the facts, and what `section` draws.
 
     Raises
     ------
     ValueError
-        For parts that contradict each other, and a map that cannot be used.
+        For parts that contradict each other, and a map, whose path counts from `folder`, that cannot be used.
     """
     if section.map and section.aperture:
         raise ValueError("map and aperture both say what light passes; give one of them")
@@ -139,17 +134,13 @@ def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeo
     try:
         return placed(geometry, placement)
     except ValueError as problem:
-        raise ValueError(f"{problem}; {_off_axis(geometry, placement.shift_m)}") from None
-
-
-def _off_axis(geometry: PupilGeometry, shift_m: Point) -> str:
-    """What to do about a shifted pupil that no longer lies on the disc, to which the model's grid is cut."""
-    needed_m = geometry.diameter_m + 2 * float(np.hypot(*shift_m))
-    disc = f" and the disc as aperture: [{{circle: {{diameter_m: {geometry.diameter_m:g}}}}}]"
-    return (
-        f"pupil_diameter_m is that of a disc about the axis that holds all of the shifted pupil: give "
-        f"{needed_m:.4g}{'' if geometry.aperture else disc}"
-    )
+        # the shifted pupil no longer lies on the disc, to which the model's grid is cut
+        needed_m = geometry.diameter_m + 2 * float(np.hypot(*placement.shift_m))
+        disc = f" and the disc as aperture: [{{circle: {{diameter_m: {geometry.diameter_m:g}}}}}]"
+        raise ValueError(
+            f"{problem}; pupil_diameter_m is that of a disc about the axis that holds all of the shifted "
+            f"pupil: give {needed_m:.4g}{'' if geometry.aperture else disc}"
+        ) from None
 
 
 def part_of(entry: dict[str, Any]) -> Part:
@@ -195,18 +186,13 @@ def _checked(name: str, key: str, kind: Any, value: Any) -> Any:
 
 
 def read_map(path: Path, metres_per_sample: float | None = None) -> AmplitudeMap:
-    """Read the amplitude of a pupil from the first image of a FITS file.
-
-    Parameters
-    ----------
-    path : Path
-    metres_per_sample : float, optional
-        Otherwise it is taken from the header.
+    """Read the amplitude of a pupil from the first image of the FITS file `path`.
 
     Raises
     ------
     ValueError
-        For a file that cannot be read, a scale that is nowhere stated, and samples that are no amplitudes.
+        For a file that cannot be read, a scale that neither `metres_per_sample` nor the header states, and
+        samples that are no amplitudes.
     """
     try:
         values, header = first_image(path)
@@ -266,33 +252,25 @@ def _aperture(geometry: PupilGeometry, axis_m: np.ndarray, step_m: float) -> tup
         x_m, y_m = axis_m[None, columns], axis_m[rows, None]
         cover[box] += piece.cover(x_m, y_m, step_m)
         pieces[box] += piece.distance_m(*piece.placement.back(x_m, y_m)) > 1e-6 * step_m
-    return np.minimum(cover, 1), _ratio(pieces > 1, pieces > 0)
+    return np.minimum(cover, 1), float(np.sum(pieces > 1) / max(np.sum(pieces > 0), 1))
 
 
 def _left(geometry: PupilGeometry, axis_m: np.ndarray, step_m: float) -> np.ndarray:
     """The fraction of each cell that hole, obstructions and vanes leave, (rows, columns)."""
-    left = np.clip((_radius_m(axis_m) - geometry.obscuration_m / 2) / step_m + 0.5, 0, 1)
-    if not geometry.obscuration_m:
-        left[:] = 1.0
+    left = np.ones((len(axis_m),) * 2)
+    if geometry.obscuration_m:
+        left = np.clip((_radius_m(axis_m) - geometry.obscuration_m / 2) / step_m + 0.5, 0, 1)
     for piece in (piece for part in geometry.obstructions for piece in part.pieces):
         rows, columns = piece.box(axis_m, axis_m, step_m)
         left[rows, columns] *= 1 - piece.cover(axis_m[None, columns], axis_m[rows, None], step_m)
     for vane in geometry.vanes:
-        left *= ~_behind(vane, axis_m)
+        start, end = complex(*vane.start_m), complex(*vane.end_m)
+        direction = (end - start) / abs(end - start)
+        place = (axis_m[None, :] + 1j * axis_m[:, None] - start) * direction.conjugate()
+        behind = (np.abs(place.imag) < vane.width_m / 2) & (place.real > 0) & (place.real < abs(end - start))
+        left *= ~behind
     return left
-
-
-def _behind(vane: Vane, axis_m: np.ndarray) -> np.ndarray:
-    """Whether the middle of each cell lies behind a vane, (rows, columns)."""
-    start, end = complex(*vane.start_m), complex(*vane.end_m)
-    direction = (end - start) / abs(end - start)
-    place = (axis_m[None, :] + 1j * axis_m[:, None] - start) * direction.conjugate()
-    return (np.abs(place.imag) < vane.width_m / 2) & (place.real > 0) & (place.real < abs(end - start))
 
 
 def _radius_m(axis_m: np.ndarray) -> np.ndarray:
     return np.hypot(axis_m[None, :], axis_m[:, None])
-
-
-def _ratio(part: np.ndarray, whole: np.ndarray) -> float:
-    return int(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)

@@ -29,8 +29,8 @@ from irlos_pipe.paper.common.observation import on_spartas_scale
 from irlos_pipe.paper.common.ramps import NINE, TTF, LiftVariant
 from irlos_pipe.paper.common.scenes import BRIGHT_MAG_J, FINE
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
-from irlos_pipe.simulate.effects.catalogue import effects_of
-from irlos_pipe.simulate.effects.focus_stage import reached_nm
+from irlos_pipe.simulate.effects import effects_of
+from irlos_pipe.simulate.effects.wavefront import reached_nm
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene

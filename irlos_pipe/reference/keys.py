@@ -7,8 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from irlos_pipe.instrument.facts import FACTS
-from irlos_pipe.instrument.profile import Profile
+from irlos_pipe.instrument.profile import FACTS, Profile
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.recipe.checks import RecipeHead
 from irlos_pipe.reference.entry import Entry, Kind

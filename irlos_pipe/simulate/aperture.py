@@ -42,17 +42,8 @@ def clear_fraction(
 ) -> np.ndarray:
     """Return the mean amplitude in every cell of a square grid, by counting points on a much finer one.
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    u_m : ndarray, (n,)
-        Centres of the cells along x and along y [m].
-    stop_m : (float, float), optional
-        Position (x, y) of an internal stop, which has the outline and the central hole but no vanes.
-
-    Returns
-    -------
-    ndarray, (n, n), row = y
+    The cells of the pupil `geometry` have their centres at `u_m` (n,) along x and along y; the result is (n,
+    n), row = y. An internal stop at `stop_m` (x, y) has the outline and the central hole but no vanes.
     """
     step = float(u_m[1] - u_m[0])
     found = np.array([_row(geometry, u_m, y, step, stop_m, FINEST_CELL_M) for y in u_m])
@@ -95,11 +86,8 @@ def _row(
 def passed(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     """Return the amplitude that passes the pupil `geometry` at points, (rows, columns).
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    x_m, y_m : ndarray, (1, columns) and (rows, 1), or (rows, columns)
-        Ascending along rows and columns [m].
+    Their coordinates `x_m` and `y_m`, (1, columns) and (rows, 1), or (rows, columns), ascend along rows and
+    columns [m].
     """
     clear = _in_aperture(geometry, geometry.aperture, x_m, y_m)
     for part in geometry.obstructions:
@@ -199,16 +187,10 @@ def petal_count(geometry: PupilGeometry) -> int:
 
 
 def petal_index(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Return the number of the petal at, or nearest to, every point.
+    """Return the number of the petal of the pupil `geometry` at, or nearest to, points (`x_m`, `y_m`).
 
     Petals are the connected parts of the clear pupil, segments taken as one mirror, counted anticlockwise
     from the one nearest to the +45° diagonal.
-
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    x_m, y_m : ndarray, shapes that broadcast
-        Points in the pupil.
     """
     numbers = _petal_map(geometry)
     step, middle = geometry.diameter_m / POINTS, (len(numbers) - 1) / 2

@@ -1,19 +1,30 @@
-"""Images of a scene's light through its pupil, image motion included."""
+"""Images of a scene's light through its pupil, image motion included.
+
+A matrix DFT leads from the wavefront in the pupil onto points inside the pixels. The image holds no frequency
+above D/λ, less than Nyquist's of the pixels, so samples one pixel apart carry its whole spectrum. Motion is a
+factor on it, exact but for what comes in over the edge of the window, for which a margin is computed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 import scipy.fft
+from scipy import ndimage
 
-from irlos_pipe.conventions.units import NM, cutoff_per_px
-from irlos_pipe.simulate.distortion import Distortion
-from irlos_pipe.simulate.effects.base import LightEffect
-from irlos_pipe.simulate.imaging import Imager, PixelGrid
+from irlos_pipe.conventions.units import MAS, NM, cutoff_per_px
+from irlos_pipe.simulate.aperture import centres
+from irlos_pipe.simulate.effects.light import LightEffect
 from irlos_pipe.simulate.light import Ray
-from irlos_pipe.simulate.motion_blur import MotionBlur
-from irlos_pipe.simulate.pupil import Pupil, amplitude, nominal_area_m2
+from irlos_pipe.simulate.motion import MotionBlur
+from irlos_pipe.simulate.pupil import FINE, Pupil, amplitude, nominal_area_m2
 from irlos_pipe.simulate.scene import Scene
 
+BATCH = 10  # wavefronts imaged together
+SPLINE = 5  # order: errs by less than 1e-5 of the peak where a sample holds less than 0.2 cycles
+SPLINE_EDGE_PX = 8  # beyond which a spline does not see where the image ends
 STATIC_NODES = 4  # per pixel and axis
 FINEST_CYCLES_PER_PX = 0.4  # that the image of a pixel may hold; above, pixels are computed in parts
 FINEST_DISTORTED = 0.2  # the same where splines follow the image
@@ -22,12 +33,146 @@ EDGE_PX = 3  # margin for the ringing of the discrete transform at the border
 MIRROR_PX = 8  # border beyond the margin that keeps opposite edges apart
 
 
+@dataclass(frozen=True)
+class PixelGrid:
+    """Pixels about the optical axis, which lies at (N - 1) / 2 of rows and columns.
+
+    Attributes
+    ----------
+    window : (int, int)
+        Rows and columns [px].
+    scale_mas : float
+        Edge of a pixel.
+    nodes : int
+        Of the Gauss–Legendre rule that integrates a pixel, per axis. The image holds no frequency
+        above D/λ, a third of a cycle per pixel of 9.7 mas, for which four nodes err by 1e-7; one is the
+        value at the centre.
+    """
+
+    window: tuple[int, int]
+    scale_mas: float
+    nodes: int = 4
+
+    def node_angles_mas(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of all nodes along y, (rows * nodes,), and along x, (columns * nodes,) [mas]."""
+        inner = np.polynomial.legendre.leggauss(self.nodes)[0] / 2
+        y, x = ((centres(size, 1.0)[:, None] + inner).ravel() * self.scale_mas for size in self.window)
+        return y, x
+
+    def integrated(self, intensity: np.ndarray) -> np.ndarray:
+        """Integral over every pixel [mas²] of the intensity at its nodes, (times, rows, columns) float64."""
+        weights = np.polynomial.legendre.leggauss(self.nodes)[1] / 2 * self.scale_mas
+        (rows, columns), k = self.window, self.nodes
+        return np.einsum("tyjxi,j,i->tyx", intensity.reshape(-1, rows, k, columns, k), weights, weights)
+
+
+class Imager:
+    """Pixel-integrated images.
+
+    ``PSF(a) = |∫ P(u) exp(2πi Φ(u)/λ) exp(-2πi a·u/λ) du|²``, integrated over every pixel.
+
+    Parameters
+    ----------
+    u_m : ndarray, (n,)
+        Samples of the pupil along x and along y [m].
+    amplitudes : mapping of (float, float) to ndarray, (n, n)
+        Pupil amplitude, real or complex, for every `Ray.pupil`.
+    area_m2 : float
+        Clear area that stands for all the star's light.
+    rays : sequence of Ray
+        Those of one `Ray.pupil` share the field there.
+    pixels : PixelGrid
+    dtype : numpy.complex64 or numpy.complex128
+    """
+
+    def __init__(
+        self,
+        u_m: np.ndarray,
+        amplitudes: Mapping[tuple[float, float], np.ndarray],
+        area_m2: float,
+        rays: Sequence[Ray],
+        pixels: PixelGrid,
+        dtype: type = np.complex128,
+    ):
+        self._dtype, self._pixels = dtype, pixels
+        self._real = np.finfo(dtype).dtype
+        self._amplitudes = {
+            pupil: np.asarray(amplitude, dtype if np.iscomplexobj(amplitude) else self._real)
+            for pupil, amplitude in amplitudes.items()
+        }
+        self._by_pupil: dict[tuple[float, float], list[tuple[Ray, np.ndarray, np.ndarray]]] = {}
+        for ray in rays:
+            self._by_pupil.setdefault(ray.pupil, []).append((ray, *self._matrices(u_m, ray)))
+        # Parseval: the integral of |FT|² over all angles is λ² times the energy in the pupil.
+        self._norm = ((u_m[1] - u_m[0]) ** 2 * MAS / NM) ** 2 / area_m2
+
+    def _matrices(self, u_m: np.ndarray, ray: Ray) -> tuple[np.ndarray, np.ndarray]:
+        """Fourier matrices (row nodes, n) and (n, column nodes)."""
+        y_mas, x_mas = self._pixels.node_angles_mas()
+        wavenumber = 2 * np.pi * MAS / (ray.wavelength_nm * NM)
+        rows = np.exp(-1j * wavenumber * np.outer(y_mas - ray.offset_mas[1], u_m))
+        columns = np.exp(-1j * wavenumber * np.outer(u_m, x_mas - ray.offset_mas[0]))
+        return rows.astype(self._dtype), columns.astype(self._dtype)
+
+    def images(self, opd_nm: np.ndarray) -> np.ndarray:
+        """Return images (times, rows, columns) of wavefronts (times, n, n), in parts of the star's light."""
+        batches = np.array_split(opd_nm, max(1, len(opd_nm) // BATCH))
+        return np.concatenate([self._batch(np.asarray(batch, self._real)) for batch in batches])
+
+    def _batch(self, opd_nm: np.ndarray) -> np.ndarray:
+        intensity = np.zeros((), self._real)
+        for pupil, paths in self._by_pupil.items():
+            field = self._field(opd_nm, pupil)
+            for ray, to_rows, to_columns in paths:
+                focal = to_rows @ (field @ to_columns)
+                scale = self._real.type(ray.weight * self._norm / ray.wavelength_nm**2)
+                intensity = intensity + scale * (focal.real**2 + focal.imag**2)
+        return self._pixels.integrated(intensity)
+
+    def _field(self, opd_nm: np.ndarray, pupil: tuple[float, float]) -> np.ndarray:
+        """Field in the pupil, (times, n, n)."""
+        phase = opd_nm * self._real.type(2 * np.pi / pupil[0])
+        field = np.empty(phase.shape, self._dtype)
+        np.cos(phase, out=field.real)
+        np.sin(phase, out=field.imag)
+        field *= self._amplitudes[pupil]
+        return field
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Pixels that look at an image through a linear distortion: splines through a finer image.
+
+    The image is stretched about the optical axis by `stretch`, (2, 2) in (x, y).
+    """
+
+    stretch: np.ndarray
+    pixels: PixelGrid
+
+    @property
+    def reach_px(self) -> int:
+        """Return how far beyond the window pixels may look [px]."""
+        farthest = np.abs(np.linalg.inv(self.stretch) - np.eye(2)).sum(axis=1).max()
+        return int(np.ceil(farthest * max(self.pixels.window) / 2)) + SPLINE_EDGE_PX
+
+    def seen(self, samples: np.ndarray, step_mas: float) -> np.ndarray:
+        """Return the light in every pixel, (rows, columns).
+
+        The `samples`, (m, n), are those of the undistorted image about the optical axis, `step_mas` apart,
+        each times the square of that distance.
+        """
+        y_mas, x_mas = self.pixels.node_angles_mas()
+        nodes = np.stack(np.meshgrid(x_mas, y_mas)).reshape(2, -1)
+        x, y = np.linalg.solve(self.stretch, nodes) / step_mas
+        middle = (np.array(samples.shape) - 1) / 2
+        places = np.stack([y + middle[0], x + middle[1]])
+        light = ndimage.map_coordinates(samples, places, order=SPLINE, mode="mirror") / step_mas**2
+        light = light / abs(np.linalg.det(self.stretch))
+        return self.pixels.integrated(light.reshape(1, len(y_mas), len(x_mas)))[0]
+
+
 class Camera:
     """Images of a scene.
-
-    The image holds no frequency above D/λ, less than Nyquist's of the pixels, so samples one pixel
-    apart carry its whole spectrum. Motion is a factor on it, exact but for what comes in over the edge
-    of the window, for which a margin is computed.
 
     The many images of a frame with an AO residual are sampled at the pixels' centres, in single
     precision, and integrated over the pixels by a factor on the spectrum too; those of a wavefront at
@@ -39,19 +184,17 @@ class Camera:
     scene : Scene
     pupil : Pupil
     motion_mas : float
-        RMS of the motion that `moved` will be asked for, per axis; 0 if it will not.
+        RMS of the motion that `frame` will be asked for, per axis; 0 if it will not.
     """
 
     def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
         scale_mas, rays = true_pixel_scale_mas(scene), rays_of(scene)
         matrix, pixels = stretch_of(scene), PixelGrid(scene.window, scale_mas, STATIC_NODES)
         self._distortion = None if np.array_equal(matrix, np.eye(2)) else Distortion(matrix, pixels)
-        self._parts = _parts_per_pixel(
-            scale_mas,
-            scene.geometry.diameter_m,
-            min(ray.wavelength_nm for ray in rays),
-            FINEST_DISTORTED if self._distortion else FINEST_CYCLES_PER_PX,
-        )
+        shortest_m = min(ray.wavelength_nm for ray in rays) * NM
+        cycles_per_px = cutoff_per_px(shortest_m, scene.geometry.diameter_m, scale_mas)
+        finest = FINEST_DISTORTED if self._distortion else FINEST_CYCLES_PER_PX
+        self._parts = max(1, int(np.ceil(cycles_per_px / finest)))
         self._part_mas = scale_mas / self._parts
         self._sampled, self._blurred = scene.moves or self._distortion is not None, motion_mas > 0
         reach_px = int(np.ceil(REACH_SIGMAS * motion_mas / scale_mas))
@@ -87,10 +230,8 @@ class Camera:
         if not (self._sampled or self._blurred):
             return self._pixels(images.mean(axis=0))
         image = self._filtered(images, positions_mas, blur)
-        filtered = self._distortion.seen(image, self._part_mas) if self._distortion else self._pixels(image)
-        return np.maximum(
-            filtered, 0.0
-        )  # the filter rings by 1e-8 of the light, about the dark rings of a PSF
+        light = self._distortion.seen(image, self._part_mas) if self._distortion else self._pixels(image)
+        return np.maximum(light, 0.0)  # the filter rings by 1e-8 of the light, about the dark rings of a PSF
 
     def _filtered(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
         border = MIRROR_PX * self._parts
@@ -99,7 +240,8 @@ class Camera:
         fy = scipy.fft.fftfreq(padded.shape[1], self._part_mas)
         spectra = scipy.fft.rfft2(padded)
         if positions_mas is not None:
-            spectra = spectra * transfer(_shared(positions_mas, len(images)), fx, fy)
+            # a single image takes the positions of all times
+            spectra = spectra * transfer(positions_mas.reshape(len(images), -1, 2), fx, fy)
         spectrum = spectra.mean(axis=0) * blur.transfer(fx[None, :], fy[:, None])
         if self._sampled and not self._distortion:
             spectrum *= np.sinc(fx * self._part_mas) * np.sinc(fy * self._part_mas)[:, None]
@@ -143,25 +285,56 @@ def stretch_of(scene: Scene) -> np.ndarray:
 
 
 def transfer(positions_mas: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:
-    """Return the mean of exp(-2πi f·position), (times, fy, fx).
+    """Return the mean of exp(-2πi f·position) at frequencies `fx`, `fy` [1/mas], (times, fy, fx).
 
-    Parameters
-    ----------
-    positions_mas : ndarray, (times, positions, 2)
-    fx, fy : ndarray, (frequencies,)
-        Spatial frequencies [1/mas].
+    The `positions_mas` are (times, positions, 2).
     """
     along_x = np.exp(-2j * np.pi * positions_mas[:, :, 0, None] * fx)
     along_y = np.exp(-2j * np.pi * positions_mas[:, :, 1, None] * fy)
     return along_y.transpose(0, 2, 1) @ along_x / positions_mas.shape[1]
 
 
-def _shared(positions_mas: np.ndarray, images: int) -> np.ndarray:
-    """Positions of every image; a single one takes those of all times."""
-    return positions_mas if images == len(positions_mas) else positions_mas.reshape(images, -1, 2)
+class LensletCamera:
+    """Images of a scene through an array of 2x2 lenslets, a camera behind every quarter of the pupil.
+
+    They lie side by side: lower left and right, upper left and right. `scene`, `pupil` and `motion_mas` are
+    as of `Camera`; the pupil is the whole one.
+    """
+
+    def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
+        rows, columns = scene.window
+        sampling = replace(scene.sampling, pupil_samples=scene.pupil_samples)
+        of_one = replace(scene, window=(rows // 2, columns // 2), lenslets=1, sampling=sampling)
+        parts = [_quarter(pupil, up, right) for up in (False, True) for right in (False, True)]
+        self._cameras = [Camera(of_one, part, motion_mas) for part in parts]
+        light = np.array([part.drawn.sum() for part in parts])
+        flux = 1 + np.array(scene.lenslet_flux)
+        self._flux = flux * light.sum() / (flux @ light)
+        self._tilts_nm = pupil.tilts_nm(np.array(scene.lenslet_tilts_mas))
+
+    def images(self, opd_nm: np.ndarray) -> np.ndarray:
+        """Return images of wavefronts `opd_nm` (times, n, n), (lenslets, times, rows, columns)."""
+        pairs = zip(self._cameras, self._tilts_nm.astype(opd_nm.dtype), strict=True)
+        return np.stack([camera.images(opd_nm + tilt_nm) for camera, tilt_nm in pairs])
+
+    def frame(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
+        """Return the mean of `images` in motion, (rows, columns): see `Camera.frame`."""
+        parts = [
+            flux * camera.frame(own, positions_mas, blur)
+            for camera, own, flux in zip(self._cameras, images, self._flux, strict=True)
+        ]
+        return np.block([parts[:2], parts[2:]])
 
 
-def _parts_per_pixel(scale_mas: float, diameter_m: float, wavelength_nm: float, finest: float) -> int:
-    """Parts of a pixel that hold at most `finest` cycles of the image."""
-    cycles_per_px = cutoff_per_px(wavelength_nm * NM, diameter_m, scale_mas)
-    return max(1, int(np.ceil(cycles_per_px / finest)))
+def _quarter(pupil: Pupil, up: bool, right: bool) -> Pupil:
+    """The part of the pupil above or below the axis, and right or left of it: cells do not cross it."""
+    x_m, y_m = pupil.drawing_grid_m()
+    drawn = pupil.drawn * ((x_m > 0) == right) * ((y_m > 0) == up)
+    cells = len(pupil.u_m)
+    return replace(pupil, drawn=drawn, transmission=drawn.reshape(cells, FINE, cells, FINE).mean(axis=(1, 3)))
+
+
+def camera_of(scene: Scene, pupil: Pupil, motion_mas: float) -> Camera | LensletCamera:
+    """Return the camera of a `scene`; `pupil` and `motion_mas` are as of `Camera`."""
+    kind = Camera if scene.lenslets == 1 else LensletCamera
+    return kind(scene, pupil, motion_mas)

@@ -1,18 +1,39 @@
-"""Constants of the infrared detector."""
+"""The infrared detector: its constants, and its pixels from photo-electrons to the signal at the converter.
+
+The order is that of the hardware, an HgCdTe avalanche photodiode array (SAPHIRA):
+
+1. Photo-electrons *diffuse* to the neighbours before they are multiplied. Each goes its own way, so
+   the counts stay Poissonian and uncorrelated about the diffused mean. Dark current is added here.
+2. The number of electrons is drawn (Poisson).
+3. Each is multiplied on its own. With gamma-distributed gains of mean 1 and variance F - 1 the sum
+   of n of them is gamma-distributed with shape n/(F - 1): variance F n, and never negative. The mean
+   gain differs from pixel to pixel, which is what the flat shows, with an error where one is given.
+4. Inter-pixel capacitance induces a part of the multiplied signal in the neighbours, noise included.
+5. The capacitance of the node grows with its charge: response ``s (1 - k s)``, then the full well.
+6. The source follower and the amplifier add the read noise; what was left of pedestal or
+   background since the dark was taken adds here, without shot noise.
+
+The response of a pixel (3) thus acts before the non-linearity (5): dividing by the flat undoes it
+exactly for a linear detector only, as in reality.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from scipy.ndimage import convolve
 
 from irlos_pipe.conventions.keys import Limited, key, named_row
 from irlos_pipe.conventions.reads import whole_reads
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate import SceneError
 
 ADC_TOP_ADU = 65535.0
+NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
+PEDESTAL_STREAM, FLAT_STREAM, FLAT_ERROR_STREAM = 0, 1, 2  # of a detector's `pattern_seed`
+Axis = Literal["rows", "columns"]
 Index = Annotated[int, Limited(ge=0, lt=4096)]
 Pixel = tuple[Index, Index]  # row, column
 
@@ -62,9 +83,7 @@ class DetectorModel:
         ConfigurationError
             When the exposure is no multiple of `read_s`.
         """
-        if self.read_s is None:
-            return 1
-        return whole_reads(exposure_s, self.read_s)
+        return 1 if self.read_s is None else whole_reads(exposure_s, self.read_s)
 
     @property
     def analogue_noise_e(self) -> float:
@@ -98,3 +117,204 @@ def marked(pixels: Iterable[Pixel], window: tuple[int, ...]) -> np.ndarray:
     for row, column in pixels:
         mask[row, column] = True
     return mask
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Stripes that differ from read to read, of `e_rms` in one read [e-]: pick-up in the read-out chain.
+
+    The pixels of a row, or those of a column, are alike. `period_px` is that of a tone across the stripes,
+    whose phase is random in every read; None is 1/f noise, of which neighbouring stripes share most.
+    """
+
+    e_rms: float
+    axis: Axis = "rows"
+    period_px: float | None = None
+
+    def drawn_e(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+        """Return stripes of reads (..., rows, columns) that broadcast to `shape`, drawn from `rng` [e-]."""
+        *reads, rows, columns = shape
+        size = rows if self.axis == "rows" else columns
+        if self.period_px:
+            phase = rng.uniform(0, 2 * np.pi, (*reads, 1))
+            stripes = np.sqrt(2) * np.cos(2 * np.pi * np.arange(size) / self.period_px + phase)
+        else:
+            stripes = _pink((*reads, size), rng)
+        return self.e_rms * (stripes[..., :, None] if self.axis == "rows" else stripes[..., None, :])
+
+
+def _pink(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    """Series of unit variance with a power spectrum 1/f and no mean, along the last axis."""
+    size = shape[-1]
+    frequency = np.fft.rfftfreq(2 * size)[1:]  # twice as long: a window sees a part of the series
+    modes = rng.standard_normal((*shape[:-1], len(frequency), 2)) @ np.array([1, 1j])
+    spectrum = np.concatenate([np.zeros((*shape[:-1], 1)), modes / np.sqrt(frequency)], axis=-1)
+    # each kept mode stands for its mirror image too; the last one, at Nyquist's frequency, for itself
+    expected = 4 * np.sum(1 / frequency[:-1]) + 1 / frequency[-1]
+    return np.fft.irfft(spectrum, n=2 * size, norm="forward")[..., :size] / np.sqrt(expected)
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The pixels of one recording; all charges are those of one read.
+
+    Attributes
+    ----------
+    detector : DetectorModel
+    response : ndarray, (rows, columns)
+        Mean gain, 1 on average; 0 in dead pixels.
+    dark_e : ndarray, (rows, columns)
+        Mean dark charge per read, as the dark image shows it [e-].
+    diffusion : float
+        Charge that leaves a pixel for its four neighbours, fraction.
+    nonlinearity_per_e : float
+        k of the response ``s (1 - k s)`` [1/e-].
+    hot_e, background_e : ndarray, (rows, columns)
+        Mean charge of hot pixels per read, and what is left of pedestal or background, neither of which
+        the dark image shows [e-].
+    alive : ndarray, (rows, columns)
+        0 in pixels that died after the map of dead pixels was made.
+    stuck_e : ndarray, (rows, columns)
+        Constant reading above the pedestal; NaN where the pixel works [e-].
+    reads : int
+        That are added up to a frame.
+    sky_e : float
+        Mean light of the sky per read [e-].
+    pattern : Pattern or None
+        Noise that pixels of a row or column share.
+    """
+
+    detector: DetectorModel
+    response: np.ndarray
+    dark_e: np.ndarray
+    diffusion: float
+    nonlinearity_per_e: float
+    hot_e: np.ndarray
+    background_e: np.ndarray
+    alive: np.ndarray
+    stuck_e: np.ndarray
+    reads: int = 1
+    sky_e: float = 0.0
+    pattern: Pattern | None = None
+
+    def signal_e(self, mean_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
+        """Return the signal of one read at the converter [e-].
+
+        The star gives `mean_e` photo-electrons per read, (..., rows, columns), on average; the read has a
+        noise of `read_noise_e`, and what is random is drawn from `rng`.
+        """
+        light_e = shared(mean_e + self.sky_e, self.diffusion) + self.hot_e
+        multiplied_e = multiplied(rng.poisson(light_e + self.dark_e), self.detector.excess_noise_factor, rng)
+        return self._analogue_e(multiplied_e * self.alive, read_noise_e, rng) + self.background_e
+
+    def dark_signal_e(self, frames: int, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
+        """Return `frames` reads without light, before the effects came, (frames, rows, columns) [e-].
+
+        They have a noise of `read_noise_e`, drawn from `rng`.
+        """
+        counts = rng.poisson(np.broadcast_to(self.dark_e, (frames, *self.dark_e.shape)))
+        return self._analogue_e(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
+
+    def dark_moments_e(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean [e-] and variance [e-²] of a read without light, before the effects came."""
+        charge_e2 = self.detector.excess_noise_factor * self.dark_e * self.response**2
+        return self.dark_e * self.response, charge_e2 + self.detector.read_noise_e**2
+
+    def read(self, values: np.ndarray, stuck: np.ndarray) -> np.ndarray:
+        """Return frames (..., rows, columns) of `values` with the constant readings of `stuck` pixels."""
+        return np.where(np.isnan(self.stuck_e), values, stuck)
+
+    def _analogue_e(
+        self, multiplied_e: np.ndarray, read_noise_e: float, rng: np.random.Generator
+    ) -> np.ndarray:
+        induced_e = shared(multiplied_e * self.response, self.detector.coupling_fraction)
+        node_e = compressed(induced_e, self.nonlinearity_per_e, self.detector.full_well_e or np.inf)
+        noise_e = read_noise_e * rng.standard_normal(node_e.shape)
+        signal_e = node_e + noise_e
+        return signal_e if self.pattern is None else signal_e + self.pattern.drawn_e(node_e.shape, rng)
+
+
+def nominal_pixels(
+    detector: DetectorModel, window: tuple[int, int], exposure_s: float, sky_e_per_s: float = 0.0
+) -> Pixels:
+    """Return the pixels of a `detector` without effects, in a `window` (rows, columns).
+
+    A frame takes `exposure_s`; the sky sends `sky_e_per_s` to every pixel.
+    """
+    reads = detector.reads(exposure_s)
+    read_s = exposure_s / reads
+    return Pixels(
+        detector,
+        response_map(detector, window),
+        dark_map_e(detector, window, read_s),
+        detector.crosstalk_fraction,
+        detector.nonlinearity_per_e,
+        hot_e=np.zeros(window),
+        background_e=np.zeros(window),
+        alive=np.ones(window),
+        stuck_e=np.full(window, np.nan),
+        reads=reads,
+        sky_e=sky_e_per_s * read_s,
+    )
+
+
+def shared(charge_e: np.ndarray, fraction: float) -> np.ndarray:
+    """Give `fraction` of the `charge_e` (..., rows, columns) of each pixel to its four neighbours.
+
+    The window is continued by its edge.
+    """
+    charge_e = np.asarray(charge_e, dtype=np.float64)
+    if fraction == 0:
+        return charge_e
+    kernel = NEIGHBOURS.reshape((1,) * (charge_e.ndim - 2) + NEIGHBOURS.shape)
+    return (1 - fraction) * charge_e + fraction * convolve(charge_e, kernel, mode="nearest")
+
+
+def multiplied(counts: np.ndarray, excess_noise_factor: float, rng: np.random.Generator) -> np.ndarray:
+    """Multiply whole electrons by avalanches of mean gain 1, drawn from `rng`.
+
+    The variance of the result is `excess_noise_factor` times the Poisson variance of the `counts`.
+    """
+    spread = excess_noise_factor - 1
+    return counts.astype(float) if spread == 0 else rng.gamma(counts / spread, spread)
+
+
+def compressed(signal_e: np.ndarray, nonlinearity_per_e: float, full_well_e: float) -> np.ndarray:
+    """Return ``s (1 - k s)`` of `signal_e`, s, and `nonlinearity_per_e`, k [1/e-].
+
+    It is held where it would turn down, and at `full_well_e`.
+    """
+    turn_e = 0.5 / nonlinearity_per_e if nonlinearity_per_e > 0 else np.inf
+    held_e = np.minimum(signal_e, turn_e)
+    return np.minimum(held_e * (1 - nonlinearity_per_e * held_e), full_well_e)
+
+
+def flat_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
+    """Return the gain of each pixel of the `detector` in a `window`, as the flat shows it; 0 in dead ones."""
+    gain = _scattered(detector.flat_rms, detector, window, FLAT_STREAM)
+    return np.where(marked(detector.dead, window), 0.0, gain)
+
+
+def response_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
+    """Return the relative gain of each pixel of the `detector` in a `window`; 0 in dead pixels."""
+    error = _scattered(detector.flat_error_rms, detector, window, FLAT_ERROR_STREAM)
+    return flat_map(detector, window) * error
+
+
+def _scattered(rms: float, detector: DetectorModel, window: tuple[int, int], stream: int) -> np.ndarray:
+    rng = np.random.default_rng([detector.pattern_seed, stream])
+    return np.maximum(1 + rms * rng.standard_normal(window), 0.0)
+
+
+def pedestal_map_adu(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
+    """Return the level of each pixel of the `detector` in a `window` without light [ADU]."""
+    rng = np.random.default_rng([detector.pattern_seed, PEDESTAL_STREAM])
+    return detector.pedestal_adu + detector.fixed_pattern_adu * rng.standard_normal(window)
+
+
+def dark_map_e(detector: DetectorModel, window: tuple[int, int], exposure_s: float) -> np.ndarray:
+    """Return the mean dark charge of each pixel of the `detector` in a `window` after `exposure_s` [e-]."""
+    dark_e = np.full(window, detector.dark_e_per_s * exposure_s)
+    for pixel, e_per_s in detector.hot_e_per_s:
+        dark_e[tuple(pixel)] += e_per_s * exposure_s
+    return dark_e

@@ -1,20 +1,26 @@
-"""Exposes the frames of a scene: mean photo-electrons, and the wavefront that made them."""
+"""Exposes the frames of a scene: mean photo-electrons, and the wavefront that made them.
+
+The wavefront of a frame is *truth + declared*. Declared are the diversity and the introduced defocus as the
+scene states them; everything else is truth, errors of the two included, because that is what an estimate
+finds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.simulate.effects.base import MotionEffect, SkyEffect
-from irlos_pipe.simulate.lenslets import camera_of
-from irlos_pipe.simulate.motion_blur import STILL, MotionBlur
+from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.simulate.atmosphere import ResidualScreens
+from irlos_pipe.simulate.camera import camera_of
+from irlos_pipe.simulate.effects.sky import MotionEffect, SkyEffect
+from irlos_pipe.simulate.effects.wavefront import FocusStageEffect, LensEffect, WavefrontEffect, reached_nm
+from irlos_pipe.simulate.motion import SHORTEST_STEP_S, STILL, MotionSeries
 from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.subexposures import SubexposureSeries
-from irlos_pipe.simulate.telescope import Telescope
-from irlos_pipe.simulate.wavefront import StaticWavefront
+from irlos_pipe.simulate.telescope import Telescope, rotated_nm
 
 LAST_NOLL = 31  # of the coefficients kept per frame
 
@@ -36,6 +42,34 @@ class Exposure:
     mean_e: np.ndarray
     opd_nm: np.ndarray
     stated_nm: dict[int, float]
+
+
+class Wavefronts:
+    """Wavefronts on the grid of a `telescope`, gathered frame after frame: their modes, and the average."""
+
+    def __init__(self, telescope: Telescope):
+        self.telescope = telescope
+        self._sum_nm = np.zeros_like(telescope.transmission)
+        self._zernike_nm: list[np.ndarray] = []
+
+    def add(self, opd_nm: np.ndarray, stated_nm: Mapping[int, float]) -> None:
+        """Take one more, `opd_nm` (n, n), of which the modes `stated_nm` are known, Noll: nm RMS."""
+        self._sum_nm += opd_nm
+        self._zernike_nm.append(self.telescope.fit_zernike_nm(opd_nm, LAST_NOLL, stated_nm))
+
+    @property
+    def mean_opd_nm(self) -> np.ndarray:
+        """Average over the frames, (n, n) [nm]."""
+        return self._sum_nm / len(self._zernike_nm)
+
+    @property
+    def zernike_nm(self) -> np.ndarray:
+        """Noll 2..31 of every frame, (frames, 30) [nm RMS]: stated modes, and a fit of the rest."""
+        return np.array(self._zernike_nm)
+
+    def mean_zernike_nm(self) -> dict[int, float]:
+        """Return Noll 2..31 of the average: nm RMS."""
+        return _mean_zernike_nm(self.zernike_nm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,34 +100,29 @@ class Exposed:
 
     def mean_zernike_nm(self) -> dict[int, float]:
         """Return Noll 2..31 of the average wavefront: nm RMS."""
-        return dict(enumerate(self.zernike_nm.mean(axis=0).tolist(), start=2))
+        return _mean_zernike_nm(self.zernike_nm)
+
+
+def _mean_zernike_nm(zernike_nm: np.ndarray) -> dict[int, float]:
+    return dict(enumerate(zernike_nm.mean(axis=0).tolist(), start=2))
 
 
 def expose(scene: Scene, report: Callable[[int], None] | None = None) -> Exposed:
-    """Expose all frames and keep them.
-
-    Parameters
-    ----------
-    scene : Scene
-    report : callable, optional
-        Called with the number of finished frames after every frame.
+    """Expose all frames of a `scene` and keep them; `report` is told the number of frames after every frame.
 
     Raises
     ------
     SceneError
         For parameters of effects that do not fit the scene.
     """
-    telescope = telescope_of(scene)
+    wavefronts = Wavefronts(telescope_of(scene))
     mean_e = np.empty((scene.frames, *scene.window), np.float32)
-    zernike_nm = np.empty((scene.frames, LAST_NOLL - 1))
-    opd_sum_nm = np.zeros(telescope.transmission.shape)
     for index, exposure in enumerate(exposures(scene)):
         mean_e[index] = exposure.mean_e
-        zernike_nm[index] = telescope.fit_zernike_nm(exposure.opd_nm, LAST_NOLL, exposure.stated_nm)
-        opd_sum_nm += exposure.opd_nm
+        wavefronts.add(exposure.opd_nm, exposure.stated_nm)
         if report is not None:
             report(index + 1)
-    return Exposed(mean_e, opd_sum_nm / scene.frames, zernike_nm, telescope)
+    return Exposed(mean_e, wavefronts.mean_opd_nm, wavefronts.zernike_nm, wavefronts.telescope)
 
 
 def telescope_of(scene: Scene) -> Telescope:
@@ -106,6 +135,14 @@ def exposures(scene: Scene) -> Iterator[Exposure]:
     light_path = _LightPath(with_effective_sky(scene))
     for frame in range(scene.frames):
         yield light_path.exposed(frame)
+
+
+def with_effective_sky(scene: Scene) -> Scene:
+    """Return the `scene` with the AO residual that its effects leave."""
+    sky = scene.sky
+    for effect in scene.acting(SkyEffect):
+        sky = effect.sky(sky, scene.facility)
+    return replace(scene, sky=sky)
 
 
 class _LightPath:
@@ -125,20 +162,18 @@ class _LightPath:
 
     def exposed(self, frame: int) -> Exposure:
         """Expose the next frame, number `frame`."""
-        moving, blur = self._subexposures.next_frame(), self._next_blur()
-        images = self._images(frame, moving.screens_nm)
-        tilt_nm = self._pupil.tilts_nm((moving.mean_position_mas + blur.mean_mas)[None])[0]
-        opd_nm = self._wavefront.truth_nm(frame) + self._steps_nm + moving.mean_screen_nm + tilt_nm
-        image = self._camera.frame(images, moving.positions_mas, blur)
-        stated_nm = self._wavefront.truth_zernike_nm(frame)
-        return Exposure(image * self._scene.photons, self._pupil.inside(opd_nm), stated_nm)
-
-    def _next_blur(self) -> MotionBlur:
-        """Motion within the next frame by all effects together."""
         scene, blur = self._scene, STILL
+        screens_nm, positions_mas = self._subexposures.next_frame()
         for effect in self._motion:
             blur = blur + effect.blur(scene.exposure_s, scene.facility.vibration_lines, self._motion_rng)
-        return blur
+        images = self._images(frame, screens_nm)
+        mean_screen_nm = 0.0 if screens_nm is None else screens_nm.mean(axis=0, dtype=float)
+        mean_mas = np.zeros(2) if positions_mas is None else positions_mas.mean(axis=(0, 1))
+        tilt_nm = self._pupil.tilts_nm((mean_mas + blur.mean_mas)[None])[0]
+        opd_nm = self._wavefront.truth_nm(frame) + self._steps_nm + mean_screen_nm + tilt_nm
+        image = self._camera.frame(images, positions_mas, blur)
+        stated_nm = self._wavefront.truth_zernike_nm(frame)
+        return Exposure(image * scene.photons, self._pupil.inside(opd_nm), stated_nm)
 
     def _images(self, frame: int, screens_nm: np.ndarray | None) -> np.ndarray:
         """Images of the sub-exposures, or the one of a wavefront at rest, computed where it changes."""
@@ -149,9 +184,105 @@ class _LightPath:
         return self._resting_images
 
 
-def with_effective_sky(scene: Scene) -> Scene:
-    """Return the `scene` with the AO residual that its effects leave."""
-    sky = scene.sky
-    for effect in scene.acting(SkyEffect):
-        sky = effect.sky(sky, scene.facility)
-    return replace(scene, sky=sky)
+class SubexposureSeries:
+    """AO residual and image motion of a `scene` frame after frame, on a `telescope`.
+
+    They change while a frame is exposed, and time runs on between frames. Positions follow each other fast
+    enough for the fastest vibration, so lines above the rate of the sub-exposures blur them, and are not
+    taken for slow motion.
+    """
+
+    def __init__(self, scene: Scene, telescope: Telescope):
+        self._times, self._step_s = scene.subexposures, scene.exposure_s / scene.subexposures
+        self._idle_s = scene.period_s - scene.exposure_s
+        self._screens = (
+            ResidualScreens(scene.sky, scene.facility, telescope, scene.rng("sky")) if scene.sky else None
+        )
+        self._motion = (
+            MotionSeries(scene.motion, scene.facility.vibration_lines, scene.rng("motion"))
+            if scene.motion
+            else None
+        )
+
+    def next_frame(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Return residual and motion during the next frame.
+
+        Returns
+        -------
+        screens_nm : ndarray, (times, n, n), float32, or None
+            Residual wavefronts at the ends of equal sub-exposures; none without sky.
+        positions_mas : ndarray, (times, positions, 2), or None
+            Image positions (x, y) within every sub-exposure; none without motion.
+        """
+        screens_nm = positions_mas = None
+        if self._screens is not None:
+            screens_nm = np.stack([self._screens.next_nm(self._step_s) for _ in range(self._times)])
+        if self._motion is not None:
+            positions = max(2, int(np.ceil(self._step_s / SHORTEST_STEP_S - 1e-9)))
+            track_mas = self._motion.next_mas(self._step_s / positions, self._times * positions)
+            positions_mas = track_mas.reshape(self._times, positions, 2)
+        if self._idle_s > 1e-9:
+            for process in (self._screens, self._motion):
+                if process is not None:
+                    process.skip(self._idle_s)
+        return screens_nm, positions_mas
+
+
+class StaticWavefront:
+    """The static, the drifting and the introduced wavefront of a `scene` on the grid of a `telescope`."""
+
+    def __init__(self, scene: Scene, telescope: Telescope):
+        self._commanded_nm = scene.introduced_per_frame_nm
+        reached = reached_nm(self._commanded_nm, scene.acting(FocusStageEffect), scene.rng("focus_stage"))
+        self._missed_nm = reached - self._commanded_nm
+        shapes = [effect.defocus(telescope) for effect in scene.acting(LensEffect)]
+        self._declared_defocus = telescope.mode(DEFOCUS)
+        self._defocus = shapes[0] if shapes else self._declared_defocus
+        self._diversity_nm = telescope.opd_nm(scene.diversity_nm)
+        effects = scene.acting(WavefrontEffect)
+        self._static_zernike_nm = static_zernike_nm(scene)
+        self._static_nm = telescope.opd_nm(self._static_zernike_nm)
+        for effect in effects:
+            self._static_nm = self._static_nm + effect.static_opd_nm(telescope)
+        if scene.mirror:
+            self._static_nm = self._static_nm + scene.mirror.opd_nm(telescope)
+        self._drift_zernike_nm = _sum_nm(effect.drift_zernike_nm() for effect in effects)
+        self._drift_nm = telescope.opd_nm(self._drift_zernike_nm)
+        self._elapsed = np.linspace(0, 1 if self._drift_zernike_nm else 0, scene.frames)
+
+    def truth_nm(self, frame: int) -> np.ndarray:
+        """Return the wavefront of a `frame` beyond diversity and introduced defocus as declared [nm]."""
+        missed_nm = self._missed_nm[frame] * self._defocus
+        shape_nm = self._commanded_nm[frame] * (self._defocus - self._declared_defocus)
+        return self._static_nm + self._elapsed[frame] * self._drift_nm + missed_nm + shape_nm
+
+    def truth_zernike_nm(self, frame: int) -> dict[int, float]:
+        """Return the modes of `truth_nm` that the scene states as such, Noll: nm RMS; it may have more."""
+        elapsed = self._elapsed[frame]
+        drift_nm = {noll: elapsed * value_nm for noll, value_nm in self._drift_zernike_nm.items()}
+        return _sum_nm([self._static_zernike_nm, drift_nm])
+
+    def total_nm(self, frame: int) -> np.ndarray:
+        """Return the whole wavefront of a `frame`, (n, n) [nm]."""
+        declared_nm = self._diversity_nm + self._commanded_nm[frame] * self._declared_defocus
+        return self.truth_nm(frame) + declared_nm
+
+    def same(self, frame: int, other: int) -> bool:
+        """Return whether the frames number `frame` and `other` have the same wavefront."""
+        series = (self._commanded_nm, self._missed_nm, self._elapsed)
+        return all(values[frame] == values[other] for values in series)
+
+
+def static_zernike_nm(scene: Scene) -> dict[int, float]:
+    """Return NCPAs before and after the derotator, and static modes of the effects, Noll: nm RMS."""
+    rotated = rotated_nm(scene.rotating_nm, scene.derotator_angle_deg)
+    of_effects = (effect.static_zernike_nm(scene.diversity_nm) for effect in scene.acting(WavefrontEffect))
+    return _sum_nm([scene.ncpa_nm, rotated, *of_effects])
+
+
+def _sum_nm(parts: Iterable[Mapping[int, float]]) -> dict[int, float]:
+    total: dict[int, float] = {}
+    for part in parts:
+        for noll, value_nm in part.items():
+            total[noll] = total.get(noll, 0.0) + value_nm
+    return total

@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.conventions.bands import Passband
 from irlos_pipe.conventions.keys import key
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate import SceneError
 
 
 @dataclass(frozen=True)
@@ -39,16 +39,10 @@ def mean_centre_nm(bands: Sequence[Band]) -> float:
 
 @dataclass(frozen=True)
 class Ray:
-    """Light of one wavelength from one source.
+    """Light of one wavelength from one source, `weight` photons in parts of the star's.
 
-    Attributes
-    ----------
-    wavelength_nm, weight : float
-        Weight: photons in parts of the star's.
-    offset_mas : (float, float)
-        Where its image lies, (x, y) from the optical axis.
-    defocus_nm : float
-        Noll 4 beyond that of the star [nm RMS].
+    Its image lies at `offset_mas`, (x, y) from the optical axis, and has `defocus_nm` of Noll 4 beyond that
+    of the star [nm RMS].
     """
 
     wavelength_nm: float

@@ -14,9 +14,8 @@ from functools import cache
 import numpy as np
 
 from irlos_pipe.conventions.modes import REPORTED_NOLLS
-from irlos_pipe.simulate.errors import SceneError
-from irlos_pipe.simulate.telescope import Telescope
-from irlos_pipe.simulate.zernikes import zernike
+from irlos_pipe.simulate import SceneError
+from irlos_pipe.simulate.telescope import Telescope, zernike
 
 POINTS_PER_PITCH, FEWEST_POINTS = 3, 64  # where the strokes are fitted: per actuator, and across the pupil
 DAMPING = 1e-6  # of the strokes, relative to the mean response of an actuator
@@ -24,16 +23,9 @@ DAMPING = 1e-6  # of the strokes, relative to the mean response of an actuator
 
 @dataclass(frozen=True)
 class Actuators:
-    """A square grid of actuators under the pupil.
+    """A square grid of actuators, `pitch_m` apart, under a pupil of `diameter_m`; it ends a pitch beyond it.
 
-    Attributes
-    ----------
-    diameter_m : float
-        Of the pupil; the grid ends a pitch beyond it.
-    pitch_m : float
-        From actuator to actuator, as projected on the pupil.
-    coupling : float
-        Height of an influence function at the next actuator, of 1 at its own.
+    `coupling` is the height of an influence function at the next actuator, of 1 at its own.
     """
 
     diameter_m: float
@@ -107,12 +99,9 @@ class Mirror:
 
 @cache
 def modal_strokes(actuators: Actuators) -> np.ndarray:
-    """Return the strokes that come nearest to Noll 2..30 of 1 nm RMS over the disc of the pupil.
+    """Return the strokes of `actuators` that come nearest to Noll 2..30 of 1 nm RMS over the pupil's disc.
 
-    Returns
-    -------
-    ndarray, (29, places, places)
-        Rows are y, columns x; zero where there is no actuator [nm].
+    (29, places, places) [nm]: rows are y, columns x; zero where there is no actuator.
     """
     radius_m = actuators.diameter_m / 2
     points = max(FEWEST_POINTS, int(np.ceil(POINTS_PER_PITCH * actuators.diameter_m / actuators.pitch_m)))

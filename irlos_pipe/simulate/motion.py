@@ -1,4 +1,4 @@
-"""Residual image motion: slow wander and the vibration lines of the telescope."""
+"""Image motion: slow wander and the vibration lines of the telescope; blur within a frame."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.special import j0
 
 from irlos_pipe.conventions.facility import VibrationLine
 from irlos_pipe.conventions.keys import key
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate import SceneError
 
 SHORTEST_STEP_S = 1 / 800  # eight samples per period of the fastest line of UT4
 
@@ -36,17 +37,11 @@ class Motion:
 
 
 class MotionSeries:
-    """Image motion from one moment to the next.
+    """Image motion from one moment to the next, drawn from `rng`.
 
     A vibration is the real part of a complex first-order autoregressive process that turns with the
-    line's frequency: exact at any step, and stationary from the first sample.
-
-    Parameters
-    ----------
-    motion : Motion
-    lines : sequence of (frequency_hz, share_x, share_y)
-        Vibrations, unless the motion has its own.
-    rng : numpy.random.Generator
+    line's frequency: exact at any step, and stationary from the first sample. They are `lines`, unless the
+    `motion` has its own.
     """
 
     def __init__(self, motion: Motion, lines: Sequence[VibrationLine], rng: np.random.Generator):
@@ -77,3 +72,41 @@ class MotionSeries:
             track[:, component] = lfilter([1.0], [1.0, -factor], drive[:, component], axis=0, zi=start)[0]
         self._state = track[-1]
         return np.sum(track.real * self._rms_mas, axis=1)
+
+
+@dataclass(frozen=True)
+class MotionBlur:
+    """Motion within one frame.
+
+    Attributes
+    ----------
+    mean_mas : ndarray, (2,)
+        Mean displacement of the image (x, y).
+    covariance_mas2 : ndarray, (2, 2)
+        Of its Gaussian part.
+    sinusoid_mas : ndarray, (2,)
+        Amplitude vector of its sinusoidal part.
+    """
+
+    mean_mas: np.ndarray
+    covariance_mas2: np.ndarray
+    sinusoid_mas: np.ndarray
+
+    def __add__(self, other: MotionBlur) -> MotionBlur:
+        """Two independent motions together; at most one of them is sinusoidal."""
+        return MotionBlur(
+            self.mean_mas + other.mean_mas,
+            self.covariance_mas2 + other.covariance_mas2,
+            self.sinusoid_mas + other.sinusoid_mas,
+        )
+
+    def transfer(self, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:
+        """Return the mean of exp(-2πi f·position) at frequencies `fx`, `fy` [1/mas], which broadcast."""
+        (xx, xy), (_, yy) = self.covariance_mas2
+        spread = xx * fx**2 + 2 * xy * fx * fy + yy * fy**2
+        shift = self.mean_mas[0] * fx + self.mean_mas[1] * fy
+        swing = self.sinusoid_mas[0] * fx + self.sinusoid_mas[1] * fy
+        return np.exp(-2 * np.pi**2 * spread - 2j * np.pi * shift) * j0(2 * np.pi * swing)
+
+
+STILL = MotionBlur(np.zeros(2), np.zeros((2, 2)), np.zeros(2))

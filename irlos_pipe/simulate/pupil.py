@@ -11,7 +11,8 @@ from scipy.signal import firwin
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.aperture import centres, clear_fraction
-from irlos_pipe.simulate.effects.base import PupilEffect, WavefrontEffect
+from irlos_pipe.simulate.effects.pupil import PupilEffect
+from irlos_pipe.simulate.effects.wavefront import WavefrontEffect
 from irlos_pipe.simulate.light import mean_centre_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope
@@ -24,14 +25,9 @@ KAISER_BETA = 5.0  # stop band at -53 dB
 
 @dataclass(frozen=True, eq=False)
 class Pupil(Telescope):
-    """Pupil on a grid that reaches `PAD` samples beyond the diameter.
+    """Pupil on a grid that reaches `PAD` samples beyond the diameter; `geometry` is as built.
 
-    Attributes
-    ----------
-    geometry : PupilGeometry
-        As built: with the spider where it is.
-    drawn : ndarray, (FINE n, FINE n)
-        Mean amplitude in the cells of the drawing.
+    `drawn`, (FINE n, FINE n), is the mean amplitude in the cells of the drawing.
     """
 
     drawn: np.ndarray
@@ -60,15 +56,11 @@ class Pupil(Telescope):
         return fine[None, :], fine[:, None]
 
     def sampled(self, drawn_amplitude: np.ndarray) -> np.ndarray:
-        """Return the amplitude at the samples, (n, n), without the frequencies that they cannot hold.
+        """Return the amplitude at the samples, (n, n), of `drawn_amplitude`, (FINE n, FINE n).
 
-        Edges, vanes and steps are narrower than a sample. Averaged over cells they would blur the
-        image by a sample's width; low-passed with a flat pass band they leave alone what a window of
-        a few tens of λ/D sees.
-
-        Parameters
-        ----------
-        drawn_amplitude : ndarray, (FINE n, FINE n), real or complex
+        Edges, vanes and steps are narrower than a sample. Averaged over cells they would blur the image by a
+        sample's width; low-passed with a flat pass band, without the frequencies that the samples cannot
+        hold, they leave alone what a window of a few tens of λ/D sees.
         """
         low_pass = _low_pass(len(self.u_m))
         return low_pass @ drawn_amplitude @ low_pass.T
@@ -96,20 +88,11 @@ def _build(as_built: PupilGeometry, samples: int, stop_m: tuple[float, float] | 
 
 
 def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float, defocus_nm: float = 0.0) -> np.ndarray:
-    """Return the pupil amplitude (n, n), complex where it has a wavefront of this light only.
+    """Return the amplitude (n, n) in the `pupil` of a `scene`, complex where this light has an own wavefront.
 
-    Such are steps between petals, the focus of a ray, and what depends on wavelength.
-
-    Steps between petals lie on the vanes, so they belong to the drawing rather than to the smooth
-    wavefront that multiplies the samples.
-
-    Parameters
-    ----------
-    scene : Scene
-    pupil : Pupil
-        The scene's.
-    wavelength_nm, defocus_nm : float
-        Defocus beyond that of the wavefront, Noll 4 [nm RMS].
+    Such are what depends on `wavelength_nm`, the focus of a ray (`defocus_nm`, Noll 4 beyond that of the
+    wavefront, nm RMS), and steps between petals. These lie on the vanes, so they belong to the drawing rather
+    than to the smooth wavefront that multiplies the samples.
     """
     transparency: np.ndarray | float = 1.0
     own_nm = _own_zernike_nm(scene, wavelength_nm, defocus_nm)
@@ -133,15 +116,9 @@ def _own_zernike_nm(scene: Scene, wavelength_nm: float, defocus_nm: float) -> di
 
 
 def steps_nm(scene: Scene, pupil: Pupil, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray | None:
-    """Return the wavefront with steps [nm] that effects make; None without such effects.
+    """Return the wavefront with steps [nm] that effects of the `scene` make; None without such effects.
 
-    Parameters
-    ----------
-    scene : Scene
-    pupil : Pupil
-        The scene's.
-    x_m, y_m : ndarray, shapes that broadcast
-        Points in the pupil.
+    It is that at points (`x_m`, `y_m`) of its `pupil`, shapes that broadcast.
     """
     made = (effect.steps_nm(pupil.geometry, x_m, y_m) for effect in scene.acting(PupilEffect))
     given = [steps for steps in made if steps is not None]

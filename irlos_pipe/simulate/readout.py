@@ -1,6 +1,6 @@
 """Raw frames in ADU, and the electrons that a calibration makes of them.
 
-`irlos_pipe.simulate.charge` argues the order of what happens between photon and converter.
+`irlos_pipe.simulate.detector` argues the order of what happens between photon and converter.
 """
 
 from __future__ import annotations
@@ -10,9 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.simulate.charge import Pixels, flat_map, nominal_pixels, pedestal_map_adu
-from irlos_pipe.simulate.detector import ADC_TOP_ADU, marked
-from irlos_pipe.simulate.effects.base import DetectorEffect
+from irlos_pipe.simulate.detector import (
+    ADC_TOP_ADU,
+    Pixels,
+    flat_map,
+    marked,
+    nominal_pixels,
+    pedestal_map_adu,
+)
+from irlos_pipe.simulate.effects.detector import DetectorEffect
 from irlos_pipe.simulate.scene import Scene
 
 DARK_FRAMES = 64  # averaged to the dark image
@@ -22,11 +28,7 @@ FLAT_ERROR = 1e-4  # of the measured flat, relative RMS
 def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
     """Return the pixels of a `scene` with its effects.
 
-    Parameters
-    ----------
-    scene : Scene
-    mean_image_e : ndarray, (rows, columns)
-        Mean image, at whose peak a non-linearity is stated [e-].
+    At the peak of its mean image `mean_image_e`, (rows, columns) [e-], a non-linearity is stated.
     """
     pixels = nominal_pixels(scene.detector, scene.window, scene.exposure_s, scene.sky_e_per_s)
     for effect in scene.acting(DetectorEffect):
@@ -56,18 +58,16 @@ def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.
         signal_e = pixels.signal_e(mean_e / pixels.reads, detector.read_noise_e, rng)
         return pixels.read(np.minimum(signal_e, top_e), pixels.stuck_e) - pixels.dark_e * pixels.response
 
-    return _over_flat(_summed(read_e, pixels.reads), flat_map(detector, scene.window)).astype(np.float32)
+    flat = flat_map(detector, scene.window)
+    # dead pixels keep what they read
+    return (_summed(read_e, pixels.reads) / np.where(flat > 0, flat, 1.0)).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Readout:
     """Turns the mean images of one recording into what its files hold.
 
-    Attributes
-    ----------
-    pixels : Pixels
-    pedestal_adu : ndarray, (rows, columns)
-        Level of each pixel without light [ADU].
+    `pedestal_adu`, (rows, columns), is the level of each pixel without light.
     """
 
     pixels: Pixels
@@ -95,17 +95,9 @@ class Readout:
         return int(min(self.pixels.detector.saturation_adu, ADC_TOP_ADU))
 
     def frames_adu(self, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return raw frames of mean light `mean_e` [e-] with noise of `rng`.
+        """Return raw frames of mean light `mean_e`, (..., rows, columns) [e-], with noise of `rng`.
 
-        Parameters
-        ----------
-        mean_e : ndarray, (..., rows, columns)
-        rng : numpy.random.Generator
-
-        Returns
-        -------
-        ndarray, (..., rows, columns)
-            uint16, or the sum of several reads as int32 [ADU].
+        They are uint16, or the sum of several reads as int32 [ADU].
         """
         pixels = self.pixels
 
@@ -152,8 +144,3 @@ def _summed(read: Callable[[], np.ndarray], reads: int) -> np.ndarray:
     for _ in range(reads - 1):
         total += read()
     return total
-
-
-def _over_flat(signal_e: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """Divide by the flat; dead pixels keep what they read."""
-    return signal_e / np.where(flat > 0, flat, 1.0)

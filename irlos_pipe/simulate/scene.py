@@ -14,11 +14,11 @@ from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
 from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.effects import effects_of
 from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
-from irlos_pipe.simulate.effects.catalogue import effects_of
-from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.mirror import Mirror
 from irlos_pipe.simulate.motion import Motion
@@ -47,75 +47,40 @@ class Sampling:
 class Scene:
     """One recording.
 
-    Attributes
-    ----------
-    facility : Facility
-        Telescope, adaptive optics and site.
-    bands : tuple of Band
-    seed : tuple of int
-        Of everything random in this recording.
-    frames : int
-    exposure_s, frame_rate_hz : float
-    mag_j, throughput : float
-        The star, and the part of the facility's photons that the bands pass.
-    window : (int, int)
-        Rows and columns [px]; with lenslets, of their four images side by side.
-    lenslets : int
-        Per side of the pupil: 1, or 2.
-    lenslet_tilts_mas : tuple of (float, float)
-        By which the image of each lenslet is displaced, (x, y): lower left, lower right, upper left, upper
-        right.
-    lenslet_flux : tuple of float
-        By how much the light of each lenslet differs from its share, relative.
-    ncpa_nm : mapping of int to float
-        Static aberrations, Noll: nm RMS.
-    rotating_nm : mapping of int to float
-        The part before the derotator, as it is at angle 0; it turns with `derotator_angle_deg`,
-        anticlockwise, in addition to `ncpa_nm`.
-    pupil_rotation_deg : float
-        By which the facility's pupil is turned on the detector, anticlockwise.
-    diversity_nm : mapping of int to float
-    introduced_nm : float or tuple of float
-        Defocus (Noll 4) of all frames, or of every frame.
-    mirror : Mirror or None
-        With the offsets it has been sent; what it makes of them is part of the truth.
-    sky : Sky or None
-        AO residual; None on the bench.
-    motion : Motion or None
-        Residual tip-tilt.
-    sky_e_per_s : float
-        Light of the sky in every pixel [e-/s].
-    effects : mapping of str to mapping
-        Effects by their catalogue names, with the catalogue's parameters; the side-car does not state them.
+    Aberrations are by Noll index [nm RMS]. What the side-car does not state are the errors of the lenslets,
+    of the mirror and of the aberrations, and `effects` by their catalogue names, with the catalogue's
+    parameters.
     """
 
     name: str
     facility: Facility
     bands: tuple[Band, ...]
-    seed: tuple[int, ...]
+    seed: tuple[int, ...]  # of everything random in this recording
     frames: int
     exposure_s: float
     role: str = "ncpa_calibration"
     target: str = "simulated"
     mag_j: float = 7.0
-    throughput: float = 1.0
+    throughput: float = 1.0  # part of the facility's photons that the bands pass
     frame_rate_hz: float = 10.0
-    window: tuple[int, int] = (64, 64)
-    lenslets: int = 1
+    window: tuple[int, int] = (64, 64)  # rows and columns; with lenslets, of their four images side by side
+    lenslets: int = 1  # per side of the pupil: 1, or 2
+    # displacement (x, y) of the image of each: lower left, lower right, upper left, upper right
     lenslet_tilts_mas: tuple[tuple[float, float], ...] = ((0.0, 0.0),) * 4
-    lenslet_flux: tuple[float, ...] = (0.0,) * 4
+    lenslet_flux: tuple[float, ...] = (0.0,) * 4  # light of each beyond its share, relative
     pixel_scale_mas: float = 9.7
     ncpa_nm: Mapping[int, float] = field(default_factory=dict)
+    # in addition, what lies before the derotator, as it is at angle 0; it turns anticlockwise with the angle
     rotating_nm: Mapping[int, float] = field(default_factory=dict)
     derotator_angle_deg: float = 0.0
-    pupil_rotation_deg: float = 0.0
+    pupil_rotation_deg: float = 0.0  # of the facility's pupil on the detector, anticlockwise
     diversity_nm: Mapping[int, float] = field(default_factory=dict)
     diversity_source: str = "lens"
-    introduced_nm: float | tuple[float, ...] = 0.0
-    mirror: Mirror | None = None
-    sky: Sky | None = None
-    motion: Motion | None = None
-    sky_e_per_s: float = 0.0
+    introduced_nm: float | tuple[float, ...] = 0.0  # defocus (Noll 4) of all frames, or of every frame
+    mirror: Mirror | None = None  # with the offsets it has been sent; what it makes of them is truth
+    sky: Sky | None = None  # AO residual; None on the bench
+    motion: Motion | None = None  # residual tip-tilt
+    sky_e_per_s: float = 0.0  # light of the sky in every pixel
     effects: Mapping[str, Mapping] = field(default_factory=dict)
     detector: DetectorModel = field(default_factory=DetectorModel)
     sampling: Sampling = field(default_factory=Sampling)

@@ -1,34 +1,68 @@
-"""The pupil on a grid, and the Zernikes on it."""
+"""The pupil on a grid, and the Zernikes on it (R. J. Noll, JOSA 66, 207, 1976)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.special import eval_jacobi
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import MAS, NM
-from irlos_pipe.simulate.zernikes import zernike
+
+
+def noll_orders(noll: int) -> tuple[int, int]:
+    """Return radial order n and signed azimuthal order m (m < 0: sine) of the index `noll`."""
+    n = int((np.sqrt(8 * noll - 7) - 1) // 2)
+    rank = noll - n * (n + 1) // 2  # 1 .. n + 1 within the order
+    m = 2 * (rank // 2) if n % 2 == 0 else 2 * ((rank - 1) // 2) + 1
+    return n, m if noll % 2 == 0 else -m
+
+
+def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return Zernike `noll` at (`x`, `y`) in units of the radius, of unit RMS and continued beyond 1.
+
+    θ counts from +x towards +y.
+
+    ``R_n^m(r) = (-1)^k r^m P_k^(m, 0)(1 - 2 r²)`` with ``k = (n - m) / 2`` and Jacobi's P.
+    """
+    n, m = noll_orders(noll)
+    k = (n - abs(m)) // 2
+    radial = (-1) ** k * eval_jacobi(k, abs(m), 0, 1 - 2 * (x**2 + y**2))
+    turned = (x + 1j * y) ** abs(m)  # r^m exp(i m theta)
+    azimuthal = turned.real if m >= 0 else turned.imag
+    return np.sqrt((n + 1) * (1 if m == 0 else 2)) * radial * azimuthal
+
+
+def rotated_nm(zernike_nm: Mapping[int, float], angle_deg: float) -> dict[int, float]:
+    """Return the coefficients `zernike_nm` of a wavefront turned anticlockwise by `angle_deg`."""
+    turned: dict[int, float] = {}
+    for noll, value_nm in zernike_nm.items():
+        n, m = noll_orders(noll)
+        angle = np.deg2rad(m * angle_deg)
+        # the same mode turned by a quarter of its period
+        partner = noll + 1 if noll_orders(noll + 1) == (n, -m) else noll - 1
+        for own, share in ((noll, np.cos(angle)), (partner, np.sin(angle))) if m else ((noll, 1.0),):
+            turned[own] = turned.get(own, 0.0) + value_nm * float(share)
+    return turned
 
 
 @dataclass(frozen=True, eq=False)
 class Telescope:
     """Sampled pupil; row = y, column = x.
 
-    Attributes
-    ----------
-    geometry : PupilGeometry
-    u_m : ndarray, (n,)
-        Centres of the cells along x and along y, symmetric about the optical axis [m].
-    transmission : ndarray, (n, n)
-        Clear fraction of every cell.
+    Its cells have their centres at `u_m` (n,) along x and along y, symmetric about the optical axis [m];
+    `transmission` (n, n) is the clear fraction of every cell.
     """
 
     geometry: PupilGeometry
     u_m: np.ndarray
     transmission: np.ndarray
+    _modes: dict[int, np.ndarray] = field(init=False, repr=False, default_factory=dict)
+    _fitters: dict[int, np.ndarray] = field(init=False, repr=False, default_factory=dict)
+    _shares: dict[tuple[int, int], np.ndarray] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def step_m(self) -> float:
@@ -39,10 +73,6 @@ class Telescope:
     def area_m2(self) -> float:
         """Return the clear area [m²]."""
         return float(self.transmission.sum()) * self.step_m**2
-
-    @cached_property
-    def _modes(self) -> dict[int, np.ndarray]:
-        return {}
 
     def mode(self, noll: int) -> np.ndarray:
         """Return Zernike `noll` (n, n), of unit RMS over the unobscured disc and continued beyond it."""
@@ -69,17 +99,9 @@ class Telescope:
         Over an obscured pupil the polynomials are not orthogonal: what a wavefront has beyond the fitted
         modes falls on them. Where it is made of polynomials, these are better stated.
 
-        Parameters
-        ----------
-        opd_nm : ndarray, (..., n, n)
-        last_noll : int
-        stated_nm : mapping of int to float, optional
-            Coefficients of polynomials, Noll: nm RMS, that `opd_nm` contains. They are exact in the result,
-            and only the rest is fitted.
-
-        Returns
-        -------
-        ndarray, (..., last_noll - 1)
+        Those of the wavefronts `opd_nm`, (..., n, n), are (..., last_noll - 1). Polynomials in them whose
+        coefficients `stated_nm` (Noll: nm RMS) are known are exact in the result, and only the rest is
+        fitted.
         """
         flat = np.reshape(opd_nm, (*np.shape(opd_nm)[:-2], -1))
         fitted_nm = flat[..., self._lit] @ self._fitter(last_noll).T
@@ -95,16 +117,8 @@ class Telescope:
         return self._shares[key]
 
     @cached_property
-    def _shares(self) -> dict[tuple[int, int], np.ndarray]:
-        return {}
-
-    @cached_property
     def _lit(self) -> np.ndarray:
         return np.flatnonzero(self.transmission)
-
-    @cached_property
-    def _fitters(self) -> dict[int, np.ndarray]:
-        return {}
 
     def _fitter(self, last_noll: int) -> np.ndarray:
         """Weighted pseudo-inverse without the row of piston, (last_noll - 1, lit cells)."""

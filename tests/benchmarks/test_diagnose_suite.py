@@ -43,9 +43,9 @@ from benchmarks.diagnose_suite.working import RECIPES, Folder, settings_of, with
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.simulate.effects.catalogue import effects_of
+from irlos_pipe.simulate.effects import effects_of
+from irlos_pipe.simulate.recordings.files import side_car
 from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.sidecar import side_car
 from irlos_pipe.simulate.recordings.spec import load_spec
 
 CASES = all_cases()

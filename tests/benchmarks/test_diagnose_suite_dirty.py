@@ -31,7 +31,7 @@ from benchmarks.diagnose_suite.scoring_dirty import score_dirty
 from benchmarks.diagnose_suite.settings import SETTINGS
 from benchmarks.diagnose_suite.working import Folder, work
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.recordings.sidecar import side_car
+from irlos_pipe.simulate.recordings.files import side_car
 
 DIRTY = [case for case in all_cases(dirty=True) if case.dirty]
 GHOST = {"flux_ratio": 0.003, "sep_mas": 100.0, "pa_deg": 30.0, "defocus_nm": 100.0}

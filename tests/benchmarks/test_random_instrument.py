@@ -18,7 +18,7 @@ from benchmarks.random_instrument.tolerances import ERRORS, FILTER_NOLLS
 from benchmarks.random_instrument.working import work
 from irlos_pipe.conventions.modes import REPORTED_NOLLS
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.recordings.sidecar import side_car
+from irlos_pipe.simulate.recordings.files import side_car
 
 SPECS = [case.spec() for case in all_cases(1, 200, 0, 20)]
 SMALL = Case(1, 0, 8, window=36)

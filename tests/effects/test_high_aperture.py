@@ -21,7 +21,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.defocus import defocus_nm_per_um, shaped_modes
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.simulate.effects.high_aperture import HighAperture as Simulated
+from irlos_pipe.simulate.effects.wavefront import HighAperture as Simulated
 from irlos_pipe.simulate.telescope import Telescope
 from irlos_pipe.stages.diagnose.ramp import sentence
 

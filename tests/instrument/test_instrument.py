@@ -38,14 +38,9 @@ def test_the_vanes_of_a_pair_enclose_101_degrees():
     assert math.degrees(directions[1] - directions[0]) == pytest.approx(101, abs=0.1)
 
 
-def test_photometry_and_scale_are_the_projects():
-    irlos = load_instrument("irlos")
-    assert irlos.facility.photons_per_s_m15 == 150000
-    assert irlos.defaults["pixel_scale_mas"] == 9.7
-
-
 def test_adaptive_optics_and_laws_are_those_of_the_publications():
     facility = load_instrument("irlos").facility
+    assert facility.photons_per_s_m15 == 150000
     assert (facility.cutoff_per_m, facility.outer_scale_m) == (2.5, 25.0)
     assert facility.residual_law.wfe_nm(0.5) == pytest.approx(110.7, abs=0.05)
     assert facility.ncpa_law.sigma_nm([2, 7]) == pytest.approx([80, 10 + 70 / math.e])
@@ -90,76 +85,45 @@ def test_an_unknown_name_gets_a_suggestion():
         load_instrument("irls")
 
 
-def test_a_profile_of_ones_own_is_loaded_by_path(tmp_path, profile):
-    profile["facts"]["pupil_diameter_m"]["value"] = 8.1196
-    assert load_instrument(written(tmp_path, profile)).pupil.diameter_m == 8.1196
-
-
 def test_a_file_that_is_missing_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"gone\.yaml: cannot be read"):
         load_instrument(tmp_path / "gone.yaml")
 
 
-def remove_unit(profile):
-    del profile["facts"]["pupil_diameter_m"]["unit"]
-
-
-def misspell_status(profile):
-    profile["facts"]["pupil_diameter_m"]["status"] = "adoptd"
-
-
-def remove_fact(profile):
-    del profile["facts"]["photons_per_s_m15"]
-
-
-def give_text(profile):
-    profile["facts"]["pupil_diameter_m"]["value"] = "eight"
-
-
-def break_vane(profile):
-    profile["facts"]["pupil_vanes_m"]["value"] = [[0, 1, 2]]
-
-
-def remove_law(profile):
-    del profile["facts"]["ao_residual_floor_nm"]
-
-
-def break_line(profile):
-    profile["facts"]["vibration_lines"]["value"] = [[48.3, 0.1]]
-
-
-def turn_seeing_round(profile):
-    profile["facts"]["seeing_ratio_mass_dimm"]["value"] = -1
-
-
-def misspell_reference(profile):
-    profile["defaults"]["seeing_arcsec"] = "seing_arcsec"
-
-
-def overlap_dates(profile):
-    profile["facts"]["pixel_scale_small_mas"][0].pop("until")
+GONE = object()
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("where", "value", "message"),
     [
-        (remove_unit, r"mine\.yaml:\d+: key 'facts\.pupil_diameter_m\.0\.unit' is missing"),
+        ("facts.pupil_diameter_m.unit", GONE, r"yaml:\d+: key 'facts\.pupil_diameter_m\.0\.unit' is missing"),
         (
-            misspell_status,
+            "facts.pupil_diameter_m.status",
+            "adoptd",
             r"mine\.yaml:\d+: facts\.pupil_diameter_m\.0\.status = 'adoptd'.*did you mean 'adopted'",
         ),
-        (remove_fact, "fact 'photons_per_s_m15' is missing"),
-        (give_text, "fact 'pupil_diameter_m' = 'eight' should be a number"),
-        (break_vane, r"fact 'pupil_vanes_m' should be a list of \[\[x, y\], \[x, y\]\]"),
-        (remove_law, "fact 'ao_residual_floor_nm' is missing"),
-        (break_line, r"fact 'vibration_lines' should be a list of \[Hz, share_x, share_y\]"),
-        (turn_seeing_round, "seeing scale 'mass_dimm': ratio -1 should be positive"),
-        (misspell_reference, "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
-        (overlap_dates, "fact 'pixel_scale_small_mas' has 2 values on the present day"),
+        ("facts.photons_per_s_m15", GONE, "fact 'photons_per_s_m15' is missing"),
+        ("facts.pupil_diameter_m.value", "eight", "fact 'pupil_diameter_m' = 'eight' should be a number"),
+        ("facts.pupil_vanes_m.value", [[0, 1, 2]], r"should be a list of \[\[x, y\], \[x, y\]\]"),
+        ("facts.vibration_lines.value", [[48.3, 0.1]], r"should be a list of \[Hz, share_x, share_y\]"),
+        ("facts.seeing_ratio_mass_dimm.value", -1, "seeing scale 'mass_dimm': ratio -1 should be positive"),
+        ("facts.seeing_arcsec.since", "2020-01-02", "since 2020-01-02 is not before until 2020-01-01"),
+        ("facts.pixel_scale_small_mas", [], "fact 'pixel_scale_small_mas' has 0 values on the present day"),
+        ("defaults.seeing_arcsec", "seing_arcsec", "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
+        (
+            "defaults.pixel_scale",
+            "pixel_scale_mas",
+            "side-car key 'pixel_scale'; did you mean",
+        ),
     ],
 )
-def test_a_mistake_in_a_profile_is_told_with_the_file(tmp_path, profile, change, message):
-    change(profile)
+def test_a_mistake_in_a_profile_is_told_with_the_file(tmp_path, profile, where, value, message):
+    profile["facts"]["seeing_arcsec"]["until"] = "2020-01-01" if "since" in where else None
+    *above, key = where.split(".")
+    section = profile
+    for name in above:
+        section = section[name]
+    section.pop(key) if value is GONE else section.update({key: value})
     with pytest.raises(ConfigurationError, match=message) as caught:
         load_instrument(written(tmp_path, profile))
     assert "mine.yaml" in str(caught.value)

@@ -15,9 +15,8 @@ from helpers.paths import REPOSITORY
 from pydantic import BaseModel
 
 from irlos_pipe.conventions.pupil_parts import PARTS
-from irlos_pipe.instrument.facts import DEFAULTS, FACTS
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.instrument.profile import ModeEntry, SeeingScaleEntry
+from irlos_pipe.instrument.profile import DEFAULTS, FACTS, ModeEntry, SeeingScaleEntry
 from irlos_pipe.instrument.pupil import MapEntry, PupilSection, TurnRule, VaneEntry
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil_division import petals_of, segments_of

@@ -7,9 +7,8 @@ import yaml
 from helpers.paths import REPOSITORY
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.instrument.facts import FACTS
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
-from irlos_pipe.instrument.units import require_unit, unit_of_name
+from irlos_pipe.instrument.profile import FACTS, require_unit, unit_of_name
 
 
 @pytest.fixture

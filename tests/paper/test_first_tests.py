@@ -13,8 +13,8 @@ from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.paper import first_tests
 from irlos_pipe.paper.first_tests import TARGETS, Target, stage_error, variants_of, wrong_minima
-from irlos_pipe.simulate.effects.catalogue import effects_of
-from irlos_pipe.simulate.effects.focus_stage import reached_nm
+from irlos_pipe.simulate.effects import effects_of
+from irlos_pipe.simulate.effects.wavefront import reached_nm
 
 TARGET_1, TARGET_2 = TARGETS["target_1"], TARGETS["target_2"]
 

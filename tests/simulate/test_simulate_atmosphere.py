@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from helpers.simulated_scenes import FACILITY, scene
 
-from irlos_pipe.simulate.atmosphere import Sky, aliasing_psd, von_karman_nm2_m2
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate import SceneError
+from irlos_pipe.simulate.atmosphere import ResidualScreens, Sky, aliasing_psd, von_karman_nm2_m2
 from irlos_pipe.simulate.pupil import pupil_of
 from irlos_pipe.simulate.scene import Sampling
-from irlos_pipe.simulate.screens import ResidualScreens
 
 COARSE = 64  # samples across the pupil, for statistics that need many screens
 FAR_APART_S = 0.5  # longer than any lifetime of a stationary residual

@@ -4,8 +4,6 @@ Truth: HCIPy on a finer pupil for what changes the pupil; equal scenes told in a
 image is a tilted wavefront, a shifted band is another band); areas and moments by analysis.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from helpers.reference_psf import reference
@@ -14,48 +12,21 @@ from scipy.ndimage import label
 from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.effects.base import PupilEffect
-from irlos_pipe.simulate.effects.catalogue import EFFECTS
+from irlos_pipe.simulate.effects import EFFECTS
 from irlos_pipe.simulate.effects.pupil import LowWindEffect
-from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.exposure import expose, telescope_of, with_effective_sky
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.scene import Sampling
 
-CONTRACT = {
-    "tip_tilt_jitter",
-    "vibration",
-    "seeing_halo",
-    "uneven_residual",
-    "atmospheric_dispersion",
-    "chromatic_ncpa",
-    "filter_ncpa",
-    "spectrum",
-    "plate_scale",
-    "anamorphism",
-    "diversity_error",
-    "pupil_misregistration",
-    "pupil_geometry",
-    "amplitude_aberration",
-    "pupil_spot",
-    "low_wind_effect",
-    "segment_piston",
-    "high_order_ncpa",
-    "phase_bump",
-    "ncpa_drift",
-    "companion",
-    "ghost",
-    "interpixel_crosstalk",
-    "detector_nonlinearity",
-    "background_gradient",
-    "bad_pixels",
-    "focus_stage_hysteresis",
-    "focus_stage_offset",
-    "focus_stage_scale",
-    "high_aperture",
-    "correlated_noise",
-}
+CONTRACT = """
+    tip_tilt_jitter vibration seeing_halo uneven_residual atmospheric_dispersion chromatic_ncpa filter_ncpa
+    spectrum plate_scale anamorphism diversity_error pupil_misregistration pupil_geometry amplitude_aberration
+    pupil_spot low_wind_effect segment_piston high_order_ncpa phase_bump ncpa_drift companion ghost
+    interpixel_crosstalk detector_nonlinearity background_gradient bad_pixels focus_stage_hysteresis
+    focus_stage_offset focus_stage_scale high_aperture correlated_noise
+"""
 SAMPLES = 512  # of HCIPy's pupil
 TOTAL_NM = {**NCPA_NM, 6: NCPA_NM[6] - 170.0}
 PETALS = {"piston_nm": [70, -70, 50, -30], "tip_nm": [0, 20, 0, -20], "tilt_nm": [25, 0, -25, 0]}
@@ -70,7 +41,7 @@ def moved(x_mas: float, y_mas: float, **changes) -> np.ndarray:
 
 
 def test_the_catalogue_is_that_of_the_contract():
-    assert set(EFFECTS) == CONTRACT
+    assert set(EFFECTS) == set(CONTRACT.split())
 
 
 @pytest.mark.parametrize(
@@ -88,19 +59,6 @@ def test_what_is_not_known_or_does_not_fit_is_refused_in_one_line(effects, messa
     with pytest.raises(ValueError, match=message):
         expose(scene(effects=effects))
     assert issubclass(SceneError, ValueError)
-
-
-def test_a_new_effect_is_one_class_and_one_line_of_the_catalogue(monkeypatch):
-    @dataclass(frozen=True)
-    class Grey(PupilEffect):
-        name = "grey"
-        transmission: float
-
-        def transparency(self, pupil):
-            return np.sqrt(self.transmission)
-
-    monkeypatch.setitem(EFFECTS, "grey", Grey)
-    assert worst(image(effects={"grey": {"transmission": 0.7}}), 0.7 * image()) < 1e-6
 
 
 @pytest.mark.slow
@@ -379,12 +337,13 @@ def test_a_bump_stands_where_it_is_told():
 
 
 def test_a_drift_is_linear_over_the_cube_and_its_mean_is_in_the_truth():
-    drifting = scene(frames=5, ncpa_nm={}, effects={"ncpa_drift": {"zernike_nm": {5: 40.0}}})
+    drifting = scene(frames=5, ncpa_nm={}, effects={"ncpa_drift": {"zernike_nm": {5: 40.0, 37: 50.0}}})
     exposed = expose(drifting)
     assert np.allclose(exposed.zernike_nm[:, 3], [0, 10, 20, 30, 40])
+    assert np.allclose(np.delete(exposed.zernike_nm, 3, axis=1), 0.0, atol=1e-6)
     assert np.isclose(exposed.mean_zernike_nm()[5], 20.0)
     last = exposed.mean_e[-1] / drifting.photons
-    assert worst(last, image(ncpa_nm={5: 40.0})) < 1e-6
+    assert worst(last, image(ncpa_nm={5: 40.0, 37: 50.0})) < 1e-6
 
 
 def test_a_companion_adds_its_light_in_its_place():
@@ -440,34 +399,23 @@ def test_what_the_focus_stage_misses_is_in_the_truth(effect, expected_nm):
 def test_the_scatter_of_the_stage_is_drawn_for_every_move():
     offsets = tuple(np.repeat(np.arange(1.0, 101.0), 2))
     effect = {"focus_stage_hysteresis": {"nm": 0.0, "scatter_nm": 15.0}}
-    missed = expose(
-        scene(
-            frames=200,
-            introduced_nm=offsets,
-            ncpa_nm={},
-            effects=effect,
-            window=(2, 2),
-            sampling=Sampling(32, 1),
-        )
-    ).zernike_nm[:, 2]
+    quick = {"ncpa_nm": {}, "window": (2, 2), "sampling": Sampling(32, 1)}
+    ramp = scene(frames=200, introduced_nm=offsets, effects=effect, **quick)
+    missed = expose(ramp).zernike_nm[:, 2]
     assert np.allclose(missed[::2], missed[1::2])
     assert np.isclose(missed.std(), 15.0, rtol=0.2)
 
 
-@pytest.mark.parametrize("effect", ["seeing_halo", "companion", "low_wind_effect", "vibration"])
-def test_effects_act_under_a_sky_too(effect):
-    parameters = {
-        "seeing_halo": {"scale": 1.5},
-        "companion": {"flux_ratio": 0.1, "sep_mas": 120.0, "pa_deg": 10.0},
-        "low_wind_effect": PETALS,
-        "vibration": {"sigma_mas": 15.0},
-    }[effect]
+@pytest.mark.parametrize(
+    ("effect", "parameters"),
+    [
+        ("seeing_halo", {"scale": 1.5}),
+        ("companion", {"flux_ratio": 0.1, "sep_mas": 120.0, "pa_deg": 10.0}),
+        ("low_wind_effect", PETALS),
+        ("vibration", {"sigma_mas": 15.0}),
+    ],
+)
+def test_effects_act_under_a_sky_too(effect, parameters):
     sky = {"sky": Sky(0.4), "exposure_s": 0.02}
     plain, changed = image(**sky), image(**sky, effects={effect: parameters})
     assert worst(changed, plain) > 0.01
-
-
-def test_the_mean_wavefront_of_a_sky_scene_is_that_of_its_frames():
-    cube = expose(scene(sky=Sky(0.5), frames=3, exposure_s=0.05, window=(16, 16)))
-    assert np.allclose(list(cube.mean_zernike_nm().values()), cube.zernike_nm.mean(axis=0), atol=1e-6)
-    assert cube.mean_opd_nm.shape == cube.transmission.shape == (128, 128)

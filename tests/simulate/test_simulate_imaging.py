@@ -17,7 +17,7 @@ from irlos_pipe.simulate.exposure import expose, exposures, telescope_of
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Sampling
-from irlos_pipe.simulate.zernikes import rotated_nm, zernike
+from irlos_pipe.simulate.telescope import rotated_nm, zernike
 
 DISC = PupilGeometry(8.0)
 SAMPLES = 768  # of HCIPy's pupil; those of the simulator are 256 and 128

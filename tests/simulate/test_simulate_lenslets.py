@@ -9,7 +9,6 @@ import pytest
 import torch
 from astropy.io import fits
 
-from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.optics.lenslets import LensletArray, apart, side_by_side
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
@@ -76,22 +75,3 @@ def test_a_raw_file_has_quadrants_with_borders_and_perhaps_no_side_car(tmp_path)
     apart = cube.reshape(2, 2, 12, 2, 12)
     inside = apart[:, :, 1:-1, :, 1:-1]
     assert inside.min() > 100 and cube.sum(dtype=int) == inside.sum(dtype=int)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"layout": "recorder"}, "is one of MUSE raw files; use layout: muse_raw"),
-        ({"window": [21, 20]}, r"window \[21, 20\] has no four equal images"),
-        (
-            {"mode": "64x64_FullPupil_200Hz_HighGain", "lenslet_images": {"flux": [0, 0, 0, 0]}},
-            "has no lenslets",
-        ),
-        ({"lenslet_images": {"x_mas": [0, 0, 0]}}, "x_mas"),
-        ({"start": "yesterday"}, "start"),
-        ({"start": "2020-99-14T03:21:10"}, "start"),
-    ],
-)
-def test_what_does_not_fit_is_refused(tmp_path, changes, message):
-    with pytest.raises(ConfigurationError, match=message):
-        plan_recordings(spec(tmp_path, **changes))

@@ -12,7 +12,7 @@ import pytest
 from helpers import optics_cases as cases
 
 from irlos_pipe.conventions import bands
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.exposure import expose, telescope_of
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.mirror import Actuators, Mirror

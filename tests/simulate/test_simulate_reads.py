@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from helpers.simulated_scenes import FACILITY
 
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector import DetectorModel
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate.detector import DetectorModel, Pattern
 from irlos_pipe.simulate.exposure import exposures
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.pattern_noise import Pattern
 from irlos_pipe.simulate.readout import Readout, electrons
 from irlos_pipe.simulate.scene import Sampling, Scene
 
@@ -76,10 +75,9 @@ def test_a_bend_stated_at_the_peak_of_a_frame_does_not_depend_on_the_reads():
         assert image.mean() == pytest.approx(0.9e6, rel=1e-3)
 
 
-@pytest.mark.parametrize("read_s", [0.007, 0.5])
-def test_reads_that_do_not_fill_the_exposure_are_refused_in_one_line(read_s):
+def test_reads_that_do_not_fill_the_exposure_are_refused_in_one_line():
     with pytest.raises(SceneError, match=r"do not add up to exposure_s = 0\.04") as error:
-        scene(read_s=read_s)
+        scene(read_s=0.007)
     assert "\n" not in str(error.value)
 
 

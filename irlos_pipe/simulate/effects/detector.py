@@ -8,27 +8,18 @@ from typing import Literal
 
 import numpy as np
 
-from irlos_pipe.simulate.charge import Pixels, shared
-from irlos_pipe.simulate.detector import Pixel, marked, outside_window
-from irlos_pipe.simulate.effects.base import DetectorEffect, RecordingSetup, own, wider
-from irlos_pipe.simulate.pattern_noise import Axis, Pattern
+from irlos_pipe.simulate.detector import Axis, Pattern, Pixel, Pixels, marked, outside_window, shared
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, own, wider
 
 Kind = Literal["hot", "dead", "stuck"]
 
 
-@dataclass(frozen=True)
-class CorrelatedNoise(DetectorEffect):
-    """Stripes of `e_rms` per frame that differ from read to read: 1/f noise, or a tone of `period_px`."""
-
-    name = "correlated_noise"
-    e_rms: float
-    axis: Axis = "rows"
-    period_px: float | None = None
+class DetectorEffect(SimulatedEffect):
+    """Changes the pixels."""
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """See `DetectorEffect.on`; stripes of independent reads add up in variance."""
-        of_one = self.e_rms / np.sqrt(pixels.reads)
-        return replace(pixels, pattern=Pattern(float(of_one), self.axis, self.period_px))
+        """Return the `pixels` with the effect; `mean_image_e` (rows, columns) is that of one read [e-]."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -75,15 +66,26 @@ class BackgroundGradient(DetectorEffect):
 
 
 @dataclass(frozen=True)
-class BadPixels(DetectorEffect):
-    """Pixels that went bad after the calibration images were taken.
+class CorrelatedNoise(DetectorEffect):
+    """Stripes of `e_rms` per frame that differ from read to read: 1/f noise, or a tone of `period_px`."""
 
-    Attributes
-    ----------
-    pixels : sequence of (row, column)
-    kind : {"hot", "dead", "stuck"}
-    level_e : float
-        Mean charge of hot pixels per frame, or constant reading of stuck ones above the pedestal [e-].
+    name = "correlated_noise"
+    e_rms: float
+    axis: Axis = "rows"
+    period_px: float | None = None
+
+    def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
+        """See `DetectorEffect.on`; stripes of independent reads add up in variance."""
+        of_one = self.e_rms / np.sqrt(pixels.reads)
+        return replace(pixels, pattern=Pattern(float(of_one), self.axis, self.period_px))
+
+
+@dataclass(frozen=True)
+class BadPixels(DetectorEffect):
+    """Pixels, (row, column) each, that went bad after the calibration images were taken.
+
+    `level_e` is the mean charge of hot ones per frame, or the constant reading of stuck ones above the
+    pedestal [e-].
     """
 
     name = "bad_pixels"

@@ -9,8 +9,32 @@ import numpy as np
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.simulate.aperture import petal_count, petal_index, segment_count, segment_index
-from irlos_pipe.simulate.effects.base import PupilEffect, RecordingSetup, wider
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, wider
 from irlos_pipe.simulate.telescope import Telescope
+
+
+class PupilEffect(SimulatedEffect):
+    """Changes where light passes the pupil, or puts steps into the wavefront there."""
+
+    @property
+    def stop_m(self) -> tuple[float, float] | None:
+        """Position (x, y) of an internal stop [m]."""
+        return None
+
+    def built(self, geometry: PupilGeometry) -> PupilGeometry:
+        """Return the pupil as it is built, of which the side-car tells the `geometry`."""
+        return geometry
+
+    def transparency(self, pupil: Telescope) -> np.ndarray | float:
+        """Return the relative amplitude on the samples of the `pupil`, (n, n)."""
+        return 1.0
+
+    def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray | None:
+        """Return the wavefront with steps [nm] at points (`x_m`, `y_m`), shapes that broadcast.
+
+        None for an effect that makes no steps in the pupil `geometry`.
+        """
+        return None
 
 
 @dataclass(frozen=True)
@@ -80,11 +104,8 @@ class PupilSpot(PupilEffect):
 class LowWindEffect(PupilEffect):
     """Piston, tip and tilt of the petals, which calm nights bring.
 
-    Attributes
-    ----------
-    piston_nm, tip_nm, tilt_nm : sequence of float, optional
-        One value per petal each, anticlockwise from the one nearest to the +45° diagonal; tip and tilt are
-        Noll 2 and 3 of the whole pupil, restricted to the petal.
+    One value per petal each, anticlockwise from the one nearest to the +45° diagonal; tip and tilt are Noll 2
+    and 3 of the whole pupil, restricted to the petal.
     """
 
     name = "low_wind_effect"
@@ -94,9 +115,8 @@ class LowWindEffect(PupilEffect):
 
     def misfit(self, setup: RecordingSetup) -> str:
         """See `SimulatedEffect.misfit`: as many values as petals."""
-        petals = petal_count(setup.geometry)
-        given = {key: getattr(self, key) for key in ("piston_nm", "tip_nm", "tilt_nm")}
-        return _misfit(self.name, "petals", petals, {k: v for k, v in given.items() if v is not None})
+        given = {"piston_nm": self.piston_nm, "tip_nm": self.tip_nm, "tilt_nm": self.tilt_nm}
+        return _misfit(self.name, "petals", petal_count(setup.geometry), given)
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """See `PupilEffect.steps_nm`."""
@@ -111,13 +131,7 @@ class LowWindEffect(PupilEffect):
 
 @dataclass(frozen=True)
 class SegmentPiston(PupilEffect):
-    """Piston of the segments of the pupil.
-
-    Attributes
-    ----------
-    piston_nm : sequence of float
-        One value per segment, in the order of their numbers.
-    """
+    """Piston of the segments of the pupil, `piston_nm` in the order of their numbers."""
 
     name = "segment_piston"
     piston_nm: Sequence[float]
@@ -131,9 +145,9 @@ class SegmentPiston(PupilEffect):
         return np.asarray(self.piston_nm, float)[segment_index(geometry, x_m, y_m)]
 
 
-def _misfit(name: str, parts: str, count: int, given: dict[str, Sequence[float]]) -> str:
+def _misfit(name: str, parts: str, count: int, given: dict[str, Sequence[float] | None]) -> str:
     """What is wrong with lists that should have one value per part of the pupil."""
     if count < 2:
         return f"effects.{name}: the pupil is not divided into {parts}; leave it out"
-    wrong = [key for key, values in given.items() if len(values) != count]
+    wrong = [key for key, values in given.items() if values is not None and len(values) != count]
     return f"effects.{name}.{wrong[0]}: the pupil has {count} {parts}; give as many values" if wrong else ""

@@ -1,26 +1,81 @@
-"""Effects on the smooth wavefront: further modes, errors of the diversity, bumps, drifts, colour, filters."""
+"""Effects on the smooth wavefront: modes, bumps, drifts, colour, focus stage and the lens that it moves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from irlos_pipe.simulate.effects.base import RecordingSetup, WavefrontEffect, own, wider
+from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, own, wider
 from irlos_pipe.simulate.telescope import Telescope
 
+REST_NM = 0.0  # where the focus stage stands before the first move
 
-@dataclass(frozen=True)
-class HighOrderNcpa(WavefrontEffect):
-    """Further static modes `zernike_nm`, Noll: nm RMS."""
 
-    name = "high_order_ncpa"
-    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
+class WavefrontEffect(SimulatedEffect):
+    """Adds a smooth wavefront that does not change during a frame."""
+
+    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
+        """Return static coefficients, Noll: nm RMS, beside the declared diversity `diversity_nm`."""
+        return {}
+
+    def chromatic_zernike_nm(self, wavelength_nm: float, mean_nm: float) -> Mapping[int, float]:
+        """Return coefficients at `wavelength_nm` only, Noll: nm RMS.
+
+        `mean_nm` is the photon-weighted mean of the bands' centres.
+        """
+        return {}
+
+    def static_opd_nm(self, telescope: Telescope) -> np.ndarray | float:
+        """Return a static wavefront (n, n) [nm] that is no sum of Zernikes, on the grid of `telescope`."""
+        return 0.0
+
+    def drift_zernike_nm(self) -> Mapping[int, float]:
+        """Return the change from the first frame to the last, Noll: nm RMS."""
+        return {}
+
+
+class FocusStageEffect(SimulatedEffect):
+    """Makes the focus stage miss its commanded position."""
+
+    def reached_nm(
+        self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Return the defocus that the stage introduces, (positions,) [nm RMS].
+
+        Without the effect it is `reached_nm`, where the stage is sent `commanded_nm`, in the order of time;
+        what is random is drawn from `rng`.
+        """
+        raise NotImplementedError
+
+
+class LensEffect(SimulatedEffect):
+    """Changes the wavefront that a moved focus makes."""
+
+    def defocus(self, telescope: Telescope) -> np.ndarray:
+        """Return the wavefront (n, n) of introduced defocus on `telescope`, its part of Noll 4 being one."""
+        return telescope.mode(DEFOCUS)
+
+
+class StaticModes(WavefrontEffect):
+    """Static modes `zernike_nm`, Noll: nm RMS."""
+
+    zernike_nm: Mapping[int, float]
 
     def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
         """See `WavefrontEffect.static_zernike_nm`."""
         return self.zernike_nm
+
+
+@dataclass(frozen=True)
+class HighOrderNcpa(StaticModes):
+    """Further static modes `zernike_nm`, Noll: nm RMS."""
+
+    name = "high_order_ncpa"
+    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
 
 
 @dataclass(frozen=True)
@@ -76,10 +131,7 @@ class NcpaDrift(WavefrontEffect):
 class ChromaticNcpa(WavefrontEffect):
     """Modes that change in proportion to wavelength, Noll: nm RMS per µm.
 
-    Attributes
-    ----------
-    reference_nm : float, optional
-        Wavelength at which they vanish; the photon-weighted mean of the bands' centres by default.
+    They vanish at `reference_nm`, by default the photon-weighted mean of the bands' centres.
     """
 
     name = "chromatic_ncpa"
@@ -93,12 +145,118 @@ class ChromaticNcpa(WavefrontEffect):
 
 
 @dataclass(frozen=True)
-class FilterNcpa(WavefrontEffect):
+class FilterNcpa(StaticModes):
     """The wavefront `zernike_nm` of the filter or lens of this recording, Noll: nm RMS."""
 
     name = "filter_ncpa"
     zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
 
-    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
-        """See `WavefrontEffect.static_zernike_nm`."""
-        return self.zernike_nm
+
+@dataclass(frozen=True)
+class FocusStageScale(FocusStageEffect):
+    """The introduced defocus is larger than commanded by a `fraction`."""
+
+    name = "focus_stage_scale"
+    fraction: float = wider(-1.0, 10.0)
+
+    def reached_nm(
+        self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """See `FocusStageEffect.reached_nm`."""
+        return reached_nm * (1 + self.fraction)
+
+
+@dataclass(frozen=True)
+class FocusStageHysteresis(FocusStageEffect):
+    """Bias by the direction of travel.
+
+    Attributes
+    ----------
+    nm : float
+        Bias after moving towards larger positions, its opposite otherwise.
+    scatter_nm : float
+        RMS of a part that is drawn for every move.
+    direction : float, optional
+        +1 or -1: direction of the move that led to the first position, if it was not from 0.
+    """
+
+    name = "focus_stage_hysteresis"
+    nm: float = wider(-1e4, 1e4)
+    scatter_nm: float = own("nm RMS, drawn for every move", 0.0, 5000.0, 0.0)
+    direction: float | None = own("+1 or -1, of the move to the first position", -1.0, 1.0)
+
+    def reached_nm(
+        self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """See `FocusStageEffect.reached_nm`."""
+        moves = np.cumsum(np.diff(commanded_nm, prepend=commanded_nm[0]) != 0)
+        scatter_nm = self.scatter_nm * rng.standard_normal(moves[-1] + 1)[moves]
+        return reached_nm + (travel_directions(commanded_nm, self.direction) * self.nm + scatter_nm)
+
+
+@dataclass(frozen=True)
+class FocusStageOffset(FocusStageEffect):
+    """Bias `nm` of the commanded positions larger than `above_nm` and smaller than `below_nm`."""
+
+    name = "focus_stage_offset"
+    nm: float = wider(-1e4, 1e4)
+    above_nm: float | None = None
+    below_nm: float | None = None
+
+    def reached_nm(
+        self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """See `FocusStageEffect.reached_nm`."""
+        above_nm = -np.inf if self.above_nm is None else self.above_nm
+        below_nm = np.inf if self.below_nm is None else self.below_nm
+        return reached_nm + np.where((commanded_nm > above_nm) & (commanded_nm < below_nm), self.nm, 0.0)
+
+
+def reached_nm(
+    commanded_nm: ArrayLike, effects: Iterable[SimulatedEffect], rng: np.random.Generator
+) -> np.ndarray:
+    """Return the defocus that the stage introduces, (positions,) [nm RMS].
+
+    ``reached = (1 + fraction) commanded + direction · nm + scatter + bias``, of `commanded_nm` (positions,)
+    in the order of time: those of the `effects` that are of the stage act one after the other, drawing from
+    `rng`.
+    """
+    commanded = np.asarray(commanded_nm, float)
+    reached = commanded
+    for effect in effects:
+        if isinstance(effect, FocusStageEffect):
+            reached = effect.reached_nm(reached, commanded, rng)
+    return reached
+
+
+def travel_directions(commanded_nm: np.ndarray, first: float | None = None) -> np.ndarray:
+    """Return the direction of the last move, (positions,): +1 towards larger positions, 0 before any move.
+
+    A stage that stays keeps it. The positions `commanded_nm` are in the order of time; `first` is the
+    direction of the move to the first one, by default from `REST_NM`.
+    """
+    directions, last = [], 0.0
+    for index, move in enumerate(np.diff(commanded_nm, prepend=REST_NM)):
+        last = first if index == 0 and first is not None else float(np.sign(move)) or last
+        directions.append(last)
+    return np.array(directions)
+
+
+@dataclass(frozen=True)
+class HighAperture(LensEffect):
+    """The focus stage moves the focus where rays of the pupil's rim have the `sine`, NA / n."""
+
+    name = "high_aperture"
+    sine: float
+
+    def defocus(self, telescope: Telescope) -> np.ndarray:
+        """See `LensEffect.defocus`: the path ``1 - cos θ`` over its part of Noll 4."""
+        s2 = self.sine**2
+        if s2 == 0:
+            return super().defocus(telescope)
+        u = telescope.u_m * 2 / telescope.geometry.diameter_m
+        cosine = np.sqrt(np.maximum(1 - s2 * (u[None, :] ** 2 + u[:, None] ** 2), 0))
+        # ∫ sqrt(1 - s² t) dt and ∫ t sqrt(1 - s² t) dt over t = ρ² from 0 to 1
+        q = np.sqrt(1 - s2)
+        plain, first = 2 * (1 - q**3) / (3 * s2), (2 * (1 - q**3) / 3 - 2 * (1 - q**5) / 5) / s2**2
+        return (plain - cosine) / (np.sqrt(3) * (plain - 2 * first))

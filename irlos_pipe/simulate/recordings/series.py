@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from irlos_pipe.simulate.effects.catalogue import effects_of
-from irlos_pipe.simulate.effects.focus_stage import reached_nm
-from irlos_pipe.simulate.recordings.planned import LOOP_HZ, Defocus, Planned
-from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
-from irlos_pipe.simulate.recordings.scenes import number
-from irlos_pipe.simulate.recordings.spec import Spec
+from irlos_pipe.simulate.effects import effects_of
+from irlos_pipe.simulate.effects.wavefront import reached_nm
+from irlos_pipe.simulate.recordings.files import LOOP_HZ, Defocus, Planned
+from irlos_pipe.simulate.recordings.keys import RecordingKeys
+from irlos_pipe.simulate.recordings.spec import Spec, number
 
 FIRST_START_UNIX_S = 1_707_618_000
 SLOT_S = 86_400  # between the starts of two sections of a spec, so that changing one moves no other
@@ -20,8 +20,7 @@ MOVE_S = 24  # of focus stage or derotator, between the recordings of a series
 FIRST_COUNTER, COUNTER_WRAP = 1000, 2**30
 
 
-@dataclass(frozen=True)
-class _Member:
+class _Member(NamedTuple):
     """One recording of a series; `position` is its place in time."""
 
     name: str
@@ -38,11 +37,13 @@ def plan_recordings(spec: Spec) -> list[Planned]:
 
 
 def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[Planned]:
-    """Recordings of one section of the spec."""
-    scene = spec.scenes[name]
-    hidden = keys.effects.given() if keys.effects else {}
+    """Recordings of one section of the spec, which starts as told or by its place (`slot`) there."""
+    scene, hidden = spec.scenes[name], keys.hidden
     rng = np.random.default_rng([spec.seed, number(name), number("focus stage")])
     duration_s = MOVE_S + int(np.ceil(scene.frames * scene.period_s))
+    first_s = FIRST_START_UNIX_S + slot * SLOT_S
+    if keys.start is not None:
+        first_s = int(np.datetime64(keys.start, "s").astype(int))
     for member in _members(name, keys, hidden, rng):
         after_s = member.position * duration_s
         own = replace(
@@ -51,55 +52,39 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
             seed=(spec.seed, number(member.name)),
             introduced_nm=member.reached_nm,
             derotator_angle_deg=member.angle_deg,
-            start_unix_s=_first_start_unix_s(keys, slot) + after_s,
+            start_unix_s=first_s + after_s,
             first_counter=FIRST_COUNTER + after_s * LOOP_HZ % COUNTER_WRAP,
         )
-        yield Planned(
-            member.name, own, member.commanded_nm, hidden, keys.layout, keys.mode, side_car=keys.side_car
-        )
-
-
-def _first_start_unix_s(keys: RecordingKeys, slot: int) -> int:
-    """Start of the first recording of a section, as told or by its place in the spec."""
-    if keys.start is None:
-        return FIRST_START_UNIX_S + slot * SLOT_S
-    return int(np.datetime64(keys.start, "s").astype(int))
+        yield Planned(member.name, own, member.commanded_nm, hidden, keys.layout, keys.mode, keys.side_car)
 
 
 def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
     if keys.offsets_nm:
         return _ramp(name, keys, keys.offsets_nm, hidden, rng)
-    commanded_nm, true_nm = _introduced(keys, hidden, rng)
-    if keys.angles_deg:
-        names = numbered(name, "angle", keys.angles_deg)
-        turns = enumerate(zip(names, keys.angles_deg, strict=True))
-        return [_Member(own, index, commanded_nm, true_nm, angle) for index, (own, angle) in turns]
-    return [_Member(name, 0, commanded_nm, true_nm, keys.derotator_angle_deg)]
-
-
-def _introduced(keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> tuple[Defocus, Defocus]:
-    """Defocus commanded and reached in one recording."""
+    commanded_nm: Defocus
     reached = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects_of(hidden), rng)
     if isinstance(keys.introduced_nm, list):
-        return tuple(keys.introduced_nm), tuple(reached.tolist())
-    return keys.introduced_nm, float(reached[0])
+        commanded_nm, true_nm = tuple(keys.introduced_nm), tuple(reached.tolist())
+    else:
+        commanded_nm, true_nm = keys.introduced_nm, float(reached[0])
+    if not keys.angles_deg:
+        return [_Member(name, 0, commanded_nm, true_nm, keys.derotator_angle_deg)]
+    turns = zip(numbered(name, "angle", keys.angles_deg), keys.angles_deg, strict=True)
+    return [_Member(own, index, commanded_nm, true_nm, angle) for index, (own, angle) in enumerate(turns)]
 
 
 def _ramp(
     name: str, keys: RecordingKeys, offsets_nm: Sequence[float], hidden: Mapping, rng: np.random.Generator
 ) -> list[_Member]:
     """One recording per focus offset."""
-    names, order = numbered(name, "offset", offsets_nm), visiting_order(offsets_nm, keys.order)
-    reached = reached_nm([offsets_nm[index] for index in order], effects_of(hidden), rng)
+    order = visiting_order(offsets_nm, keys.order)
+    reached = reached_nm([offsets_nm[index] for index in order], effects_of(hidden), rng).tolist()
+    places = [order.index(index) for index in range(len(order))]
     return [
-        _Member(
-            names[index],
-            order.index(index),
-            commanded_nm,
-            float(reached[order.index(index)]),
-            keys.derotator_angle_deg,
+        _Member(own, place, commanded_nm, reached[place], keys.derotator_angle_deg)
+        for own, place, commanded_nm in zip(
+            numbered(name, "offset", offsets_nm), places, offsets_nm, strict=True
         )
-        for index, commanded_nm in enumerate(offsets_nm)
     ]
 
 

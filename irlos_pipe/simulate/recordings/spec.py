@@ -2,28 +2,193 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
+import numpy as np
 from pydantic import Field
 
+from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
+from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.files.overrides import absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import SIMULATIONS, named_file
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
-from irlos_pipe.simulate.recordings.planned import DOUBLE
-from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys, Shared
-from irlos_pipe.simulate.recordings.scenes import base_scene
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.effects import EFFECTS
+from irlos_pipe.simulate.effects.wavefront import FocusStageEffect
+from irlos_pipe.simulate.light import Band
+from irlos_pipe.simulate.ncpa import draw_ncpa_nm, draw_tail_nm
+from irlos_pipe.simulate.recordings.files import DOUBLE
+from irlos_pipe.simulate.recordings.keys import (
+    FACILITY_KEYS,
+    AberrationKeys,
+    LensletKeys,
+    RecordingKeys,
+    Shared,
+)
+from irlos_pipe.simulate.scene import Sampling, Scene
 
+BANDS = {
+    "narrow_h": (Band.of(NARROW_H),),
+    "j": (Band.of(J),),
+    "h": (Band.of(H),),
+    "j_h": (Band.of(J, 0.5), Band.of(H, 0.5)),
+}
+PRESENT = "2024-02-11"  # day of recordings whose start is not given
 SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
 WHOLE = {"ncpa", "rotating"}  # half of a draw and half of a list make no sense
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # becomes the name of a folder
+# keys that a scene has under the same names
+SAME = (
+    "frames", "exposure_s", "role", "target", "mag_j", "window", "lenslets", "pupil_rotation_deg", "motion",
+)  # fmt: skip
+THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
+
+
+def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys) -> Scene:
+    """Return what all recordings of the section `name`, with its `keys`, have in common.
+
+    Aberrations are drawn from the `seed` of the spec; what the section leaves out is that of the
+    `instrument`.
+
+    Raises
+    ------
+    ConfigurationError
+        When the window is wider than the images that the sampling of the pupil allows, or the central hole
+        as wide as the pupil.
+    """
+    diversity, lenslets = keys.diversity, keys.lenslet_images or LensletKeys()
+    effects = {one: its for one, its in keys.hidden.items() if not issubclass(EFFECTS[one], FocusStageEffect)}
+    scene = Scene(
+        name=name,
+        facility=_facility(instrument.facility, keys),
+        bands=_bands(keys.bands),
+        seed=(seed,),
+        throughput=_throughput(keys),
+        frame_rate_hz=keys.frame_rate_hz or 1 / keys.exposure_s,
+        lenslet_tilts_mas=lenslets.tilts_mas,
+        lenslet_flux=lenslets.flux,
+        pixel_scale_mas=_pixel_scale_mas(instrument, keys),
+        ncpa_nm=_aberrations(keys.ncpa, instrument, seed, "ncpa"),
+        rotating_nm=_aberrations(keys.rotating, instrument, seed, "rotating"),
+        diversity_nm=dict(diversity.zernike) if diversity else {},
+        diversity_source=diversity.source if diversity else "none",
+        sky=keys.sky and keys.sky.residual,
+        sky_e_per_s=_sky_e_per_s(instrument, keys),
+        effects=effects,
+        detector=keys.detector or DetectorModel(),
+        sampling=keys.sampling or Sampling(),
+        **{key: getattr(keys, key) for key in SAME},
+    )
+    _require_unfolded(scene)
+    _require_correction_band(scene)
+    return scene
+
+
+def _require_unfolded(scene: Scene) -> None:
+    """Refuse a window in which the image of a sampled pupil would repeat itself."""
+    needed = scene.needed_samples
+    if needed > scene.pupil_samples:
+        raise ConfigurationError(
+            f"a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
+            f"needs {needed} samples across the pupil; give sampling.pupil_samples >= {needed}, "
+            "or a smaller window"
+        )
+
+
+def _require_correction_band(scene: Scene) -> None:
+    """Refuse a residual whose correction band the usual sampling of the pupil cannot hold."""
+    cutoff_per_m, diameter_m = scene.facility.cutoff_per_m, scene.geometry.diameter_m
+    needed = math.ceil(2 * cutoff_per_m * diameter_m)
+    if scene.sky is not None and scene.sampling.pupil_samples is None and needed > scene.pupil_samples:
+        raise ConfigurationError(
+            f"sky.cutoff_per_m = {cutoff_per_m:g} needs {needed} samples across the "
+            f"pupil; give sampling.pupil_samples >= {needed}, or a lower cut-off"
+        )
+
+
+def _aberrations(
+    keys: AberrationKeys | None, instrument: Instrument, seed: int, what: str
+) -> dict[int, float]:
+    """Coefficients; the draw is the same for all recordings of a spec."""
+    if keys is None:
+        return {}
+    modes_nm = dict(keys.zernike_nm or {})
+    if keys.total_nm is not None:
+        rng = np.random.default_rng([seed, number(what)])
+        modes_nm = draw_ncpa_nm(rng, instrument.facility.ncpa_law, keys.total_nm, keys.modes)
+    if keys.tail_nm:
+        rng = np.random.default_rng([seed, number(f"{what} tail")])
+        for noll, value_nm in draw_tail_nm(rng, keys.tail_nm, *keys.tail_nolls).items():
+            modes_nm[noll] = modes_nm.get(noll, 0.0) + value_nm
+    return modes_nm
+
+
+def _bands(bands: str | list[Band]) -> tuple[Band, ...]:
+    if isinstance(bands, str):
+        return BANDS[bands]
+    total = sum(band.share for band in bands)
+    return tuple(replace(band, share=band.share / total) for band in bands)
+
+
+def _pixel_scale_mas(instrument: Instrument, keys: RecordingKeys) -> float:
+    """As given, or the profile's usual scale; with lenslets, that of the mode on the day of the recording."""
+    if keys.pixel_scale_mas:
+        return keys.pixel_scale_mas
+    if keys.lenslets > 1:
+        modes = instrument.on(keys.start[:10] if keys.start else PRESENT).modes
+        if keys.mode not in modes:
+            raise ConfigurationError(f"mode: the profile {instrument.name} has no '{keys.mode}'")
+        return modes[keys.mode].pixel_scale_mas
+    if "pixel_scale_mas" not in instrument.defaults:
+        raise ConfigurationError(f"the profile {instrument.name} has no default pixel_scale_mas; give one")
+    return instrument.defaults["pixel_scale_mas"]
+
+
+def _throughput(keys: RecordingKeys) -> float:
+    """Part of the photons of the instrument's zero point that the bands pass."""
+    default = THROUGHPUT[keys.bands] if isinstance(keys.bands, str) else 1.0
+    return default if keys.throughput is None else keys.throughput
+
+
+def _facility(facility: Facility, keys: RecordingKeys) -> Facility:
+    """The instrument's facility with what the sections `sky` and `pupil` change of it."""
+    given: dict[str, Any] = {name: getattr(keys.sky, name) for name in FACILITY_KEYS} if keys.sky else {}
+    if keys.pupil is not None:
+        hole_m, diameter_m = keys.pupil.obscuration_m, facility.pupil.diameter_m
+        if hole_m >= diameter_m:
+            raise ConfigurationError(
+                f"pupil.obscuration_m = {hole_m:g} leaves nothing of a pupil of {diameter_m:g} m; give less"
+            )
+        given["pupil"] = replace(facility.pupil, obscuration_m=hole_m)
+    return replace(facility, **{name: value for name, value in given.items() if value is not None})
+
+
+def _sky_e_per_s(instrument: Instrument, keys: RecordingKeys) -> float:
+    """Light of the sky in a pixel, as given or by the profile [e-/s]."""
+    if not isinstance(keys.sky_e_per_s, str):
+        return keys.sky_e_per_s
+    facility, scale_mas = instrument.facility, _pixel_scale_mas(instrument, keys)
+    if not facility.sky_mag_per_arcsec2:
+        raise ConfigurationError(
+            f"the profile {instrument.name} states no sky_mag_per_arcsec2; give sky_e_per_s as a number"
+        )
+    spectrum = [(band.centre_nm, band.share) for band in _bands(keys.bands)]
+    photons_per_s_m0 = facility.photons_per_s_m15 * 10 ** (0.4 * 15) * _throughput(keys)
+    return facility.sky_photons_per_s(spectrum, photons_per_s_m0, scale_mas) / keys.lenslets**2
+
+
+def number(name: str) -> int:
+    """Return the same number for the same `name` in every run, for seeds."""
+    return crc32(name.encode())
 
 
 class SpecKeys(Shared):
@@ -42,35 +207,30 @@ class Spec:
 
     Attributes
     ----------
-    instrument_name : str
-        Name of the profile, or the absolute path of its file.
+    head : dict
+        Name, title, instrument (its name, or the absolute path of its file) and seed, by their keys.
     recordings : dict of str to RecordingKeys
         By name, the shared sections filled in.
     scenes : dict of str to Scene
         What all recordings of such a section have in common.
     """
 
-    name: str
-    title: str
-    seed: int
-    instrument_name: str
-    instrument: Instrument
+    head: dict[str, Any]
     recordings: dict[str, RecordingKeys]
     scenes: dict[str, Scene]
 
+    @property
+    def seed(self) -> int:
+        """Seed of everything random."""
+        return self.head["seed"]
+
     def resolved_yaml(self) -> str:
         """Return the spec with every default explicit; it makes the same recordings again."""
-        head = {
-            "simulation": self.name,
-            "title": self.title,
-            "instrument": self.instrument_name,
-            "seed": self.seed,
-        }
         recordings = {
             name: keys.model_dump(mode="json", exclude_none=True, by_alias=True)
             for name, keys in self.recordings.items()
         }
-        return yaml_text(head | {"recordings": recordings})
+        return yaml_text(self.head | {"recordings": recordings})
 
 
 def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None = None) -> Spec:
@@ -92,11 +252,10 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
         With one line ``where: message`` for everything that is wrong.
     """
     path = named_file(path, SIMULATIONS)
-    return _checked(path, *read_overridden(path, _parse_setting, settings, seed=seed))
-
-
-def _parse_setting(text: str) -> Override:
-    return located(parse_setting(text, SETTING_EXAMPLE))
+    read = read_overridden(
+        path, lambda text: located(parse_setting(text, SETTING_EXAMPLE)), settings, seed=seed
+    )
+    return _checked(path, *read)
 
 
 def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> Spec:
@@ -104,7 +263,12 @@ def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> S
     errors.raise_if_any()
     assert keys is not None, "what is wrong has been reported"
     for name in keys.recordings:
-        _check_name(name, errors)
+        if not re.match(NAME, name) or DOUBLE in name:
+            errors.add(
+                ("recordings", name),
+                f"recordings.{name}: becomes the name of a folder; use letters, digits and . _ + : - "
+                f"(no '{DOUBLE}'), beginning with a letter or digit",
+            )
     instrument_name, instrument = checked_instrument(keys.instrument, absolute(path).parent, errors)
     recordings, scenes = {}, {}
     for name, own in data["recordings"].items():
@@ -117,8 +281,13 @@ def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> S
         except ConfigurationError as problem:
             errors.add(("recordings", name), f"recordings.{name}: {problem}")
     errors.raise_if_any()
-    assert instrument is not None, "what is wrong has been reported"
-    return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, recordings, scenes)
+    head = {
+        "simulation": keys.simulation,
+        "title": keys.title,
+        "instrument": instrument_name,
+        "seed": keys.seed,
+    }
+    return Spec(head, recordings, scenes)
 
 
 def _with_shared(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,12 +297,3 @@ def _with_shared(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str,
         if None not in (merged[name], shared[name]):
             merged[name] = {**shared[name], **merged[name]}
     return merged
-
-
-def _check_name(name: str, errors: ValidationErrors) -> None:
-    if not re.match(NAME, name) or DOUBLE in name:
-        errors.add(
-            ("recordings", name),
-            f"recordings.{name}: becomes the name of a folder; use letters, digits and . _ + : - "
-            f"(no '{DOUBLE}'), beginning with a letter or digit",
-        )

@@ -12,7 +12,7 @@ import yaml
 from astropy.io import fits
 from helpers.simulation_specs import CUBE, simulated, spec_of, truth
 
-from irlos_pipe.simulate.effects.catalogue import EFFECTS
+from irlos_pipe.simulate.effects import EFFECTS
 
 SIZES = {
     "tip_tilt_jitter": {"sigma_mas": 8},

@@ -19,8 +19,7 @@ from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings, recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.simulate.readout import Readout
-from irlos_pipe.simulate.recordings.files import layout_of
-from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.files import Planned, write_files
 from irlos_pipe.simulate.recordings.series import plan_recordings
 from irlos_pipe.simulate.recordings.spec import load_spec
 
@@ -43,27 +42,22 @@ def write(one: Planned, folder: Path) -> Path:
     """Write a recording of random frames; returns its folder."""
     folder.mkdir()
     readout = Readout.of(one.scene, np.zeros(one.scene.window))
-    layout_of(one).write(folder, readout, frames_of(one), np.random.default_rng(1))
+    write_files(one, folder, readout, frames_of(one), np.random.default_rng(1))
     return folder
 
 
 @pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
-def test_ingest_reads_the_frames_back(tmp_path, layout):
+def test_the_files_are_valid_and_ingest_reads_the_frames_back(tmp_path, layout):
     one = planned(tmp_path, layout=layout, window=[24, 30], frames=5)
     files = recording_files([write(one, tmp_path / "night")])
+    for path in (tmp_path / "night").glob("*.fits"):
+        assert path.stat().st_size % 2880 == 0
+        with fits.open(path) as hdus:
+            hdus.verify("exception")
     (raw,) = read_recordings(files[0], load_instrument("irlos"))
     assert raw.layout == {"recorder": "sparta_recorder", "muse_raw": "muse_raw"}[layout]
     assert np.array_equal(raw.adu, list(frames_of(one)))
     assert raw.start_unix_s == one.scene.start_unix_s
-
-
-@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
-def test_the_files_are_valid_fits(tmp_path, layout):
-    folder = write(planned(tmp_path, layout=layout), tmp_path / "night")
-    for path in folder.glob("*.fits"):
-        assert path.stat().st_size % 2880 == 0
-        with fits.open(path) as hdus:
-            hdus.verify("exception")
 
 
 def test_counters_and_times_of_the_recorder_run_with_the_loop(tmp_path):

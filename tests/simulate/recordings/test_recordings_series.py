@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.simulation_specs import CUBE, RAMP, spec_of, written
 
-from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.files import Planned
 from irlos_pipe.simulate.recordings.series import plan_recordings, visiting_order
 from irlos_pipe.simulate.recordings.spec import load_spec
 

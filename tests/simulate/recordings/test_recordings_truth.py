@@ -9,7 +9,7 @@ import pytest
 from astropy.io import fits
 from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of, truth
 
-from irlos_pipe.simulate.recordings.folder import SimulationFolder
+from irlos_pipe.simulate.recordings.run import SimulationFolder
 
 
 @pytest.mark.slow

@@ -1,33 +1,124 @@
 """The keys of a simulation spec. Units are in the keys.
 
 A section that the scene has as well is the scene's own class, whose fields say what a key means and may be.
-Here is what a scene lacks: drawn aberrations, changes of the instrument's facts, and series of recordings.
+Here is what a scene lacks: drawn aberrations, changes of the instrument's facts, series of recordings. The
+keys of `effects` are generated: which parameters an effect has, and which may be left out, stands in the
+simulator's class; names, units and limits of those that models have stand in `irlos_pipe.effects`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from math import isfinite
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import (
     AfterValidator,
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
     Discriminator,
     Field,
     Tag,
+    create_model,
     field_validator,
     model_validator,
 )
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.keys import key
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.declaration import Public
+from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel, outside_window
-from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel, Pixel, outside_window
+from irlos_pipe.simulate.effects import EFFECTS, effects_of
+from irlos_pipe.simulate.effects.base import Own, SimulatedEffect
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.recordings.effect_keys import EffectKeys, Section, require_nolls
 from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling
+
+
+class Section(BaseModel):
+    """Base of all sections of a spec: unknown keys and values that are not finite are refused."""
+
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def require_nolls(values: dict[int, float]) -> dict[int, float]:
+    """Return `values` by Noll index, all from 2 to 1000."""
+    for noll in values:
+        if not 2 <= noll <= 1000:
+            raise ValueError(f"{noll} is no Noll index from 2 to 1000")
+    return values
+
+
+class EffectSection(Section):
+    """Parameters of one effect."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _single_value(cls, value: Any) -> Any:
+        """Accept the list alone where an effect needs nothing else."""
+        required = [name for name, field in cls.model_fields.items() if field.is_required()]
+        return {required[0]: value} if isinstance(value, list) and len(required) == 1 else value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> EffectSection:
+        name = type(self).__name__
+        try:
+            effects_of({name: self.model_dump(exclude_none=True)})
+        except SceneError as problem:
+            raise ValueError(str(problem).removeprefix(f"effects.{name}: ")) from None
+        return self
+
+
+def _section(effect: type[SimulatedEffect]) -> type[EffectSection]:
+    """Return the form of the parameters of an `effect`; it is named like the effect."""
+    public = {one.name: one for one in (*CATALOGUE[effect.name].public, *CATALOGUE[effect.name].options)}
+    hints = get_type_hints(effect)
+    keys: dict[str, Any] = {}
+    for field in fields(effect):
+        declared: Public | Own = field.metadata.get("own") or public.get(field.name) or Own("")
+        if limits := field.metadata.get("wider"):
+            declared = replace(declared, lower=limits[0], upper=limits[1])
+        names = [field.name, *filter(None, [field.metadata.get("formerly")])]
+        keys[field.name] = (
+            _type(hints[field.name], declared),
+            Field(
+                ... if field.default is MISSING else field.default,
+                description=declared.unit,
+                validation_alias=AliasChoices(*names) if len(names) > 1 else None,
+            ),
+        )
+    return create_model(effect.name, __base__=EffectSection, __doc__=effect.__doc__, **keys)
+
+
+def _type(hint: Any, declared: Public | Own) -> Any:
+    """Return the type of a key for the `hint` of the simulator's field and the `declared` limits."""
+    optional = NoneType in get_args(hint)
+    hint = next(one for one in get_args(hint) if one is not NoneType) if optional else hint
+    lowest, highest = (limit if isfinite(limit) else None for limit in (declared.lower, declared.upper))
+    number = Annotated[float, Field(ge=lowest, le=highest)]
+    kind = declared.kind if isinstance(declared, Public) else "number"
+    if get_origin(hint) is Literal:
+        key = hint
+    elif kind == "parts":
+        key = Annotated[list[number], Field(min_length=1)]  # type: ignore[valid-type]
+    elif kind == "zernike":
+        key = Annotated[dict[int, number], AfterValidator(require_nolls)]  # type: ignore[valid-type]
+    elif kind == "pixels":
+        key = Annotated[list[Pixel], Field(min_length=1)]
+    else:
+        key = list[number] if get_origin(hint) is Sequence else number  # type: ignore[valid-type]
+    return key | None if optional else key
+
+
+_SECTIONS: dict[str, Any] = {name: (_section(effect) | None, None) for name, effect in EFFECTS.items()}
+EffectKeys = create_model("EffectKeys", __base__=Section, **_SECTIONS)
 
 FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
 LARGEST_NM = 10_000.0
@@ -47,14 +138,10 @@ class AberrationKeys(Section):
     tail_nolls: tuple[int, int] = Field((52, 200), description="first and last Noll index of the tail")
 
     @model_validator(mode="after")
-    def _tail(self) -> AberrationKeys:
+    def _consistent(self) -> AberrationKeys:
         first, last = self.tail_nolls
         if not 2 <= first <= last <= 1000:
             raise ValueError("tail_nolls: give the first and the last Noll index, from 2 to 1000")
-        return self
-
-    @model_validator(mode="after")
-    def _one_way(self) -> AberrationKeys:
         if (self.total_nm is None) == (self.zernike_nm is None):
             raise ValueError("give either total_nm (drawn from the seed) or zernike_nm, Noll index: nm RMS")
         return self
@@ -228,64 +315,49 @@ class RecordingKeys(Shared):
             datetime.fromisoformat(value)  # its message says what is wrong
         return value
 
+    @property
+    def hidden(self) -> dict[str, Mapping[str, Any]]:
+        """Parameters of the effects that are switched on, by name."""
+        sections = dict(self.effects or {})
+        return {name: its.model_dump(exclude_none=True) for name, its in sections.items() if its is not None}
+
     @model_validator(mode="after")
     def _consistent(self) -> RecordingKeys:
-        found = (
-            self._series_problem(),
-            self._time_problem(),
-            self._layout_problem(),
-            self._pixel_problem(),
-            self._sky_problem(),
-        )
-        if any(found):
-            raise ValueError(next(filter(None, found)))
+        problem = next(self._problems(), None)
+        if problem:
+            raise ValueError(problem)
         return self
 
-    def _series_problem(self) -> str:
+    def _problems(self) -> Iterator[str]:
+        """What contradicts each other."""
         if self.offsets_nm and self.angles_deg:
-            return "give offsets_nm (a ramp) or angles_deg (a derotator series), not both"
+            yield "give offsets_nm (a ramp) or angles_deg (a derotator series), not both"
         if self.offsets_nm and self.role != "defocus_ramp":
-            return f"offsets_nm makes a ramp, but the role is {self.role}; set role: defocus_ramp"
+            yield f"offsets_nm makes a ramp, but the role is {self.role}; set role: defocus_ramp"
         if self.offsets_nm and self.introduced_nm != 0:
-            return "give offsets_nm or introduced_nm, not both"
-        per_frame = self.introduced_nm if isinstance(self.introduced_nm, list) else None
-        if per_frame is not None and len(per_frame) != self.frames:
-            return f"introduced_nm has {len(per_frame)} values for {self.frames} frames; give one per frame"
-        return ""
-
-    def _time_problem(self) -> str:
+            yield "give offsets_nm or introduced_nm, not both"
+        if isinstance(self.introduced_nm, list) and len(self.introduced_nm) != self.frames:
+            given = len(self.introduced_nm)
+            yield f"introduced_nm has {given} values for {self.frames} frames; give one per frame"
         if self.frame_rate_hz and self.exposure_s * self.frame_rate_hz > 1 + 1e-9:
-            return (
+            yield (
                 f"exposure_s = {self.exposure_s:g} is longer than the {1 / self.frame_rate_hz:g} s that "
                 f"frame_rate_hz = {self.frame_rate_hz:g} leaves for a frame; lower one of them"
             )
-        return ""
-
-    def _layout_problem(self) -> str:
         if self.layout == "muse_raw" and (self.offsets_nm or self.angles_deg):
-            return "layout: muse_raw holds one cube; use layout: recorder for a series"
+            yield "layout: muse_raw holds one cube; use layout: recorder for a series"
         if self.lenslets > 1 and self.layout != "muse_raw":
-            return f"mode {self.mode} is one of MUSE raw files; use layout: muse_raw"
+            yield f"mode {self.mode} is one of MUSE raw files; use layout: muse_raw"
         if self.lenslets > 1 and any(size % 2 for size in self.window):
-            return f"window {list(self.window)} has no four equal images; give even numbers"
+            yield f"window {list(self.window)} has no four equal images; give even numbers"
         if self.lenslets == 1 and self.lenslet_images:
-            return f"lenslet_images: mode {self.mode} has no lenslets"
-        return ""
-
-    def _sky_problem(self) -> str:
-        if isinstance(self.sky_e_per_s, str) or 0 <= self.sky_e_per_s <= 1e6:
-            return ""
-        return f"sky_e_per_s = {self.sky_e_per_s:g} should be from 0 to 1e6"
-
-    def _pixel_problem(self) -> str:
-        """Say which pixel of the detector lies outside the window; empty if none does."""
-        if self.detector is None:
-            return ""
-        named = {
-            "detector.dead": self.detector.dead,
-            "detector.hot": [hot.pixel for hot in self.detector.hot_e_per_s],
-        }
-        return next(filter(None, (outside_window(key, own, self.window) for key, own in named.items())), "")
+            yield f"lenslet_images: mode {self.mode} has no lenslets"
+        if self.detector is not None:
+            hot = [hot.pixel for hot in self.detector.hot_e_per_s]
+            for name, pixels in (("detector.dead", self.detector.dead), ("detector.hot", hot)):
+                yield from filter(None, [outside_window(name, pixels, self.window)])
+        if not isinstance(self.sky_e_per_s, str) and not 0 <= self.sky_e_per_s <= 1e6:
+            yield f"sky_e_per_s = {self.sky_e_per_s:g} should be from 0 to 1e6"
 
     def completed(self, facility: Facility) -> RecordingKeys:
         """Return this recording with what sky and motion leave out taken from the `facility`."""

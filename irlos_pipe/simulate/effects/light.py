@@ -1,0 +1,175 @@
+"""Effects on the light that arrives: colours, scale, a companion, ghosts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, own, wider
+from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
+
+GHOST_NODES = 6  # per axis of the Gauss-Hermite rule of the blur
+
+
+class LightEffect(SimulatedEffect):
+    """Acts on the light that arrives: wavelengths, sources, directions."""
+
+    def spectrum(
+        self, wavelengths_nm: np.ndarray, weights: np.ndarray, bands: Sequence[Band]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return `wavelengths_nm` and photon `weights` with the effect, (points,); weights count relatively.
+
+        Each of `bands` has as many of the points, one band after the other.
+        """
+        return wavelengths_nm, weights
+
+    def rays(self, rays: list[Ray]) -> list[Ray]:
+        """Return the `rays` with the effect."""
+        return rays
+
+    def pixel_scale_mas(self, assumed_mas: float) -> float:
+        """Return the true pixel scale [mas]."""
+        return assumed_mas
+
+    def stretch(self) -> np.ndarray:
+        """Return the matrix by which the image is stretched about the optical axis, in (x, y), (2, 2)."""
+        return np.eye(2)
+
+
+@dataclass(frozen=True)
+class Spectrum(LightEffect):
+    """The true spectrum differs from the declared one.
+
+    Attributes
+    ----------
+    wavelength_nm : float, optional
+        True centre, the photon-weighted mean of the bands' centres; all bands are shifted alike.
+    slope : float
+        Relative change of the photons per µm about the mean wavelength.
+    weights : sequence of float, optional
+        Factor on the photons of each band.
+    """
+
+    name = "spectrum"
+    wavelength_nm: float | None = wider(500.0, 5000.0, None)
+    slope: float = wider(-20.0, 20.0, 0.0)
+    weights: Sequence[float] | None = own("factor on the photons of each band", 0.0, 1000.0)
+
+    def misfit(self, setup: RecordingSetup) -> str:
+        """See `SimulatedEffect.misfit`."""
+        if self.weights is None or len(self.weights) == setup.bands:
+            return ""
+        return f"effects.spectrum.weights has {len(self.weights)} factors; give one per band, {setup.bands}"
+
+    def spectrum(
+        self, wavelengths_nm: np.ndarray, weights: np.ndarray, bands: Sequence[Band]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `LightEffect.spectrum`."""
+        factors = np.ones(len(bands)) if self.weights is None else np.asarray(self.weights, float)
+        changed = weights * np.repeat(factors, len(weights) // len(bands))
+        mean_nm = np.average(wavelengths_nm, weights=changed)
+        changed = changed * np.maximum(1 + self.slope * (wavelengths_nm - mean_nm) / 1000, 0.0)
+        shift_nm = 0.0 if self.wavelength_nm is None else self.wavelength_nm - mean_centre_nm(bands)
+        return wavelengths_nm + shift_nm, changed
+
+
+@dataclass(frozen=True)
+class AtmosphericDispersion(LightEffect):
+    """Refraction displaces colours, by `mas_per_um` at the mean wavelength, towards `angle_deg`."""
+
+    name = "atmospheric_dispersion"
+    mas_per_um: float = wider(-5000.0, 5000.0)
+    angle_deg: float = 0.0
+
+    def rays(self, rays: list[Ray]) -> list[Ray]:
+        """See `LightEffect.rays`."""
+        mean_um = np.average([ray.wavelength_nm for ray in rays], weights=[ray.weight for ray in rays]) / 1e3
+        step_um = 1e-4
+        slope = (_refractivity(mean_um + step_um) - _refractivity(mean_um - step_um)) / 2 / step_um
+        mas, middle = self.mas_per_um / slope, _refractivity(mean_um)
+        return [
+            ray.moved(mas * (_refractivity(ray.wavelength_nm / 1e3) - middle), self.angle_deg) for ray in rays
+        ]
+
+
+def _refractivity(wavelength_um: float) -> float:
+    """n − 1 of standard air, 15 °C and 1013.25 hPa (Peck & Reeder 1972, J. Opt. Soc. Am. 62, 958)."""
+    wavenumber2 = wavelength_um**-2
+    terms = 8060.51 + 2_480_990 / (132.274 - wavenumber2) + 17_455.7 / (39.32957 - wavenumber2)
+    return 1e-8 * terms
+
+
+@dataclass(frozen=True)
+class PlateScale(LightEffect):
+    """The pixels are larger on the sky than declared, by a `fraction`."""
+
+    name = "plate_scale"
+    fraction: float = wider(-1.0, 1.0)
+
+    def pixel_scale_mas(self, assumed_mas: float) -> float:
+        """See `LightEffect.pixel_scale_mas`."""
+        return assumed_mas * (1 + self.fraction)
+
+
+@dataclass(frozen=True)
+class Anamorphism(LightEffect):
+    """The image is larger along `angle_deg` than across, by a `fraction` of the mean; its area stays."""
+
+    name = "anamorphism"
+    fraction: float = wider(0.0, 0.5)
+    angle_deg: float = 0.0
+
+    def stretch(self) -> np.ndarray:
+        """See `LightEffect.stretch`."""
+        along = np.sqrt((1 + self.fraction / 2) / (1 - self.fraction / 2))
+        angle = np.deg2rad(self.angle_deg)
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        projection = np.outer(direction, direction)
+        return along * projection + (np.eye(2) - projection) / along
+
+
+@dataclass(frozen=True)
+class Companion(LightEffect):
+    """Light of the star's spectrum in addition to the star's, at `sep_mas` towards `pa_deg`."""
+
+    name = "companion"
+    flux_ratio: float
+    sep_mas: float
+    pa_deg: float
+
+    def rays(self, rays: list[Ray]) -> list[Ray]:
+        """See `LightEffect.rays`."""
+        moved = (ray.moved(self.sep_mas, self.pa_deg) for ray in rays)
+        return rays + [replace(ray, weight=ray.weight * self.flux_ratio) for ray in moved]
+
+
+@dataclass(frozen=True)
+class Ghost(LightEffect):
+    """All light again, at `sep_mas` towards `pa_deg`, `defocus_nm` out of focus and blurred."""
+
+    name = "ghost"
+    flux_ratio: float
+    sep_mas: float
+    pa_deg: float
+    defocus_nm: float = 0.0
+    blur_mas: float = 0.0
+
+    def rays(self, rays: list[Ray]) -> list[Ray]:
+        """See `LightEffect.rays`."""
+        return rays + [image for ray in rays for image in self._images(ray)]
+
+    def _images(self, ray: Ray) -> list[Ray]:
+        """Images of a ray, of which the ghost consists."""
+        nodes, weights = np.polynomial.hermite_e.hermegauss(GHOST_NODES if self.blur_mas else 1)
+        shares = weights / weights.sum()
+        middle = replace(ray.moved(self.sep_mas, self.pa_deg), defocus_nm=ray.defocus_nm + self.defocus_nm)
+        return [
+            replace(
+                middle.moved(self.blur_mas * float(x), 0.0).moved(self.blur_mas * float(y), 90.0),
+                weight=ray.weight * self.flux_ratio * float(along_x * along_y),
+            )
+            for x, along_x in zip(nodes, shares, strict=True)
+            for y, along_y in zip(nodes, shares, strict=True)
+        ]

@@ -1,0 +1,136 @@
+"""Effects of air and telescope: image motion within a frame, and an AO residual of another size or shape.
+
+In motion the image runs through the distribution of its positions, which blurs it. Besides, a frame sees a
+finite piece of the motion, so that it is displaced a little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from irlos_pipe.conventions.facility import Facility, VibrationLine
+from irlos_pipe.simulate import SceneError, require_known
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.effects.base import SimulatedEffect, own, wider
+from irlos_pipe.simulate.motion import MotionBlur
+
+JITTER_CORRELATION_S = 0.010
+FAST_HZ = 20.0  # a vibration of no given frequency is the strongest line above
+Shape = Literal["sinusoidal", "gaussian"]
+
+
+class MotionEffect(SimulatedEffect):
+    """Moves the image within a frame."""
+
+    sigma_mas: float  # RMS of the motion
+
+    def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
+        """Return the motion within the next frame of `exposure_s`, of a telescope that vibrates at `lines`.
+
+        What is random in it is drawn from `rng`.
+        """
+        raise NotImplementedError
+
+
+class SkyEffect(SimulatedEffect):
+    """Changes the AO residual."""
+
+    def sky(self, sky: Sky | None, facility: Facility) -> Sky | None:
+        """Return the `sky` of a scene at a `facility` with the effect; None is the bench."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TipTiltJitter(MotionEffect):
+    """Isotropic Gaussian motion; the mean of a frame is that of its independent positions."""
+
+    name = "tip_tilt_jitter"
+    sigma_mas: float = wider(0.0, 200.0)
+    correlation_s: float = own("s, time after which the image has moved on", 1e-6, 10.0, JITTER_CORRELATION_S)
+
+    def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
+        """See `MotionEffect.blur`."""
+        positions = max(exposure_s / self.correlation_s, 1.0)
+        mean_mas = self.sigma_mas / np.sqrt(positions) * rng.standard_normal(2)
+        return MotionBlur(mean_mas, self.sigma_mas**2 * np.eye(2), np.zeros(2))
+
+
+@dataclass(frozen=True)
+class Vibration(MotionEffect):
+    """Motion along `angle_deg`, of random phase; what is left of the last period displaces the frame.
+
+    Without `frequency_hz` it is that of the telescope's strongest line above `FAST_HZ`.
+    """
+
+    name = "vibration"
+    sigma_mas: float = wider(0.0, 200.0)
+    angle_deg: float = 0.0
+    frequency_hz: float | None = own(
+        "Hz; the telescope's strongest line above 20 Hz if left out", 1e-3, 1000.0
+    )
+    shape: Shape = field(default="sinusoidal", metadata={"formerly": "distribution"})
+
+    def __post_init__(self) -> None:
+        require_known("effects.vibration.shape", [self.shape], get_args(Shape))
+
+    def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
+        """See `MotionEffect.blur`."""
+        angle = np.deg2rad(self.angle_deg)
+        direction = self.sigma_mas * np.array([np.cos(angle), np.sin(angle)])
+        cycles = (self.frequency_hz or _strongest_hz(lines)) * exposure_s
+        mean_mas = np.sqrt(2) * direction * np.sinc(cycles) * np.cos(2 * np.pi * rng.random())
+        if self.shape == "gaussian":
+            return MotionBlur(mean_mas, np.outer(direction, direction), np.zeros(2))
+        return MotionBlur(mean_mas, np.zeros((2, 2)), np.sqrt(2) * direction)
+
+
+def _strongest_hz(lines: Sequence[VibrationLine]) -> float:
+    fast = [line for line in lines if line[0] > FAST_HZ]
+    if not fast:
+        raise SceneError("effects.vibration: the instrument states no vibration line; give frequency_hz")
+    return max(fast, key=lambda line: line[1] + line[2])[0]
+
+
+@dataclass(frozen=True)
+class SeeingHalo(SkyEffect):
+    """The residual is larger by the factor `scale`, or `wfe_nm` in total, its spectrum of the same shape.
+
+    On the bench there is none to enlarge: the factor then is one on the residual at the facility's typical
+    seeing.
+    """
+
+    name = "seeing_halo"
+    scale: float | None = None
+    wfe_nm: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.scale is None) == (self.wfe_nm is None):
+            raise SceneError("effects.seeing_halo: give either scale or wfe_nm")
+
+    def sky(self, sky: Sky | None, facility: Facility) -> Sky | None:
+        """See `SkyEffect.sky`."""
+        sky, law = sky or Sky(facility.typical_seeing_arcsec), facility.residual_law
+        factor = self.scale if self.wfe_nm is None else self.wfe_nm / sky.total_nm(law)
+        return sky.scaled(factor, law) if factor else None
+
+
+@dataclass(frozen=True)
+class UnevenResidual(SkyEffect):
+    """The variance inside the correction band has `edge`, `side_x` and `side_y` of Noll 4, 2 and 3.
+
+    They are parts of the residual that there is; without one it is the residual at the typical seeing.
+    """
+
+    name = "uneven_residual"
+    edge: float = 0.0
+    side_x: float = 0.0
+    side_y: float = 0.0
+
+    def sky(self, sky: Sky | None, facility: Facility) -> Sky | None:
+        """See `SkyEffect.sky`."""
+        variance = {4: self.edge, 2: self.side_x, 3: self.side_y}
+        return replace(sky or Sky(facility.typical_seeing_arcsec), variance_zernike=variance)
