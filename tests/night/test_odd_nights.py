@@ -11,9 +11,8 @@ from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
 from irlos_pipe.night import database
 from irlos_pipe.night.engines import dask_runner
 from irlos_pipe.night.published_run import PublishedRun
-from irlos_pipe.night.reduce import failure
+from irlos_pipe.night.reduce import Task, failure
 from irlos_pipe.night.settings import load_settings
-from irlos_pipe.night.tasks import Task
 
 MORNING = "2024-02-11T03:00:00"
 
