@@ -43,14 +43,10 @@ NO_RECIPE = "no recipe for groups of kind {0}; give one with --recipe {0}=PATH"
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be run.
+    """What is to be run: recordings in `folders`, results into the `tree`.
 
     Attributes
     ----------
-    folders : sequence of Path
-        Folders that are searched for recordings.
-    tree : Path
-        The folder of all results.
     since : str
         First night to look at, ISO date; all if empty.
     acknowledge : bool
@@ -66,14 +62,10 @@ class Request:
 
 
 def run_night(request: Request, runner: Runner) -> RunState:
-    """Bring the products of all recordings under the folders up to date, and write the page of every night.
+    """Bring the products of all recordings of a `request` up to date, and write the page of every night.
 
-    Parameters
-    ----------
-    request : Request
-        Folders, tree and settings.
-    runner : Runner
-        Where tasks are worked on, see `engines`.
+    The `runner` says where tasks are worked on, see `engines`. Ramps come last, when it is known which
+    calibrations can serve them.
 
     Raises
     ------
@@ -90,7 +82,9 @@ def run_night(request: Request, runner: Runner) -> RunState:
         with _errors_on_pages(request, state):
             with opened(request.tree) as database:
                 _find(request, state, database)
-            _reduce(request, state, runner)
+            _work_on(request, state, runner, lambda job: job.group.kind != "ramp")
+            _choose_calibrations(request, state)
+            _work_on(request, state, runner, lambda job: job.group.kind == "ramp")
             _write_pages(request, state)
     return state
 
@@ -116,9 +110,8 @@ def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], l
     state = RunState()
     with copied(request.tree) as database:
         _find(request, state, database)
-    jobs = [job for night in state.nights.values() for job in night.jobs]
-    plan = [(job, planned(job.task, job.task.load())) for job in jobs]
     nights = state.nights.values()
+    plan = [(job, planned(job.task, job.task.load())) for night in nights for job in night.jobs]
     failures = [line for night in nights for line in night.failures]
     return plan, failures, [line for night in nights for line in night.guessed]
 
@@ -203,34 +196,25 @@ def _nothing_text(request: Request, state: RunState) -> str:
     return f"{where}: no recordings"
 
 
-def _reduce(request: Request, state: RunState, runner: Runner) -> None:
-    """Work on what is not up to date; one that fails does not stop the others.
-
-    Ramps come last, when it is known which calibrations can serve them.
-    """
-    _work_on(request, state, runner, lambda job: job.group.kind != "ramp")
-    _choose_calibrations(request, state)
-    _work_on(request, state, runner, lambda job: job.group.kind == "ramp")
-
-
 def _work_on(request: Request, state: RunState, runner: Runner, wanted: Callable[[Job], bool]) -> None:
-    """Work on those of the jobs that are `wanted`."""
+    """Work on those of the jobs that are `wanted` and not up to date; one that fails does not stop others."""
     jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if wanted(job)}
-    for name, reduced in {name: _without_work(job.task) for name, job in jobs.items()}.items():
-        if reduced is not None:
-            _record(request, state, jobs[name], reduced)
+    for reduced in list(filter(None, (_without_work(job.task) for job in jobs.values()))):
+        _record(request, state, jobs[reduced.name], reduced)
     todo = []
     for night in state.nights.values():
         if tasks := [job.task for job in night.unfinished if wanted(job)]:
             write_page(request.tree, night, None, running=True)
             todo += tasks
     for number, reduced in enumerate(runner(reduce_group, todo) if todo else (), 1):
-        RUN.info("%d of %d: %s", number, len(todo), _progress(reduced))
+        why = "; ".join(reduced.reasons) or reduced.problem
+        what = reduced.action + (f": {why}" if why else f" in {reduced.seconds:.1f} s")
+        RUN.info("%d of %d: %s: %s", number, len(todo), reduced.name, what)
         _record(request, state, jobs[reduced.name], reduced)
 
 
 def _without_work(task: Task) -> Reduced | None:
-    """Return the outcome of a task that is up to date or cannot be planned; None if there is work to do."""
+    """The outcome of a task that is up to date or cannot be planned; None if there is work to do."""
     try:
         return unchanged(task)
     except IrlosError as error:
@@ -239,22 +223,18 @@ def _without_work(task: Task) -> Reduced | None:
 
 def _record(request: Request, state: RunState, job: Job, reduced: Reduced) -> None:
     """Keep the outcome of a job, and store its numbers unless they are stored."""
+    group, first = job.group, job.group.first
     try:
         if not reduced.failed:
-            _store(request.tree, job, reduced)
+            with opened(request.tree) as database:
+                if not reduced.key or reduced.key != database.run_key(reduced.name):
+                    head = (reduced.name, group.night, group.kind, job.task.recipe.stem)
+                    of_first = (first.start_unix_s, first.configuration, first.target)
+                    measured = read_measurements(reduced.folder, group.kind)
+                    database.store_run((*head, *of_first), measured)
     except InputDataError as error:
         reduced = replace(reduced, problem=str(error))
-    state.night(job.group.night).reduced[reduced.name] = reduced
-
-
-def _store(tree: Path, job: Job, reduced: Reduced) -> None:
-    group, first = job.group, job.group.first
-    with opened(tree) as database:
-        if not reduced.key or reduced.key != database.run_key(reduced.name):
-            measured = read_measurements(reduced.folder, group.kind)
-            head = (reduced.name, group.night, group.kind, job.task.recipe.stem)
-            of_first = (first.start_unix_s, first.configuration, first.target)
-            database.store_run((*head, *of_first), measured)
+    state.night(group.night).reduced[reduced.name] = reduced
 
 
 def _write_pages(request: Request, state: RunState) -> None:
@@ -266,23 +246,28 @@ def _write_pages(request: Request, state: RunState) -> None:
     if request.acknowledge:
         state.acknowledge(request.tree)
     for date, night in state.nights.items():
-        if night.changed or not is_finished(request.tree, date):
+        if _needs_page(request, night):
             write_page(request.tree, night, trend.until(date))
 
 
-def _progress(reduced: Reduced) -> str:
-    why = "; ".join(reduced.reasons) or reduced.problem
-    return f"{reduced.name}: {reduced.action}" + (f": {why}" if why else f" in {reduced.seconds:.1f} s")
+def _needs_page(request: Request, night: Night) -> bool:
+    return night.changed or not is_finished(request.tree, night.date)
 
 
 @contextmanager
 def _errors_on_pages(request: Request, state: RunState) -> Iterator[None]:
-    """Write on the page of every unfinished night what stopped the run."""
+    """Write on the page of every unfinished night what stopped the run.
+
+    If no night is known, it is that which the first folder is named after.
+    """
     try:
         yield
     except BaseException as error:
         TRACE.info("stopped: %s", error, exc_info=not isinstance(error, (IrlosError, KeyboardInterrupt)))
-        for night in _unfinished_nights(request, state):
+        nights = [one for one in state.nights.values() if _needs_page(request, one)]
+        if not state.nights:
+            nights = [Night(date_in_path(request.folders[0]) or night_of(time.time()))]
+        for night in nights:
             if isinstance(error, NothingToDo):
                 night.nothing = str(error)
             else:
@@ -290,15 +275,6 @@ def _errors_on_pages(request: Request, state: RunState) -> Iterator[None]:
             with suppress(IrlosError):  # the first error is the one to report
                 write_page(request.tree, night, None)
         raise
-
-
-def _unfinished_nights(request: Request, state: RunState) -> list[Night]:
-    """Nights whose page is not written; if none is known, the night that the first folder is named after."""
-    if not state.nights:
-        return [Night(date_in_path(request.folders[0]) or night_of(time.time()))]
-    return [
-        night for date, night in state.nights.items() if night.changed or not is_finished(request.tree, date)
-    ]
 
 
 def _reason(error: BaseException) -> str:
