@@ -11,11 +11,10 @@ from benchmarks.misled.cases import RIGHT, Case
 from benchmarks.misled.families import NIGHTS, RIGHT_NIGHTS, Taken
 from benchmarks.misled.judging import mode_errors, ramp_errors
 from benchmarks.misled.making import make_cube, make_ramp, ncpa_of
-from irlos_pipe.night.reduce import Reduced
+from irlos_pipe.night.reduce import Job, Reduced
 from irlos_pipe.night.run import Request, run_night
 from irlos_pipe.night.settings import load_settings
 from irlos_pipe.night.state import Night, RunState
-from irlos_pipe.night.tasks import Job
 from irlos_pipe.product.results import read_run_results
 from irlos_pipe.product.runfolder import RunFolder
 

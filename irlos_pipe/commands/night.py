@@ -138,10 +138,10 @@ def trend(
       irlos trend /data/irlos/reduced --csv > trend.csv
       irlos trend /data/irlos/reduced --dashboard irlos.json
     """
-    from irlos_pipe.night.dashboard import write_dashboard
+    from irlos_pipe.night.database import write_dashboard
     from irlos_pipe.night.settings import load_settings
+    from irlos_pipe.night.terminal import alarms_line, trend_csv, trend_json, trend_text
     from irlos_pipe.night.trend import read_trend
-    from irlos_pipe.night.trend_text import alarms_line, trend_csv, trend_json, trend_text
 
     if as_json and as_csv:
         raise click.UsageError("--json and --csv exclude each other")

@@ -1,4 +1,4 @@
-"""The band in which a number is expected from the nights before, and the test of a whole wavefront."""
+"""A number, the band in which it is expected from the nights before, and the test of a whole wavefront."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ class Band:
 
     Attributes
     ----------
-    centre, half_width : float
-        Its middle and half its width.
     lowest : float
         What the number cannot be below.
     freedom : float
@@ -53,9 +51,33 @@ class Band:
         """Whether a value lies within the band."""
         return self.low <= value <= self.high
 
-    def text(self, value: float) -> str:
-        """Return what is said of a `value` outside."""
-        return f"{value:.4g} outside {self.low:.4g} to {self.high:.4g} ({self.nights} earlier nights)"
+
+@dataclass(frozen=True)
+class Point:
+    """One number of one run: a row of the table that all texts, pages and plots are made from.
+
+    Attributes
+    ----------
+    unix_s : float
+        Start of the recording [s since 1970]; the middle of the night where it is not known.
+    sigma : float or None
+        Standard error.
+    band : Band or None
+        From the nights before; None where these are too few.
+    alarm : str
+        What is said of it where it is not as expected; else empty.
+    """
+
+    run: str
+    night: str
+    unix_s: float
+    name: str
+    recipe: str
+    configuration: str
+    value: float
+    sigma: float | None
+    band: Band | None = None
+    alarm: str = ""
 
 
 @dataclass(frozen=True)
@@ -83,23 +105,14 @@ class History:
         return float(np.median(self.errors[known])) if 2 * known.sum() > len(known) else np.nan
 
 
-def histories(
-    nights: Sequence[str], values: Sequence[float], sigmas: Sequence[float | None], most: int
-) -> dict[str, History]:
-    """Return what is known of a number before each of the nights.
+def histories(points: Sequence[Point], most: int) -> dict[str, History]:
+    """Return what is known of a number before each night, of `points` in order of time.
 
-    Parameters
-    ----------
-    nights : sequence of str
-        ISO dates in ascending order.
-    values, sigmas : sequence of float, sequence of float or None
-        The numbers and their standard errors.
-    most : int
-        How many of the latest earlier nights count.
+    The `most` latest earlier nights count.
     """
     by_night: dict[str, list[tuple[float, float]]] = {}
-    for night, value, sigma in zip(nights, values, sigmas, strict=True):
-        by_night.setdefault(night, []).append((value, np.nan if sigma is None else sigma))
+    for one in points:
+        by_night.setdefault(one.night, []).append((one.value, np.nan if one.sigma is None else one.sigma))
     table = np.array([np.median(np.array(one), axis=0) for one in by_night.values()]).reshape(-1, 2)
     return {night: History(*table[max(0, index - most) : index].T) for index, night in enumerate(by_night)}
 
@@ -157,44 +170,21 @@ def band_of(
     if count < (rule.least_nights_with_errors if np.isfinite(error) else rule.least_nights):
         return None
     scatter = GAUSSIAN_MAD * float(np.median(np.abs(history.medians - history.centre)))
-    own, told = MAD_EFFICIENCY * (count - 1), 0.0
+    own, of_errors = MAD_EFFICIENCY * (count - 1), 0.0
     if np.isfinite(error):
-        told = ERROR_NIGHTS if excess is None else POOLED_ERROR_NIGHTS
+        of_errors = ERROR_NIGHTS if excess is None else POOLED_ERROR_NIGHTS
         expected = error * (excess or 1.0)
-        scatter = np.sqrt((own * scatter**2 + told * expected**2) / (own + told))
+        scatter = np.sqrt((own * scatter**2 + of_errors * expected**2) / (own + of_errors))
     beyond = (sigma or 0.0) ** 2 - (error**2 if np.isfinite(error) else 0.0)
     width = np.sqrt(scatter**2 * (1 + MEDIAN_VARIANCE / count) + max(beyond, 0.0))
-    half = _quantile(rule.false_alarm, own + told) * float(width)
-    return Band(history.centre, half, count, lowest, own + told)
+    half = _quantile(rule.false_alarm, own + of_errors) * float(width)
+    return Band(history.centre, half, count, lowest, own + of_errors)
 
 
 @cache
 def _quantile(false_alarm: float, freedom: float) -> float:
     """Half width of the band in standard deviations."""
     return -float(scipy.special.stdtrit(freedom, false_alarm / 2))
-
-
-def bands(
-    nights: Sequence[str], values: Sequence[float], sigmas: Sequence[float | None], rule: BandSettings
-) -> list[Band | None]:
-    """Return the band of every value of one number, from the nights before its own; see `band_of`.
-
-    Parameters
-    ----------
-    nights : sequence of str
-        ISO dates in ascending order.
-    values, sigmas : sequence of float, sequence of float or None
-        The numbers and their standard errors.
-    rule : BandSettings
-        Probability of a false alarm and number of nights.
-
-    Returns
-    -------
-    list of Band or None
-        None for values with too few nights before them.
-    """
-    before = histories(nights, values, sigmas, rule.nights)
-    return [band_of(before[night], sigma, rule) for night, sigma in zip(nights, sigmas, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -205,10 +195,9 @@ class WavefrontTest:
     ----------
     change_nm : float
         RMS of the differences from the medians [nm].
-    chi2 : float
-        Sum of the squares of the differences in standard deviations.
-    limit : float
-        What chi2 exceeds with the probability of a false alarm.
+    chi2, limit : float
+        Sum of the squares of the differences in standard deviations, and what it exceeds with the
+        probability of a false alarm.
     """
 
     change_nm: float
@@ -217,14 +206,14 @@ class WavefrontTest:
     modes: int
     nights: int
 
-    def holds(self, value: float) -> bool:
-        """Whether the wavefront is that of the nights before; its one `value` is not asked for."""
+    @property
+    def holds(self) -> bool:
+        """Whether the wavefront is that of the nights before."""
         return self.chi2 <= self.limit
 
-    def text(self, value: float) -> str:
-        """Return what is said of a wavefront that has changed by `value`."""
+    def __str__(self) -> str:
         return (
-            f"{value:.3g} nm RMS from the median of {self.nights} nights, "
+            f"{self.change_nm:.3g} nm RMS from the median of {self.nights} nights, "
             f"χ² {self.chi2:.3g} of {self.modes} (limit {self.limit:.3g})"
         )
 

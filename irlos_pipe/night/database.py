@@ -1,4 +1,4 @@
-"""The SQLite file of a tree: descriptions of recordings, and the numbers and verdicts of all runs.
+"""The SQLite file of a tree: descriptions of recordings, numbers and verdicts of all runs; its dashboard.
 
 Everything in it can be read from the products: if the file is missing, the next `irlos night` makes it again.
 """
@@ -9,19 +9,15 @@ import json
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from datetime import date
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter
-
-from irlos_pipe.conventions.errors import InputDataError, IrlosError, Locked
-from irlos_pipe.files.json import json_text
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, Locked
+from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.locks import has_locks
-from irlos_pipe.night.description import Description
-from irlos_pipe.night.grouping import Group
-from irlos_pipe.night.measurements import Measurements
+from irlos_pipe.night.bands import Point
+from irlos_pipe.night.numbers import Measurements
 
 NAME = "trend.sqlite"
 SCHEMA_VERSION = 2
@@ -71,32 +67,48 @@ CREATE INDEX IF NOT EXISTS checks_by_run ON checks (run);
 FORGET_KEYS = "UPDATE runs SET key = ''"
 # A row that a run can have; others were made by somebody else, and are left out.
 SOUND = "date(night) = night AND run LIKE '%/%/%' AND coalesce(start_unix_s, 0) BETWEEN 0 AND 4102444800"
-DESCRIPTION = TypeAdapter(Description)
 LOCKED_S = 30.0  # how long another program may hold the file
 # For a night without times: local midnight of Paranal, which comes after that of its date.
 MIDNIGHT = "CAST(strftime('%s', night, '+1 day', '+282 minutes') AS REAL)"
 
-
-@dataclass(frozen=True)
-class Point:
-    """One number of one run.
-
-    Attributes
-    ----------
-    unix_s : float
-        Start of the recording [s since 1970]; the middle of the night where it is not known.
-    sigma : float or None
-        Standard error.
-    """
-
-    run: str
-    night: str
-    unix_s: float
-    name: str
-    recipe: str
-    configuration: str
-    value: float
-    sigma: float | None
+# -- the dashboard for Grafana --
+SOURCE = {"type": "frser-sqlite-datasource", "uid": "${DS_IRLOS}"}
+WINDOW = "coalesce(start_unix_s, strftime('%s', night)) BETWEEN $__from / 1000 AND $__to / 1000"
+COLUMNS, HEIGHT = 12, 8  # of a panel; the page has 24 columns
+POINTS = (  # every number is a line of its own
+    "SELECT CAST(coalesce(start_unix_s, strftime('%s', night)) AS INTEGER) AS time, "
+    "name || ' ' || recipe AS metric, value FROM numbers JOIN runs USING (run) "
+    f"WHERE name IN ({{}}) AND status != 'qc_failed' AND {WINDOW} ORDER BY time"
+)
+SERIES = (
+    (
+        "NCPAs, Noll 4 to 11",
+        POINTS.format(", ".join(f"'noll_{noll}_nm'" for noll in range(4, 12))),
+        "lengthnm",
+    ),
+    ("RMS of the NCPAs", POINTS.format("'ncpa_nm'"), "lengthnm"),
+    ("Defocus bias of ramps", POINTS.format("'defocus_bias_nm'"), "lengthnm"),
+    ("Slope of ramps", POINTS.format("'ramp_slope'"), "none"),
+    ("Seeing", POINTS.format("'seeing_arcsec'"), "arcsec"),
+    ("Gap before and after diagnosis", POINTS.format("'gap_before', 'gap_after', 'gap_floor'"), "none"),
+)
+TABLES = (
+    (
+        "Checks that failed",
+        "SELECT night, run, name, value, unit, low, high, message FROM checks JOIN runs USING (run) "
+        f"WHERE NOT passed AND {WINDOW} ORDER BY night DESC, run, name",
+    ),
+    (
+        "What the model lacks",
+        "SELECT night, run, target, verdict, effects FROM runs "
+        f"WHERE verdict IS NOT NULL AND {WINDOW} ORDER BY night DESC, run",
+    ),
+    (
+        "Runs",
+        f"SELECT night, run, kind, recipe, target, status, model FROM runs WHERE {WINDOW} "
+        "ORDER BY night DESC, run",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -119,87 +131,61 @@ class Database:
     """The tables of one tree, see `SCHEMA`; opened with `opened`, `copied` or `existing`."""
 
     def __init__(self, connection: sqlite3.Connection):
-        self._connection = connection
+        self.connection = connection
 
-    def description(self, file: Path, stamp: str) -> Description | None:
-        """Return the description of a `file`; None when the file is new or has another `stamp`."""
+    def description(self, file: Path, stamp: str) -> str | None:
+        """Return what is stored of a `file`, JSON; None when the file is new or has another `stamp`."""
         query = "SELECT description FROM recordings WHERE file = ? AND stamp = ?"
-        row = self._connection.execute(query, (str(file), stamp)).fetchone()
-        return None if row is None else _description(row[0])  # None as well if it was damaged: read anew
+        row = self.connection.execute(query, (str(file), stamp)).fetchone()
+        return row and row[0]
 
-    def descriptions(self) -> list[Description]:
-        """Return the descriptions of all nights whose files still exist."""
-        rows = self._connection.execute("SELECT file, description FROM recordings ORDER BY file")
-        return list(filter(None, (_description(content) for file, content in rows if Path(file).is_file())))
+    def descriptions(self) -> Iterator[tuple[str, str]]:
+        """Yield the files of all nights with what is stored of them, JSON."""
+        yield from self.connection.execute("SELECT file, description FROM recordings ORDER BY file")
 
-    def add_description(self, file: Path, stamp: str, description: Description) -> None:
+    def add_description(self, file: Path, stamp: str, description: str) -> None:
         """Store the `description` of a `file` under its `stamp`.
 
         It is committed at once: reading an archive takes long and may be interrupted.
         """
-        self._connection.execute(
-            "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
-            (str(file), stamp, json_text(asdict(description), None)),
-        )
-        self._connection.commit()
+        row = (str(file), stamp, description)
+        self.connection.execute("INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)", row)
+        self.connection.commit()
 
     def run_key(self, run: str) -> str:
         """Return the key of the products whose numbers are stored; "" when there are none."""
-        row = self._connection.execute("SELECT key FROM runs WHERE run = ?", (run,)).fetchone()
+        row = self.connection.execute("SELECT key FROM runs WHERE run = ?", (run,)).fetchone()
         return row[0] if row else ""
 
-    def store_run(self, run: str, group: Group, recipe: str, measured: Measurements) -> None:
-        """Store the numbers of a run and remove those of its earlier products.
+    def store_run(self, head: tuple, measured: Measurements) -> None:
+        """Store what was `measured` in a run, and remove the numbers of its earlier products.
 
         Parameters
         ----------
-        run : str
-            ``<night>/<group>/<recipe>``.
-        group : Group
-            The recordings.
-        recipe : str
-            Name of the recipe.
+        head : tuple
+            Its columns of the table `runs` up to the target.
         measured : Measurements
-            Status, numbers and verdict.
+            The others, and the rows of `numbers` and `checks`.
         """
-        first = group.first
+        run = head[0]
         for table in ("checks", "numbers", "runs"):
-            self._connection.execute(f"DELETE FROM {table} WHERE run = ?", (run,))
-        self._connection.execute(
+            self.connection.execute(f"DELETE FROM {table} WHERE run = ?", (run,))
+        failed, effects = json.dumps(measured.checks_failed), json.dumps(measured.effects)
+        self.connection.execute(
             "INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                run,
-                group.night,
-                group.kind,
-                recipe,
-                first.start_unix_s,
-                first.configuration,
-                first.target,
-                measured.status,
-                json.dumps(measured.checks_failed),
-                measured.verdict,
-                json.dumps(measured.effects),
-                measured.model,
-                measured.key,
-            ),
+            (*head, measured.status, failed, measured.verdict, effects, measured.model, measured.key),
         )
-        rows = [(run, name, value, sigma) for name, (value, sigma) in measured.numbers.items()]
-        self._connection.executemany("INSERT INTO numbers VALUES (?, ?, ?, ?)", rows)
+        numbers = [(run, name, *found) for name, found in measured.numbers.items()]
+        self.connection.executemany("INSERT INTO numbers VALUES (?, ?, ?, ?)", numbers)
         checks = [
             (run, stage, one.name, one.value, one.unit, one.low, one.high, one.passed, one.message)
             for stage, one in measured.checks
         ]
-        self._connection.executemany("INSERT INTO checks VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", checks)
+        self.connection.executemany("INSERT INTO checks VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", checks)
 
     def failed_calibrations(self, recipes: Iterable[str]) -> dict[str, str]:
-        """Return why calibrations failed their quality check, by ``<night>/<group>``.
-
-        Parameters
-        ----------
-        recipes : iterable of str
-            Names of the recipes that judge them.
-        """
-        rows = self._connection.execute(
+        """Return why calibrations failed the check of one of the `recipes`, by ``<night>/<group>``."""
+        rows = self.connection.execute(
             "SELECT run, recipe, CASE WHEN json_valid(checks_failed) THEN checks_failed ELSE '[]' END"
             " FROM runs WHERE kind = 'calibration' AND status = 'qc_failed'"
         )
@@ -215,7 +201,7 @@ class Database:
 
         All nights if `until` is empty. Those of runs that failed their quality check stay out.
         """
-        rows = self._connection.execute(
+        rows = self.connection.execute(
             f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
             " configuration, value, sigma FROM numbers JOIN runs USING (run)"
             f" WHERE {SOUND} AND typeof(value) = 'real' AND typeof(sigma) IN ('real', 'null')"
@@ -225,16 +211,13 @@ class Database:
 
     def verdicts(self, until: str = "") -> list[Verdict]:
         """Return the verdicts of `diagnose` in order of time, up to the night `until` (all if empty)."""
-        rows = self._connection.execute(
+        rows = self.connection.execute(
             "SELECT run, night, target, verdict, effects FROM runs"
             f" WHERE {SOUND} AND verdict IS NOT NULL"
             " AND CASE WHEN json_valid(effects) THEN json_type(effects) = 'array' END"
             " ORDER BY night, start_unix_s, run"
         )
-        found = (
-            Verdict(run, night, target, verdict, tuple(json.loads(effects)))
-            for run, night, target, verdict, effects in rows
-        )
+        found = (Verdict(*row[:4], tuple(json.loads(row[4]))) for row in rows)
         return [one for one in found if not until or one.night <= until]
 
 
@@ -247,8 +230,29 @@ def opened(tree: Path) -> Iterator[Database]:
     IrlosError
         When the file cannot be read or written, or is not such a database; it is unchanged then.
     """
-    with _connected(tree) as connection:
-        yield Database(connection)
+    path = tree / NAME
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise IrlosError(
+            f"{path}: no file of our own; move it away, and the next irlos night makes a new one"
+        )
+    try:
+        # Without locks on the disk SQLite would wait for one in vain; the tree has its owner.
+        nolock = "" if has_locks(tree) else "?nolock=1"
+        connection = sqlite3.connect(path.absolute().as_uri() + nolock, timeout=LOCKED_S, uri=True)
+        try:
+            _require_schema(connection, path)
+            connection.execute("PRAGMA foreign_keys = ON")
+            with connection:
+                yield Database(connection)
+        finally:
+            connection.close()
+    except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            raise Locked(f"{path}: in use by another program; close it and run again") from error
+        raise IrlosError(
+            f"{path}: {error}; the products hold everything in it: move the file away, and the next "
+            "irlos night makes it again"
+        ) from error
 
 
 @contextmanager
@@ -257,8 +261,8 @@ def copied(tree: Path) -> Iterator[Database]:
     connection = sqlite3.connect(":memory:")
     try:
         if (tree / NAME).is_file():
-            with _connected(tree) as stored:
-                stored.backup(connection)
+            with opened(tree) as stored:
+                stored.connection.backup(connection)
         _require_schema(connection, tree / NAME)
         yield Database(connection)
     finally:
@@ -283,33 +287,6 @@ def existing(tree: Path) -> Iterator[Database]:
         yield database
 
 
-@contextmanager
-def _connected(tree: Path) -> Iterator[sqlite3.Connection]:
-    path = tree / NAME
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise IrlosError(
-            f"{path}: no file of our own; move it away, and the next irlos night makes a new one"
-        )
-    try:
-        # Without locks on the disk SQLite would wait for one in vain; the tree has its owner.
-        nolock = "" if has_locks(tree) else "?nolock=1"
-        connection = sqlite3.connect(path.absolute().as_uri() + nolock, timeout=LOCKED_S, uri=True)
-        try:
-            _require_schema(connection, path)
-            connection.execute("PRAGMA foreign_keys = ON")
-            with connection:
-                yield connection
-        finally:
-            connection.close()
-    except sqlite3.Error as error:
-        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-            raise Locked(f"{path}: in use by another program; close it and run again") from error
-        raise IrlosError(
-            f"{path}: {error}; the products hold everything in it: move the file away, and the next "
-            "irlos night makes it again"
-        ) from error
-
-
 def _require_schema(connection: sqlite3.Connection, path: Path) -> None:
     """Create the tables of a new file; refuse those of a newer version."""
     version = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -322,11 +299,42 @@ def _require_schema(connection: sqlite3.Connection, path: Path) -> None:
             connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
 
-def _description(content: Any) -> Description | None:
-    """The description of a recording; None if it is damaged."""
-    try:
-        found = DESCRIPTION.validate_json(content)
-        date.fromisoformat(found.night)  # the name of a folder is made of it
-    except ValueError:
-        return None
-    return found
+def write_dashboard(tree: Path, path: Path) -> None:
+    """Write a dashboard for Grafana that shows the database of a `tree` to the file `path`.
+
+    Raises
+    ------
+    ConfigurationError
+        When its name does not end in ``.json``.
+    """
+    if path.suffix != ".json":
+        raise ConfigurationError(f"--dashboard {path}: give a name that ends in .json")
+    content = {
+        "__inputs": [
+            {
+                "name": "DS_IRLOS", "label": "irlos", "type": "datasource",
+                "pluginId": SOURCE["type"], "pluginName": "SQLite",
+                "description": f"path of the database: {tree.absolute() / NAME}",
+            }
+        ],
+        "title": "IRLOS", "uid": "irlos-trend", "schemaVersion": 39, "editable": True, "refresh": "15m",
+        "time": {"from": "now-90d", "to": "now"}, "timezone": "utc",
+        "panels": [_panel(number, *one) for number, one in enumerate([*SERIES, *TABLES])],
+    }  # fmt: skip
+    write_bytes(path, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def _panel(number: int, title: str, query: str, unit: str = "") -> dict[str, Any]:
+    """Points against time of numbers with a `unit`, else a table."""
+    kind, result = ("timeseries", "time series") if unit else ("table", "table")
+    place = {"h": HEIGHT, "w": COLUMNS, "x": COLUMNS * (number % 2), "y": HEIGHT * (number // 2)}
+    target = {
+        "refId": "A", "datasource": SOURCE, "queryType": result, "queryText": query, "rawQueryText": query,
+        "timeColumns": ["time"],
+    }  # fmt: skip
+    panel = {
+        "id": number + 1, "title": title, "type": kind, "datasource": SOURCE, "gridPos": place,
+        "targets": [target],
+    }  # fmt: skip
+    drawn = {"defaults": {"unit": unit, "custom": {"drawStyle": "points"}}, "overrides": []}
+    return panel | ({"fieldConfig": drawn} if unit else {})

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.files.processes import in_processes
-from irlos_pipe.night.reduce import Reduced, Runner, Work, failure
-from irlos_pipe.night.tasks import Task
+from irlos_pipe.night.reduce import Reduced, Runner, Task, Work, failure
 from irlos_pipe.pipeline.provenance import software_versions
 from irlos_pipe.pipeline.runlog import RUN
 
@@ -75,7 +74,6 @@ def dask_runner(scheduler: str) -> Runner:
         When no worker joins the cluster.
     """
     _distributed()
-
     if not _is_private(scheduler):
         RUN.warning(
             "--scheduler %s: whoever reaches it can run programs as its user; use tls:// (docs/scale_out.md)",
@@ -84,7 +82,15 @@ def dask_runner(scheduler: str) -> Runner:
 
     def run(work: Work, tasks: Sequence[Task]) -> Iterator[Reduced]:
         with _connected(scheduler) as client:
-            yield from _on_cluster(client, work, tasks)
+            lost = []
+            for future, task in _futures(client, work, tasks, IN_FLIGHT):
+                # Dask blames the death of a worker on all tasks it held
+                if isinstance(future.exception(), _distributed().scheduler.KilledWorker):
+                    lost.append(task)
+                else:
+                    yield _outcome(future, task)
+            for future, task in _futures(client, work, lost, 1):
+                yield _outcome(future, task)
 
     return run
 
@@ -94,18 +100,6 @@ def _is_private(scheduler: str) -> bool:
     scheme, _, location = scheduler.rpartition("://")
     host = location.rpartition(":")[0].strip("[]")
     return scheme in ("tls", "inproc") or host in ("localhost", "::1") or host.startswith("127.")
-
-
-def _on_cluster(client: Client, work: Work, tasks: Sequence[Task]) -> Iterator[Reduced]:
-    """Yield the outcomes as they are ready; Dask blames the death of a worker on all tasks it held."""
-    lost = []
-    for future, task in _futures(client, work, tasks, IN_FLIGHT):
-        if isinstance(future.exception(), _distributed().scheduler.KilledWorker):
-            lost.append(task)
-        else:
-            yield _outcome(future, task)
-    for future, task in _futures(client, work, lost, 1):
-        yield _outcome(future, task)
 
 
 def _futures(
@@ -128,17 +122,11 @@ def _futures(
 
 def _chain(client: Client, work: Work, task: Task) -> Future[Reduced]:
     """Submit the stages of a task, each waiting for the one before; return the last."""
-    first, *others = task.load().stages
-    future = _submit(client, work, task, first, None)
-    for stage in others:
-        future = _submit(client, work, task, stage, future)
+    future: Any = None
+    for stage in task.load().stages:
+        key = f"{task.name}/{stage}"
+        future = client.submit(_stage, work, task, stage, future, key=key, pure=False)
     return future
-
-
-def _submit(
-    client: Client, work: Work, task: Task, stage: str, before: Future[Reduced] | None
-) -> Future[Reduced]:
-    return client.submit(_stage, work, task, stage, before, key=f"{task.name}/{stage}", pure=False)
 
 
 def _stage(work: Work, task: Task, stage: str, before: Reduced | None) -> Reduced:
@@ -158,9 +146,12 @@ def _outcome(future: Future[Reduced], task: Task) -> Reduced:
 @contextmanager
 def _connected(scheduler: str) -> Iterator[Client]:
     """Connect to a cluster that has a worker; all workers have the software of this process."""
+    distributed = _distributed()
     try:
-        _require_port(scheduler)
-        client = _distributed().Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        scheme, location = distributed.comm.parse_address(scheduler)
+        if scheme in ("tcp", "tls"):  # a client would miss the port only when it is deleted
+            distributed.comm.parse_host_port(location)
+        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:  # a timeout is an OSError, no certificate a TypeError
         raise ConfigurationError(
             f"--scheduler {scheduler}: no Dask scheduler answers there "
@@ -169,13 +160,6 @@ def _connected(scheduler: str) -> Iterator[Client]:
     with client:
         _require_workers(client, scheduler)
         yield client
-
-
-def _require_port(scheduler: str) -> None:
-    """Raise ValueError for an address without a port; the client would raise it again when it is deleted."""
-    scheme, location = _distributed().comm.parse_address(scheduler)
-    if scheme in ("tcp", "tls"):
-        _distributed().comm.parse_host_port(location)
 
 
 def _require_workers(client: Client, scheduler: str) -> None:
@@ -188,10 +172,6 @@ def _require_workers(client: Client, scheduler: str) -> None:
             f"--scheduler {scheduler}: no worker within {WORKERS_S // 60} minutes; "
             f"start some with: dask worker {scheduler} --nthreads 1"
         ) from None
-    _require_same_software(client)
-
-
-def _require_same_software(client: Client) -> None:
     own = software_versions()
     for address, versions in client.run(software_versions).items():
         if versions != own:

@@ -6,12 +6,12 @@ import hashlib
 import re
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import date
 from itertools import pairwise
 from typing import TypeVar
 
-from irlos_pipe.night.description import Description, common_depth, utc_time
+from irlos_pipe.night.recordings import Description, LeftOut, common_depth, utc_time
 from irlos_pipe.night.settings import Kind, NightSettings
 
 NO_CALIBRATION = "no calibration cube of its configuration within {0} nights ({1})"
@@ -52,31 +52,13 @@ class Group:
         return next(iter(self.inputs.values()))[0]
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """A recording that is not reduced; `alarming` when somebody should know, `copy` of another one."""
-
-    recording: Description
-    reason: str
-    alarming: bool = False
-    copy: bool = False
-
-
-@dataclass(frozen=True)
-class Grouping:
-    """The groups, and the recordings that are in none."""
-
-    groups: list[Group] = field(default_factory=list)
-    left_out: list[LeftOut] = field(default_factory=list)
-
-
 def group_recordings(
     found: Iterable[Description],
     settings: NightSettings,
     others: Iterable[Description] = (),
     failed: Mapping[str, str] | None = None,
-) -> Grouping:
-    """Sort recordings into groups.
+) -> tuple[list[Group], list[LeftOut]]:
+    """Sort recordings into groups; returns these, and the recordings that are in none.
 
     A calibration cube is a group of its own. Recordings of a ramp are of one night, share configuration,
     spectrum, target and folder, and follow one another without a long pause. A ramp uses a calibration of
@@ -101,39 +83,39 @@ def group_recordings(
     further = [one for one in others if one.path not in own]
     known = [*found, *(one for one in further if not any(one.same_frames(mine) for mine in found))]
     cubes = [one for one in known if one.role == "ncpa_calibration" and one.full_pupil]
-    nights = _split(found, lambda one: one.night)
-    grouping = Grouping()
-    for night in sorted(nights):
-        _group_night(sorted(nights[night], key=_by_time), cubes, settings, grouping, failed or {})
-    return grouping
+    groups: list[Group] = []
+    left_out: list[LeftOut] = []
+    for _, members in sorted(_split(found, lambda one: one.night).items()):
+        in_order = sorted(members, key=_by_time)
+        darks = [one for one in in_order if one.role == "dark"]
+        of_night = _of_night(in_order, cubes, settings, left_out, failed or {})
+        groups += _with_unique_names(_with_darks(group, darks) for group in of_night)
+    return groups, left_out
 
 
-def _group_night(
+def _of_night(
     found: Sequence[Description],
     cubes: Sequence[Description],
     settings: NightSettings,
-    grouping: Grouping,
+    left_out: list[LeftOut],
     failed: Mapping[str, str],
-) -> None:
+) -> Iterator[Group]:
     """Group the recordings of one night; `cubes` are those of all nights."""
     lenslets = [one for one in found if not one.full_pupil]
     others = [one for one in lenslets if one.role not in ("psf", "dark")]
-    grouping.left_out.extend(LeftOut(one, OTHER_2X2.format(one.role)) for one in others)
+    left_out.extend(LeftOut(one, OTHER_2X2.format(one.role)) for one in others)
     roles = _split((one for one in found if one.full_pupil), lambda one: one.role)
     gap_s = 60 * settings.series_gap_min
-    groups = [_single("calibration", cube) for cube in roles["ncpa_calibration"]]
+    yield from (_single("calibration", cube) for cube in roles["ncpa_calibration"])
     for ramp in _series(roles["defocus_ramp"], gap_s):
         calibration, why = _calibration_for(ramp[0], cubes, settings.calibration_nights, failed)
         if calibration is None:
-            grouping.left_out.extend(LeftOut(one, why, alarming=True) for one in ramp)
+            left_out.extend(LeftOut(one, why, alarming=True) for one in ramp)
         else:
-            group = _group("ramp", ramp, ramp=ramp, calibration=(calibration,))
-            groups.append(replace(group, choice=why))
-    groups += [_group("derotator", series, cube=series) for series in _series(roles["derotator"], gap_s)]
-    groups += [_single("psf", one) for one in roles["psf"]]
-    groups += [_single("two_by_two", one) for one in lenslets if one.role == "psf"]
-    darks = [one for one in found if one.role == "dark"]
-    grouping.groups.extend(_with_unique_names(_with_darks(group, darks) for group in groups))
+            yield replace(_group("ramp", ramp, ramp=ramp, calibration=(calibration,)), choice=why)
+    yield from (_group("derotator", series, cube=series) for series in _series(roles["derotator"], gap_s))
+    yield from (_single("psf", one) for one in roles["psf"])
+    yield from (_single("two_by_two", one) for one in lenslets if one.role == "psf")
 
 
 def _group(kind: Kind, members: Sequence[Description], **inputs: tuple[Description, ...]) -> Group:
@@ -168,35 +150,27 @@ def _calibration_for(
     Earlier nights are preferred to later ones, which do not exist yet on the morning after: so the choice
     stays when they do.
     """
-    fitting = sorted(
-        (
-            cube
-            for cube in cubes
-            if cube.configuration == ramp.configuration and abs(_nights_apart(cube, ramp)) <= nights
-        ),
-        key=lambda cube: _preference(cube, ramp),
-    )
-    if not fitting:
-        return None, NO_CALIBRATION.format(nights, ramp.configuration)
-    reasons = [f"{cube.name}: {failed[cube_key(cube)]}" for cube in fitting if cube_key(cube) in failed]
-    passed = [cube for cube in fitting if cube_key(cube) not in failed]
-    if not passed:
+    fitting = [cube for cube in cubes if cube.configuration == ramp.configuration]
+    fitting = [cube for cube in fitting if abs(_nights_apart(cube, ramp)) <= nights]
+    fitting.sort(key=lambda cube: _preference(cube, ramp))
+    reasons: list[str] = []
+    for cube in fitting:
+        why = failed.get(cube_key(cube))
+        if why is None:
+            return cube, _choice(cube, ramp, reasons)
+        reasons.append(f"{cube.name}: {why}")
+    if reasons:
         return None, NONE_PASSED.format(nights, reasons[0])
-    nearer = [f"{one.name}: {failed[cube_key(one)]}" for one in fitting[: fitting.index(passed[0])]]
-    return passed[0], _choice(passed[0], ramp, nearer)
+    return None, NO_CALIBRATION.format(nights, ramp.configuration)
 
 
 def _choice(cube: Description, ramp: Description, nearer: Sequence[str]) -> str:
     """Which calibration, how far from the ramp it is, and what spoke against nearer ones."""
-    apart = _nights_apart(cube, ramp)
-    known = cube.start_unix_s is not None and ramp.start_unix_s is not None
-    distance = (
-        f"{abs(apart)} night{'s' if abs(apart) > 1 else ''} {'later' if apart > 0 else 'earlier'}"
-        if apart
-        else f"{_apart_s(cube, ramp) / 60:.0f} min away"
-        if known
-        else "of the same night"
-    )
+    distance, apart = "of the same night", _nights_apart(cube, ramp)
+    if apart:
+        distance = f"{abs(apart)} night{'s' if abs(apart) > 1 else ''} {'later' if apart > 0 else 'earlier'}"
+    elif cube.start_unix_s is not None and ramp.start_unix_s is not None:
+        distance = f"{_apart_s(cube, ramp) / 60:.0f} min away"
     instead = f"; not {', not '.join(nearer)}" if nearer else ""
     return f"{cube.name}, {distance}, the nearest that has not failed{instead}"
 
@@ -205,7 +179,7 @@ def _preference(cube: Description, ramp: Description) -> tuple[bool, bool, int, 
     """Sort key; the smallest is preferred."""
     apart = _nights_apart(cube, ramp)
     depth = common_depth(cube.path, ramp.path)
-    return (apart != 0, apart > 0, abs(apart), _apart_s(cube, ramp), -depth, str(cube.path))
+    return apart != 0, apart > 0, abs(apart), _apart_s(cube, ramp), -depth, str(cube.path)
 
 
 def _nights_apart(one: Description, other: Description) -> int:
@@ -221,15 +195,11 @@ def _apart_s(one: Description, other: Description) -> float:
 
 def _with_darks(group: Group, darks: Sequence[Description]) -> Group:
     """Add to every input the darks that ingest may use for it."""
-    inputs = {
-        name: (*members, *(dark for dark in darks if _fits(dark, members[0])))
+    fitting = {
+        name: [dark for dark in darks if (dark.window, dark.mode) == (members[0].window, members[0].mode)]
         for name, members in group.inputs.items()
     }
-    return replace(group, inputs=inputs)
-
-
-def _fits(dark: Description, recording: Description) -> bool:
-    return (dark.window, dark.mode) == (recording.window, recording.mode)
+    return replace(group, inputs={name: (*group.inputs[name], *some) for name, some in fitting.items()})
 
 
 def _name(members: Sequence[Description]) -> str:

@@ -2,43 +2,67 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from markupsafe import Markup
+
 from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.night.page_sections import (
-    left_out_section,
-    numbers_of_night,
-    recordings_section,
-    reductions_section,
-    trend_section,
-    verdicts_section,
-)
-from irlos_pipe.night.settings import BandSettings
-from irlos_pipe.night.state import Night
-from irlos_pipe.night.tree import page_path
-from irlos_pipe.night.trend import Trend, make_trend
+from irlos_pipe.night.recordings import Description, utc_time
+from irlos_pipe.night.reduce import UNCHANGED, Job, Reduced
+from irlos_pipe.night.state import Night, page_path
+from irlos_pipe.night.terminal import validity_number, validity_text
+from irlos_pipe.night.trend import Series, Trend, is_mode
+from irlos_pipe.product.runfolder import RunFolder
+from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text
 from irlos_pipe.report.render import rendered
-from irlos_pipe.report.text import plural
+from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
 
 TEMPLATE = "night.html.j2"
 FINISHED = '<meta name="irlos-night" content="finished">'
-RUNNING = "not finished"
+RUNNING, STOPPED, NEEDS_A_LOOK = "not finished", "stopped", "needs a look"
+# (label, name of the number, pattern, unit)
+KEY_NUMBERS = (
+    ("NCPAs", "ncpa_nm", ".1f", "nm"),
+    ("Defocus bias", "defocus_bias_nm", "+.1f", "nm"),
+    ("Ramp slope", "ramp_slope", ".3f", ""),
+    ("Seeing", "seeing_arcsec", ".2f", "arcsec"),
+    ("AO residual", "ao_residual_nm", ".0f", "nm"),
+    ("Image motion", "jitter_mas", ".1f", "mas"),
+)
+DRAWN_MODES = tuple(f"noll_{noll}_nm" for noll in range(4, 12))
+DRAWN_OTHERS = (
+    "ncpa_nm", "defocus_bias_nm", "ramp_slope", "seeing_arcsec", "jitter_mas", "gap_before", "gap_after",
+)  # fmt: skip
+MODES_CAPTION = (
+    "Coefficients with errors; shaded: the band that the nights before allow; dashed: limits of the "
+    "configuration; circled: outside. Modes that left their band are shown beside Noll 4 to 11."
+)
+OTHERS_CAPTION = (
+    "Other numbers in the same way; those that depend on the sky alarm only on limits. Runs that failed "
+    "their quality check are in none of these."
+)
+STRUCTURE_CAPTION = (
+    "RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
+    "time between them, with its 95 % interval: flat where the NCPAs are stable, 0 where noise explains "
+    "the change."
+)
+GAP_LEAD = "Gap: Σ|measured − predicted| / Σ measured of frames that no fit has seen; the latest come first."
+MAX_VERDICT_ROWS, MAX_VERDICTS = 30, 4  # rows of the table, and numbers at the top
+FEW_ROWS = 12
+REDUCTION_COLUMNS = ("group", "recipe", "target", "result", "what was done", "why", "report")
+VERDICT_COLUMNS = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
+RECORDING_COLUMNS = (
+    "recording", "role", "begin (UTC)", "target", "frames", "window [px]", "exposure", "configuration",
+)  # fmt: skip
+UNITS = ("nm", "arcsec", "mas")
+SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
 
 
-def begin_page(tree: Path, night: Night) -> None:
-    """Write in `tree` that `night` is being reduced, for readers, and in case this process is killed.
-
-    Raises
-    ------
-    IrlosError
-        When it cannot be written.
-    """
-    _write(tree, night, None, RUNNING)
-
-
-def write_page(tree: Path, night: Night, trend: Trend | None) -> None:
-    """Write the page of a night that is finished, empty, or was stopped.
+def write_page(tree: Path, night: Night, trend: Trend | None, running: bool = False) -> None:
+    """Write the page of a night.
 
     Parameters
     ----------
@@ -48,13 +72,34 @@ def write_page(tree: Path, night: Night, trend: Trend | None) -> None:
         What was found and done.
     trend : Trend or None
         The trend as it was after the night; None leaves it out.
+    running : bool
+        Whether the night is being reduced; the page says so, also in case this process is killed.
 
     Raises
     ------
     IrlosError
         When it cannot be written.
     """
-    _write(tree, night, trend, _status(night))
+    shown, status = trend or Trend(), RUNNING if running else _status(night)
+    sections = (
+        _reductions(night), _verdicts(shown, night.date), trend_section(shown), _left_out(night),
+        _recordings(night),
+    )  # fmt: skip
+    actions = Counter(one.action for one in night.reduced.values())
+    found = [plural(len(night.recordings), "recording"), plural(len(night.jobs), "reduction")]
+    page = rendered(
+        TEMPLATE,
+        date=night.date,
+        status=status,
+        running=running,
+        night=night,
+        finished="" if status in (RUNNING, STOPPED) else FINISHED,
+        written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        summary=", ".join([*found, *(f"{count} {action}" for action, count in actions.items())]),
+        key_numbers=numbers_of_night(night, shown),
+        sections=list(filter(None, sections)),
+    )
+    write_bytes(page_path(tree, night.date), page.encode("utf-8", "backslashreplace"))
 
 
 def is_finished(tree: Path, date: str) -> bool:
@@ -65,40 +110,184 @@ def is_finished(tree: Path, date: str) -> bool:
 
 def _status(night: Night) -> str:
     if night.stopped:
-        return "stopped"
+        return STOPPED
     if night.nothing:
         return "empty"
-    return "needs a look" if night.failures or night.doubts else "ok"
+    return NEEDS_A_LOOK if night.failures or night.doubts else "ok"
 
 
-def _write(tree: Path, night: Night, trend: Trend | None, status: str) -> None:
-    shown = trend or make_trend((), (), BandSettings())
-    sections = [
-        reductions_section(night),
-        verdicts_section(shown, night.date),
-        trend_section(shown),
-        left_out_section(night),
-        recordings_section(night),
-    ]
-    page = rendered(
-        TEMPLATE,
-        date=night.date,
-        status=status,
-        running=status == RUNNING,
-        night=night,
-        finished=FINISHED if status not in (RUNNING, "stopped") else "",
-        written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-        summary=_summary(night),
-        key_numbers=numbers_of_night(night, shown),
-        sections=list(filter(None, sections)),
+def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
+    """Return the numbers at the top of the page: the last of each in `night`, from the `trend`."""
+    found = []
+    for title, name, pattern, unit in KEY_NUMBERS:
+        series = main_series(trend, name)
+        if series and series.last.night == night.date:
+            value = with_error(series.last.value, series.last.sigma, pattern, unit)
+            found.append(KeyNumber(title, value, _group(series)))
+    longest = main_series(trend, "ncpa_nm")
+    if longest and longest.owner in trend.stabilities:
+        _, validity = trend.stabilities[longest.owner]
+        found.append(KeyNumber("Calibration valid for", *validity_number(validity)))
+    gaps = _gaps(trend)
+    for one in [one for one in trend.verdicts if one.night == night.date][-MAX_VERDICTS:]:
+        before, after = (number(gaps.get((one.run, f"gap_{when}")), ".3f") for when in ("before", "after"))
+        named, note = ", ".join(one.effects) or one.verdict, f"{one.group}: gap {before} → {after}"
+        found.append(
+            KeyNumber("Missing in the model", named, note, "bad" if one.verdict == "unknown" else "")
+        )
+    return found
+
+
+def _group(series: Series) -> str:
+    """The group of the latest point."""
+    return series.last.run.split("/")[1]
+
+
+def _gaps(trend: Trend) -> dict[tuple[str, str], float]:
+    """Values by run and name."""
+    return {(point.run, point.name): point.value for point in trend.points}
+
+
+def _reductions(night: Night) -> Section | None:
+    """One row per job: what was done, why, and a link to its report; and which calibration serves a ramp."""
+    if not night.jobs:
+        return None
+    rows = [_reduction(job, night.reduced.get(job.task.name)) for job in night.jobs]
+    marks = [mark for mark, _ in rows]
+    tables = [Table(REDUCTION_COLUMNS, [row for _, row in rows], marks=marks)]
+    chosen = {job.group.name: _wrapped(job.group.choice) for job in night.jobs if job.group.choice}
+    if chosen:
+        tables.append(Table(("ramp", "calibration"), list(chosen.items()), "Calibrations of the ramps"))
+    return Section("reductions", "Reductions", "", tables)
+
+
+def _reduction(job: Job, reduced: Reduced | None) -> tuple[str, tuple[str, ...]]:
+    """Mark and cells of a row."""
+    head = (job.group.name, job.task.recipe.stem, job.group.first.target or MISSING)
+    if reduced is None:
+        return "", (*head, "not finished", MISSING, "", "")
+    link = MISSING
+    if RunFolder(reduced.folder).report.is_file():
+        link = Markup('<a href="{}/report.html">report</a>').format(reduced.name)
+    row = (
+        *head,
+        NEEDS_A_LOOK if reduced.status == "qc_failed" else reduced.status,
+        reduced.action + ("" if reduced.action == UNCHANGED else f" in {duration(reduced.seconds)}"),
+        _wrapped(reduced.problem or "; ".join(reduced.reasons)),
+        link,
     )
-    write_bytes(page_path(tree, night.date), page.encode("utf-8", "backslashreplace"))
+    return "good" if reduced.status == "ok" and not reduced.problem else "bad", row
 
 
-def _summary(night: Night) -> str:
-    """Counts of recordings, reductions and actions."""
-    actions = [one.action for one in night.reduced.values()]
-    counts = {action: actions.count(action) for action in dict.fromkeys(actions)}
-    done = [f"{count} {action}" for action, count in counts.items()]
-    found = [plural(len(night.recordings), "recording"), plural(len(night.jobs), "reduction")]
-    return ", ".join([*found, *done])
+def _wrapped(text: str) -> Markup:
+    """Long text that may be broken into several lines of a cell."""
+    return Markup('<span class="why">{}</span>').format(text)
+
+
+def _verdicts(trend: Trend, date: str) -> Section | None:
+    """The verdicts of `diagnose` up to the night of `date`."""
+    latest = [one for one in trend.verdicts if one.night <= date][-MAX_VERDICT_ROWS:][::-1]
+    gaps = _gaps(trend)
+    rows = [
+        (
+            one.night,
+            one.group,
+            one.target or MISSING,
+            one.verdict,
+            ", ".join(one.effects) or MISSING,
+            *(number(gaps.get((one.run, f"gap_{when}")), ".4f") for when in ("before", "after", "floor")),
+        )
+        for one in latest
+    ]
+    marks = ["bad" if one.verdict == "unknown" else "" for one in latest]
+    title, folded = plural(len(rows), "verdict"), len(rows) > FEW_ROWS
+    table = Table(VERDICT_COLUMNS, rows, title, marks=marks, folded=folded)
+    return Section("verdicts", "What the model lacks", GAP_LEAD, [table]) if rows else None
+
+
+def trend_section(trend: Trend) -> Section | None:
+    """Return plots of numbers against time, and of the stability of the NCPAs; of one night its numbers."""
+    if len({point.night for point in trend.points}) == 1:
+        return Section("trend", "Trend", "One night so far: numbers without a trend.", [_numbers(trend)])
+    # late: most runs of a night find nothing new, draw nothing, and need no matplotlib
+    from irlos_pipe.night.trend_plots import series_drawing, structure_drawing
+
+    modes, others = _drawn(trend, DRAWN_MODES), _drawn(trend, DRAWN_OTHERS)
+    blocks: list[Figure | Table | Text | Stack] = []
+    beside: list[Figure] = []
+    if modes:
+        blocks.append(Figure(series_drawing("modes", modes), "NCPAs", MODES_CAPTION))
+    if others:
+        beside.append(Figure(series_drawing("others", others), "Ramp, sky and model", OTHERS_CAPTION))
+    if trend.stabilities:
+        drawing = structure_drawing("structure", trend)
+        said = " ".join(validity_text(validity) for _, validity in trend.stabilities.values())
+        beside.append(Figure(drawing, "Stability of the NCPAs", f"{said} {STRUCTURE_CAPTION}"))
+    blocks.extend([Stack(beside)] if beside else [])
+    return Section("trend", "Trend", "", blocks) if blocks else None
+
+
+def _numbers(trend: Trend) -> Table:
+    rows = [
+        (label(one.name), one.last.recipe, with_error(one.last.value, one.last.sigma, ".4g"), _group(one))
+        for one in trend.series
+    ]
+    return Table(("number", "recipe", "value", "group"), rows, plural(len(rows), "number"), folded=True)
+
+
+def label(name: str) -> str:
+    """Return the name of a number as a label, with its unit in brackets."""
+    plain, _, unit = name.rpartition("_")
+    if unit not in UNITS:
+        return name.replace("_", " ")
+    words = [SPELLING.get(word, word) for word in plain.split("_")]
+    return f"{' '.join(words)} [{unit}]"
+
+
+def _drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:
+    """The main series of `names`, then others of their kind that left their band."""
+    found = (main_series(trend, name) for name in names)
+    others = (one for one in trend.series if one.name not in names and one.alarms)
+    out = (one for one in others if is_mode(one.name) == is_mode(names[0]))
+    return [one for one in (*found, *out) if one is not None]
+
+
+def main_series(trend: Trend, name: str) -> Series | None:
+    """Return the longest series in a `trend` of the number `name`, which several recipes may measure.
+
+    Among series of equal length it is the one whose last point has the smallest error.
+    """
+    found = (one for one in trend.series if one.name == name)
+    return max(found, key=lambda one: (len(one.points), -(one.last.sigma or 0.0)), default=None)
+
+
+def _left_out(night: Night) -> Section | None:
+    """What was not reduced, and why."""
+    left = [*night.not_reduced, *night.unusable]
+    rows = [(one.recording.name, one.recording.role or MISSING, _wrapped(one.reason)) for one in left]
+    marks = ["bad" if one.alarming else "" for one in left]
+    table = Table(("recording", "role", "why"), rows, marks=marks)
+    return Section("left-out", "Not reduced", "", [table]) if rows else None
+
+
+def _recordings(night: Night) -> Section | None:
+    """The recordings in order of time."""
+    ordered = sorted(night.recordings, key=lambda one: (one.start_unix_s or 0.0, one.name))
+    rows = list(_recording_rows(ordered))
+    title, folded = plural(len(rows), "recording"), len(rows) > FEW_ROWS
+    table = Table(RECORDING_COLUMNS, rows, title, folded=folded)
+    return Section("recordings", "Recordings", "", [table]) if rows else None
+
+
+def _recording_rows(recordings: list[Description]) -> Iterator[tuple[str, ...]]:
+    for one in recordings:
+        yield (
+            one.name,
+            one.role,
+            utc_time(one.start_unix_s) or f"not stated; night by {one.night_by}",
+            one.target or MISSING,
+            str(one.frames),
+            f"{one.window[0]}x{one.window[1]}",
+            number(one.exposure_s, "g", "s"),
+            one.configuration,
+        )

@@ -20,13 +20,7 @@ EARLIER_SLOTS = ("a", "b")  # to one of which `path` was a link in trees of earl
 
 @dataclass(frozen=True)
 class PublishedRun:
-    """The product folder of one reduction, and the one in which the next products are made.
-
-    Attributes
-    ----------
-    path : Path
-        Where the latest complete products are found.
-    """
+    """Where the latest complete products of a reduction are found, and where the next ones are made."""
 
     path: Path
 

@@ -1,24 +1,67 @@
-"""Reduce one group of recordings with one recipe; an error concerns this reduction only."""
+"""Tasks, a recipe on the recordings of a group each, and working on one; its errors concern it alone."""
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import Protocol
 
-from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
+from irlos_pipe.files.json import jsonable
 from irlos_pipe.files.time_limit import TookTooLong, time_limit
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.published_run import PublishedRun
-from irlos_pipe.night.tasks import Task
+from irlos_pipe.night.settings import NightSettings
 from irlos_pipe.pipeline import Resources, Selection, Step, plan_run, run_recipe
 from irlos_pipe.product.results import ResultsPart, read_run_results
 from irlos_pipe.product.runfolder import RunFolder
-from irlos_pipe.recipe import Recipe
+from irlos_pipe.recipe import Recipe, load_recipe
 
 NEW, REDONE, UNCHANGED, FAILED = "new", "redone", "up to date", "failed"
+
+
+@dataclass(frozen=True)
+class Task:
+    """A recipe and the recordings to run it on: small, and the same in any process on any machine.
+
+    Attributes
+    ----------
+    name : str
+        ``<night>/<group>/<recipe>``, unique in the tree.
+    folder : Path
+        Where the products are found when they are complete, see `PublishedRun`.
+    recipe, settings, inputs :
+        Arguments of `load_recipe`.
+    threads : int
+        Threads of the process that works on it; results do not depend on it.
+    limit_s : float
+        Longest time that it may take [s]; no limit if 0.
+    """
+
+    name: str
+    folder: Path
+    recipe: Path
+    settings: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    device: str = "cpu"
+    threads: int = 1
+    limit_s: float = 0.0
+
+    def load(self) -> Recipe:
+        """Return the validated recipe."""
+        return load_recipe(self.recipe, self.settings, self.inputs)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A task and the group whose recordings it reduces."""
+
+    group: Group
+    task: Task
 
 
 @dataclass(frozen=True)
@@ -27,10 +70,8 @@ class Reduced:
 
     Attributes
     ----------
-    name, folder : str, Path
-        As in the task.
     action : str
-        ``new``, ``redone``, ``up to date`` or ``failed``.
+        ``new``, ``redone``, ``up to date`` or ``failed``: there are no new products.
     status : str
         As in results.json; ``failed`` also when nothing was written.
     checks_failed : tuple of str
@@ -41,8 +82,6 @@ class Reduced:
         The error that stopped it, or a problem beside the results, in one line.
     key : str
         Key of the last product, where it is known; see `Step`.
-    log : Path
-        The log of the run.
     seconds : float
         Wall time.
     """
@@ -64,18 +103,68 @@ class Reduced:
         return self.action == FAILED
 
 
-class Work(Protocol):
-    """The function that a runner calls with every task: `reduce_group`."""
-
-    def __call__(self, task: Task, last: str | None = None, before: Reduced | None = None) -> Reduced:
-        """See `reduce_group`."""
+Work = Callable[..., Reduced]  # `reduce_group`, or what stands in for it
+Runner = Callable[[Work, Sequence[Task]], Iterable[Reduced]]  # one outcome per task, as they are ready
 
 
-class Runner(Protocol):
-    """Calls a function with every task, anywhere and in any order."""
+def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device: str = "cpu") -> list[Job]:
+    """Return one job per group and recipe, whether or not its products are up to date.
 
-    def __call__(self, work: Work, tasks: Sequence[Task]) -> Iterable[Reduced]:
-        """Return one outcome of `work` per task of `tasks`, as they are ready."""
+    Parameters
+    ----------
+    groups : iterable of Group
+        Recordings that are reduced together.
+    settings : NightSettings
+        Recipes by kind of group, and changes of their settings.
+    tree : Path
+        Products go to ``tree/<night>/<group>/<recipe>``.
+    device : str
+        ``cpu``, ``cuda`` or ``auto``.
+
+    Raises
+    ------
+    ConfigurationError
+        When a recipe is not valid, or declares an input that its kind of group does not have.
+    """
+    tree = tree.absolute()  # tasks may be worked on elsewhere
+    jobs = []
+    for group in groups:
+        for recipe in settings.recipes_of(group.kind):
+            name = f"{group.night}/{group.name}/{recipe.stem}"
+            changed, inputs = _settings(recipe, settings), _inputs(recipe, group)
+            limit_s = 60 * settings.limit_min
+            jobs.append(Job(group, Task(name, tree / name, recipe, changed, inputs, device, 1, limit_s)))
+    for job in {job.task.recipe: job for job in jobs}.values():
+        job.task.load()
+    return jobs
+
+
+def calibrates(recipe: Path) -> bool:
+    """Return whether a `recipe` has the stage `calibrate`, whose quality a calibration is judged by."""
+    return "calibrate" in (load_yaml(recipe)[0].get("stages") or ())
+
+
+def _inputs(recipe: Path, group: Group) -> tuple[str, ...]:
+    """``NAME=PATH`` for every input of the recipe."""
+    declared = load_yaml(recipe)[0].get("inputs")
+    names = list(declared) if isinstance(declared, dict) else []
+    for name in names:
+        if name not in group.inputs:
+            offered = " and ".join(f"'{one}'" for one in group.inputs)
+            raise ConfigurationError(
+                f"{recipe}: needs input '{name}', but a group of kind '{group.kind}' has only "
+                f"{offered}; choose another recipe with --recipe {group.kind}=PATH"
+            )
+    return tuple(f"{name}={recording.path}" for name in names for recording in group.inputs[name])
+
+
+def _settings(recipe: Path, settings: NightSettings) -> tuple[str, ...]:
+    """``stage.key=VALUE`` for every setting of the recipe that is changed."""
+    changed = dict(settings.settings.get(recipe.stem, {}))
+    keys = settings.acquisition.model_dump(mode="json", exclude_none=True)
+    if keys:
+        changed["ingest.acquisition"] = keys
+    return tuple(f"{key}={json.dumps(jsonable(value))}" for key, value in changed.items())
 
 
 def reduce_group(task: Task, last: str | None = None, before: Reduced | None = None) -> Reduced:
@@ -102,10 +191,10 @@ def reduce_group(task: Task, last: str | None = None, before: Reduced | None = N
     try:
         with time_limit(task.limit_s, "the reduction", kill=parent_process() is not None):
             reduced = _reduce(task, last)
-    except TookTooLong as error:
-        reduced = failure(task, str(error))
+    except (TookTooLong, IrlosError) as error:
+        reduced = failure(task, next(iter(str(error).splitlines()), type(error).__name__))
     except Exception as error:
-        reduced = failure(task, _message(error))
+        reduced = failure(task, f"unexpected {type(error).__name__}: {error}")
     spent = before.seconds if before is not None else 0.0
     return replace(reduced, seconds=round(spent + time.perf_counter() - start, 3))
 
@@ -127,9 +216,7 @@ def planned(task: Task, recipe: Recipe) -> list[Step] | None:
     IrlosError
         When the inputs cannot be read.
     """
-    if not PublishedRun(task.folder).published:
-        return None
-    return plan_run(recipe, task.folder, Selection())[1]
+    return plan_run(recipe, task.folder, Selection())[1] if PublishedRun(task.folder).published else None
 
 
 def unchanged(task: Task) -> Reduced | None:
@@ -190,9 +277,3 @@ def _outcome(task: Task, run: RunFolder, action: str) -> Reduced:
         raise InputDataError(f"{run.path}: cannot be read ({reason}); remove it and run again") from error
     failed = tuple(f"{check.stage}: {check.message}" for check in checks if not check.passed)
     return Reduced(task.name, task.folder, action, status, failed, log=run.log)
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, IrlosError):
-        return next(iter(str(error).splitlines()), type(error).__name__)
-    return f"unexpected {type(error).__name__}: {error}"

@@ -11,18 +11,26 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.night.acknowledged import read_acknowledged
 from irlos_pipe.night.database import NAME, Database, copied, opened
-from irlos_pipe.night.description import Description, night_of
-from irlos_pipe.night.discover import Copy, date_in_path, discover
-from irlos_pipe.night.grouping import Grouping, LeftOut, group_recordings
-from irlos_pipe.night.measurements import read_measurements
-from irlos_pipe.night.page import begin_page, is_finished, write_page
-from irlos_pipe.night.reduce import Reduced, Runner, failure, planned, reduce_group, unchanged
+from irlos_pipe.night.grouping import Group, group_recordings
+from irlos_pipe.night.numbers import read_measurements
+from irlos_pipe.night.page import is_finished, write_page
+from irlos_pipe.night.recordings import LeftOut, date_in_path, discover, known_recordings, night_of
+from irlos_pipe.night.reduce import (
+    Job,
+    Reduced,
+    Runner,
+    Task,
+    calibrates,
+    failure,
+    jobs_of,
+    planned,
+    reduce_group,
+    unchanged,
+)
 from irlos_pipe.night.settings import NightSettings
-from irlos_pipe.night.state import Night, RunState
-from irlos_pipe.night.tasks import Job, Task, calibrates, jobs_of
-from irlos_pipe.night.trend import alarm_text, make_trend
+from irlos_pipe.night.state import Night, RunState, read_acknowledged
+from irlos_pipe.night.trend import make_trend
 from irlos_pipe.pipeline import Step
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
 from irlos_pipe.product.runfolder import owned_folder, require_free, require_outside_inputs
@@ -35,14 +43,10 @@ NO_RECIPE = "no recipe for groups of kind {0}; give one with --recipe {0}=PATH"
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be run.
+    """What is to be run: recordings in `folders`, results into the `tree`.
 
     Attributes
     ----------
-    folders : sequence of Path
-        Folders that are searched for recordings.
-    tree : Path
-        The folder of all results.
     since : str
         First night to look at, ISO date; all if empty.
     acknowledge : bool
@@ -58,14 +62,10 @@ class Request:
 
 
 def run_night(request: Request, runner: Runner) -> RunState:
-    """Bring the products of all recordings under the folders up to date, and write the page of every night.
+    """Bring the products of all recordings of a `request` up to date, and write the page of every night.
 
-    Parameters
-    ----------
-    request : Request
-        Folders, tree and settings.
-    runner : Runner
-        Where tasks are worked on, see `engines`.
+    The `runner` says where tasks are worked on, see `engines`. Ramps come last, when it is known which
+    calibrations can serve them.
 
     Raises
     ------
@@ -82,7 +82,9 @@ def run_night(request: Request, runner: Runner) -> RunState:
         with _errors_on_pages(request, state):
             with opened(request.tree) as database:
                 _find(request, state, database)
-            _reduce(request, state, runner)
+            _work_on(request, state, runner, lambda job: job.group.kind != "ramp")
+            _choose_calibrations(request, state)
+            _work_on(request, state, runner, lambda job: job.group.kind == "ramp")
             _write_pages(request, state)
     return state
 
@@ -108,9 +110,8 @@ def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], l
     state = RunState()
     with copied(request.tree) as database:
         _find(request, state, database)
-    jobs = [job for night in state.nights.values() for job in night.jobs]
-    plan = [(job, planned(job.task, job.task.load())) for job in jobs]
     nights = state.nights.values()
+    plan = [(job, planned(job.task, job.task.load())) for night in nights for job in night.jobs]
     failures = [line for night in nights for line in night.failures]
     return plan, failures, [line for night in nights for line in night.guessed]
 
@@ -123,62 +124,50 @@ def _require_usable(request: Request) -> None:
 def _find(request: Request, state: RunState, database: Database) -> None:
     """Find the recordings, and give every night its jobs."""
     settings = request.settings
-    instrument = load_instrument(settings.instrument)
-    found = discover(
-        request.folders, settings.acquisition, instrument, database, limit_s=60 * settings.limit_min
+    recordings, left_out = discover(
+        request.folders,
+        settings.acquisition,
+        load_instrument(settings.instrument),
+        database,
+        limit_s=60 * settings.limit_min,
     )
-    recordings = [one for one in found.recordings if one.night >= request.since]
     for recording in recordings:
-        state.night(recording.night).recordings.append(recording)
-    for unusable in found.unusable:
-        if unusable.night >= request.since:
-            RUN.info("left out: %s", unusable.problem)
-            state.night(unusable.night).unusable.append(unusable)
-    for copy in found.copies:
-        if copy.recording.night >= request.since:
-            left = _left_out(copy)
-            RUN.info("%s: %s", copy.recording.path, left.reason)
-            state.night(copy.recording.night).left_out.append(left)
+        if recording.night >= request.since:
+            state.night(recording.night).recordings.append(recording)
+    for one in left_out:
+        if one.recording.night >= request.since:
+            what = "left out" if one.found_as == "unusable" else one.recording.path
+            RUN.info("%s: %s", what, one.reason)
+            state.leave_out([one])
     for night in state.nights.values():
         for line in night.guessed:
             RUN.info(line)
-    _assign(request, state, _grouped(request, recordings, database))
+    _assign(request, state, *_grouped(request, state, database))
     if not any(night.jobs or night.failures or night.known for night in state.nights.values()):
         raise NothingToDo(_nothing_text(request, state))
 
 
-def _left_out(copy: Copy) -> LeftOut:
-    if copy.recording.same_description(copy.of):
-        return LeftOut(copy.recording, f"a copy of {copy.of.path}", copy=True)
-    reason = f"the same frames as in {copy.of.path}, but another side-car; remove one"
-    return LeftOut(copy.recording, reason, alarming=True, copy=True)
-
-
-def _assign(request: Request, state: RunState, grouping: Grouping) -> None:
+def _assign(request: Request, state: RunState, groups: Sequence[Group], left_out: Sequence[LeftOut]) -> None:
     """Give every night its jobs, and what is left out."""
-    for job in jobs_of(grouping.groups, request.settings, request.tree, request.device):
+    for job in jobs_of(groups, request.settings, request.tree, request.device):
         state.night(job.group.night).jobs.append(job)
-    without = [one for one in grouping.groups if not request.settings.recipes_of(one.kind)]
-    for left in (*grouping.left_out, *(LeftOut(one.first, NO_RECIPE.format(one.kind)) for one in without)):
-        state.night(left.recording.night).left_out.append(left)
+    without = [one for one in groups if not request.settings.recipes_of(one.kind)]
+    state.leave_out([*left_out, *(LeftOut(one.first, NO_RECIPE.format(one.kind)) for one in without)])
 
 
 def _grouped(
-    request: Request,
-    recordings: Sequence[Description],
-    database: Database,
-    broken: Mapping[str, str] | None = None,
-) -> Grouping:
+    request: Request, state: RunState, database: Database, broken: Mapping[str, str] | None = None
+) -> tuple[list[Group], list[LeftOut]]:
     """The groups, ramps with calibrations that neither failed by the database nor are `broken`."""
     settings = request.settings
     judging = [recipe.stem for recipe in settings.recipes_of("calibration") if calibrates(recipe)]
     failed = database.failed_calibrations(judging) | dict(broken or {})
-    return group_recordings(recordings, settings, database.descriptions(), failed)
+    recordings = [one for night in state.nights.values() for one in night.recordings]
+    return group_recordings(recordings, settings, known_recordings(database), failed)
 
 
 def _choose_calibrations(request: Request, state: RunState) -> None:
     """Give the ramps their calibrations again: those that failed just now no longer serve."""
-    recordings = [one for night in state.nights.values() for one in night.recordings]
     broken = {
         job.task.name.rpartition("/")[0]: "could not be reduced"
         for night in state.nights.values()
@@ -188,54 +177,44 @@ def _choose_calibrations(request: Request, state: RunState) -> None:
         and night.reduced[job.task.name].failed
     }
     with opened(request.tree) as database:
-        grouping = _grouped(request, recordings, database, broken)
-    ramps = [one for one in grouping.groups if one.kind == "ramp"]
+        groups, left_out = _grouped(request, state, database, broken)
+    ramps = [one for one in groups if one.kind == "ramp"]
     for night in state.nights.values():
         night.jobs = [job for job in night.jobs if job.group.kind != "ramp"]
-        night.left_out = [one for one in night.left_out if one.copy or one.recording.role != RAMP]
-    left_out = [one for one in grouping.left_out if one.recording.role == RAMP]
-    _assign(request, state, Grouping(ramps, left_out))
+        night.left_out = [one for one in night.left_out if one.found_as or one.recording.role != RAMP]
+    _assign(request, state, ramps, [one for one in left_out if one.recording.role == RAMP])
     for group in ramps:
         RUN.info("%s/%s: calibration %s", group.night, group.name, group.choice)
 
 
 def _nothing_text(request: Request, state: RunState) -> str:
     where = ", ".join(map(str, request.folders)) + (f" since {request.since}" if request.since else "")
-    left_out = [one for night in state.nights.values() for one in night.left_out]
+    left_out = [one for night in state.nights.values() for one in night.not_reduced]
     if left_out:
         first = left_out[0]
         return f"{where}: nothing to reduce; {first.recording.name}: {first.reason}{and_more(left_out)}"
     return f"{where}: no recordings"
 
 
-def _reduce(request: Request, state: RunState, runner: Runner) -> None:
-    """Work on what is not up to date; one that fails does not stop the others.
-
-    Ramps come last, when it is known which calibrations can serve them.
-    """
-    _work_on(request, state, runner, lambda job: job.group.kind != "ramp")
-    _choose_calibrations(request, state)
-    _work_on(request, state, runner, lambda job: job.group.kind == "ramp")
-
-
 def _work_on(request: Request, state: RunState, runner: Runner, wanted: Callable[[Job], bool]) -> None:
-    """Work on those of the jobs that are `wanted`."""
+    """Work on those of the jobs that are `wanted` and not up to date; one that fails does not stop others."""
     jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if wanted(job)}
-    for name, reduced in {name: _without_work(job.task) for name, job in jobs.items()}.items():
-        if reduced is not None:
-            _record(request, state, jobs[name], reduced)
+    for reduced in list(filter(None, (_without_work(job.task) for job in jobs.values()))):
+        _record(request, state, jobs[reduced.name], reduced)
     todo = []
     for night in state.nights.values():
         if tasks := [job.task for job in night.unfinished if wanted(job)]:
-            begin_page(request.tree, night)
+            write_page(request.tree, night, None, running=True)
             todo += tasks
     for number, reduced in enumerate(runner(reduce_group, todo) if todo else (), 1):
-        RUN.info("%d of %d: %s", number, len(todo), _progress(reduced))
+        why = "; ".join(reduced.reasons) or reduced.problem
+        what = reduced.action + (f": {why}" if why else f" in {reduced.seconds:.1f} s")
+        RUN.info("%d of %d: %s: %s", number, len(todo), reduced.name, what)
         _record(request, state, jobs[reduced.name], reduced)
 
 
 def _without_work(task: Task) -> Reduced | None:
-    """Return the outcome of a task that is up to date or cannot be planned; None if there is work to do."""
+    """The outcome of a task that is up to date or cannot be planned; None if there is work to do."""
     try:
         return unchanged(task)
     except IrlosError as error:
@@ -244,19 +223,18 @@ def _without_work(task: Task) -> Reduced | None:
 
 def _record(request: Request, state: RunState, job: Job, reduced: Reduced) -> None:
     """Keep the outcome of a job, and store its numbers unless they are stored."""
+    group, first = job.group, job.group.first
     try:
         if not reduced.failed:
-            _store(request.tree, job, reduced)
+            with opened(request.tree) as database:
+                if not reduced.key or reduced.key != database.run_key(reduced.name):
+                    head = (reduced.name, group.night, group.kind, job.task.recipe.stem)
+                    of_first = (first.start_unix_s, first.configuration, first.target)
+                    measured = read_measurements(reduced.folder, group.kind)
+                    database.store_run((*head, *of_first), measured)
     except InputDataError as error:
         reduced = replace(reduced, problem=str(error))
-    state.night(job.group.night).reduced[reduced.name] = reduced
-
-
-def _store(tree: Path, job: Job, reduced: Reduced) -> None:
-    with opened(tree) as database:
-        if not reduced.key or reduced.key != database.run_key(reduced.name):
-            measured = read_measurements(reduced.folder, job.group.kind)
-            database.store_run(reduced.name, job.group, job.task.recipe.stem, measured)
+    state.night(group.night).reduced[reduced.name] = reduced
 
 
 def _write_pages(request: Request, state: RunState) -> None:
@@ -264,27 +242,32 @@ def _write_pages(request: Request, state: RunState) -> None:
     with opened(request.tree) as database:
         trend = make_trend(database.points(), database.verdicts(), request.settings.band)
     for date, night in state.nights.items():
-        night.alarms = [alarm_text(*alarm) for alarm in trend.alarms(date)]
+        night.alarms = trend.alarms(date)
     if request.acknowledge:
         state.acknowledge(request.tree)
     for date, night in state.nights.items():
-        if night.changed or not is_finished(request.tree, date):
+        if _needs_page(request, night):
             write_page(request.tree, night, trend.until(date))
 
 
-def _progress(reduced: Reduced) -> str:
-    why = "; ".join(reduced.reasons) or reduced.problem
-    return f"{reduced.name}: {reduced.action}" + (f": {why}" if why else f" in {reduced.seconds:.1f} s")
+def _needs_page(request: Request, night: Night) -> bool:
+    return night.changed or not is_finished(request.tree, night.date)
 
 
 @contextmanager
 def _errors_on_pages(request: Request, state: RunState) -> Iterator[None]:
-    """Write on the page of every unfinished night what stopped the run."""
+    """Write on the page of every unfinished night what stopped the run.
+
+    If no night is known, it is that which the first folder is named after.
+    """
     try:
         yield
     except BaseException as error:
         TRACE.info("stopped: %s", error, exc_info=not isinstance(error, (IrlosError, KeyboardInterrupt)))
-        for night in _unfinished_nights(request, state):
+        nights = [one for one in state.nights.values() if _needs_page(request, one)]
+        if not state.nights:
+            nights = [Night(date_in_path(request.folders[0]) or night_of(time.time()))]
+        for night in nights:
             if isinstance(error, NothingToDo):
                 night.nothing = str(error)
             else:
@@ -292,15 +275,6 @@ def _errors_on_pages(request: Request, state: RunState) -> Iterator[None]:
             with suppress(IrlosError):  # the first error is the one to report
                 write_page(request.tree, night, None)
         raise
-
-
-def _unfinished_nights(request: Request, state: RunState) -> list[Night]:
-    """Nights whose page is not written; if none is known, the night that the first folder is named after."""
-    if not state.nights:
-        return [Night(date_in_path(request.folders[0]) or night_of(time.time()))]
-    return [
-        night for date, night in state.nights.items() if night.changed or not is_finished(request.tree, date)
-    ]
 
 
 def _reason(error: BaseException) -> str:

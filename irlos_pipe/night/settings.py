@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -18,7 +18,6 @@ from irlos_pipe.files.validation import read_validated
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 Kind = Literal["calibration", "ramp", "derotator", "psf", "two_by_two"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 RECIPES: dict[Kind, list[str]] = {
     "calibration": ["ncpa_calibration", "diagnose"],
     "ramp": ["defocus_ramp"],
@@ -28,7 +27,7 @@ RECIPES: dict[Kind, list[str]] = {
 }
 
 Limits = tuple[float | None, float | None]
-# Names of the numbers that `measurements` takes from a run, beside those of the modes.
+# Names of the numbers that `numbers` takes from a run, beside those of the modes.
 OTHER_NUMBERS = (
     "ncpa_nm", "seeing_arcsec", "ao_residual_nm", "jitter_mas", "chi2_nu", "defocus_bias_nm", "ramp_slope",
     "ramp_error_nm", "focus_2x2_nm", "gap_before", "gap_after", "gap_floor",
@@ -46,18 +45,12 @@ class BandSettings(_Section):
     false_alarm: float = Field(default=1e-4, gt=0, lt=0.5, description="false-alarm probability per number")
     nights: int = Field(default=60, ge=3, le=10000, description="number of latest earlier nights used")
     least_nights: int = Field(
-        default=5,
-        ge=3,
-        le=1000,
-        description="fewest earlier nights that give a band to a number without error",
+        5, ge=3, le=1000, description="fewest earlier nights that give a band to a number without error"
     )
     least_nights_with_errors: int = Field(
-        default=3,
-        ge=2,
-        le=1000,
-        description="fewest earlier nights that give a band to a number with an error",
+        3, ge=2, le=1000, description="fewest earlier nights that give a band to a number with an error"
     )
-    limits: dict[str, tuple[float | None, float | None]] = Field(
+    limits: dict[str, Limits] = Field(
         default={}, description="number: [low, high], null for no limit; alarms also where the sky decides"
     )
     valid_change_nm: float = Field(
@@ -105,14 +98,9 @@ class NightSettings(_Section):
 
 
 def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> NightSettings:
-    """Read the settings file, if there is one, and the recipes named on the command line.
+    """Read the settings file at `path`, if there is one, and the `recipes` named on the command line.
 
-    Parameters
-    ----------
-    path : Path, optional
-        The YAML file.
-    recipes : iterable of str
-        ``KIND=PATH``, relative to the current folder, or ``KIND=NAME``; a kind given again makes a list.
+    Those are ``KIND=PATH``, relative to the current folder, or ``KIND=NAME``; a kind given again is a list.
 
     Raises
     ------
@@ -144,12 +132,12 @@ def _require_different_names(chosen: Mapping[Kind, Iterable[Path]]) -> None:
     for kind, paths in chosen.items():
         by_name: dict[str, Path] = {}
         for path in paths:
-            if path.stem in by_name:
+            other = by_name.setdefault(path.stem, path)
+            if other is not path:
                 raise ConfigurationError(
-                    f"recipes for groups of kind {kind}: {by_name[path.stem]} and {path} have the same name, "
+                    f"recipes for groups of kind {kind}: {other} and {path} have the same name, "
                     "and so would their folders of results; rename one, or give it once"
                 )
-            by_name[path.stem] = path
 
 
 def _by_kind(recipes: Iterable[str]) -> dict[Kind, list[Path]]:
@@ -161,8 +149,8 @@ def _by_kind(recipes: Iterable[str]) -> dict[Kind, list[Path]]:
             raise ConfigurationError(
                 f"--recipe {option}: expected KIND=PATH, for example ramp=full_reduction"
             )
-        kind = next((one for one in KINDS if one == name), None)
+        kind = next((one for one in RECIPES if one == name), None)
         if kind is None:
-            raise ConfigurationError(f"--recipe {option}: no such kind of group{suggestion(name, KINDS)}")
+            raise ConfigurationError(f"--recipe {option}: no such kind of group{suggestion(name, RECIPES)}")
         found.setdefault(kind, []).append(_recipe(path))
     return found

@@ -11,6 +11,7 @@ DAY_S = 86400.0
 # Within an hour, within a night, then doubling; the edges lie half a day off whole numbers of nights.
 LAG_EDGES_S = np.concatenate([[0.0, 3600.0], DAY_S * (2.0 ** np.arange(13) - 0.5)])
 CONFIDENCE = 0.95
+TAILS = (50 * (1 - CONFIDENCE), 100 - 50 * (1 - CONFIDENCE))
 DRAWS = 200
 MOST_POINTS = 100  # of the nights that are drawn; more would make the interval no narrower, but take long
 LEAST_NM2 = 1e-6  # change of calibrations that are the same
@@ -181,8 +182,7 @@ def with_confidence(
     drift = fitted_drift(found)
     drawn = list(_drawn(drift, unix_s, modes_nm, sigma_nm))
     ratios = [_ratio_by_bin(one, drift, found) for one in drawn]
-    tails = (50 * (1 - CONFIDENCE), 100 - 50 * (1 - CONFIDENCE))
-    smallest, largest = np.nanpercentile(np.array(ratios), tails, axis=0)
+    smallest, largest = np.nanpercentile(np.array(ratios), TAILS, axis=0)
     total = found.change_nm2 + found.noise_nm2
     low, high = (np.sqrt(np.maximum(total / one - found.noise_nm2, 0.0)) for one in (largest, smallest))
     bounded = replace(found, low_nm=low, high_nm=high)
@@ -232,8 +232,7 @@ def _validity(found: Structure, drift: Drift, drawn: list[Drift], change_nm: flo
     """
     days, seen = drift.reaches_days(change_nm), float(found.lag_s.max() / DAY_S)
     others = np.array([one.reaches_days(change_nm) for one in drawn])
-    tails = (50 * (1 - CONFIDENCE), 100 - 50 * (1 - CONFIDENCE))
-    short, long = np.percentile(others, tails, method="nearest")
+    short, long = np.percentile(others, TAILS, method="nearest")
     low, high = short, long
     if short > 0 and 0 < days < np.inf and np.isfinite(long):
         low, high = days**2 / long, days**2 / short

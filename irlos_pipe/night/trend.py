@@ -1,12 +1,12 @@
-"""Numbers from night to night: their series, the alarms, and the stability of the NCPAs."""
+"""Numbers from night to night: one table of all of them, the alarms, and the stability of the NCPAs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,108 +15,56 @@ from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.night.bands import (
     Band,
     History,
+    Point,
     WavefrontTest,
     band_of,
     excess_scatter,
     histories,
     wavefront_test,
 )
-from irlos_pipe.night.database import Point, Verdict, existing
-from irlos_pipe.night.settings import BandSettings
+from irlos_pipe.night.database import Verdict, existing
+from irlos_pipe.night.settings import BandSettings, Limits
 from irlos_pipe.night.stability import Structure, Validity, structure_function, with_confidence
 
 TIP_TILT = ("noll_2_nm", "noll_3_nm")  # the position of the star, not the instrument
 # Numbers that depend on the sky are followed but do not alarm.
 OF_THE_SKY = (
-    "seeing_arcsec",
-    "ao_residual_nm",
-    "jitter_mas",
-    "ncpa_nm",
-    "ramp_error_nm",
-    "focus_2x2_nm",
-    *TIP_TILT,
-)
+    "seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", "focus_2x2_nm", *TIP_TILT,
+)  # fmt: skip
 NEVER_NEGATIVE = (
     "seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", "chi2_nu", "gap_before",
     "gap_after", "gap_floor",
 )  # fmt: skip
 WAVEFRONT = "wavefront_nm"  # all modes of a run against the nights before
-
-
-class Expected(Protocol):
-    """What a number is held against."""
-
-    def holds(self, value: float) -> bool:
-        """Whether a value is as expected."""
-
-    def text(self, value: float) -> str:
-        """Return what is said of a value that is not."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The range that the configuration gives a number; None for no limit."""
-
-    low: float | None
-    high: float | None
-
-    def holds(self, value: float) -> bool:
-        """Whether a value lies within."""
-        return not (
-            (self.low is not None and value < self.low) or (self.high is not None and value > self.high)
-        )
-
-    def text(self, value: float) -> str:
-        """Return what is said of a `value` outside."""
-        low = "" if self.low is None else f"{self.low:g} "
-        return f"{value:.4g} outside the limits {low}to {'' if self.high is None else format(self.high, 'g')}"
-
-
-Alarm = tuple[Point, Expected]
-Key = tuple[str, str, str]  # name, recipe, configuration
+Owner = tuple[str, str]  # recipe, configuration
 
 
 @dataclass(frozen=True)
 class Series:
-    """One number of one recipe and one configuration in order of time.
+    """One number of one recipe and one configuration in order of time, and the limits it is given."""
 
-    Attributes
-    ----------
-    bands : tuple of Band or None
-        Band of every point, from the nights before it; None where these are too few.
-    limits : Limits or None
-        Of the configuration.
-    """
-
-    name: str
-    recipe: str
-    configuration: str
     points: tuple[Point, ...]
-    bands: tuple[Band | None, ...]
     limits: Limits | None = None
 
     @property
-    def alarms(self) -> list[Alarm]:
-        """The points out of their limits or bands; a number that depends on the sky has only limits."""
-        found: list[Alarm] = []
-        for point, band in zip(self.points, self.bands, strict=True):
-            expected: tuple[Expected | None, ...] = (self.limits, None if self.name in OF_THE_SKY else band)
-            wrong = next((one for one in expected if one and not one.holds(point.value)), None)
-            found += [(point, wrong)] if wrong else []
-        return found
+    def name(self) -> str:
+        """That of the number, which ends in its unit."""
+        return self.last.name
 
-    def until(self, night: str) -> Series | None:
-        """Return the series as it was after a night; None when it had no point."""
-        count = sum(point.night <= night for point in self.points)
-        return replace(self, points=self.points[:count], bands=self.bands[:count]) if count else None
+    @property
+    def owner(self) -> Owner:
+        """Recipe and configuration."""
+        return self.last.recipe, self.last.configuration
 
+    @property
+    def last(self) -> Point:
+        """The latest point."""
+        return self.points[-1]
 
-@dataclass(frozen=True)
-class Wavefront:
-    """The modes of a run, Noll 4 and up, together: a point with the RMS change, and the test of it."""
-
-    point: Point
-    test: WavefrontTest
+    @property
+    def alarms(self) -> bool:
+        """Whether any point is not as expected."""
+        return any(one.alarm for one in self.points)
 
 
 @dataclass(frozen=True)
@@ -125,39 +73,61 @@ class Trend:
 
     Attributes
     ----------
-    structures : dict
-        Structure function of the NCPAs by recipe and configuration; `validities` say how long they hold.
-    wavefronts : tuple of Wavefront
-        Every calibration with enough nights before it, in order of time.
+    points : tuple of Point
+        All numbers, series after series, in order of time.
+    wavefronts : tuple of (Point, WavefrontTest)
+        Every calibration with enough nights before it, in order of time: the modes from Noll 4 together,
+        as the RMS change, and the test of it.
+    names : tuple of str
+        Numbers to show; all if empty.
     """
 
-    series: tuple[Series, ...]
-    structures: dict[tuple[str, str], Structure]
-    verdicts: tuple[Verdict, ...]
-    wavefronts: tuple[Wavefront, ...] = ()
-    validities: Mapping[tuple[str, str], Validity] = field(default_factory=dict)
+    points: tuple[Point, ...] = ()
+    wavefronts: tuple[tuple[Point, WavefrontTest], ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
     rule: BandSettings = field(default_factory=BandSettings)
+    names: tuple[str, ...] = ()
 
-    def alarms(self, night: str = "") -> list[Alarm]:
-        """Return what is not as expected, of one night or of all (empty date); whole wavefronts first."""
-        whole: list[Alarm] = [(one.point, one.test) for one in self.wavefronts if not one.test.holds(0.0)]
-        found = whole + [alarm for series in self.series for alarm in series.alarms]
-        return [alarm for alarm in found if not night or alarm[0].night == night]
+    @cached_property
+    def series(self) -> tuple[Series, ...]:
+        """The points of every number."""
+        limits = self.rule.limits
+        found = (Series(tuple(members), limits.get(key[0])) for key, members in groupby(self.points, _key))
+        return tuple(one for one in found if not self.names or one.name in self.names)
+
+    @cached_property
+    def stabilities(self) -> dict[Owner, tuple[Structure, Validity]]:
+        """Structure function of the NCPAs, and how long they hold, by recipe and configuration."""
+        modes: dict[Owner, list[list[Point]]] = {}
+        for (name, *owner), members in groupby(self.points, _key):
+            if is_mode(name):
+                found = modes.setdefault((owner[0], owner[1]), [])
+                found += [] if name in TIP_TILT else [list(members)]
+        known = {owner: _stability(points, self.rule) for owner, points in modes.items() if points}
+        return {owner: one for owner, one in known.items() if one is not None}
+
+    def alarms(self, night: str = "") -> list[str]:
+        """Return one line on all that is not as expected, of one `night` or of all; wavefronts first."""
+        shown = [point for series in self.series for point in series.points]
+        return [
+            f"{one.run}: {one.name} = {one.alarm}"
+            for one in (*(point for point, _ in self.wavefronts), *shown)
+            if one.alarm and (not night or one.night == night)
+        ]
 
     def until(self, night: str) -> Trend:
         """Return the trend as it was after a night."""
-        series = tuple(filter(None, (one.until(night) for one in self.series)))
-        return _assembled(
-            series,
-            tuple(one for one in self.verdicts if one.night <= night),
-            tuple(one for one in self.wavefronts if one.point.night <= night),
-            self.rule,
+        return replace(
+            self,
+            points=tuple(one for one in self.points if one.night <= night),
+            wavefronts=tuple(one for one in self.wavefronts if one[0].night <= night),
+            verdicts=tuple(one for one in self.verdicts if one.night <= night),
         )
 
     @property
     def last_night(self) -> str:
         """The latest night with a number; "" without one."""
-        return max((series.points[-1].night for series in self.series), default="")
+        return max((series.last.night for series in self.series), default="")
 
 
 def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until: str = "") -> Trend:
@@ -183,133 +153,80 @@ def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until:
     """
     with existing(tree) as database:
         trend = make_trend(database.points(until), database.verdicts(until), rule)
-    if not trend.series:
+    if not trend.points:
         raise NothingToDo(f"{tree}: no numbers yet" + (f" until {until}" if until else ""))
-    known = sorted({one.name for one in trend.series}, key=_natural)
+    known = sorted({one.name for one in trend.points}, key=_natural)
     for name in names:
         if name not in known:
             raise ConfigurationError(f"--of {name}: no such number{suggestion(name, known)}")
-    if not names:
-        return trend
-    chosen = tuple(one for one in trend.series if one.name in names)
-    return replace(trend, series=chosen, verdicts=(), wavefronts=())
+    return replace(trend, names=tuple(names), verdicts=(), wavefronts=()) if names else trend
 
 
 def make_trend(points: Sequence[Point], verdicts: Sequence[Verdict], rule: BandSettings) -> Trend:
-    """Sort points into series with their bands.
-
-    Parameters
-    ----------
-    points, verdicts : sequence of Point, sequence of Verdict
-        In order of time.
-    rule : BandSettings
-        When a number counts as out of its band.
-    """
-    parts = [tuple(members) for _, members in groupby(sorted(points, key=_owner), _owner)]
-    before = {_key(members[0]): _histories(members, rule) for members in parts}
+    """Give `points` their bands and alarms by the `rule`; they and `verdicts` are in order of time."""
+    ordered = sorted(points, key=lambda one: (*_natural(one.name), *_owner(one)))
+    before = {key: histories(list(members), rule.nights) for key, members in groupby(ordered, _key)}
     excess = _excesses(before)
-    series = tuple(_series(members, before[_key(members[0])], excess, rule) for members in parts)
-    return _assembled(series, tuple(verdicts), _wavefronts(series, rule), rule)
+    judged = [_judged(one, before[_key(one)][one.night], excess, rule) for one in ordered]
+    return Trend(tuple(judged), tuple(_wavefronts(judged, rule)), tuple(verdicts), rule)
 
 
-def alarm_text(point: Point, expected: Expected) -> str:
-    """Return one line on a `point` that is not as `expected`."""
-    return f"{point.run}: {point.name} = {expected.text(point.value)}"
-
-
-def _assembled(
-    series: tuple[Series, ...],
-    verdicts: tuple[Verdict, ...],
-    wavefronts: tuple[Wavefront, ...],
-    rule: BandSettings,
-) -> Trend:
-    found = dict(_stabilities(series, rule))
-    structures = {who: structure for who, (structure, _) in found.items()}
-    validities = {who: validity for who, (_, validity) in found.items()}
-    return Trend(series, structures, verdicts, wavefronts, validities, rule)
-
-
-def _histories(members: Sequence[Point], rule: BandSettings) -> dict[str, History]:
-    columns = zip(*((one.night, one.value, one.sigma) for one in members), strict=True)
-    nights, values, sigmas = (list(column) for column in columns)
-    return histories(nights, values, sigmas, rule.nights)
-
-
-def _excesses(before: Mapping[Key, Mapping[str, History]]) -> dict[tuple[str, str, str], float]:
+def _excesses(before: Mapping[tuple[str, ...], Mapping[str, History]]) -> dict[tuple[str, ...], float]:
     """By how much the modes scatter beyond their errors, by recipe, configuration and night."""
-    modes: dict[tuple[str, str, str], list[History]] = {}
-    for (name, recipe, configuration), by_night in before.items():
-        if _of_wavefront(name):
+    modes: dict[tuple[str, ...], list[History]] = {}
+    for (name, *owner), by_night in before.items():
+        if is_mode(name) and name not in TIP_TILT:
             for night, history in by_night.items():
-                modes.setdefault((recipe, configuration, night), []).append(history)
+                modes.setdefault((*owner, night), []).append(history)
     return {
         who: excess_scatter([one for one in found if len(one.medians) == len(found[0].medians)])
         for who, found in modes.items()
     }
 
 
-def _series(
-    members: tuple[Point, ...],
-    before: Mapping[str, History],
-    excess: Mapping[tuple[str, str, str], float],
-    rule: BandSettings,
-) -> Series:
-    name, recipe, configuration = _key(members[0])
-    lowest = 0.0 if name in NEVER_NEGATIVE else -np.inf
-    found = tuple(
-        band_of(
-            before[one.night],
-            one.sigma,
-            rule,
-            excess.get((recipe, configuration, one.night)) if _of_wavefront(name) else None,
-            lowest,
-        )
-        for one in members
-    )
-    limits = Limits(*rule.limits[name]) if name in rule.limits else None
-    return Series(name, recipe, configuration, members, found, limits)
+def _judged(
+    one: Point, before: History, excess: Mapping[tuple[str, ...], float], rule: BandSettings
+) -> Point:
+    """The point with its band, and with what is said of it beyond its limits or band."""
+    lowest = 0.0 if one.name in NEVER_NEGATIVE else -np.inf
+    own = excess.get((*_owner(one), one.night)) if _of_wavefront(one) else None
+    band = band_of(before, one.sigma, rule, own, lowest)
+    alarm = _beyond(one.value, rule.limits.get(one.name, (None, None)))
+    if not alarm and band and one.name not in OF_THE_SKY and not band.holds(one.value):
+        alarm = f"{one.value:.4g} outside {band.low:.4g} to {band.high:.4g} ({band.nights} earlier nights)"
+    return replace(one, band=band, alarm=alarm)
 
 
-def _wavefronts(series: Sequence[Series], rule: BandSettings) -> tuple[Wavefront, ...]:
+def _beyond(value: float, limits: Limits) -> str:
+    """What is said of a value outside the limits of the configuration."""
+    low, high = limits
+    if (low is None or value >= low) and (high is None or value <= high):
+        return ""
+    begin, end = "" if low is None else f"{low:g} ", "" if high is None else f"{high:g}"
+    return f"{value:.4g} outside the limits {begin}to {end}"
+
+
+def _wavefronts(points: Sequence[Point], rule: BandSettings) -> list[tuple[Point, WavefrontTest]]:
     """Every calibration with the bands of its modes, in order of time."""
     runs: dict[str, list[tuple[Point, Band]]] = {}
-    for one in series:
-        if _of_wavefront(one.name):
-            for point, band in zip(one.points, one.bands, strict=True):
-                if band and point.sigma is not None:
-                    runs.setdefault(point.run, []).append((point, band))
-    found = [_wavefront(members, rule) for members in runs.values() if len(members) > 1]
-    return tuple(sorted(found, key=lambda one: (one.point.unix_s, one.point.run)))
+    for one in filter(_of_wavefront, points):
+        if one.band and one.sigma is not None:
+            runs.setdefault(one.run, []).append((one, one.band))
+    found = []
+    for members in runs.values():
+        if len(members) > 1:
+            modes, found_bands = zip(*members, strict=True)
+            test = wavefront_test([one.value for one in modes], found_bands, rule)
+            whole = replace(modes[0], name=WAVEFRONT, value=test.change_nm, sigma=None, band=None)
+            found.append((replace(whole, alarm="" if test.holds else str(test)), test))
+    return sorted(found, key=lambda one: (one[0].unix_s, one[0].run))
 
 
-def _wavefront(members: Sequence[tuple[Point, Band]], rule: BandSettings) -> Wavefront:
-    test = wavefront_test([point.value for point, _ in members], [band for _, band in members], rule)
-    return Wavefront(replace(members[0][0], name=WAVEFRONT, value=test.change_nm, sigma=None), test)
-
-
-def _stabilities(
-    series: Sequence[Series], rule: BandSettings
-) -> Iterator[tuple[tuple[str, str], tuple[Structure, Validity]]]:
-    for who in dict.fromkeys((one.recipe, one.configuration) for one in series if _noll(one.name)):
-        found = _stability(series, *who, rule)
-        if found is not None:
-            yield who, found
-
-
-def _stability(
-    series: Sequence[Series], recipe: str, configuration: str, rule: BandSettings
-) -> tuple[Structure, Validity] | None:
+def _stability(modes: Sequence[Sequence[Point]], rule: BandSettings) -> tuple[Structure, Validity] | None:
     """Structure function of the modes that all runs of a recipe have, without tip and tilt."""
-    modes = {
-        one.name: {point.run: point for point in one.points}
-        for one in series
-        if (one.recipe, one.configuration) == (recipe, configuration) and _of_wavefront(one.name)
-    }
-    if not modes:
-        return None
-    common = set.intersection(*(set(runs) for runs in modes.values()))
-    rows = [[runs[run] for runs in modes.values()] for run in common]
-    rows.sort(key=lambda row: row[0].unix_s)
+    by_run = [{point.run: point for point in points} for points in modes]
+    common = set.intersection(*map(set, by_run))
+    rows = sorted(([runs[run] for runs in by_run] for run in common), key=lambda row: row[0].unix_s)
     if len(rows) < 2:
         return None
     times = np.array([row[0].unix_s for row in rows])
@@ -319,23 +236,24 @@ def _stability(
     return with_confidence(found, times, value, sigma, rule.valid_change_nm) if len(found.pairs) else None
 
 
-def _key(one: Point) -> Key:
-    return one.name, one.recipe, one.configuration
+def _key(one: Point) -> tuple[str, ...]:
+    """What the points of a series have in common."""
+    return one.name, *_owner(one)
 
 
-def _of_wavefront(name: str) -> bool:
-    return _noll(name) and name not in TIP_TILT
+def _owner(one: Point) -> Owner:
+    return one.recipe, one.configuration
 
 
-def _owner(one: Point) -> tuple[Any, ...]:
-    """What the points of a series have in common; sorts Noll modes by index."""
-    return (*_natural(one.name), one.recipe, one.configuration)
-
-
-def _noll(name: str) -> bool:
+def is_mode(name: str) -> bool:
+    """Whether a number is a Zernike coefficient."""
     return name.startswith("noll_")
+
+
+def _of_wavefront(one: Point) -> bool:
+    return is_mode(one.name) and one.name not in TIP_TILT
 
 
 def _natural(name: str) -> tuple[str, int]:
     """Order of names: Noll modes first, by number."""
-    return ("", int(name.split("_")[1])) if _noll(name) else (name, 0)
+    return ("", int(name.split("_")[1])) if is_mode(name) else (name, 0)

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure, SubFigure
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.atomic import atomic_file
-from irlos_pipe.night.stability import DAY_S, Structure
+from irlos_pipe.night.page import label
+from irlos_pipe.night.stability import DAY_S
 from irlos_pipe.night.trend import Series, Trend
-from irlos_pipe.night.trend_text import label
 from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, own_style, svg
 
 WIDTH_IN, PANEL_IN, STRUCTURE_IN = 5.6, 0.95, 3.2
@@ -50,10 +50,10 @@ def save_plot(trend: Trend, path: Path) -> None:
     if kind not in FORMATS:
         raise ConfigurationError(f"--plot {path}: give a name that ends in {', '.join(FORMATS)}")
     shown = trend.series[:MAX_PANELS]
-    heights = (0.6 + PANEL_IN * len(shown), STRUCTURE_IN if trend.structures else 0.0)
+    heights = (0.6 + PANEL_IN * len(shown), STRUCTURE_IN if trend.stabilities else 0.0)
     with own_style():
         figure = Figure(figsize=(1.3 * WIDTH_IN, sum(heights)), facecolor="white")
-        if trend.structures:
+        if trend.stabilities:
             upper, lower = figure.subfigures(2, squeeze=False, height_ratios=heights)[:, 0]
             draw_structures(lower, trend)
         else:
@@ -69,9 +69,8 @@ def draw_series(figure: Figure | SubFigure, shown: Sequence[Series]) -> None:
     names = [series.name for series in shown]
     for axes, series in zip(stack, shown, strict=True):
         _panel(axes, series)
-        owner = f"  ({series.recipe}, {series.configuration})" if names.count(series.name) > 1 else ""
-        owner = owner.replace("$", r"\$")  # no formula
-        axes.set_title(label(series.name) + owner, loc="left", pad=2)
+        owner = f"  ({', '.join(series.owner)})" if names.count(series.name) > 1 else ""
+        axes.set_title(label(series.name) + _plain(owner), loc="left", pad=2)
     locator = AutoDateLocator(minticks=3, maxticks=8)
     stack[-1].xaxis.set_major_locator(locator)
     stack[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
@@ -86,19 +85,19 @@ def _panel(axes: Axes, series: Series) -> None:
     times = np.array([_moment(one.unix_s) for one in series.points])
     values = np.array([one.value for one in series.points])
     errors = np.array([one.sigma or 0.0 for one in series.points])
-    known = np.array([band is not None for band in series.bands])
-    if known.any():
-        low, high = np.array([(band.low, band.high) for band in series.bands if band]).T
-        axes.fill_between(times[known], low, high, color=SKY, alpha=0.3, linewidth=0)
+    bands = [one.band for one in series.points]
+    ends = np.array([(band.low, band.high) for band in bands if band]).reshape(-1, 2)
+    if len(ends):
+        known = [band is not None for band in bands]
+        axes.fill_between(times[known], ends[:, 0], ends[:, 1], color=SKY, alpha=0.3, linewidth=0)
     axes.errorbar(times, values, errors, fmt=".", color=BLUE, markersize=4, elinewidth=0.7)
     _line(axes, series)
-    for limit in (series.limits.low, series.limits.high) if series.limits else ():
+    for limit in series.limits or ():
         if limit is not None:
             axes.axhline(limit, color=ORANGE, linewidth=0.8, linestyle="--")
-    out = {point.run for point, _ in series.alarms}
-    marked = [index for index, one in enumerate(series.points) if one.run in out]
-    axes.plot(times[marked], values[marked], "o", color=ORANGE, markersize=8, fillstyle="none")
-    _limit(axes, series, values, errors)
+    out = [bool(one.alarm) for one in series.points]
+    axes.plot(times[out], values[out], "o", color=ORANGE, markersize=8, fillstyle="none")
+    _limit(axes, values - errors, values + errors, ends.ravel())
     axes.locator_params(axis="y", nbins=4)
 
 
@@ -107,19 +106,16 @@ def _line(axes: Axes, series: Series) -> None:
     nights: dict[str, list[tuple[float, float]]] = {}
     for one in series.points:
         nights.setdefault(one.night, []).append((one.unix_s, one.value))
-    medians = np.array([np.median(members, axis=0) for members in nights.values()])
-    axes.plot(
-        np.array([_moment(moment) for moment in medians[:, 0]]), medians[:, 1], color=BLUE, linewidth=0.7
-    )
+    moments, medians = np.array([np.median(members, axis=0) for members in nights.values()]).T
+    axes.plot(np.array(list(map(_moment, moments))), medians, color=BLUE, linewidth=0.7)
 
 
-def _limit(axes: Axes, series: Series, values: np.ndarray, errors: np.ndarray) -> None:
+def _limit(axes: Axes, lows: np.ndarray, highs: np.ndarray, ends: np.ndarray) -> None:
     """Scale the axis to values and band; over few nights a band may be too wide to be shown whole."""
-    low, high = float(np.min(values - errors)), float(np.max(values + errors))
+    low, high = float(np.min(lows)), float(np.max(highs))
     span = high - low or 0.1 * abs(high) or 1.0
-    ends = [end for band in series.bands if band for end in (band.low, band.high)]
-    ends = [end for end in ends if low - WIDEST_BAND * span < end < high + WIDEST_BAND * span]
-    low, high = min([low, *ends]), max([high, *ends])
+    near = ends[(low - WIDEST_BAND * span < ends) & (ends < high + WIDEST_BAND * span)].tolist()
+    low, high = min([low, *near]), max([high, *near])
     room = 0.1 * (high - low) or span
     axes.set_ylim(low - room, high + room)
 
@@ -127,31 +123,30 @@ def _limit(axes: Axes, series: Series, values: np.ndarray, errors: np.ndarray) -
 def draw_structures(figure: Figure | SubFigure, trend: Trend) -> None:
     """Fill `figure` with the RMS change of the NCPAs of a `trend` against the lag, and the noise."""
     axes = figure.subplots()
-    for colour, ((recipe, _), structure) in zip(CYCLE * 9, trend.structures.items(), strict=False):
-        _structure(axes, recipe, structure, colour)
+    lags = []
+    for colour, ((recipe, _), (found, _)) in zip(CYCLE * 9, trend.stabilities.items(), strict=False):
+        days, name = np.maximum(found.lag_s / DAY_S, 1e-4), f"{_plain(recipe)}: NCPAs, noise subtracted"
+        axes.plot(days, found.change_nm, "o-", color=colour, label=name)
+        axes.fill_between(days, found.low_nm, found.high_nm, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(days, np.sqrt(found.noise_nm2), "--", color=colour, label="noise alone")
+        lags += (found.lag_s / DAY_S).tolist()
     axes.set(xscale="log", xlabel="time between two calibrations", ylabel="RMS change [nm]")
     axes.set_ylim(bottom=0)
-    _label_lags(axes, [one.lag_s / DAY_S for one in trend.structures.values()])
-    if trend.structures:
-        axes.legend()
+    _label_lags(axes, min(lags), max(lags))
+    axes.legend()
 
 
-def _label_lags(axes: Axes, lags_days: Sequence[np.ndarray]) -> None:
-    """Ticks at times that people know, as far as the lags reach."""
-    if not lags_days:
-        return
-    low, high = (float(end(np.concatenate(lags_days))) for end in (np.min, np.max))
+def _label_lags(axes: Axes, low: float, high: float) -> None:
+    """Ticks at times that people know, as far as the lags [days] reach."""
     axes.set_xlim(max(low, 1e-4) / 1.5, max(high, 1e-4) * 1.5)
     ticks = {days: text for days, text in LAGS_DAYS.items() if low / 1.5 <= days <= high * 1.5}
     axes.set_xticks(list(ticks or {low: ""}), list(ticks.values()) or [f"{low:.2g} days"])
     axes.minorticks_off()
 
 
-def _structure(axes: Axes, recipe: str, structure: Structure, colour: str) -> None:
-    days, plain = np.maximum(structure.lag_s / DAY_S, 1e-4), recipe.replace("$", r"\$")
-    axes.plot(days, structure.change_nm, "o-", color=colour, label=f"{plain}: NCPAs, noise subtracted")
-    axes.fill_between(days, structure.low_nm, structure.high_nm, color=colour, alpha=0.2, linewidth=0)
-    axes.plot(days, np.sqrt(structure.noise_nm2), "--", color=colour, label="noise alone")
+def _plain(text: str) -> str:
+    """Text that is no formula."""
+    return text.replace("$", r"\$")
 
 
 def _moment(unix_s: float) -> datetime:

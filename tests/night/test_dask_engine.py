@@ -18,8 +18,7 @@ from conftest import invoke
 from helpers import sparta_files
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.night.reduce import Reduced, reduce_group
-from irlos_pipe.night.tasks import Task
+from irlos_pipe.night.reduce import Reduced, Task, reduce_group
 from irlos_pipe.pipeline import provenance, run_recipe
 from irlos_pipe.product.storage import read_product
 

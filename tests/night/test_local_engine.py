@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from irlos_pipe.night.engines import local_runner
-from irlos_pipe.night.reduce import Reduced
-from irlos_pipe.night.tasks import Task
+from irlos_pipe.night.reduce import Reduced, Task
 
 
 def reduce_or_die(task: Task) -> Reduced:

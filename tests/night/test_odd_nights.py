@@ -11,9 +11,8 @@ from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
 from irlos_pipe.night import database
 from irlos_pipe.night.engines import dask_runner
 from irlos_pipe.night.published_run import PublishedRun
-from irlos_pipe.night.reduce import failure
+from irlos_pipe.night.reduce import Task, failure
 from irlos_pipe.night.settings import load_settings
-from irlos_pipe.night.tasks import Task
 
 MORNING = "2024-02-11T03:00:00"
 
@@ -28,19 +27,13 @@ def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
 # -- names --------------------------------------------------------------------------------------
 
 
-def test_a_recording_with_the_longest_name_is_reduced_like_others(bench):
-    folder = bench.record(MORNING)
-    os.rename(folder / "cube.fits", folder / ("x" * 250 + ".fits"))
-    state = bench.run()
-    (reduced,) = state.nights["2024-02-10"].reduced.values()
-    assert state.exit_code == 0 and len(reduced.name.split("/")[1]) < 130
-
-
-def test_long_names_that_differ_at_their_end_have_different_folders(bench):
+def test_the_longest_names_are_shortened_and_those_that_differ_at_their_end_have_different_folders(bench):
     for minute, end in enumerate("ab"):
         folder = bench.record(f"2024-02-11T03:{minute:02d}:00", end)
         os.rename(folder / f"{end}.fits", folder / ("x" * 240 + f"{end}.fits"))
-    assert len({one.name for one in bench.run().nights["2024-02-10"].reduced.values()}) == 2
+    state = bench.run()
+    names = {one.name.split("/")[1] for one in state.nights["2024-02-10"].reduced.values()}
+    assert state.exit_code == 0 and len(names) == 2 and max(map(len, names)) < 130
 
 
 def test_the_failure_of_a_task_whose_folder_cannot_be_is_told_all_the_same(tmp_path):
@@ -172,10 +165,8 @@ def test_a_page_that_is_not_utf_8_is_written_again(bench):
 @pytest.mark.parametrize(
     ("address", "told"),
     [
-        ("tcp://10.0.0.1:8786", True),
         ("10.0.0.1:8786", True),
         ("tls://10.0.0.1:8786", False),
-        ("tcp://127.0.0.1:8786", False),
         ("localhost:8786", False),
     ],
 )

@@ -1,9 +1,11 @@
-"""The numbers of all nights in the database, and `irlos trend`; truth is what was put in."""
+"""The numbers of all nights in the database, `irlos trend`, the dashboard; truth is what was put in."""
 
 import csv
 import io
 import json
+import math
 import sqlite3
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,12 +15,14 @@ from conftest import invoke
 from helpers.stored_nights import DAY_S, measured, night, put
 
 from irlos_pipe.night.database import NAME, opened
-from irlos_pipe.night.page_sections import main_series, numbers_of_night, trend_section
+from irlos_pipe.night.page import main_series, numbers_of_night, trend_section
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import make_trend, read_trend
+from irlos_pipe.product.product import Check
 
 JUMP_NM = 40.0
+RULE = BandSettings()
 
 
 @pytest.fixture
@@ -48,68 +52,48 @@ def test_a_run_without_a_time_is_placed_at_midnight_of_its_night(tmp_path):
 
 
 def test_numbers_come_in_order_of_time_with_modes_in_order_of_their_index(tree):
-    trend = read_trend(tree, BandSettings())
+    trend = read_trend(tree, RULE)
     assert [one.name for one in trend.series] == ["noll_2_nm", "noll_4_nm", "noll_11_nm", "seeing_arcsec"]
     assert all(np.all(np.diff([point.unix_s for point in one.points]) == DAY_S) for one in trend.series)
 
 
 def test_a_coefficient_out_of_its_band_alarms_and_the_seeing_does_not(tree):
-    alarms = read_trend(tree, BandSettings()).alarms()
-    assert [(point.night, point.name) for point, _ in alarms] == [
-        (night(19), "wavefront_nm"),
-        (night(19), "noll_4_nm"),
-    ]
+    alarms = [line.split(" = ")[0] for line in read_trend(tree, RULE).alarms()]
+    assert alarms == [f"{night(19)}/030000_cube/cube: {name}" for name in ("wavefront_nm", "noll_4_nm")]
 
 
 def test_the_trend_until_a_night_equals_the_trend_made_on_that_night(tree):
-    rule = BandSettings()
     with opened(tree) as database:
-        then = make_trend(database.points(night(12)), database.verdicts(night(12)), rule)
-    late = read_trend(tree, rule).until(night(12))
-    assert late.series == then.series and late.verdicts == then.verdicts and len(then.verdicts) == 13
-    for one, other in zip(late.structures.values(), then.structures.values(), strict=True):
-        assert np.array_equal(one.change_nm2, other.change_nm2)
+        then = make_trend(database.points(night(12)), database.verdicts(night(12)), RULE)
+    late = read_trend(tree, RULE).until(night(12))
+    assert late == then and len(then.verdicts) == 13
+    ((one, _),), ((other, _),) = late.stabilities.values(), then.stabilities.values()
+    assert np.array_equal(one.change_nm2, other.change_nm2)
 
 
 def test_stability_is_the_structure_function_of_the_modes_without_tip_and_tilt(tree):
     """Against a sum over all pairs; 0.5 nm of noise in two modes is taken off."""
-    trend = read_trend(tree, BandSettings(), until=night(18))
-    (structure,) = trend.structures.values()
-    modes = np.array(
-        [
-            [point.value for point in one.points]
-            for one in trend.series
-            if one.name in ("noll_4_nm", "noll_11_nm")
-        ]
-    )
+    trend = read_trend(tree, RULE, until=night(18))
+    ((structure, _),) = trend.stabilities.values()
+    wanted = [one for one in trend.series if one.name in ("noll_4_nm", "noll_11_nm")]
+    modes = np.array([[point.value for point in one.points] for one in wanted])
     day_apart = np.mean(np.sum(np.diff(modes, axis=1) ** 2, axis=0)) - 4 * 0.5**2
     assert structure.lag_s[0] == DAY_S and structure.pairs[0] == 18
     assert structure.change_nm2[0] == pytest.approx(day_apart)
     assert structure.noise_nm2 == pytest.approx(np.full(len(structure.pairs), 1.0))
 
 
-def test_two_recipes_make_two_series(tmp_path):
-    for recipe in ("cube", "dip"):
-        put(tmp_path, 0, measured(noll_4_nm=1.0), recipe=recipe)
-    assert [one.recipe for one in read_trend(tmp_path, BandSettings()).series] == ["cube", "dip"]
-
-
-def test_the_page_shows_every_verdict_of_the_night_with_the_gap_of_its_own_recording(tmp_path):
-    for recipe, gap in (("cube", 0.02), ("muse", 0.05)):
-        put(tmp_path, 0, measured(verdict="effect", gap_before=gap, gap_after=gap / 2), recipe=recipe)
-    trend = read_trend(tmp_path, BandSettings())
-    notes = [one.note for one in numbers_of_night(Night(night(0)), trend) if one.label.startswith("Missing")]
-    assert [note.partition(": ")[2] for note in notes] == ["gap 0.020 → 0.010", "gap 0.050 → 0.025"]
-
-
-def test_the_longest_of_several_series_is_shown_and_then_the_most_precise(tmp_path):
+def test_of_several_recipes_the_page_shows_the_longest_series_and_each_verdict_with_its_own_gap(tmp_path):
     put(tmp_path, 0, measured(noll_4_nm=1.0), recipe="one")
-    for recipe in ("many", "few"):
-        put(tmp_path, 1, measured(noll_4_nm=2.0), recipe=recipe)
+    for recipe, gap in (("many", 0.02), ("few", 0.05)):
+        numbers = {"noll_4_nm": 2.0, "gap_before": gap, "gap_after": gap / 2}
+        put(tmp_path, 1, measured(verdict="effect", **numbers), recipe=recipe)
     put(tmp_path, 2, measured(noll_4_nm=2.0), recipe="many")
-    trend = read_trend(tmp_path, BandSettings())
-    assert main_series(trend, "noll_4_nm").recipe == "many"
-    assert main_series(trend.until(night(0)), "noll_4_nm").recipe == "one"
+    trend = read_trend(tmp_path, RULE)
+    assert main_series(trend, "noll_4_nm").owner[0] == "many"
+    assert main_series(trend.until(night(0)), "noll_4_nm").owner[0] == "one"
+    notes = [one.note for one in numbers_of_night(Night(night(1)), trend) if one.label.startswith("Missing")]
+    assert sorted(note.partition(": ")[2] for note in notes) == ["gap 0.020 → 0.010", "gap 0.050 → 0.025"]
 
 
 # -- the command -------------------------------------------------------------------------------
@@ -137,10 +121,16 @@ def test_many_modes_fit_a_terminal(tmp_path):
     assert len(lines) <= 24 and max(map(len, lines)) <= 80
 
 
-def test_csv_holds_every_point(tree):
+def test_csv_and_json_hold_every_point_with_its_band(tree):
     rows = list(csv.DictReader(io.StringIO(invoke("trend", str(tree), "--csv").stdout)))
     assert len(rows) == 20 * 4
     assert [(row["night"], row["name"]) for row in rows if row["alarm"] == "1"] == [(night(19), "noll_4_nm")]
+    content = json.loads(invoke("trend", str(tree), "--json").stdout)
+    points = {one["name"]: one["points"] for one in content["series"]}["noll_4_nm"]
+    low, high = points[-1]["band"]
+    assert low < 40 < high < points[-1]["value"] and points[0]["band"] is None
+    assert content["stability"][0]["pairs"][0] == 19
+    assert (len(content["verdicts"]), len(content["alarms"])) == (20, 2)
 
 
 def test_a_night_within_its_bands_is_exit_code_0_and_silent_on_stderr(tree):
@@ -148,24 +138,15 @@ def test_a_night_within_its_bands_is_exit_code_0_and_silent_on_stderr(tree):
     assert (result.exit_code, result.stderr) == (0, "") and night(19) not in result.stdout
 
 
-def test_json_holds_every_point_with_its_band(tree):
-    content = json.loads(invoke("trend", str(tree), "--json").stdout)
-    series = {one["name"]: one["points"] for one in content["series"]}
-    low, high = series["noll_4_nm"][-1]["band"]
-    assert low < 40 < high < series["noll_4_nm"][-1]["value"] and series["noll_4_nm"][0]["band"] is None
-    assert (
-        len(content["verdicts"]) == 20
-        and content["stability"][0]["pairs"][0] == 19
-        and len(content["alarms"]) == 2
-    )
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("ending", "begin"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
-def test_a_plot_is_drawn_to_a_file(tree, ending, begin):
-    path = tree / f"focus.{ending}"
-    assert invoke("trend", str(tree), "--of", "noll_4_nm", "--plot", str(path)).exit_code == 4
-    assert path.read_bytes().startswith(begin)
+def test_a_plot_is_drawn_to_a_file_and_a_dollar_in_a_name_is_no_formula(tree):
+    assert invoke("trend", str(tree), "--of", "noll_4_nm", "--plot", str(tree / "a.png")).exit_code == 4
+    assert (tree / "a.png").read_bytes().startswith(b"\x89PNG")
+    put(tree, 20, measured(noll_4_nm=1.0), recipe="a$b_{$")
+    with sqlite3.connect(tree / NAME) as connection:
+        connection.execute("UPDATE runs SET configuration = 'diversity $x_{$'")
+    result = invoke("trend", str(tree), "--plot", str(tree / "a.svg"))
+    assert (tree / "a.svg").read_bytes().startswith(b"<?xml") and "unexpected" not in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -173,6 +154,7 @@ def test_a_plot_is_drawn_to_a_file(tree, ending, begin):
     [
         (("--of", "noll_5_nm"), 2, "--of noll_5_nm: no such number; did you mean 'noll_4_nm'?"),
         (("--plot", "x.gif"), 2, "--plot x.gif: give a name that ends in .svg, .png, .pdf"),
+        (("--dashboard", "x.txt"), 2, "--dashboard x.txt: give a name that ends in .json"),
         (("--until", "2023-01-01"), 64, "no numbers yet until 2023-01-01"),
     ],
 )
@@ -202,24 +184,44 @@ def test_a_database_of_a_newer_version_is_not_touched(tree):
     assert result.stderr.count("\n") == 1 and (tree / NAME).read_bytes() == before
 
 
-@pytest.mark.slow
-def test_a_dollar_in_a_name_is_no_formula(tree):
-    run = put(tree, 20, measured(noll_4_nm=1.0), recipe="a$b_{$")
-    assert "$" in run
-    with sqlite3.connect(tree / NAME) as connection:
-        connection.execute("UPDATE runs SET configuration = 'diversity $x_{$'")
-    result = invoke("trend", str(tree), "--plot", str(tree / "focus.svg"))
-    assert (tree / "focus.svg").is_file() and "unexpected" not in result.stderr
+def test_a_database_of_the_first_version_is_read_again_from_the_products(tmp_path):
+    run = put(tmp_path, 0, measured("k", noll_4_nm=1.0))
+    with sqlite3.connect(tmp_path / NAME) as connection:
+        connection.execute("DROP TABLE checks")
+        connection.execute("PRAGMA user_version = 1")
+    with opened(tmp_path) as database:
+        assert database.run_key(run) == "" and len(database.points()) == 1
 
 
 def test_the_page_of_one_night_lists_numbers_and_that_of_many_says_how_long_a_calibration_is_valid(tree):
-    rule, last = BandSettings(), night(18)
-    first = trend_section(read_trend(tree, rule, until=night(0)))
+    last = night(18)
+    first = trend_section(read_trend(tree, RULE, until=night(0)))
     assert [block.kind for block in first.blocks] == ["table"] and len(first.blocks[0].rows) == 4
     put(tree, 18, measured(noll_4_nm=40.0, noll_2_nm=20.0, noll_11_nm=110.0, ncpa_nm=50.0))
-    tile = next(
-        one
-        for one in numbers_of_night(Night(last), read_trend(tree, rule, until=last))
-        if one.label == "Calibration valid for"
-    )
+    tiles = {one.label: one for one in numbers_of_night(Night(last), read_trend(tree, RULE, until=last))}
+    tile = tiles["Calibration valid for"]
     assert tile.value.endswith(" days") and "20 nm RMS" in tile.note
+
+
+def test_the_queries_of_the_dashboard_find_what_was_put_in(tmp_path):
+    checks = [
+        ("calibrate", Check("chi2", 3.0, "", None, 2.0, "too large")),
+        ("correct", Check("gain", math.nan, "nm", 0.0, None, "not known")),
+        ("ingest", Check("frames", 1.0, "1", 0.5, 2.0, "fine")),
+    ]
+    content = measured(verdict="effect", noll_4_nm=10.0, ncpa_nm=50.0, ramp_slope=1.0)
+    put(tmp_path, 0, replace(content, effects=["ghost"], checks=checks))
+    path, found = tmp_path / "irlos.json", {}
+    assert invoke("trend", str(tmp_path), "--dashboard", str(path)).exit_code == 0
+    with sqlite3.connect(tmp_path / NAME) as connection:
+        rows = connection.execute("SELECT name, value, low, high, passed FROM checks").fetchall()
+        for panel in json.loads(path.read_text())["panels"]:
+            query = panel["targets"][0]["queryText"]
+            query = query.replace("$__from", "1707000000000").replace("$__to", "1708000000000")
+            found[panel["title"]] = connection.execute(query).fetchall()
+    kept = [("chi2", 3.0, None, 2.0, 0), ("gain", None, 0.0, None, 0), ("frames", 1.0, 0.5, 2.0, 1)]
+    assert rows == kept
+    assert found["NCPAs, Noll 4 to 11"] == [(1707620400, "noll_4_nm cube", 10.0)]
+    assert [row[2] for row in found["Checks that failed"]] == ["chi2", "gain"]
+    assert found["What the model lacks"][0][3:] == ("effect", '["ghost"]')
+    assert found["RMS of the NCPAs"] and found["Slope of ramps"] and len(found["Runs"]) == 1

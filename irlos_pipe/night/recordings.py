@@ -6,26 +6,29 @@ import hashlib
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from datetime import date
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, date, datetime, timedelta
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import printable
-from irlos_pipe.files.json import canonical_json
+from irlos_pipe.files.json import canonical_json, json_text
 from irlos_pipe.files.time_limit import TookTooLong, time_limit
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.night.database import Database
-from irlos_pipe.night.description import Description, common_depth, night_of
 from irlos_pipe.readers import recorder
 from irlos_pipe.readers.find import files_of, recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
+# A night is named after its evening. It ends at local noon of Paranal (70.4 degrees west).
+NOON_UTC = timedelta(hours=12 + 70.4 / 15)
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
 DESCRIPTION_VERSION = 3  # of what a description holds; those of an earlier one are read anew
 UNPRINTABLE = "{!r}: the name holds characters that cannot be shown; rename it"
@@ -35,29 +38,81 @@ SILENT = logging.Logger("describe", logging.CRITICAL + 1)
 
 
 @dataclass(frozen=True)
-class Unusable:
-    """A file or folder that cannot be used, the night that it most likely belongs to, and why."""
+class Description:
+    """What is known of a recording before it is reduced: enough to assign it to a night and a group.
+
+    Attributes
+    ----------
+    path : Path
+        The recorder's folder, or the file: the input that a recipe is given.
+    night : str
+        Date of its evening, ISO.
+    start_unix_s : float or None
+        Start time since 1970 [s]; None where the recording does not state it.
+    mode : str
+        Read-out mode, empty where the file layout has none.
+    configuration : str
+        What the NCPAs depend on: read-out mode, pixel scale, diversity. Recordings with equal text
+        were taken through the same optics.
+    spectrum : str
+        Wavelengths and weights.
+    window : tuple of int
+        Rows and columns [px].
+    full_pupil : bool
+        False for the images of a 2x2 mode.
+    content : str
+        Checksum of the frames, the same for a copy.
+    night_by : str
+        What the night was taken from where the recording states no time; else empty.
+    """
 
     path: Path
+    name: str
+    role: str
     night: str
-    problem: str
+    start_unix_s: float | None = None
+    mode: str = ""
+    configuration: str = ""
+    spectrum: str = ""
+    window: tuple[int, int] = (0, 0)
+    frames: int = 0
+    target: str = ""
+    exposure_s: float | None = None
+    derotator_angle_deg: float = 0.0
+    full_pupil: bool = True
+    content: str = ""
+    night_by: str = ""
+
+    def same_frames(self, other: Description) -> bool:
+        """Whether `other` holds the same frames, taken at the same time as far as that is known."""
+        if not self.content or (self.content, self.mode) != (other.content, other.mode):
+            return False
+        known = self.start_unix_s is not None and other.start_unix_s is not None
+        return not known or abs((self.start_unix_s or 0.0) - (other.start_unix_s or 0.0)) < 1.0
+
+    def same_description(self, other: Description) -> bool:
+        """Whether `other` is said to be the same."""
+        names = ("role", "configuration", "spectrum", "target", "exposure_s", "derotator_angle_deg")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
+
+
+DESCRIPTION = TypeAdapter(Description)
 
 
 @dataclass(frozen=True)
-class Copy:
-    """A recording whose frames are those of another one, and which that is."""
+class LeftOut:
+    """A recording that is not reduced, or what cannot be read as one; `alarming` when somebody should know.
+
+    Attributes
+    ----------
+    found_as : str
+        ``unusable`` or ``copy``, which is known before recordings are grouped; else empty.
+    """
 
     recording: Description
-    of: Description
-
-
-@dataclass(frozen=True)
-class Discovered:
-    """The recordings found, copies of them, and what cannot be used."""
-
-    recordings: list[Description] = field(default_factory=list)
-    unusable: list[Unusable] = field(default_factory=list)
-    copies: list[Copy] = field(default_factory=list)
+    reason: str
+    alarming: bool = False
+    found_as: str = ""
 
 
 def discover(
@@ -66,7 +121,7 @@ def discover(
     instrument: Instrument,
     database: Database,
     limit_s: float = 0.0,
-) -> Discovered:
+) -> tuple[list[Description], list[LeftOut]]:
     """Describe every recording under the folders; one that cannot be read does not stop the others.
 
     Parameters
@@ -82,12 +137,19 @@ def discover(
     limit_s : float
         Longest time for reading one recording [s]; no limit if 0.
 
+    Returns
+    -------
+    recordings : list of Description
+        Each once: a copy would count twice, in a ramp or as a second night's calibration.
+    left_out : list of LeftOut
+        What cannot be used, and copies.
+
     Raises
     ------
     InputDataError
         When one of the folders does not exist.
     """
-    recordings: list[Description] = []
+    found: list[Description] = []
     problems: list[tuple[Path, str]] = []
     files = _files(folders, problems)
     single = _single_recording_folders(files)
@@ -97,30 +159,57 @@ def discover(
             continue
         try:
             with time_limit(limit_s, f"{file}: reading it"):
-                recordings.append(_describe(file, file.parent in single, keys, instrument, database))
+                found.append(_describe(file, file.parent in single, keys, instrument, database))
         except (InputDataError, TookTooLong) as error:
             problems.append((file, str(error)))
         except Exception as error:  # a damaged file must not keep the others from being read
             problems.append((file, f"{file}: unexpected {type(error).__name__}: {error}"))
-    unusable = [Unusable(path, _night_of_unusable(path, recordings), problem) for path, problem in problems]
-    return Discovered(*_without_copies(recordings, unusable))
+    unusable = [_unusable(path, problem, found) for path, problem in problems]
+    copies = {id(one.recording): one for one in _copies(found)}
+    return [one for one in found if id(one) not in copies], [*unusable, *copies.values()]
 
 
-def _without_copies(
-    found: Sequence[Description], unusable: list[Unusable]
-) -> tuple[list[Description], list[Unusable], list[Copy]]:
-    """Each recording once: a copy would count twice, in a ramp or as a second night's calibration."""
+def _unusable(path: Path, problem: str, found: Sequence[Description]) -> LeftOut:
+    """Filed under the date in its path, else the night of the nearest recording, else that of the file."""
+    nearest = max(found, key=lambda one: common_depth(one.path, path), default=None)
+    night = date_in_path(path) or (nearest.night if nearest else _night_of_file(path))
+    return LeftOut(Description(path, path.name, "", night), problem, alarming=True, found_as="unusable")
+
+
+def _copies(found: Iterable[Description]) -> Iterator[LeftOut]:
     firsts: dict[str, list[Description]] = {}
-    copies: list[Copy] = []
     for one in found:
         others = firsts.setdefault(one.content, [])
         first = next((other for other in others if one.same_frames(other)), None)
         if first is None:
             others.append(one)
+        elif one.same_description(first):
+            yield LeftOut(one, f"a copy of {first.path}", found_as="copy")
         else:
-            copies.append(Copy(one, first))
-    left_out = {id(copy.recording) for copy in copies}
-    return [one for one in found if id(one) not in left_out], unusable, copies
+            reason = f"the same frames as in {first.path}, but another side-car; remove one"
+            yield LeftOut(one, reason, alarming=True, found_as="copy")
+
+
+def known_recordings(database: Database) -> list[Description]:
+    """Return the recordings of all nights in a `database` whose files still exist."""
+    stored = (_stored(content) for file, content in database.descriptions() if Path(file).is_file())
+    return list(filter(None, stored))
+
+
+def night_of(unix_s: float) -> str:
+    """Return the night of a time [s since 1970], as the ISO date of its evening."""
+    return (datetime.fromtimestamp(unix_s, UTC) - NOON_UTC).date().isoformat()
+
+
+def utc_time(unix_s: float | None, pattern: str = "%H:%M:%S") -> str:
+    """Format the time of day of `unix_s` with a strftime `pattern`; return "" if it is not known."""
+    return "" if unix_s is None else datetime.fromtimestamp(unix_s, UTC).strftime(pattern)
+
+
+def common_depth(path: Path, other: Path) -> int:
+    """Return how many leading folders `path` and `other` have in common."""
+    pairs = zip(path.parts, other.parts, strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 def date_in_path(path: Path) -> str:
@@ -157,15 +246,25 @@ def _describe(
     if not file.is_file():
         raise InputDataError(f"{file}: not a regular file, or a link to one that is gone")
     stamp = _stamp(file, keys, single)
-    known = database.description(file, stamp)
+    known = _stored(database.description(file, stamp))
     if known is not None:
         return known
     sources, failures = read_sources({"night": [file]}, lambda _: keys, instrument, SILENT)
     if failures:
         raise InputDataError(failures[0][1])
     description = _described(file, sources[0], single)
-    database.add_description(file, stamp, description)
+    database.add_description(file, stamp, json_text(asdict(description), None))
     return description
+
+
+def _stored(content: Any) -> Description | None:
+    """A description from the database; None if there is none or it is damaged: the file is read anew."""
+    try:
+        found = DESCRIPTION.validate_json(content or "")
+        date.fromisoformat(found.night)  # the name of a folder is made of it
+    except ValueError:
+        return None
+    return found
 
 
 def _described(file: Path, source: Source, single: bool) -> Description:
@@ -174,6 +273,8 @@ def _described(file: Path, source: Source, single: bool) -> Description:
     diversity = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(acquisition.diversity.items()))
     scale = f"{acquisition.pixel_scale_mas:g} mas per pixel"
     optics = (raw.mode, scale, acquisition.diversity_source, diversity)
+    # of shape and values: the same whatever file the frames lie in
+    frames = f"{raw.adu.shape} {raw.adu.dtype.kind}{raw.adu.dtype.itemsize}".encode() + raw.adu.tobytes()
     return Description(
         path=file.parent if raw.layout == recorder.LAYOUT and single else file,
         name=raw.name,
@@ -190,25 +291,13 @@ def _described(file: Path, source: Source, single: bool) -> Description:
         exposure_s=acquisition.exposure_s,
         derotator_angle_deg=acquisition.derotator_angle_deg,
         full_pupil=raw.lenslets == 1,
-        content=_checksum(raw.adu),
+        content=hashlib.sha256(frames).hexdigest(),
     )
-
-
-def _checksum(adu: np.ndarray) -> str:
-    """Of shape and values: the same whatever file the frames lie in."""
-    head = f"{adu.shape} {adu.dtype.kind}{adu.dtype.itemsize}"
-    return hashlib.sha256(head.encode() + np.ascontiguousarray(adu).tobytes()).hexdigest()
 
 
 def _night_of_file(path: Path) -> str:
     """The date in the path, else the night when the file was written."""
     return date_in_path(path) or night_of(path.stat().st_mtime)
-
-
-def _night_of_unusable(path: Path, recordings: Sequence[Description]) -> str:
-    """The date in the path, else the night of the recording nearest in the folder tree, else of the file."""
-    nearest = max(recordings, key=lambda one: common_depth(one.path, path), default=None)
-    return date_in_path(path) or (nearest.night if nearest else _night_of_file(path))
 
 
 def _stamp(file: Path, keys: AcquisitionKeys, single: bool) -> str:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.night.settings import Kind
-from irlos_pipe.product.product import Check, Product
+from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import RunResults, read_run_results
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.lift.results import LiftResults
-
-Number = tuple[str, float, float]  # name, value, standard error; NaN where there is none
 
 
 @dataclass(frozen=True)
@@ -31,8 +29,6 @@ class Measurements:
         Status of the run, as in results.json.
     numbers : dict of str to tuple of float
         Value and standard error (None where there is none) by name; the name ends in the unit.
-    checks_failed : list of str
-        QC checks that failed.
     verdict, effects : str or None, list of str
         Verdict of `diagnose` and the effects it found; None and empty without that stage.
     model : str
@@ -45,12 +41,16 @@ class Measurements:
 
     status: str
     numbers: dict[str, tuple[float, float | None]]
-    checks_failed: list[str]
     verdict: str | None
     effects: list[str]
     model: str
     key: str
     checks: list[tuple[str, Check]] = field(default_factory=list)
+
+    @property
+    def checks_failed(self) -> list[str]:
+        """QC checks that failed."""
+        return [f"{stage}: {check.name}" for stage, check in self.checks if not check.passed]
 
 
 def read_measurements(folder: Path, kind: Kind) -> Measurements:
@@ -69,7 +69,10 @@ def read_measurements(folder: Path, kind: Kind) -> Measurements:
     results = read_run_results(run.results)
     diagnosis = results.of(DiagnoseResults)
     try:
-        model, key = _model(products), products[-1].provenance["key"]
+        made = [product.provenance for product in products]
+        stages = [f"{one['parts']['stage']} {one['parts']['version']}" for one in made]
+        model = ", ".join([f"irlos_pipe {made[-1]['software']['irlos_pipe']}", *stages])
+        key = made[-1]["key"]
     except (KeyError, TypeError, IndexError) as error:
         raise InputDataError(
             f"{folder}: provenance cannot be read ({error}); run irlos night again"
@@ -81,7 +84,6 @@ def read_measurements(folder: Path, kind: Kind) -> Measurements:
             for name, value, sigma in _numbers(results, kind)
             if math.isfinite(value)
         },
-        [f"{one.stage}: {check.name}" for one in products for check in one.checks if not check.passed],
         diagnosis.verdict or None,
         [step.effect for step in diagnosis.steps],
         model,
@@ -90,52 +92,29 @@ def read_measurements(folder: Path, kind: Kind) -> Measurements:
     )
 
 
-def _numbers(results: RunResults, kind: Kind) -> Iterator[Number]:
-    if kind == "calibration":
-        yield from _calibration(results.of(CalibrateResults))
+def _numbers(results: RunResults, kind: Kind) -> Iterator[tuple[str, float, float]]:
+    """Name, value and standard error; NaN where there is none."""
+    if kind in ("calibration", "two_by_two"):
+        found = results.of(CalibrateResults)
+        modes = {
+            noll: (value, found.sigma_nm.get(noll, math.nan)) for noll, value in found.zernike_nm.items()
+        }
+        if kind == "calibration":
+            yield from ((f"noll_{noll}_nm", *mode) for noll, mode in modes.items())
+            yield "ncpa_nm", found.wfe_nm, found.wfe_sigma_nm
+            yield "chi2_nu", found.chi2_nu, math.nan
+        else:  # the focus of the moment is no NCPA
+            yield ("focus_2x2_nm", *modes.get(DEFOCUS, (math.nan, math.nan)))
+        yield "seeing_arcsec", found.seeing_arcsec, math.nan
+        yield "ao_residual_nm", found.effect_number("seeing_halo", "wfe_nm"), math.nan
+        yield "jitter_mas", found.effect_number("tip_tilt_jitter", "sigma_mas"), math.nan
     if kind == "ramp":
-        yield from _ramp(results.of(LiftResults))
-    if kind == "two_by_two":
-        yield from _two_by_two(results.of(CalibrateResults))
+        ramp = results.of(LiftResults)
+        line, frames = ramp.summary, len(ramp.points)
+        error_nm = line.residual_rms_nm / math.sqrt(frames) if frames else math.nan
+        yield "defocus_bias_nm", line.offset_nm, error_nm
+        yield "ramp_slope", line.slope, line.slope_sigma
+        yield "ramp_error_nm", line.rms_nm, math.nan
     gap = results.of(DiagnoseResults).gap
-    yield "gap_before", gap.before, math.nan
-    yield "gap_after", gap.after, math.nan
-    yield "gap_floor", gap.floor, math.nan
-
-
-def _calibration(results: CalibrateResults) -> Iterator[Number]:
-    for noll, value_nm in results.zernike_nm.items():
-        yield f"noll_{noll}_nm", value_nm, results.sigma_nm.get(noll, math.nan)
-    yield "ncpa_nm", results.wfe_nm, results.wfe_sigma_nm
-    yield from _of_the_sky(results)
-    yield "chi2_nu", results.chi2_nu, math.nan
-
-
-def _of_the_sky(results: CalibrateResults) -> Iterator[Number]:
-    yield "seeing_arcsec", results.seeing_arcsec, math.nan
-    yield "ao_residual_nm", results.effect_number("seeing_halo", "wfe_nm"), math.nan
-    yield "jitter_mas", results.effect_number("tip_tilt_jitter", "sigma_mas"), math.nan
-
-
-def _two_by_two(results: CalibrateResults) -> Iterator[Number]:
-    """The focus of the moment, which is no NCPA, and what the images say of the sky."""
-    yield (
-        "focus_2x2_nm",
-        results.zernike_nm.get(DEFOCUS, math.nan),
-        results.sigma_nm.get(DEFOCUS, math.nan),
-    )
-    yield from _of_the_sky(results)
-
-
-def _ramp(results: LiftResults) -> Iterator[Number]:
-    line, frames = results.summary, len(results.points)
-    yield "defocus_bias_nm", line.offset_nm, line.residual_rms_nm / math.sqrt(frames) if frames else math.nan
-    yield "ramp_slope", line.slope, line.slope_sigma
-    yield "ramp_error_nm", line.rms_nm, math.nan
-
-
-def _model(products: Sequence[Product]) -> str:
-    """Return the versions of the software and of the stages."""
-    made = [product.provenance for product in products]
-    stages = [f"{one['parts']['stage']} {one['parts']['version']}" for one in made]
-    return ", ".join([f"irlos_pipe {made[-1]['software']['irlos_pipe']}", *stages])
+    for name in ("before", "after", "floor"):
+        yield f"gap_{name}", getattr(gap, name), math.nan

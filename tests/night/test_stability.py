@@ -1,27 +1,16 @@
-"""Bands and structure functions.
+"""The structure function and the time of validity.
 
-Truth: brute force over all pairs, the analytic structure functions of white noise (2 M s²) and of a random
-walk (M s² lag), and the rate of false alarms by Monte Carlo.
+Truth: brute force over all pairs, and the analytic structure functions of white noise (2 M s²) and of a
+random walk (M s² lag).
 """
 
 from itertools import combinations
 
 import numpy as np
 import pytest
-from helpers.stored_nights import dates
 
-from irlos_pipe.night.bands import bands
-from irlos_pipe.night.settings import BandSettings
-from irlos_pipe.night.stability import DAY_S, LAG_EDGES_S, structure_function, with_confidence
-
-RULE = BandSettings(false_alarm=1e-2, nights=60, least_nights=5)
-
-
-def band_of_last(values, sigma=None, rule=RULE):
-    return bands(dates(len(values)), values, [*[None] * (len(values) - 1), sigma], rule)[-1]
-
-
-# -- structure function ------------------------------------------------------------------------
+from irlos_pipe.night.stability import DAY_S, LAG_EDGES_S, Validity, structure_function, with_confidence
+from irlos_pipe.night.terminal import validity_text
 
 
 def test_every_pair_is_counted_once_in_the_bin_of_its_lag():
@@ -74,59 +63,6 @@ def test_changes_that_noise_explains_count_as_none():
     assert np.all(found.change_nm2 < 0) and np.all(found.change_nm == 0)
 
 
-# -- bands -------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("nights", [5, 10, 40])
-@pytest.mark.parametrize("probability", [0.05, 0.01])
-def test_false_alarms_are_not_more_frequent_than_requested(nights, probability):
-    rng, trials = np.random.default_rng(nights), 2000
-    rule = BandSettings(false_alarm=probability, least_nights=nights)
-    draws = rng.normal(size=(trials, nights + 1))
-    alarms = sum(not band_of_last(values, rule=rule).holds(values[-1]) for values in draws)
-    allowed = trials * probability + 3 * np.sqrt(trials * probability)
-    assert alarms <= allowed and alarms >= 0.2 * trials * probability
-
-
-def test_a_jump_after_forty_quiet_nights_is_out_of_its_band():
-    values = np.random.default_rng(5).normal(30, 1, 41)
-    values[-1] = 45.0
-    band = bands(dates(41), values, [0.5] * 41, BandSettings())[-1]
-    assert not band.holds(45.0) and band.holds(30.0) and band.nights == 40
-
-
-def test_outlying_nights_hardly_move_the_band():
-    values = np.random.default_rng(6).normal(0, 1, 41)
-    clean = band_of_last(values)
-    values[3:11] = 1000.0
-    shifted = band_of_last(values)
-    assert abs(shifted.centre - clean.centre) < 1 and shifted.half_width < 3 * clean.half_width
-
-
-def test_several_recordings_of_a_night_count_once_and_do_not_define_their_own_band():
-    nights = [*dates(6), *["2024-02-01"] * 3]
-    found = bands(nights, [0, 1, 2, 3, 4, 5, 100, 200, 300], [None] * 9, RULE)
-    assert [band.nights if band else None for band in found] == [None] * 5 + [5, 6, 6, 6]
-    assert found[6] == found[7] == found[8] and found[6].centre == 2.5
-
-
-def test_only_the_latest_nights_define_the_band_and_too_few_give_none():
-    values = [*[0.0] * 10, *np.arange(100.0, 120.0), 0.0]
-    rule = BandSettings(false_alarm=1e-2, nights=20)
-    assert band_of_last(values, rule=rule).centre == 109.5
-    assert band_of_last(values[:5]) is None
-
-
-def test_a_value_with_a_large_error_has_a_wide_band():
-    values = np.random.default_rng(7).normal(0, 1, 31)
-    narrow, wide = band_of_last(values), band_of_last(values, sigma=50.0)
-    assert narrow.half_width < 6 and wide.half_width > 100
-
-
-# -- how long a calibration is valid -----------------------------------------------------------
-
-
 def drifting(rng, nights: int, modes: int, white_nm2: float, rate: float, noise_nm: float):
     """Times, values and errors of nights that drift as a random walk of `rate` nm² per day in all modes."""
     walk = np.cumsum(rng.normal(0, np.sqrt(rate / modes), (nights, modes)), axis=0)
@@ -158,3 +94,14 @@ def test_nights_that_change_more_at_once_are_not_valid_at_all():
     nights = drifting(np.random.default_rng(3), 25, 27, 900.0, 0.0, 0.7)
     _, validity = with_confidence(structure_function(*nights), *nights, change_nm=20.0)
     assert validity.days == 0.0
+
+
+def test_how_long_a_calibration_is_valid_is_one_sentence():
+    inf = float("inf")
+    assert validity_text(Validity(20.0, 12.0, 8.0, 19.0, 30.0)) == (
+        "The NCPAs stay within 20 nm RMS for 12 days (95 %: 8 to 19)."
+    )
+    assert "at least 30 days" in validity_text(Validity(20.0, inf, 400.0, inf, 30.0))
+    assert "at least 9 days" in validity_text(Validity(20.0, 300.0, 9.0, inf, 30.0))
+    assert "for 4 days (95 %: 1.5 or more)" in validity_text(Validity(20.0, 4.0, 1.5, inf, 30.0))
+    assert "From one calibration to the next" in validity_text(Validity(20.0, 0.0, 0.0, 3.0, 30.0))
