@@ -2,66 +2,36 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
+from math import nan
 from typing import Any
 
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.product.results import ByNoll, Number, ResultsPart
+from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, item
 
 
 class Observed(ResultsPart):
-    """How and when a recording was taken.
+    """How and when a recording was taken."""
 
-    Attributes
-    ----------
-    file : str
-        Name of the data file.
-    start : str
-        Time of the first frame, UTC, ISO 8601; empty where it is not known.
-    cards : dict
-        Cards of the file's primary header that products inherit, by keyword.
-    instrument : str
-        Name of the instrument profile.
-    target : str
-        Name of the star.
-    mode : str
-        Read-out mode; empty where the layout has none.
-    exposure_s, frame_rate_hz : float
-        Exposure of a frame, and frames per second.
-    mag_j : float
-        J magnitude of the star.
-    pixel_scale_mas : float
-        Scale of the images, per pixel.
-    wavelength_nm : float
-        Mean wavelength of the photons.
-    diversity_source : str
-        What introduced the diversity, such as ``lens``.
-    diversity_nm : dict of int to float
-        Introduced diversity by Noll index [nm RMS].
-    derotator_angle_deg, parallactic_angle_deg, altitude_deg, pupil_rotation_deg : float
-        Angles; NaN where they are not known.
-    """
-
-    file: str = ""
-    start: str = ""
-    cards: dict[str, Any] = {}
-    instrument: str = ""
-    target: str = ""
-    mode: str = ""
-    exposure_s: Number = math.nan
-    frame_rate_hz: Number = math.nan
-    mag_j: Number = math.nan
-    pixel_scale_mas: Number = math.nan
-    wavelength_nm: Number = math.nan
-    diversity_source: str = ""
-    diversity_nm: ByNoll = {}
-    derotator_angle_deg: Number = math.nan
-    parallactic_angle_deg: Number = math.nan
-    altitude_deg: Number = math.nan
-    pupil_rotation_deg: Number = math.nan
+    file: str = item("", "Name of the data file.")
+    start: str = item("", "Time of the first frame, UTC, ISO 8601; empty where it is not known.")
+    cards: dict[str, Any] = item({}, "Cards of the file's primary header that products inherit, by keyword.")
+    instrument: str = item("", "Name of the instrument profile.")
+    target: str = item("", "Name of the star.")
+    mode: str = item("", "Read-out mode; empty where the layout has none.")
+    exposure_s: Number = item(nan, "Exposure of a frame, and frames per second.")
+    frame_rate_hz: Number = item(nan, DITTO)
+    mag_j: Number = item(nan, "J magnitude of the star.")
+    pixel_scale_mas: Number = item(nan, "Scale of the images, per pixel.")
+    wavelength_nm: Number = item(nan, "Mean wavelength of the photons.")
+    diversity_source: str = item("", "What introduced the diversity, such as ``lens``.")
+    diversity_nm: ByNoll = item({}, "Introduced diversity by Noll index [nm RMS].")
+    derotator_angle_deg: Number = item(nan, "Angles; NaN where they are not known.")
+    parallactic_angle_deg: Number = item(nan, DITTO)
+    altitude_deg: Number = item(nan, DITTO)
+    pupil_rotation_deg: Number = item(nan, DITTO)
 
 
 class Recorded(Observed):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
+from math import nan
 from typing import Any, Literal
 
 from pydantic import Field
 
 from irlos_pipe.files.json import json_text, jsonable
-from irlos_pipe.product.results import Number, Provenance, ResultsPart
+from irlos_pipe.product.results import DITTO, Number, Provenance, ResultsPart, item
 
 
 class Printed(ResultsPart):
@@ -30,81 +30,45 @@ class CheckRow(ResultsPart):
 
     name: str = ""
     passed: bool = False
-    value: Number = math.nan
+    value: Number = nan
     unit: str = ""
-    low: Number = math.nan
-    high: Number = math.nan
+    low: Number = nan
+    high: Number = nan
     message: str = ""
 
 
 class ProductRow(ResultsPart):
-    """Where a product of a run stands.
+    """Where a product of a run stands."""
 
-    Attributes
-    ----------
-    product : str
-        File name.
-    state : str
-        ``up to date``, ``outdated``, ``not of this recipe`` or ``cannot be checked``.
-    reason : str
-        Why it is not up to date; empty if it is.
-    checks, passed : int or None
-        Checks of quality, and how many of them passed; None without a product that can be read.
-    finished : str
-        UTC, ISO 8601.
-    """
-
-    product: str = ""
-    state: str = ""
-    reason: str = ""
-    checks: int | None = None
-    passed: int | None = None
-    finished: str = ""
+    product: str = item("", "File name.")
+    state: str = item("", "``up to date``, ``outdated``, ``not of this recipe`` or ``cannot be checked``.")
+    reason: str = item("", "Why it is not up to date; empty if it is.")
+    checks: int | None = item(
+        None, "Checks of quality, and how many of them passed; None without a product that can be read."
+    )
+    passed: int | None = item(None, DITTO)
+    finished: str = item("", "UTC, ISO 8601.")
 
 
 class RunStatus(Printed):
-    """What ``irlos status DIR --json`` prints of a run.
-
-    Attributes
-    ----------
-    run : str
-        The folder.
-    current : bool
-        Whether all products of the recipe are up to date.
-    """
+    """What ``irlos status DIR --json`` prints of a run."""
 
     format: Literal["irlos-status"] = Field("irlos-status", alias="schema")
-    run: str = ""
-    current: bool = False
+    run: str = item("", "The folder.")
+    current: bool = item(False, "Whether all products of the recipe are up to date.")
     products: list[ProductRow] = []
 
 
 class VersionRow(ResultsPart):
-    """A numbered version of a reduction.
+    """A numbered version of a reduction."""
 
-    Attributes
-    ----------
-    version : str
-        Its folder, ``001``.
-    status : str
-        That of its results.json; ``incomplete`` where products are missing.
-    latest : bool
-        Whether it is the newest complete one, to which ``latest`` links.
-    finished : str
-        When its last product was made: UTC, ISO 8601.
-    software : str
-        Version and revision of irlos_pipe.
-    changed : list of str
-        Settings that differ from those of the version before.
-    """
-
-    version: str = ""
+    version: str = item("", "Its folder, ``001``.")
     recipe: str = ""
-    status: str = ""
-    latest: bool = False
-    finished: str = ""
-    software: str = ""
-    changed: list[str] = []
+    status: str = item("", "That of its results.json; ``incomplete`` where products are missing.")
+    latest: bool = item(False, "Whether it is the newest complete one, to which ``latest`` links.")
+    finished: str = item("", "When its last product was made: UTC, ISO 8601.")
+    software: str = item("", "Version and revision of irlos_pipe.")
+    changed: list[str] = item([], "Settings that differ from those of the version before.")
 
 
 class Versions(Printed):
@@ -127,87 +91,56 @@ class ArrayRow(ResultsPart):
 
 
 class ShownProduct(Printed):
-    """What ``irlos show PRODUCT.h5 --json`` prints: everything but the values of the arrays.
-
-    Attributes
-    ----------
-    product : str
-        File name.
-    results : dict
-        The stage's section of results.json.
-    """
+    """What ``irlos show PRODUCT.h5 --json`` prints: everything but the values of the arrays."""
 
     format: Literal["irlos-show"] = Field("irlos-show", alias="schema")
-    product: str = ""
+    product: str = item("", "File name.")
     stage: str = ""
     provenance: Provenance = Provenance()
     arrays: list[ArrayRow] = []
-    results: dict[str, Any] = {}
+    results: dict[str, Any] = item({}, "The stage's section of results.json.")
     configuration: dict[str, Any] = {}
     checks: list[CheckRow] = []
     log: list[str] = []
 
 
 class HeldProduct(ResultsPart):
-    """A product in the folder of a run.
-
-    Attributes
-    ----------
-    arrays, checks, passed : int or None
-        How many arrays and checks of quality it has, and how many of these passed; None where it cannot be
-        read, as `problem` says.
-    summary : list of str
-        What the stage said on the terminal.
-    """
+    """A product in the folder of a run."""
 
     product: str = ""
     stage: str = ""
-    arrays: int | None = None
-    checks: int | None = None
-    passed: int | None = None
-    summary: list[str] = []
+    arrays: int | None = item(
+        None,
+        "How many arrays and checks of quality it has, and how many of these passed; None where it cannot "
+        "be read, as `problem` says.",
+    )
+    checks: int | None = item(None, DITTO)
+    passed: int | None = item(None, DITTO)
+    summary: list[str] = item([], "What the stage said on the terminal.")
     problem: str = ""
 
 
 class ShownRun(Printed):
-    """What ``irlos show DIR --json`` prints.
-
-    Attributes
-    ----------
-    run : str
-        The folder.
-    recipe, status, notice : str
-        As in results.json; empty without one.
-    files : list of str
-        What the folder holds besides the products.
-    """
+    """What ``irlos show DIR --json`` prints."""
 
     format: Literal["irlos-show-run"] = Field("irlos-show-run", alias="schema")
-    run: str = ""
-    recipe: str = ""
-    status: str = ""
-    notice: str = ""
+    run: str = item("", "The folder.")
+    recipe: str = item("", "As in results.json; empty without one.")
+    status: str = item("", DITTO)
+    notice: str = item("", DITTO)
     products: list[HeldProduct] = []
-    files: list[str] = []
+    files: list[str] = item([], "What the folder holds besides the products.")
 
 
 class Validation(Printed):
-    """What ``irlos validate RECIPE --json`` prints.
-
-    Attributes
-    ----------
-    recipe : str
-        As it was given; `name` is what the recipe calls itself.
-    inputs : dict of str to list of str
-        Paths that were given by input; an empty list for one that is still to be given.
-    problems : list of str
-        What is wrong, a line each, as on the terminal.
-    """
+    """What ``irlos validate RECIPE --json`` prints."""
 
     format: Literal["irlos-validate"] = Field("irlos-validate", alias="schema")
-    recipe: str = ""
+    recipe: str = item("", "As it was given; `name` is what the recipe calls itself.")
     valid: bool = False
     name: str = ""
     stages: list[str] = []
-    inputs: dict[str, list[str]] = {}
-    problems: list[str] = []
+    inputs: dict[str, list[str]] = item(
+        {}, "Paths that were given by input; an empty list for one that is still to be given."
+    )
+    problems: list[str] = item([], "What is wrong, a line each, as on the terminal.")

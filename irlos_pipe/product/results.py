@@ -9,13 +9,14 @@ default, so that a product of an older version, which lacks a key, can still be 
 from __future__ import annotations
 
 import json
-import math
+from math import nan
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.keys import DITTO as DITTO
 from irlos_pipe.conventions.numbers import Number as Number
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.files.regular import read_regular
@@ -25,6 +26,11 @@ ByNoll = dict[int, Number]  # coefficients [nm RMS] by Noll index, which is text
 # Values of an effect's parameters by name, as `describe` of the effect gives them: numbers, words, or
 # lists and tables of numbers.
 EffectValues = dict[str, Any]
+
+
+def item(default: Any, meaning: str = "") -> Any:
+    """Return the field of a model of results: its value where a file lacks it, and what it means."""
+    return Field(default, description=meaning)
 
 
 class ResultsPart(BaseModel):
@@ -40,16 +46,12 @@ class ResultsPart(BaseModel):
 
 
 class StageResults(ResultsPart):
-    """Base of the section of one stage, named by `stage`.
-
-    Attributes
-    ----------
-    untested : list of str
-        What the data cannot tell and stands as told: the first key of the section, before any number.
-    """
+    """Base of the section of one stage, named by `stage`."""
 
     stage: ClassVar[str]
-    untested: list[str] = []
+    untested: list[str] = item(
+        [], "What the data cannot tell and stands as told: the first key of the section, before any number."
+    )
 
 
 class InputFileEntry(ResultsPart):
@@ -70,42 +72,30 @@ LOST = "Lost"  # begins the lines of a summary that say which exposures failed
 
 
 class Provenance(ResultsPart):
-    """Where a product comes from.
+    """Where a product comes from."""
 
-    Attributes
-    ----------
-    key : str
-        Checksum of all that the product depends on; `parts` are what it was made of.
-    summary, failures : list of str
-        Lines for the terminal, and one line per exposure that failed, which the former end with.
-    files : list of str
-        Further files that the stage wrote; `file_sha256` are their checksums by name.
-    software : dict of str to str
-        Versions by package.
-    notice : str
-        What has to be said before any number; empty if nothing has to be.
-    started, finished : str
-        UTC, ISO 8601; `seconds` lie between.
-    """
-
-    key: str = ""
+    key: str = item("", "Checksum of all that the product depends on; `parts` are what it was made of.")
     parts: dict[str, Any] = {}
     recipe: str = ""
-    summary: list[str] = []
-    failures: list[str] = []
-    files: list[str] = []
+    summary: list[str] = item(
+        [], "Lines for the terminal, and one line per exposure that failed, which the former end with."
+    )
+    failures: list[str] = item([], DITTO)
+    files: list[str] = item(
+        [], "Further files that the stage wrote; `file_sha256` are their checksums by name."
+    )
     file_sha256: dict[str, str] = {}
     inputs: list[InputFileEntry] = []
     seed: int | None = None
     device: str = ""
     jobs: int | None = None
-    software: dict[str, str] = {}
+    software: dict[str, str] = item({}, "Versions by package.")
     machine: Machine = Machine()
     command: str = ""
-    notice: str = ""
-    started: str = ""
-    finished: str = ""
-    seconds: Number = math.nan
+    notice: str = item("", "What has to be said before any number; empty if nothing has to be.")
+    started: str = item("", "UTC, ISO 8601; `seconds` lie between.")
+    finished: str = item("", DITTO)
+    seconds: Number = nan
 
 
 Results = TypeVar("Results", bound=StageResults)
@@ -113,29 +103,22 @@ Part = TypeVar("Part", bound=ResultsPart)
 
 
 class RunResults(ResultsPart):
-    """Content of results.json.
-
-    Attributes
-    ----------
-    status : str
-        ``ok``, ``qc_failed``, ``partial`` or ``failed``.
-    notice : str
-        What has to be said before any result; empty if nothing has to be. `samples` are the inputs that
-        were sample recordings of the package.
-    stages : dict of str to dict
-        Sections of the finished stages by name; `of` returns one as its model.
-    error : str
-        What stopped the run; empty if nothing did.
-    """
+    """Content of results.json."""
 
     format: str = Field("irlos-results", alias="schema")
     schema_version: int = 1
     recipe: str = ""
-    status: str = ""
-    notice: str = ""
+    status: str = item("", "``ok``, ``qc_failed``, ``partial`` or ``failed``.")
+    notice: str = item(
+        "",
+        "What has to be said before any result; empty if nothing has to be. `samples` are the inputs that "
+        "were sample recordings of the package.",
+    )
     samples: list[str] = []
-    stages: dict[str, dict[str, Any]] = {}
-    error: str = ""
+    stages: dict[str, dict[str, Any]] = item(
+        {}, "Sections of the finished stages by name; `of` returns one as its model."
+    )
+    error: str = item("", "What stopped the run; empty if nothing did.")
 
     def of(self, kind: type[Results]) -> Results:
         """Return the section of the stage of `kind`; all defaults without that stage.

@@ -2,37 +2,28 @@
 
 from __future__ import annotations
 
-import math
+from math import nan
 from typing import Literal
 
 from pydantic import Field
 
 from irlos_pipe.product.printed import Printed
-from irlos_pipe.product.results import Number, ResultsPart
+from irlos_pipe.product.results import DITTO, Number, ResultsPart, item
 
 
 class MethodScore(ResultsPart):
-    """Errors of a calibration against the truth.
-
-    Attributes
-    ----------
-    error_nm : float
-        RMS error of the reported modes against the mean wavefront.
-    defocus_error_nm : float
-        Error of its defocus, with sign.
-    seconds : float
-        Time of the fit.
-    static_error_nm, pull_rms : float
-        RMS error against the static modes without tip and tilt, and the RMS of these errors in units of the
-        quoted ones; null where the truth does not state static modes.
-    """
+    """Errors of a calibration against the truth."""
 
     method: str = ""
-    error_nm: Number = math.nan
-    defocus_error_nm: Number = math.nan
-    seconds: Number = math.nan
-    static_error_nm: Number = math.nan
-    pull_rms: Number = math.nan
+    error_nm: Number = item(nan, "RMS error of the reported modes against the mean wavefront.")
+    defocus_error_nm: Number = item(nan, "Error of its defocus, with sign.")
+    seconds: Number = item(nan, "Time of the fit.")
+    static_error_nm: Number = item(
+        nan,
+        "RMS error against the static modes without tip and tilt, and the RMS of these errors in units of "
+        "the quoted ones; null where the truth does not state static modes.",
+    )
+    pull_rms: Number = item(nan, DITTO)
 
 
 class CalibrationScore(ResultsPart):
@@ -44,23 +35,15 @@ class CalibrationScore(ResultsPart):
 
 
 class RampScore(ResultsPart):
-    """RMS errors of the defocus of a ramp.
+    """RMS errors of the defocus of a ramp."""
 
-    Attributes
-    ----------
-    recordings, frames : int
-        How many are compared.
-    against_introduced_nm, against_true_nm : float
-        Frames against the introduced defocus, and against the true mean defocus.
-    means_against_true_nm : float
-        Means of recordings against the true mean defocus.
-    """
-
-    recordings: int = 0
-    frames: int = 0
-    against_introduced_nm: Number = math.nan
-    against_true_nm: Number = math.nan
-    means_against_true_nm: Number = math.nan
+    recordings: int = item(0, "How many are compared.")
+    frames: int = item(0, DITTO)
+    against_introduced_nm: Number = item(
+        nan, "Frames against the introduced defocus, and against the true mean defocus."
+    )
+    against_true_nm: Number = item(nan, DITTO)
+    means_against_true_nm: Number = item(nan, "Means of recordings against the true mean defocus.")
 
 
 class Score(Printed):

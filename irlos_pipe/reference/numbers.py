@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any, get_args, get_type_hints
 
-from irlos_pipe.product.results import ResultsPart
+from irlos_pipe.product.results import DITTO, ResultsPart
 from irlos_pipe.reference.entry import Entry
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
@@ -25,7 +25,6 @@ UNITS = {
     "mag": "mag",
     "adu": "ADU",
 }
-ATTRIBUTE = re.compile(r"^([\w, ]+?) : .*\n((?:    .*\n?|\n)*)", re.MULTILINE)
 ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 
 
@@ -63,14 +62,16 @@ def fields_of(model: type[Any]) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(model)}
 
 
-def told_of(model: type) -> dict[str, str]:
-    """Return what the docstrings of a `model` and its bases say of the attributes, by name."""
-    found: dict[str, str] = {}
-    for kind in reversed(model.__mro__):
-        text = inspect.cleandoc(vars(kind).get("__doc__") or "")
-        for names, lines in ATTRIBUTE.findall(text.partition("Attributes\n----------\n")[2] + "\n"):
-            words = " ".join(lines.split())
-            found |= {name.strip(): words for name in names.split(",") if words}
+def told_of(model: type[Any]) -> dict[str, str]:
+    """Return what the fields of a `model` mean, by name, as far as they say so."""
+    if issubclass(model, ResultsPart):
+        said = {name: field.description for name, field in model.model_fields.items()}
+    else:
+        said = {field.name: field.metadata.get("description") for field in fields(model)}
+    found, above = {}, ""
+    for name, meaning in said.items():
+        above = above if meaning == DITTO else meaning or ""
+        found |= {name: above} if above else {}
     return found
 
 

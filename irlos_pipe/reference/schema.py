@@ -92,8 +92,9 @@ def _schema_of(model: type[ResultsPart], prefix: str = "", *, required: bool = F
         for key, field in section.get("properties", {}).items():
             field.pop("default", None)
             field.pop("title", None)
+            field.pop("description", None)
             if key in described.get(title, {}):
-                field.setdefault("description", described[title][key])
+                field["description"] = described[title][key]
     return schema
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -27,7 +27,7 @@ from irlos_pipe.estimate.derotator import (
 from irlos_pipe.optics.wavefront import clear_disc, opd_maps_nm
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Check, Quantity
-from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults
+from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import AngleRow, CubeEstimate, cube_estimates
 
@@ -83,53 +83,31 @@ class Config(StageConfig):
 
 
 class PartRow(ResultsPart):
-    """One part of the wavefront.
+    """One part of the wavefront."""
 
-    Attributes
-    ----------
-    rms_nm, noise_nm : float
-        RMS over the disc, and what of it the errors of the estimates explain.
-    zernike_nm, sigma_nm : dict of int to float
-        Modes of the part, and their standard errors [nm RMS].
-    """
-
-    rms_nm: Number = math.nan
-    noise_nm: Number = math.nan
-    zernike_nm: ByNoll = {}
-    sigma_nm: ByNoll = {}
+    rms_nm: Number = item(nan, "RMS over the disc, and what of it the errors of the estimates explain.")
+    noise_nm: Number = item(nan, DITTO)
+    zernike_nm: ByNoll = item({}, "Modes of the part, and their standard errors [nm RMS].")
+    sigma_nm: ByNoll = item({}, DITTO)
 
 
 class SplitRow(ResultsPart):
-    """A series of derotator angles split into parts.
+    """A series of derotator angles split into parts."""
 
-    Attributes
-    ----------
-    modes : list of int
-        Noll indices of the modes that were split.
-    reason : str or None
-        Why nothing could be split.
-    sense : str
-        ``clockwise`` or ``anticlockwise``: how the rotating part turns with the angle.
-    delta_chi2 : float
-        χ² of the other sense minus that of this one.
-    chi2_nu, freedom : float, int
-        Reduced χ² of the parts against the single estimates, and its degrees of freedom.
-    parts : dict of str to PartRow or None
-        ``rotating`` (as at angle 0), ``fixed`` and ``unsplit``; None where nothing could be split.
-    measured_nm, residual_nm : list of float
-        RMS of every estimate, and of what the parts leave of it.
-    """
-
-    modes: list[int] = []
-    reason: str | None = None
-    sense: str = ""
-    delta_chi2: Number = math.nan
-    chi2_nu: Number = math.nan
-    freedom: int = 0
-    parts: dict[str, PartRow] | None = None
+    modes: list[int] = item([], "Noll indices of the modes that were split.")
+    reason: str | None = item(None, "Why nothing could be split.")
+    sense: str = item("", "``clockwise`` or ``anticlockwise``: how the rotating part turns with the angle.")
+    delta_chi2: Number = item(nan, "χ² of the other sense minus that of this one.")
+    chi2_nu: Number = item(
+        nan, "Reduced χ² of the parts against the single estimates, and its degrees of freedom."
+    )
+    freedom: int = item(0, DITTO)
+    parts: dict[str, PartRow] | None = item(
+        None, "``rotating`` (as at angle 0), ``fixed`` and ``unsplit``; None where nothing could be split."
+    )
     consistency: Consistency = Consistency()
-    measured_nm: list[Number] = []
-    residual_nm: list[Number] = []
+    measured_nm: list[Number] = item([], "RMS of every estimate, and of what the parts leave of it.")
+    residual_nm: list[Number] = item([], DITTO)
 
 
 class DerotatorResults(SplitRow, StageResults):

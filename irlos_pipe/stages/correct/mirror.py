@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.optics.wavefront import clear_pupil
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card
-from irlos_pipe.product.results import Number, ResultsPart
+from irlos_pipe.product.results import DITTO, Number, ResultsPart, item
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.correct.mirror_file import MirrorFile, read_modes
@@ -26,23 +26,16 @@ ARRAYS = {"mirror_offset": ("±", "mode", SIGN)}
 
 
 class MirrorRow(ResultsPart):
-    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`.
+    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`."""
 
-    Attributes
-    ----------
-    modes : int
-        Number of modes of its table.
-    offset : list of float
-        Offset of each, in the unit of the table.
-    before_nm, after_nm : float
-        RMS over the clear pupil without piston, tip and tilt: of the estimated wavefront, and of what
-        the modes cannot make of it [nm].
-    """
-
-    modes: int = 0
-    offset: list[Number] = []
-    before_nm: Number = math.nan
-    after_nm: Number = math.nan
+    modes: int = item(0, "Number of modes of its table.")
+    offset: list[Number] = item([], "Offset of each, in the unit of the table.")
+    before_nm: Number = item(
+        nan,
+        "RMS over the clear pupil without piston, tip and tilt: of the estimated wavefront, and of what the "
+        "modes cannot make of it [nm].",
+    )
+    after_nm: Number = item(nan, DITTO)
 
 
 def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:

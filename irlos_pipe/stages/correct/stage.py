@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from math import nan
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card
 from irlos_pipe.product.product import Check
-from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults, results_of
+from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
@@ -69,55 +70,35 @@ class Config(StageConfig):
 
 
 class StrehlRow(ResultsPart):
-    """What one part of the model does to the Strehl ratio, see `estimate.strehl_budget.StrehlPart`.
+    """What one part of the model does to the Strehl ratio, see `estimate.strehl_budget.StrehlPart`."""
 
-    Attributes
-    ----------
-    name : str
-        Part of the model: all of it, its modes, or an effect.
-    wfe_nm : float
-        RMS of its modes; NaN of an effect.
-    alone, without : float
-        Strehl ratio with nothing else in the model, and with all else but this part.
-    """
-
-    name: str = ""
-    wfe_nm: Number = math.nan
-    alone: Number = math.nan
-    without: Number = math.nan
+    name: str = item("", "Part of the model: all of it, its modes, or an effect.")
+    wfe_nm: Number = item(nan, "RMS of its modes; NaN of an effect.")
+    alone: Number = item(nan, "Strehl ratio with nothing else in the model, and with all else but this part.")
+    without: Number = item(nan, DITTO)
 
 
 class CorrectResults(StageResults):
-    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them.
-
-    Attributes
-    ----------
-    offset_nm : dict of int to float
-        Modal offsets to add to the reference, by Noll index [nm RMS]: −NCPA, without the diversity.
-    sign : str
-        What the sign of the offsets means, in words.
-    strehl_before, strehl_after : float
-        Strehl ratio predicted without and with the offsets.
-    strehl_budget : list of StrehlRow
-        What each part of the model costs the image before the correction; the whole model first.
-    wavefront_before, wavefront_after : MapSize
-        RMS and peak to valley of the maps of the wavefront, without tip and tilt.
-    resolution_mas : float
-        λ/D at the mean wavelength.
-    mirror : MirrorRow or None
-        The same correction in the modes of a mirror, where their table was given.
-    """
+    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them."""
 
     stage: ClassVar[str] = "correct"
-    offset_nm: ByNoll = {}
-    sign: str = ""
-    strehl_before: Number = math.nan
-    strehl_after: Number = math.nan
-    strehl_budget: list[StrehlRow] = []
-    wavefront_before: MapSize = MapSize()
-    wavefront_after: MapSize = MapSize()
-    resolution_mas: Number = math.nan
-    mirror: MirrorRow | None = None
+    offset_nm: ByNoll = item(
+        {}, "Modal offsets to add to the reference, by Noll index [nm RMS]: −NCPA, without the diversity."
+    )
+    sign: str = item("", "What the sign of the offsets means, in words.")
+    strehl_before: Number = item(nan, "Strehl ratio predicted without and with the offsets.")
+    strehl_after: Number = item(nan, DITTO)
+    strehl_budget: list[StrehlRow] = item(
+        [], "What each part of the model costs the image before the correction; the whole model first."
+    )
+    wavefront_before: MapSize = item(
+        MapSize(), "RMS and peak to valley of the maps of the wavefront, without tip and tilt."
+    )
+    wavefront_after: MapSize = item(MapSize(), DITTO)
+    resolution_mas: Number = item(nan, "λ/D at the mean wavelength.")
+    mirror: MirrorRow | None = item(
+        None, "The same correction in the modes of a mirror, where their table was given."
+    )
 
 
 Results = CorrectResults

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from math import nan
 from typing import TYPE_CHECKING, Literal
 
 from irlos_pipe.frames.exposure_noise import ExposureNoise
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.product.results import Number, ResultsPart
+from irlos_pipe.product.results import DITTO, Number, ResultsPart, item
 
 if TYPE_CHECKING:
     from irlos_pipe.instrument.instrument import Instrument
@@ -16,32 +17,16 @@ if TYPE_CHECKING:
 
 
 class NoiseRow(ResultsPart):
-    """Noise of the dimmed frames, beside that of exposures of one read without sky.
+    """Noise of the dimmed frames, beside that of exposures of one read without sky."""
 
-    Attributes
-    ----------
-    reads : int
-        Reads in an exposure.
-    exposure_s : float
-        Exposure of a frame.
-    read_noise_e : float
-        Read noise of one read.
-    excess_noise_factor : float
-        Variance of the photons over that of Poisson.
-    sky_e, dark_e : float
-        Electrons of sky and of dark current in a pixel of an exposure.
-    floor_e2, one_read_floor_e2 : float
-        Variance of a pixel without star.
-    """
-
-    reads: int | None = None
-    exposure_s: Number = math.nan
-    read_noise_e: Number = math.nan
-    excess_noise_factor: Number = math.nan
-    sky_e: Number = math.nan
-    dark_e: Number = math.nan
-    floor_e2: Number = math.nan
-    one_read_floor_e2: Number = math.nan
+    reads: int | None = item(None, "Reads in an exposure.")
+    exposure_s: Number = item(nan, "Exposure of a frame.")
+    read_noise_e: Number = item(nan, "Read noise of one read.")
+    excess_noise_factor: Number = item(nan, "Variance of the photons over that of Poisson.")
+    sky_e: Number = item(nan, "Electrons of sky and of dark current in a pixel of an exposure.")
+    dark_e: Number = item(nan, DITTO)
+    floor_e2: Number = item(nan, "Variance of a pixel without star.")
+    one_read_floor_e2: Number = item(nan, DITTO)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from math import nan
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ from pydantic import Field, field_validator
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.product.declared import declared
 from irlos_pipe.product.product import Quantity
-from irlos_pipe.product.results import Number, ResultsPart, StageResults
+from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.config import Mode
 from irlos_pipe.stages.sensitivity.effort import announce
@@ -79,42 +80,22 @@ class Config(StageConfig):
 
 
 class CurveRow(ResultsPart):
-    """One curve over the magnitudes `mag_j`.
+    """One curve over the magnitudes `mag_j`."""
 
-    Attributes
-    ----------
-    calibrated : bool
-        Whether the NCPAs are part of the known wavefront.
-    modes : list of int
-        Estimated modes (Noll).
-    mag_j : list of float
-        J magnitudes, to which the frames were dimmed.
-    median_abs_error_nm, p16_nm, p84_nm : list of float
-        Percentiles of |estimated − introduced| defocus.
-    crb_nm, one_read_crb_nm : list of float
-        Cramér–Rao bound, 1σ; and of exposures of one read without sky.
-    failures : list of int
-        Estimates that failed, of `trials` per magnitude.
-    trials : int
-        Estimates per magnitude.
-    limit_mag : float
-        Faintest magnitude that meets the criterion; NaN if none does.
-    one_read_bound_mag : float
-        Limiting magnitude of an efficient estimate from exposures of one read without sky.
-    """
-
-    calibrated: bool = False
-    modes: list[int] = []
-    mag_j: list[Number] = []
-    median_abs_error_nm: list[Number] = []
-    p16_nm: list[Number] = []
-    p84_nm: list[Number] = []
-    crb_nm: list[Number] = []
-    one_read_crb_nm: list[Number] = []
-    failures: list[int] = []
-    trials: int | None = None
-    limit_mag: Number = math.nan
-    one_read_bound_mag: Number = math.nan
+    calibrated: bool = item(False, "Whether the NCPAs are part of the known wavefront.")
+    modes: list[int] = item([], "Estimated modes (Noll).")
+    mag_j: list[Number] = item([], "J magnitudes, to which the frames were dimmed.")
+    median_abs_error_nm: list[Number] = item([], "Percentiles of |estimated − introduced| defocus.")
+    p16_nm: list[Number] = item([], DITTO)
+    p84_nm: list[Number] = item([], DITTO)
+    crb_nm: list[Number] = item([], "Cramér–Rao bound, 1σ; and of exposures of one read without sky.")
+    one_read_crb_nm: list[Number] = item([], DITTO)
+    failures: list[int] = item([], "Estimates that failed, of `trials` per magnitude.")
+    trials: int | None = item(None, "Estimates per magnitude.")
+    limit_mag: Number = item(nan, "Faintest magnitude that meets the criterion; NaN if none does.")
+    one_read_bound_mag: Number = item(
+        nan, "Limiting magnitude of an efficient estimate from exposures of one read without sky."
+    )
 
     @property
     def at_the_end(self) -> bool:
@@ -123,34 +104,20 @@ class CurveRow(ResultsPart):
 
 
 class CriterionRow(ResultsPart):
-    """What a limiting magnitude keeps: largest median error, and largest part of failures.
+    """What a limiting magnitude keeps: largest median error, and largest part of failures."""
 
-    Attributes
-    ----------
-    median_abs_error_nm : float
-        Largest median of |estimated − introduced| defocus.
-    failures : float
-        Largest part of the estimates that may fail.
-    """
-
-    median_abs_error_nm: Number = math.nan
-    failures: Number = math.nan
+    median_abs_error_nm: Number = item(nan, "Largest median of |estimated − introduced| defocus.")
+    failures: Number = item(nan, "Largest part of the estimates that may fail.")
 
 
 class SensitivityResults(StageResults):
-    """One curve per combination of modes and calibration.
-
-    Attributes
-    ----------
-    crb_note : str
-        How the Cramér–Rao bounds compare with the median errors.
-    """
+    """One curve per combination of modes and calibration."""
 
     stage: ClassVar[str] = "sensitivity"
     curves: list[CurveRow] = []
     criterion: CriterionRow = CriterionRow()
     noise: NoiseRow = NoiseRow()
-    crb_note: str = ""
+    crb_note: str = item("", "How the Cramér–Rao bounds compare with the median errors.")
 
 
 Results = SensitivityResults
