@@ -9,7 +9,7 @@ from itertools import groupby
 from typing import Any
 
 from irlos_pipe.conventions.text import aligned, printable, rounded_by_error
-from irlos_pipe.product.compared import Comparison, ModesPair, NumberPair, ValuePair
+from irlos_pipe.product.printed import Comparison, ModesPair, NumberPair, ValuePair
 
 SHOWN = 20  # numbers, unless all are asked for
 LONGEST = 60

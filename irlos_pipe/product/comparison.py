@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.json import changed_values
-from irlos_pipe.files.regular import read_regular
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.compared import Comparison, ModesPair, NumberPair, ValuePair
-from irlos_pipe.product.leaves import Leaf, is_number, leaves
+from irlos_pipe.product.printed import Comparison, ModesPair, NumberPair, ValuePair
 from irlos_pipe.product.results import provenance_of, read_run_results
-from irlos_pipe.product.run_table import unit_of
+from irlos_pipe.product.run_table import read_checks, unit_of
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import read_product
 
+Place = tuple[str, ...]  # of a value in results.json, the stage first
 WAVEFRONT = re.compile(r"(.*\.)?zernike_nm\.\d+")
-Values = dict[tuple[str, ...], Leaf]  # by path, the stage first
 
 
 def compare_runs(first: Path, second: Path) -> Comparison:
@@ -66,7 +65,7 @@ def _pairs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[ValuePai
     ]
 
 
-def _values(run: RunFolder) -> Values:
+def _values(run: RunFolder) -> dict[Place, Leaf]:
     return dict(leaves(read_run_results(run.results).stages))
 
 
@@ -97,14 +96,12 @@ def settings_of(run: RunFolder) -> dict[str, Any]:
 
 
 def _checks(run: RunFolder) -> dict[str, str]:
-    try:
-        checks = json.loads(read_regular(run.quality))["checks"]
-        return {f"{one['stage']}: {one['name']}": "passed" if one["passed"] else "failed" for one in checks}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputDataError(f"{run.quality}: cannot be read ({error}); run the recipe again") from error
+    return {
+        f"{one['stage']}: {one['name']}": "passed" if one["passed"] else "failed" for one in read_checks(run)
+    }
 
 
-def _numbers(first: Values, second: Values) -> Iterator[NumberPair]:
+def _numbers(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[NumberPair]:
     """All numbers that both runs have."""
     for path, one in first.items():
         other = second.get(path)
@@ -112,7 +109,7 @@ def _numbers(first: Values, second: Values) -> Iterator[NumberPair]:
             yield _number(path, one, other)
 
 
-def _number(path: tuple[str, ...], first: Leaf, second: Leaf) -> NumberPair:
+def _number(path: Place, first: Leaf, second: Leaf) -> NumberPair:
     stage, *rest = path
     difference = second.value - first.value
     both = math.hypot(first.error, second.error)
@@ -145,7 +142,7 @@ def _modes(numbers: Iterable[NumberPair]) -> Iterator[ModesPair]:
         )
 
 
-def _words(first: Values, second: Values) -> Iterator[ValuePair]:
+def _words(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[ValuePair]:
     """What is no number, and differs."""
     for path, one in first.items():
         other = second.get(path)
@@ -154,7 +151,7 @@ def _words(first: Values, second: Values) -> Iterator[ValuePair]:
             yield ValuePair(name=".".join(path), first=one.value, second=other.value)
 
 
-def _only_in(one: Values, other: Values) -> list[str]:
+def _only_in(one: Mapping[Place, Leaf], other: Mapping[Place, Leaf]) -> list[str]:
     """What the first has and the second lacks, by the shortest path that the second lacks altogether."""
     known = {path[:length] for path in other for length in range(1, len(path) + 1)}
     missing = {
@@ -163,3 +160,106 @@ def _only_in(one: Values, other: Values) -> list[str]:
         if path not in other and any(path[:length] not in known for length in range(1, len(path) + 1))
     }
     return [".".join(path) for path in missing]
+
+
+# -- results as single values with their errors, under names that are the same in another run ----------
+
+# Values whose errors stand under another name than NAME_sigma, NAME_sigma_UNIT or NAME_error_UNIT.
+ERRORS = {
+    "zernike_nm": "sigma_nm",
+    "defocus_nm": "sigma_nm",
+    "ncpa_change_nm": "sigma_nm",
+    "parameters": "sigma",
+    "shown": "shown_sigma",
+    "measured": "error",
+}
+CALLED = ("name", "recording", "effect", "method")  # what a row of a list is called by; `frame` tells on
+OF_THE_MACHINE = {"seconds"}  # differs between any two runs
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """A single value, and its error, NaN without one."""
+
+    value: Any
+    error: float = math.nan
+
+
+def leaves(tree: Any, error: Any = None, above: Place = ()) -> Iterator[tuple[Place, Leaf]]:
+    """Yield the path and the value of every leaf of results in the types of JSON.
+
+    Parameters
+    ----------
+    tree : any
+        Results.
+    error : any
+        Errors in the same form, or None.
+    above : tuple of str
+        Path of the tree itself.
+
+    Notes
+    -----
+    A row of a list is named by what it is called, not by its number, so that rows of two runs are matched by
+    what they are of. Numbers of a list go by their place; a list of anything else is one value.
+    """
+    if isinstance(tree, Mapping):
+        for key, value in tree.items():
+            if key not in _error_keys(tree) | OF_THE_MACHINE:
+                yield from leaves(value, _error_of(key, tree, error), (*above, str(key)))
+    elif isinstance(tree, list) and tree and all(isinstance(row, Mapping) for row in tree):
+        for name, row in zip(_names(tree), tree, strict=True):
+            yield from leaves(row, None, (*above, name))
+    elif isinstance(tree, list) and tree and all(map(is_number, tree)):
+        errors = error if isinstance(error, list) and len(error) == len(tree) else [None] * len(tree)
+        for index, (value, its_error) in enumerate(zip(tree, errors, strict=True)):
+            yield from leaves(value, its_error, (*above, str(index)))
+    else:
+        yield above, Leaf(tree, float(error) if is_number(error) and is_number(tree) else math.nan)
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value of JSON is a number; switches are none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _error_of(key: str, tree: Mapping[str, Any], error: Any) -> Any:
+    """The error of a value of a tree: beside it, or in the tree of errors."""
+    if isinstance(error, Mapping):
+        return error.get(key)
+    return next(
+        (tree[name] for name in _candidates(key) if name in tree and _fits(tree[key], tree[name])), None
+    )
+
+
+def _error_keys(tree: Mapping[str, Any]) -> set[str]:
+    """Keys of a tree that hold the errors of others."""
+    return {
+        name
+        for key, value in tree.items()
+        for name in _candidates(key)
+        if name in tree and _fits(value, tree[name])
+    }
+
+
+def _candidates(key: str) -> Iterator[str]:
+    """Keys that the error of a key may stand under."""
+    stem, _, unit = key.rpartition("_")
+    yield from (ERRORS[key],) if key in ERRORS else ()
+    yield f"{key}_sigma"
+    yield from (f"{stem}_sigma_{unit}", f"{stem}_error_{unit}") if stem else ()
+
+
+def _fits(value: Any, error: Any) -> bool:
+    return isinstance(value, Mapping) == isinstance(error, Mapping)
+
+
+def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A name of its own for every row of a list: what it is called, or its number."""
+    called = [_called(row) for row in rows]
+    counted = Counter(called)
+    return [name if name and counted[name] == 1 else str(index) for index, name in enumerate(called)]
+
+
+def _called(row: Mapping[str, Any]) -> str:
+    name = next((str(row[key]) for key in CALLED if isinstance(row.get(key), str)), "")
+    return f"{name}[{row['frame']}]" if name and "frame" in row else name

@@ -144,3 +144,99 @@ class Validation(Printed):
         {}, "Paths that were given by input; an empty list for one that is still to be given."
     )
     problems: list[str] = item([], "What is wrong, a line each, as on the terminal.")
+
+
+class NumberPair(ResultsPart):
+    """A number of results.json in two runs."""
+
+    stage: str = ""
+    name: str = item("", "Path in the section of the stage; rows of a list by what they are called.")
+    unit: str = ""
+    first: Number = nan
+    second: Number = nan
+    first_error: Number = item(nan, "Standard errors; null for a number without one.")
+    second_error: Number = item(nan, DITTO)
+    difference: Number = item(nan, "The second less the first.")
+    sigmas: Number = item(nan, "The difference in units of both errors in quadrature; null without both.")
+
+
+class ModesPair(ResultsPart):
+    """All coefficients of a wavefront in two runs."""
+
+    stage: str = ""
+    name: str = ""
+    modes: int = item(0, "How many both runs have.")
+    difference_nm: Number = item(nan, "RMS of the wavefront between them, and what both errors add up to.")
+    expected_nm: Number = item(nan, DITTO)
+
+
+class ValuePair(ResultsPart):
+    """Anything else that differs; null for what only the other run has."""
+
+    name: str = ""
+    first: Any = None
+    second: Any = None
+
+
+class Comparison(Printed):
+    """What ``irlos compare FIRST SECOND --json`` prints."""
+
+    format: Literal["irlos-compare"] = Field("irlos-compare", alias="schema")
+    first: str = item("", "Folders of the runs.")
+    second: str = item("", DITTO)
+    same_files: bool = item(
+        False, "Whether both reduce the same files, so that their errors are not independent."
+    )
+    told: list[ValuePair] = item([], "Recipe, status, and versions of the software that differ.")
+    settings: list[ValuePair] = item([], "Keys of the recipe, and input files (checksums), that differ.")
+    files: list[ValuePair] = item([], DITTO)
+    modes: list[ModesPair] = item([], "Wavefronts as a whole.")
+    numbers: list[NumberPair] = item([], "Every number that both runs have, also where it is the same.")
+    words: list[ValuePair] = item([], "Verdicts, methods and other words of results.json that differ.")
+    only_first: list[str] = item([], "What only one of them has.")
+    only_second: list[str] = item([], DITTO)
+    checks: list[ValuePair] = item([], "Checks that passed in one of them and failed in the other.")
+
+
+class MethodScore(ResultsPart):
+    """Errors of a calibration against the truth."""
+
+    method: str = ""
+    error_nm: Number = item(nan, "RMS error of the reported modes against the mean wavefront.")
+    defocus_error_nm: Number = item(nan, "Error of its defocus, with sign.")
+    seconds: Number = item(nan, "Time of the fit.")
+    static_error_nm: Number = item(
+        nan,
+        "RMS error against the static modes without tip and tilt, and the RMS of these errors in units of "
+        "the quoted ones; null where the truth does not state static modes.",
+    )
+    pull_rms: Number = item(nan, DITTO)
+
+
+class CalibrationScore(ResultsPart):
+    """How far a calibration is from the truth, by method."""
+
+    recordings: list[str] = []
+    static_known: bool = False
+    methods: list[MethodScore] = []
+
+
+class RampScore(ResultsPart):
+    """RMS errors of the defocus of a ramp."""
+
+    recordings: int = item(0, "How many are compared.")
+    frames: int = item(0, DITTO)
+    against_introduced_nm: Number = item(
+        nan, "Frames against the introduced defocus, and against the true mean defocus."
+    )
+    against_true_nm: Number = item(nan, DITTO)
+    means_against_true_nm: Number = item(nan, "Means of recordings against the true mean defocus.")
+
+
+class Score(Printed):
+    """What ``irlos score DIR --json`` prints; None for what was not run or has no truth."""
+
+    format: Literal["irlos-score"] = Field("irlos-score", alias="schema")
+    run: str = ""
+    calibration: CalibrationScore | None = None
+    ramp: RampScore | None = None

@@ -9,6 +9,7 @@ default, so that a product of an older version, which lacks a key, can still be 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from math import nan
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -175,3 +176,50 @@ def _parsed(kind: type[Part], content: Any, what: str) -> Part:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"])) or "content"
         raise InputDataError(f"{what}: {key}: {first['msg']}; run the recipe again") from error
+
+
+class Observed(ResultsPart):
+    """How and when a recording was taken."""
+
+    file: str = item("", "Name of the data file.")
+    start: str = item("", "Time of the first frame, UTC, ISO 8601; empty where it is not known.")
+    cards: dict[str, Any] = item({}, "Cards of the file's primary header that products inherit, by keyword.")
+    instrument: str = item("", "Name of the instrument profile.")
+    target: str = item("", "Name of the star.")
+    mode: str = item("", "Read-out mode; empty where the layout has none.")
+    exposure_s: Number = item(nan, "Exposure of a frame, and frames per second.")
+    frame_rate_hz: Number = item(nan, DITTO)
+    mag_j: Number = item(nan, "J magnitude of the star.")
+    pixel_scale_mas: Number = item(nan, "Scale of the images, per pixel.")
+    wavelength_nm: Number = item(nan, "Mean wavelength of the photons.")
+    diversity_source: str = item("", "What introduced the diversity, such as ``lens``.")
+    diversity_nm: ByNoll = item({}, "Introduced diversity by Noll index [nm RMS].")
+    derotator_angle_deg: Number = item(nan, "Angles; NaN where they are not known.")
+    parallactic_angle_deg: Number = item(nan, DITTO)
+    altitude_deg: Number = item(nan, DITTO)
+    pupil_rotation_deg: Number = item(nan, DITTO)
+
+
+class Recorded(Observed):
+    """The same with the place of the recording in a run."""
+
+    name: str = ""
+    input: str = ""
+    role: str = ""
+    frames: int = 0
+    frames_rejected: int = 0
+    window: tuple[int, ...] = ()
+
+
+def recorded(provenance: Mapping[str, Any]) -> list[Recorded]:
+    """Return the recordings that a product was made from, as its `provenance` lists them.
+
+    Raises
+    ------
+    InputDataError
+        When the list is damaged.
+    """
+    try:
+        return [Recorded.model_validate(entry) for entry in provenance.get("recordings", ())]
+    except (TypeError, ValidationError) as error:
+        raise InputDataError("provenance: recordings cannot be read; run the recipe again") from error

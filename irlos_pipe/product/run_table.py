@@ -53,32 +53,38 @@ def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
     if path.exists() and not replace:
         raise ConfigurationError(f"{path}: exists already; choose another name or give --force")
     run = existing_run(folder)
-    write_bytes(path, writers[path.suffix](_checks(run), _numbers(run)))
+    checks = [tuple(check.values()) for check in read_checks(run)]
+    numbers = [
+        (stage, name, value, unit_of(name))
+        for stage, tree in read_run_results(run.results).stages.items()
+        for name, value in _numbers(tree)
+    ]
+    write_bytes(path, writers[path.suffix](checks, numbers))
 
 
-def _checks(run: RunFolder) -> list[Row]:
+def read_checks(run: RunFolder) -> list[dict[str, Any]]:
+    """Return the checks of a `run` as they stand in qc.json.
+
+    Raises
+    ------
+    InputDataError
+        When it cannot be read.
+    """
     try:
         checks = json.loads(read_regular(run.quality))["checks"]
-        return [tuple(check[column] for column in CHECK_COLUMNS) for check in checks]
+        return [{column: check[column] for column in CHECK_COLUMNS} for check in checks]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputDataError(f"{run.quality}: cannot be read ({error}); run the recipe again") from error
 
 
-def _numbers(run: RunFolder) -> list[Row]:
-    stages = read_run_results(run.results).stages
-    return [
-        (stage, name, value, unit_of(name)) for stage, tree in stages.items() for name, value in _leaves(tree)
-    ]
-
-
-def _leaves(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
+def _numbers(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
     """All numbers of a tree with their path; switches are no numbers."""
     if isinstance(tree, dict):
         for key, value in tree.items():
-            yield from _leaves(value, f"{above}.{key}" if above else str(key))
+            yield from _numbers(value, f"{above}.{key}" if above else str(key))
     elif isinstance(tree, list):
         for index, value in enumerate(tree):
-            yield from _leaves(value, f"{above}.{index}")
+            yield from _numbers(value, f"{above}.{index}")
     elif isinstance(tree, (int, float)) and not isinstance(tree, bool) and math.isfinite(tree):
         yield above, tree
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from irlos_pipe.product.declared import Arrays, Checks
+from irlos_pipe.product.product import Arrays, Checks
 from irlos_pipe.reference.entry import Entry
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
-from irlos_pipe.product.declared import declared
+from irlos_pipe.product.product import declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig

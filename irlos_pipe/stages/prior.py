@@ -11,8 +11,7 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.late import torch
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Check
+from irlos_pipe.product.product import Check, declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 

@@ -13,8 +13,7 @@ from irlos_pipe.effects.public_values import measured, rows_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.optics.image_quality import correlations
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of, motion_line
 from irlos_pipe.stages.calibrate.results import ARRAYS, CalibrateResults, Estimate, Tail, Twin

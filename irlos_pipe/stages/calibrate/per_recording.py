@@ -15,8 +15,7 @@ import numpy as np
 from irlos_pipe.effects.public_values import mean_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Acquisition
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.output import (
     arrays_of,

@@ -11,8 +11,8 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.optics.wavefront import clear_pupil
-from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card
+from irlos_pipe.product.product import declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, item
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageContext, StageOutput

@@ -13,9 +13,8 @@ from pydantic import BeforeValidator, Field
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
-from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card
-from irlos_pipe.product.product import Check
+from irlos_pipe.product.product import Check, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput

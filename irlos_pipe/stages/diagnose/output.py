@@ -17,8 +17,7 @@ from irlos_pipe.diagnosis.sharing import Sharing, Together
 from irlos_pipe.diagnosis.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.optics.wavefront import MapSize
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.diagnose.results import (
     ARRAYS,
     AdjustedRow,

@@ -8,8 +8,7 @@ from irlos_pipe.diagnosis.verdict import Pictures
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.optics.image_quality import encircled_energy, power_spectrum, transfer_cut
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.diagnose.results import ARRAYS
 
 

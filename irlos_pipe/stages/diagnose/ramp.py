@@ -18,8 +18,7 @@ from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.diagnosis.verdict import EFFECT
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Product
+from irlos_pipe.product.product import Product, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.lens import wanted_lens
 from irlos_pipe.stages.diagnose.output import MODEL_FILE, gap_row

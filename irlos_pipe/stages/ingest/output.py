@@ -13,8 +13,8 @@ from irlos_pipe.frames.detector import star_position
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.frames.screening import SATURATED, tally
 from irlos_pipe.frames.told import Told
-from irlos_pipe.product.observed import Observed
 from irlos_pipe.product.product import Check
+from irlos_pipe.product.results import Observed
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.times import iso_time
 from irlos_pipe.stages.ingest.config import Config

@@ -5,8 +5,7 @@ from __future__ import annotations
 from math import nan
 from typing import ClassVar
 
-from irlos_pipe.product.observed import Observed
-from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
+from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, StageResults, item
 
 ROOT = "recordings"
 # Arrays of a recording.

@@ -18,8 +18,7 @@ from irlos_pipe.estimate.ramp_quality import (
     instant_error_nm,
     nominal_frame_chi2,
 )
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults

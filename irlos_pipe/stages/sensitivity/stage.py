@@ -11,8 +11,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.config import Mode
