@@ -57,7 +57,7 @@ def explain(name: str | None, schema: str | None) -> None:
       irlos explain --schema commands > commands.schema.json
     """
     if schema:
-        from irlos_pipe.reference.schema_files import FILES
+        from irlos_pipe.reference import FILES
 
         click.echo(FILES[schema].read_text(encoding="utf-8"), nl=False)
         return

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
 from itertools import groupby
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import aligned, suggestion
-from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
-from irlos_pipe.reference.declared import array_entries, check_entries
-from irlos_pipe.reference.entry import Entry
-from irlos_pipe.reference.keys import fact_entries, key_entries
-from irlos_pipe.reference.numbers import number_entries
-from irlos_pipe.reference.terms import term_entries
-from irlos_pipe.stages import LIGHT_PATH, STAGES
+from irlos_pipe.reference.entries import Entry, all_entries
 
 
 def explain(name: str) -> str:
@@ -38,22 +31,6 @@ def overview() -> str:
     """Return the names of all stages, effects and checks, with their summaries."""
     entries = [one for one in all_entries() if one.kind in ("stage", "effect", "check")]
     return "\n\n".join(_table(list(group)) for _, group in groupby(entries, key=lambda one: one.kind))
-
-
-def all_entries() -> list[Entry]:
-    """Return everything that can be explained."""
-    stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
-    effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
-    return [
-        *stages,
-        *effects,
-        *check_entries(),
-        *key_entries(),
-        *fact_entries(),
-        *number_entries(),
-        *array_entries(),
-        *term_entries(),
-    ]
 
 
 def _shown(entry: Entry, entries: Sequence[Entry]) -> str:

@@ -20,8 +20,8 @@ from irlos_pipe.product.printed import (
     Versions,
 )
 from irlos_pipe.product.results import ResultsPart, RunResults
-from irlos_pipe.reference.numbers import fields_of, models_in, told_of
-from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
+from irlos_pipe.reference import COMMANDS, RESULTS
+from irlos_pipe.reference.entries import fields_of, models_in, told_of
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 PRINTED: tuple[type[Printed], ...] = (
