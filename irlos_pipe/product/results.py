@@ -12,8 +12,9 @@ import json
 from collections.abc import Mapping
 from math import nan
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
@@ -40,6 +41,14 @@ class ResultsPart(BaseModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(
         defer_build=True, extra="ignore", frozen=True, populate_by_name=True
     )
+
+    @classmethod
+    def of(cls, source: object, **own: Any) -> Self:
+        """Return what `source` calls by the names of the fields, arrays as lists, and the `own` values."""
+        names = [name for name in cls.model_fields if name not in own and hasattr(source, name)]
+        values = {name: getattr(source, name) for name in names}
+        plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in values.items()}
+        return cls(**plain | own)
 
     def as_json(self) -> dict[str, Any]:
         """Return the keys that were set, in the types of JSON."""

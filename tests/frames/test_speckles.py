@@ -14,7 +14,7 @@ from irlos_pipe.frames.measured_noise import MeasuredNoise
 from irlos_pipe.frames.pixel_search import PixelSearch
 from irlos_pipe.frames.raw import RawFrames
 from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector
-from irlos_pipe.stages.ingest.config import Config
+from irlos_pipe.stages.ingest.stage import Config
 
 GAIN_E = 4.0
 PEAK = (32, 32)
