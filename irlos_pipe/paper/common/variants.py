@@ -13,7 +13,7 @@ from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 
 DEFAULT = DEFAULT_METHOD
 PAPER_CHOICE = "dip_global"
