@@ -11,9 +11,9 @@ from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.planes import LensEffect
 from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.lift.config import Config as LiftConfig
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp
+from irlos_pipe.stages.lift.stage import Config as LiftConfig
 from irlos_pipe.stages.model.effects import conditions_of
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.estimate.ramp import RampSummary
 from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.product.product import Check
-from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.stage import Config
 
 OFFSET_SIGMA = 3.0  # standard errors from which an offset is none of chance
 SIGMA = 5.0  # standard errors that a slope may be off, and an RMS may rise, by chance

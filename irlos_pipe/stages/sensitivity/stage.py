@@ -14,7 +14,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.lift.config import Mode
+from irlos_pipe.stages.lift.stage import Mode
 from irlos_pipe.stages.sensitivity.effort import announce
 from irlos_pipe.stages.sensitivity.noise import NoiseRow, Noises, noises_of
 
