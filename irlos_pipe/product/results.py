@@ -43,7 +43,7 @@ class ResultsPart(BaseModel):
     )
 
     @classmethod
-    def of(cls, source: object, **own: Any) -> Self:
+    def filled_from(cls, source: object, **own: Any) -> Self:
         """Return what `source` calls by the names of the fields, arrays as lists, and the `own` values."""
         names = [name for name in cls.model_fields if name not in own and hasattr(source, name)]
         values = {name: getattr(source, name) for name in names}

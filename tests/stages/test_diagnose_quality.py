@@ -2,7 +2,7 @@
 
 import pytest
 
-from irlos_pipe.stages.diagnose.quality import checks_of
+from irlos_pipe.stages.diagnose.output import checks_of
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 
 

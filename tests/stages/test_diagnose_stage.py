@@ -16,8 +16,13 @@ from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.product.product import Product
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import diagnose_section
-from irlos_pipe.stages.diagnose.output import diagnose_arrays, diagnose_results, model_yaml, recipe_entry
-from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
+from irlos_pipe.stages.diagnose.output import (
+    diagnose_arrays,
+    diagnose_results,
+    model_yaml,
+    quality_arrays,
+    recipe_entry,
+)
 from irlos_pipe.stages.diagnose.results import ARRAYS
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.recording_settings import pooled_frames

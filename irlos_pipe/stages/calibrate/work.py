@@ -152,7 +152,7 @@ def _joint_output(
         effects_sigma=result.effects_sigma,
         seeing_arcsec=seeing_arcsec(ctx.instrument, acquisition),
         wavelength_nm=acquisition.wavelength_nm,
-        twin=None if result.twin is None else Twin.of(result.twin),
+        twin=None if result.twin is None else Twin.filled_from(result.twin),
         untested=untested_by_cubes(acquisition.diversity, _not_told(result)),
         compare=[Estimate(**_estimate(other)) for other in others],
     )
@@ -293,7 +293,7 @@ def _tail(result: Calibration) -> Tail | None:
     if result.tail is None:
         return None
     beyond = np.asarray(result.nolls) >= result.tail.first_noll
-    return Tail.of(result.tail, wfe_nm=float(np.linalg.norm(result.zernike_nm[beyond])))
+    return Tail.filled_from(result.tail, wfe_nm=float(np.linalg.norm(result.zernike_nm[beyond])))
 
 
 def _counts(status: Sequence[str]) -> dict[str, int]:

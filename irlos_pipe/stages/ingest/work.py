@@ -214,7 +214,7 @@ def row(
     """
     acquisition, background, noise = recording.acquisition, cleaned.background, cleaned.noise
     constants_used = constants(acquisition.detector, acquisition.sources, noise)
-    return RecordingRow.of(
+    return RecordingRow.filled_from(
         recording,
         role=acquisition.role,
         layout=raw.layout,
@@ -235,7 +235,7 @@ def row(
         pedestal_error_adu=background.pedestal_error_adu,
         noise_floor_e2=noise.floor_e2,
         excess_noise_measured=noise.excess_noise_factor,
-        noise={one.name: NoiseRow.of(one) for one in constants_used},
+        noise={one.name: NoiseRow.filled_from(one) for one in constants_used},
         corner_scatter_e=noise.corner_scatter_e,
         sources=acquisition.sources,
         observed=observed(recording, raw, instrument),
@@ -250,7 +250,7 @@ def _flux_e(recording: Recording) -> float:
 
 def observed(recording: Recording, raw: RawRecording, instrument: str) -> Observed:
     """Return what products hand on of a `recording` that was made from `raw`, under a profile's name."""
-    return Observed.of(
+    return Observed.filled_from(
         recording.acquisition,
         file=raw.path.name,
         start=iso_time(recording.start_unix_s),

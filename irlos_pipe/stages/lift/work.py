@@ -66,12 +66,12 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
         points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
-        summary=Line.of(summary),
+        summary=Line.filled_from(summary),
         offsets=_offsets(summary),
         effects=fit.effects | focus.effects,
         effects_sigma=focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
-        compare={name: Line.of(other) for name, other in others.items()},
+        compare={name: Line.filled_from(other) for name, other in others.items()},
         twin=_twin(ramp, typical, curve),
         ao_defocus_nm=excess_scatter_nm(ramp.data.introduced_nm, fit.defocus_nm, photon_nm),
         chi2_nu=errors.chi2_nu,
@@ -265,7 +265,7 @@ def _curve_arrays(curve: FocusCurve | None) -> dict[str, Quantity]:
 def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:
     if frame is None or curve is None:
         return Twin()
-    return Twin.of(
+    return Twin.filled_from(
         curve,
         name=ramp.names[frame],
         frame=ramp.frame[frame],
