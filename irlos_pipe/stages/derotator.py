@@ -239,9 +239,8 @@ class SplitOutput:
         part, separable = self.parts[name], self.split.separable
         own = np.flatnonzero(~separable if name == "unsplit" else separable)
         nolls = [self.split.nolls[i] for i in own]
-        return PartRow(
-            rms_nm=part.rms_nm,
-            noise_nm=part.noise_nm,
+        return PartRow.filled_from(
+            part,
             zernike_nm=dict(zip(nolls, part.zernike_nm[own].tolist(), strict=True)),
             sigma_nm=dict(zip(nolls, part.sigma_nm[own].tolist(), strict=True)),
         )

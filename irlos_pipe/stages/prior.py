@@ -110,11 +110,8 @@ def _output(
     ratio, defocus_nm = np.concatenate(ratios), np.concatenate([law.defocus_nm(one) for one in ratios])
     introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
     frames = [(one.name, frame) for one in recordings for frame in range(one.frames)]
-    results = PriorResults(
-        A=law.A,
-        B=law.B,
-        angle_deg=law.angle_deg,
-        valid_nm=law.valid_nm,
+    results = PriorResults.filled_from(
+        law,
         law_residual_nm=law.residual_nm,
         estimates=[
             DefocusPrior(name=name, frame=frame, introduced_nm=introduced, defocus_nm=value)

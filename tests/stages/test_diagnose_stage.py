@@ -24,9 +24,8 @@ from irlos_pipe.stages.diagnose.output import (
     recipe_entry,
 )
 from irlos_pipe.stages.diagnose.results import ARRAYS
-from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.recording_settings import pooled_frames
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
 STEP_KEYS = {
     "effect",

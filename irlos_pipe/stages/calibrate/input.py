@@ -17,14 +17,15 @@ from irlos_pipe.estimate.setups import Setup, is_common
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.model.colour import colour_warning, with_colour
 from irlos_pipe.stages.model.effects import (
+    colour_warning,
     conditions_of,
     elements_of,
     good_pixels,
     image_effects,
     model_effects,
     shown,
+    with_colour,
 )
 from irlos_pipe.stages.model.recording_settings import differences, pooled_frames, psf_settings
 

@@ -1,28 +1,64 @@
-"""The correction in the modes of a mirror, beside that in Zernike polynomials."""
+"""The correction in the modes of a mirror, whose table is a FITS cube of OPD maps."""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from math import nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
+from irlos_pipe.files.first_image import first_image
+from irlos_pipe.files.regular import open_regular
 from irlos_pipe.optics.wavefront import clear_pupil
 from irlos_pipe.product.header import Card
 from irlos_pipe.product.product import declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, item
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.correct.mirror_file import MirrorFile, read_modes
 
 SIGN = (
     "offset: add it to the reference of the mode to cancel the aberration; in the unit of the table of "
     "modes, whose maps are OPD in nm; diversity, piston, tip and tilt not included"
 )
 ARRAYS = {"mirror_offset": ("±", "mode", SIGN)}
+LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000
+
+
+class MirrorFile(BaseModel):
+    """A file with modes, by its content: other modes in the same file are another correction."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    file: str = Field(description="path of the FITS cube")
+    sha256: str = Field(description="checksum of its content, filled in when the recipe is read")
+
+
+def mirror_file(value: Any) -> Any:
+    """Return path and checksum for the path of a file; for both of before, those of the file as it is now.
+
+    Parameters
+    ----------
+    value : str, mapping or None
+
+    Raises
+    ------
+    ValueError
+        Where the file cannot be read.
+    """
+    named = value.get("file") if isinstance(value, dict) else value
+    if not isinstance(named, str):
+        return value
+    path = Path(named).absolute()
+    try:
+        with open_regular(path) as stream:
+            return {"file": str(path), "sha256": hashlib.file_digest(stream, "sha256").hexdigest()}
+    except OSError as error:
+        raise ValueError(f"{named}: {error.strerror or error}; give a FITS cube of OPD maps [nm]") from None
 
 
 class MirrorRow(ResultsPart):
@@ -66,12 +102,7 @@ def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
     except ValueError as problem:
         raise InputDataError(f"{path}: {problem}") from None
     table = _table(named, ctx.config.gain, found)
-    row = MirrorRow(
-        modes=len(found.value),
-        offset=found.value.tolist(),
-        before_nm=found.before_nm,
-        after_nm=found.after_nm,
-    )
+    row = MirrorRow.filled_from(found, modes=len(found.value), offset=found.value.tolist())
     line = (
         f"  {len(found.value)} modes of {path.name}: {found.before_nm:.1f} nm RMS, of which they cannot make "
         f"{found.after_nm:.1f}; offsets in mirror.csv and mirror.fits"
@@ -100,3 +131,29 @@ def _table(named: MirrorFile, gain: float, found: MirrorOffsets) -> Table:
         Card("ESO QC MIRROR AFTER", found.after_nm, "[nm] RMS that the modes cannot make"),
     )
     return Table("MIRROR_OFFSETS", "IRLOS_MIRROR_OFFSETS", columns, SIGN, facts)
+
+
+def read_modes(path: Path) -> np.ndarray:
+    """Return OPD maps of a mirror's modes, (modes, n, n), from the first image of a FITS file.
+
+    n samples lie across the diameter of the pupil, as pixels across a window; row index is y.
+
+    Raises
+    ------
+    InputDataError
+        If it is none, or its shape is not that.
+    """
+    try:
+        maps, _ = first_image(path)
+    except ValueError as error:
+        raise InputDataError(f"{path}: {error}; modes are a cube of n × n maps across the pupil") from None
+    if maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
+        found = " × ".join(map(str, maps.shape))
+        raise InputDataError(f"{path}: an image of {found}; modes are a cube of n × n maps across the pupil")
+    count, samples = maps.shape[:2]
+    if not (LEAST_SAMPLES <= samples <= MOST_SAMPLES and 1 <= count <= MOST_MODES):
+        raise InputDataError(
+            f"{path}: {count} modes of {samples} × {samples}; up to {MOST_MODES} modes of {LEAST_SAMPLES} "
+            f"to {MOST_SAMPLES} samples across can be used"
+        )
+    return maps

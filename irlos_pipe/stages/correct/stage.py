@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from math import nan
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -20,8 +19,7 @@ from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.correct.mirror import ARRAYS as MIRROR_ARRAYS
-from irlos_pipe.stages.correct.mirror import MirrorRow, in_mirror_modes
-from irlos_pipe.stages.correct.mirror_file import MirrorFile, mirror_file
+from irlos_pipe.stages.correct.mirror import MirrorFile, MirrorRow, in_mirror_modes, mirror_file
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
@@ -123,12 +121,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             | _arrays(offsets, prediction)
             | _curves(prediction, scale_mas),
         ),
-        CorrectResults(
+        CorrectResults.filled_from(
+            prediction,
             offset_nm=dict(zip(offsets.nolls.tolist(), offsets.value_nm.tolist(), strict=True)),
             sign=SIGN,
-            strehl_before=prediction.strehl_before,
-            strehl_after=prediction.strehl_after,
-            strehl_budget=[StrehlRow(**asdict(one)) for one in budget],
+            strehl_budget=[StrehlRow.filled_from(one) for one in budget],
             wavefront_before=MapSize.of(before_nm),
             wavefront_after=MapSize.of(after_nm),
             resolution_mas=prediction.resolution_px * scale_mas,
@@ -235,13 +232,10 @@ def _maps_nm(
 
 
 def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:
-    images = {name: getattr(prediction, name) for name in ("before", "after", "perfect")}
-    return images | {
+    names = ("before", "after", "perfect", "radius_mas", "profile_before", "profile_after")
+    return {name: getattr(prediction, name) for name in names} | {
         "noll": offsets.nolls,
         "offset_nm": (offsets.value_nm, offsets.sigma_nm),
-        "radius_mas": prediction.radius_mas,
-        "profile_before": prediction.profile_before,
-        "profile_after": prediction.profile_after,
     }
 
 

@@ -32,7 +32,7 @@ from irlos_pipe.stages.lift.input import (
     ramp_start,
 )
 from irlos_pipe.stages.lift.stage import Config
-from irlos_pipe.stages.model.colour import colour_warning
+from irlos_pipe.stages.model.effects import colour_warning
 from irlos_pipe.stages.model.recording_settings import psf_settings
 
 

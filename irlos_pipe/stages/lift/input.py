@@ -25,13 +25,13 @@ from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.ingest.results import IngestResults
 from irlos_pipe.stages.lift.stage import Config
-from irlos_pipe.stages.model.colour import with_colour
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
     conditions_of,
     good_pixels,
     image_effects,
     model_effects,
+    with_colour,
 )
 from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings, used_in_time_order
 
