@@ -204,7 +204,6 @@ def declared(
 
     Parameters
     ----------
-    arrays : mapping
     values : mapping
         Arrays by name; where the table has ±, an array and its standard error.
     note : str

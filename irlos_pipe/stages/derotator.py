@@ -180,8 +180,6 @@ def map_of(geometry: PupilGeometry, nolls: Sequence[int], zernike_nm: np.ndarray
 
     Parameters
     ----------
-    geometry : PupilGeometry
-    nolls : sequence of int
     zernike_nm : ndarray, (..., modes)
     """
     return opd_maps_nm(nolls, zernike_nm, clear_disc(geometry, MAP_SAMPLES)).astype(np.float32)

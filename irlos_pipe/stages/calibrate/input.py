@@ -56,8 +56,6 @@ class CubeInput:
     ----------
     frames : Frames
         Bad pixels that the model lists masked.
-    settings : PsfSettings
-    effects : list of Effect
     """
 
     frames: Frames
@@ -70,7 +68,6 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
 
     Parameters
     ----------
-    ctx : StageContext
     recordings : sequence of Recording
         Taken alike.
     options : CalibrationOptions
@@ -154,10 +151,8 @@ def setups_of(
 
     Parameters
     ----------
-    ctx : StageContext
     groups : sequence of sequence of Recording
         Those of one set-up each, see `by_setup`.
-    options : CalibrationOptions
     """
     highest_noll = options.last_noll
     reference_nm = groups[0][0].acquisition.wavelength_nm

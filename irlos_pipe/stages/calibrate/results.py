@@ -195,7 +195,6 @@ class CubeEstimate:
 
     Attributes
     ----------
-    nolls : tuple of int
     zernike_nm, sigma_nm : ndarray, (modes,)
     covariance_nm2 : ndarray, (modes, modes)
     frames_nm : ndarray, (frames, modes)

@@ -252,7 +252,6 @@ def wfe_nm(nolls: Sequence[int], zernike_nm: np.ndarray) -> float:
 
     Parameters
     ----------
-    nolls : sequence of int
     zernike_nm : ndarray, (modes,)
         Coefficients, or their standard errors, which gives the expected total error.
     """

@@ -41,10 +41,6 @@ class MirrorFile(BaseModel):
 def mirror_file(value: Any) -> Any:
     """Return path and checksum for the path of a file; for both of before, those of the file as it is now.
 
-    Parameters
-    ----------
-    value : str, mapping or None
-
     Raises
     ------
     ValueError

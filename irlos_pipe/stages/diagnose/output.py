@@ -46,7 +46,6 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
 
     Parameters
     ----------
-    result : Diagnosis
     diversity_nm : mapping of int to float
         With which they were taken, Noll: nm RMS.
     """
@@ -180,7 +179,6 @@ def quality_arrays(pictures: Pictures, settings: PsfSettings) -> dict[str, Quant
 
     Parameters
     ----------
-    pictures : Pictures
     settings : PsfSettings
         Of the recording.
     """

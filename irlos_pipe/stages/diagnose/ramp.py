@@ -228,7 +228,6 @@ def wanted_lens(
     ----------
     ctx : StageContext
         With the product of `lift`.
-    ramp : Ramp
     held_out : ndarray of bool, (frames,)
     sure : float
         Significance of a detection.

@@ -146,8 +146,6 @@ def by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -
 
     Parameters
     ----------
-    ingest : Product
-    input_name : str
     apart : bool, optional
         Whether every recording is of its own star or night, or all are of one; by default targets and times
         tell.

@@ -227,7 +227,6 @@ def accumulated(source: Source, exposure_s: float) -> Source:
 
     Parameters
     ----------
-    source : Source
     exposure_s : float
         Of a sum.
 

@@ -50,8 +50,6 @@ def fit_frames(
 
     Parameters
     ----------
-    ctx : StageContext
-    ramp : Ramp
     calibrated : bool
         Whether the NCPAs of `calibrate` are a part of the known wavefront.
     halo : {"calibrated", "fit", "off"}
@@ -123,7 +121,6 @@ def light_path(
 
     Parameters
     ----------
-    ctx : StageContext
     recording : Recording
         Its acquisition and window; its frames do not matter.
     calibrated, halo

@@ -112,8 +112,6 @@ def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: d
 
     Parameters
     ----------
-    ctx : StageContext
-    ramp : Ramp
     nolls : tuple of int
         Modes to be estimated.
     ncpa_nm : dict of int to float
@@ -138,7 +136,6 @@ def effects_for_lift(
 
     Parameters
     ----------
-    ctx : StageContext
     recording : Recording
         Its acquisition sets the conditions.
     halo : {"calibrated", "fit", "off"}
@@ -186,9 +183,6 @@ def ramp_start(
 
     Parameters
     ----------
-    ctx : StageContext
-    model : LightPath
-    ramp : Ramp
     ncpa_nm : dict of int to float
         NCPAs in the known wavefront, taken off the elongation prior.
     start : {"elongation", "scan", "commanded", "zero"}
@@ -221,7 +215,6 @@ def has_other_light(ctx: StageContext[Config], acquisition: Acquisition) -> bool
 
     Parameters
     ----------
-    ctx : StageContext
     acquisition : Acquisition
         How the ramp was taken.
     """
@@ -244,7 +237,6 @@ def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> lis
 
     Parameters
     ----------
-    effects : sequence of Effect
     conditions : Conditions
         Of the ramp.
     """
@@ -255,12 +247,7 @@ def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> lis
 
 
 def explains(before: FrameErrors, after: FrameErrors) -> bool:
-    """Return whether a fit of a ramp explains what another one before it misses.
-
-    Parameters
-    ----------
-    before, after : FrameErrors
-    """
+    """Return whether a fit of a ramp explains what another one before it misses."""
     return after.excess <= EXPLAINED * before.excess
 
 
@@ -269,7 +256,6 @@ def older_text(fit: RampFit, calibration_nm: float) -> str:
 
     Parameters
     ----------
-    fit : RampFit
     calibration_nm : float
         Error of the calibrated wavefront [nm RMS].
     """

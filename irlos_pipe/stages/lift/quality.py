@@ -39,10 +39,8 @@ def checks_of(
         Its limits.
     converged : float
         Part of the frames whose fit converged.
-    summary : RampSummary
     others : mapping of str to RampSummary
         The ramp with parts of the model left out.
-    errors : FrameErrors
     calibration_nm : float
         Total error expected of the NCPAs [nm RMS]; 0 without.
     frames : int
@@ -78,23 +76,13 @@ def checks_of(
 
 
 def unexplained_offset_nm(summary: RampSummary) -> float:
-    """Return the size of a ramp's offset, or 0 where its own error excuses it [nm].
-
-    Parameters
-    ----------
-    summary : RampSummary
-    """
+    """Return the size of a ramp's offset, or 0 where its own error excuses it [nm]."""
     offset_nm = abs(summary.offset_nm)
     return offset_nm if offset_nm > OFFSET_SIGMA * summary.offset_sigma_nm else 0.0
 
 
 def offset_text(summary: RampSummary) -> str:
-    """Return what an offset that no error of a ramp excuses says of it.
-
-    Parameters
-    ----------
-    summary : RampSummary
-    """
+    """Return what an offset that no error of a ramp excuses says of it."""
     return (
         f"the ramp has an offset of {summary.offset_nm:+.1f} ± {summary.offset_sigma_nm:.1f} nm: a "
         "calibration of another time, or the zero point of the focus stage; it counts as an error of frames"
@@ -132,7 +120,6 @@ def misfits(config: Config, errors: FrameErrors) -> bool:
     ----------
     config : Config
         Its limits.
-    errors : FrameErrors
     """
     return not _misfit(config, errors).passed
 

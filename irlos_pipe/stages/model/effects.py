@@ -37,7 +37,6 @@ def conditions_of(
 
     Parameters
     ----------
-    instrument, model, recording
     highest_noll : int
         Last mode that is estimated as such.
     introduced_nm : mapping of int to float, optional
@@ -155,8 +154,6 @@ def calibrated_effects(
         Of the calibration.
     instrument, model, recording
         See `conditions_of`.
-    calibration_seeing_arcsec : float
-    same_star : bool
     ncpa_wavelength_nm : float, optional
         See `Conditions`.
     """
@@ -217,8 +214,6 @@ def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Condi
 
     Parameters
     ----------
-    effects : sequence of Effect
-    model : ModelConfig
     conditions : Conditions
         Of the recording.
     """
@@ -250,7 +245,6 @@ def colour_warning(effects: Sequence[Effect], recordings: Sequence[Recording]) -
     ----------
     effects : sequence of Effect
         Of the model of the recordings.
-    recordings : sequence of Recording
     """
     free = any(effect.name == AtmosphericDispersion.name and effect.parameters for effect in effects)
     unknown = [one.name for one in recordings if one.acquisition.altitude_deg is None]

@@ -130,7 +130,6 @@ def differences(one: Recording, other: Recording, terms: Mapping[str, str]) -> l
 
     Parameters
     ----------
-    one, other : Recording
     terms : mapping of str to str
         What to call numbers of the acquisition that may differ; the window is compared as well.
     """
@@ -153,10 +152,8 @@ def pooled_frames(
 
     Parameters
     ----------
-    recordings : sequence of Recording
     listed : ndarray of bool, (rows, columns)
         Pixels that are good by the model.
-    settings : PsfSettings
     steady : bool
         Whether to take the motion out.
 

@@ -28,7 +28,6 @@ def refraction_of(acquisition: Acquisition, mean_um: float) -> Refraction:
 
     Parameters
     ----------
-    acquisition : Acquisition
     mean_um : float
         Mean wavelength [µm].
     """
@@ -78,7 +77,6 @@ def refraction_mas(
         At least `LOWEST_DEG`.
     pressure_hpa, temperature_c, humidity_percent : float
         Of the air at the telescope.
-    wavelength_um : float
     """
     a, b = erfa.refco(pressure_hpa, temperature_c, humidity_percent / 100, wavelength_um)
     tangent = np.tan(np.pi / 2 - np.deg2rad(altitude_deg))

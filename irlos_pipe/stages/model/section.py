@@ -22,10 +22,8 @@ class EffectEntry:
 
     Attributes
     ----------
-    name : str
     values : dict
         Public values it is held at, or starts from; empty for an effect to be estimated from scratch.
-    options : dict
     fit : bool
         Whether it is estimated all the same.
     """

@@ -314,10 +314,8 @@ def noises_of(
 
     Parameters
     ----------
-    ramp : Ramp
     mag_j : float
         Of its star.
-    instrument : Instrument
     which : {"reads", "recorded"}
         See the settings of the stage.
     """
@@ -336,10 +334,8 @@ def _exposure_noise(ramp: Ramp, mag_j: float, instrument: Instrument) -> Exposur
 
     Parameters
     ----------
-    ramp : Ramp
     mag_j : float
         Of its star.
-    instrument : Instrument
     """
     acquisition, defaults = ramp.acquisition, instrument.defaults
     detector, exposure_s = acquisition.detector, acquisition.exposure_s
@@ -387,7 +383,6 @@ def announce(
         Their rows and columns [px].
     realisations, magnitudes, curves : int
         Draws of the noise of every frame, magnitudes of a curve, and curves.
-    log : logging.Logger
 
     Raises
     ------
