@@ -105,7 +105,7 @@ def _numbers(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Itera
     """All numbers that both runs have."""
     for path, one in first.items():
         other = second.get(path)
-        if other is not None and is_number(one.value) and is_number(other.value):
+        if other is not None and _is_number(one.value) and _is_number(other.value):
             yield _number(path, one, other)
 
 
@@ -146,7 +146,7 @@ def _words(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterato
     """What is no number, and differs."""
     for path, one in first.items():
         other = second.get(path)
-        both = other is not None and is_number(one.value) and is_number(other.value)
+        both = other is not None and _is_number(one.value) and _is_number(other.value)
         if other is not None and not both and one.value != other.value:
             yield ValuePair(name=".".join(path), first=one.value, second=other.value)
 
@@ -209,15 +209,15 @@ def leaves(tree: Any, error: Any = None, above: Place = ()) -> Iterator[tuple[Pl
     elif isinstance(tree, list) and tree and all(isinstance(row, Mapping) for row in tree):
         for name, row in zip(_names(tree), tree, strict=True):
             yield from leaves(row, None, (*above, name))
-    elif isinstance(tree, list) and tree and all(map(is_number, tree)):
+    elif isinstance(tree, list) and tree and all(map(_is_number, tree)):
         errors = error if isinstance(error, list) and len(error) == len(tree) else [None] * len(tree)
         for index, (value, its_error) in enumerate(zip(tree, errors, strict=True)):
             yield from leaves(value, its_error, (*above, str(index)))
     else:
-        yield above, Leaf(tree, float(error) if is_number(error) and is_number(tree) else math.nan)
+        yield above, Leaf(tree, float(error) if _is_number(error) and _is_number(tree) else math.nan)
 
 
-def is_number(value: Any) -> bool:
+def _is_number(value: Any) -> bool:
     """Return whether a value of JSON is a number; switches are none."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 

@@ -140,7 +140,7 @@ def fits_content(hdus: Sequence[fits.hdu.base.ExtensionHDU], cards: Iterable[Car
     primary = fits.PrimaryHDU()
     for card in cards:
         for one in _in_words(card):
-            set_card(primary.header, one)
+            _set_card(primary.header, one)
     stream = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
@@ -154,7 +154,7 @@ def ascii_text(text: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in plain)
 
 
-def set_card(header: fits.Header, card: Card) -> None:
+def _set_card(header: fits.Header, card: Card) -> None:
     """Add a `card` to a `header`."""
     plain = _is_plain(card)
     keyword = card.key if plain else f"HIERARCH {card.key}"

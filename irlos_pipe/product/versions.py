@@ -88,7 +88,7 @@ def is_complete(run: RunFolder) -> bool:
     return not results.error and set(stages) <= set(results.stages)
 
 
-def latest_version(folder: Path) -> Path | None:
+def _latest_version(folder: Path) -> Path | None:
     """Return the newest complete version in a `folder`; None without one."""
     return next((path for path in reversed(version_folders(folder)) if is_complete(RunFolder(path))), None)
 
@@ -96,7 +96,7 @@ def latest_version(folder: Path) -> Path | None:
 def versions_in(folder: Path) -> Versions:
     """Return what is known of the versions in a `folder`."""
     paths = version_folders(folder)
-    latest = latest_version(folder)
+    latest = _latest_version(folder)
     pairs = zip([None, *paths], paths, strict=False)
     rows = [_row(path, before, latest=path == latest) for before, path in pairs]
     return Versions(folder=str(folder), versions=rows)

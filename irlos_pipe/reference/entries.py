@@ -71,12 +71,12 @@ def all_entries() -> list[Entry]:
     return [
         *stages,
         *effects,
-        *check_entries(),
+        *_check_entries(),
         *key_entries(),
-        *fact_entries(),
-        *number_entries(),
-        *array_entries(),
-        *term_entries(),
+        *_fact_entries(),
+        *_number_entries(),
+        *_array_entries(),
+        *_term_entries(),
     ]
 
 
@@ -103,7 +103,7 @@ def key_entries() -> Iterator[Entry]:
     yield from _keys(Profile, ("profile",), "key of a profile")
 
 
-def fact_entries() -> Iterator[Entry]:
+def _fact_entries() -> Iterator[Entry]:
     """Yield the facts that a profile may state."""
     for name, rule in FACTS.items():
         limits = f"value: {rule.kind}, ≥ {rule.low:g}, ≤ {rule.high:g}"
@@ -166,7 +166,7 @@ def _default(value: Any) -> str:
 # -- what stages declare -----------------------------------------------------------------------------
 
 
-def check_entries() -> Iterator[Entry]:
+def _check_entries() -> Iterator[Entry]:
     """Yield every check; a value out of its limits makes the exit code 4."""
     for stage in LIGHT_PATH:
         checks: Checks = getattr(STAGES[stage], "CHECKS", {})
@@ -175,7 +175,7 @@ def check_entries() -> Iterator[Entry]:
             yield Entry("check", f"{stage}.{name}", f"{text}\nlimit: {limit}")
 
 
-def array_entries() -> Iterator[Entry]:
+def _array_entries() -> Iterator[Entry]:
     """Yield every array of every product."""
     for stage in LIGHT_PATH:
         arrays: Arrays = getattr(STAGES[stage], "ARRAYS", {})
@@ -202,7 +202,7 @@ UNITS = {
 ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 
 
-def number_entries() -> Iterator[Entry]:
+def _number_entries() -> Iterator[Entry]:
     """Yield every key under ``stages`` of results.json."""
     for stage in LIGHT_PATH:
         yield from _numbers(STAGES[stage].Results, (stage,))
@@ -264,7 +264,7 @@ LINE_LENGTH = 100
 TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 
 
-def term_entries() -> Iterator[Entry]:
+def _term_entries() -> Iterator[Entry]:
     """Yield every term of the glossary; one called ``A, B`` under both names."""
     for names, text in TERM.findall(GLOSSARY.read_text(encoding="utf-8")):
         lines = textwrap.fill(" ".join(text.split()), LINE_LENGTH)

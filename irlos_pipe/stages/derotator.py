@@ -150,7 +150,7 @@ def _one_angle(ctx: StageContext[Config], cubes: list[AngleRow], series: Series)
         modes=list(series.nolls),
         parts=None,
         reason=reason,
-        measured_nm=[rms_nm(one) for one in series.zernike_nm],
+        measured_nm=[_rms_nm(one) for one in series.zernike_nm],
     )
     lines = [
         f"Derotator       nothing split: {reason};",
@@ -170,7 +170,7 @@ def _split(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> 
     return StageOutput(found.arrays(ctx.instrument.pupil), results, checks, summary=found.summary())
 
 
-def rms_nm(zernike_nm: np.ndarray) -> float:
+def _rms_nm(zernike_nm: np.ndarray) -> float:
     """Return the RMS over the disc [nm]."""
     return float(np.sqrt(np.sum(zernike_nm**2)))
 
@@ -180,6 +180,8 @@ def map_of(geometry: PupilGeometry, nolls: Sequence[int], zernike_nm: np.ndarray
 
     Parameters
     ----------
+    geometry : PupilGeometry
+    nolls : sequence of int
     zernike_nm : ndarray, (..., modes)
     """
     return opd_maps_nm(nolls, zernike_nm, clear_disc(geometry, MAP_SAMPLES)).astype(np.float32)
@@ -229,8 +231,8 @@ class SplitOutput:
             "freedom": self.split.freedom,
             "parts": {name: self._part(name) for name in PARTS},
             "consistency": self.consistency,
-            "measured_nm": [rms_nm(one) for one in self.series.zernike_nm],
-            "residual_nm": [rms_nm(one) for one in residual_nm],
+            "measured_nm": [_rms_nm(one) for one in self.series.zernike_nm],
+            "residual_nm": [_rms_nm(one) for one in residual_nm],
         }
 
     def _part(self, name: str) -> PartRow:

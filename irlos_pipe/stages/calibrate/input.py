@@ -68,6 +68,7 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
 
     Parameters
     ----------
+    ctx : StageContext
     recordings : sequence of Recording
         Taken alike.
     options : CalibrationOptions
@@ -151,8 +152,10 @@ def setups_of(
 
     Parameters
     ----------
+    ctx : StageContext
     groups : sequence of sequence of Recording
         Those of one set-up each, see `by_setup`.
+    options : CalibrationOptions
     """
     highest_noll = options.last_noll
     reference_nm = groups[0][0].acquisition.wavelength_nm

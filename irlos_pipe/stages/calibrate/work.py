@@ -175,7 +175,7 @@ def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Seq
     Those of every cube stand in ``cubes``, its arrays under ``cubes/<name>/``. `failures` has one line per
     recording that could not be used.
     """
-    mean = mean_calibration([cube.result for cube in cubes])
+    mean = _mean_calibration([cube.result for cube in cubes])
     arrays = _arrays(mean, note="mean over the cubes", only=MEAN)
     for cube in cubes:
         arrays |= _arrays(cube.result, f"{CUBES}/{cube.name}/")
@@ -202,7 +202,7 @@ def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Seq
     return StageOutput(arrays, results, checks, summary=_mean_summary(mean, cubes), failures=failures)
 
 
-def mean_calibration(results: Sequence[Calibration]) -> Calibration:
+def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
     """Return the plain mean of estimates from cubes, which count alike however bright they are.
 
     It has the modes that all of them have, and the frames and fits of all.
@@ -252,6 +252,7 @@ def wfe_nm(nolls: Sequence[int], zernike_nm: np.ndarray) -> float:
 
     Parameters
     ----------
+    nolls : sequence of int
     zernike_nm : ndarray, (modes,)
         Coefficients, or their standard errors, which gives the expected total error.
     """

@@ -87,7 +87,7 @@ def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
     """
     named: MirrorFile = ctx.config.mirror_modes
     path = Path(named.file)
-    maps_nm = read_modes(path)
+    maps_nm = _read_modes(path)
     arrays = ctx.products["calibrate"].arrays
     nolls, zernike_nm, covariance_nm2 = (
         np.asarray(arrays[name].value) for name in ("noll", "zernike_nm", "covariance_nm2")
@@ -129,15 +129,10 @@ def _table(named: MirrorFile, gain: float, found: MirrorOffsets) -> Table:
     return Table("MIRROR_OFFSETS", "IRLOS_MIRROR_OFFSETS", columns, SIGN, facts)
 
 
-def read_modes(path: Path) -> np.ndarray:
+def _read_modes(path: Path) -> np.ndarray:
     """Return OPD maps of a mirror's modes, (modes, n, n), from the first image of a FITS file.
 
     n samples lie across the diameter of the pupil, as pixels across a window; row index is y.
-
-    Raises
-    ------
-    InputDataError
-        If it is none, or its shape is not that.
     """
     try:
         maps, _ = first_image(path)

@@ -46,6 +46,7 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
 
     Parameters
     ----------
+    result : Diagnosis
     diversity_nm : mapping of int to float
         With which they were taken, Noll: nm RMS.
     """
@@ -179,6 +180,7 @@ def quality_arrays(pictures: Pictures, settings: PsfSettings) -> dict[str, Quant
 
     Parameters
     ----------
+    pictures : Pictures
     settings : PsfSettings
         Of the recording.
     """

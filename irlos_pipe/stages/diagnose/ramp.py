@@ -43,7 +43,7 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
     ramp = read_ramp(ctx, ctx.config.input)
     lift = ctx.products["lift"]
     held_out = frames_held_out(ramp.commanded_nm, every)
-    ctx, lens, fit = wanted_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
+    ctx, lens, fit = _wanted_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
     estimated = fit.defocus_nm if lens and fit else np.asarray(lift.arrays["defocus_nm"].value, float)
     try:
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
@@ -66,8 +66,8 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
         checks_of(results),
         summary=_summary(result, lens, gap),
     )
-    lenses = [entry(lens.effect.name, lens.public)] if lens else []
-    return output, [*lenses, *(entry(one.name, one.public) for one in result.names)]
+    lenses = [_entry(lens.effect.name, lens.public)] if lens else []
+    return output, [*lenses, *(_entry(one.name, one.public) for one in result.names)]
 
 
 def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
@@ -121,7 +121,7 @@ def _results(
     )
 
 
-def entry(name: str, public: dict[str, Any]) -> dict[str, Any]:
+def _entry(name: str, public: dict[str, Any]) -> dict[str, Any]:
     """Return the effect `name` with its `public` values as an entry of the section `model` of a recipe."""
     return {name: public}
 
@@ -204,7 +204,7 @@ def _rms(values: np.ndarray) -> float:
 # -- what introduced defocus is: effects of lenses, from fits of the images --------------------------
 
 
-def lens_candidates(ctx: StageContext, ramp: Ramp) -> list[LensEffect]:
+def _lens_candidates(ctx: StageContext, ramp: Ramp) -> list[LensEffect]:
     """Return the lens effects that mean something for this `ramp` and that the recipe's model lacks."""
     present = {entry.name for entry in ctx.model.entries()}
     conditions = conditions_of(ctx.instrument, ctx.model, ramp.recordings[0])
@@ -219,18 +219,10 @@ def lens_candidates(ctx: StageContext, ramp: Ramp) -> list[LensEffect]:
     return found
 
 
-def wanted_lens(
+def _wanted_lens(
     ctx: StageContext, ramp: Ramp, held_out: np.ndarray, sure: float
 ) -> tuple[StageContext, LightPathName | None, RampFit | None]:
     """Return the lens effect that the images want, if there is one, and the fit that it was found with.
-
-    Parameters
-    ----------
-    ctx : StageContext
-        With the product of `lift`.
-    held_out : ndarray of bool, (frames,)
-    sure : float
-        Significance of a detection.
 
     Returns
     -------
@@ -240,7 +232,7 @@ def wanted_lens(
     RampFit or None
         The ramp fitted again; None where nothing had to be compared and the frames share nothing fitted.
     """
-    candidates = lens_candidates(ctx, ramp)
+    candidates = _lens_candidates(ctx, ramp)
     if not candidates and not ctx.products["lift"].config["common_modes"]:
         return ctx, None, None
     plain = _fitted(ctx, ramp, held_out)

@@ -28,7 +28,7 @@ Noll = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 Nanometres = Annotated[float, Field(ge=-5000, le=5000)]
 
 
-def wavefront_of(value: Any) -> Any:
+def _wavefront_of(value: Any) -> Any:
     """Return coefficients as they are, and those in the results of a run for its path.
 
     Parameters
@@ -89,7 +89,7 @@ class Config(StageConfig):
         description="prior σ of the change of every mode between stars and nights [nm]",
     )
     sure_sigma: float = Field(5.0, ge=3, le=20, description="significance of a detection")
-    begin_near: Annotated[dict[Noll, Nanometres], BeforeValidator(wavefront_of)] = Field(
+    begin_near: Annotated[dict[Noll, Nanometres], BeforeValidator(_wavefront_of)] = Field(
         {},
         description="a wavefront from which the fit begins as well, Noll index to nm RMS, or the path of a "
         "run that found it in another recording",

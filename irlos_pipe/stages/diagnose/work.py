@@ -45,7 +45,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
         return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
     apart = APART[ctx.config.recordings]
-    groups = by_setting(ctx.products["ingest"], ctx.config.input, apart=apart)
+    groups = _by_setting(ctx.products["ingest"], ctx.config.input, apart=apart)
     result, settings = _diagnose(ctx, groups), psf_settings(ctx.instrument, ctx.model, groups[0].first)
     model = model_yaml(ctx.model, model_entries(result))
     results = diagnose_results(result, groups[0].first.acquisition.diversity)
@@ -90,12 +90,12 @@ def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -
     """Recordings of one setting and moment, the introduced defocus in the known wavefront."""
     first = alike.first
     conditions = conditions_of(
-        ctx.instrument, ctx.model, first, ctx.config.highest_noll, introduced_nm={4: introduced_nm(first)}
+        ctx.instrument, ctx.model, first, ctx.config.highest_noll, introduced_nm={4: _introduced_nm(first)}
     )
     return Exposures(
         pooled_frames(alike.recordings, good_pixels(effects, first.window), conditions.settings),
         conditions,
-        screened_pixels(ctx.products["ingest"], first),
+        _screened_pixels(ctx.products["ingest"], first),
         alike.moment,
         first.name,
         alike.star,
@@ -139,7 +139,7 @@ class Alike:
         return float(np.linalg.norm(list(self.first.acquisition.diversity.values())))
 
 
-def by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -> list[Alike]:
+def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -> list[Alike]:
     """Return the used frames of the input `input_name` of `ingest`, one group per setting and moment.
 
     The setting with the largest diversity comes first: errors of the diversity are stated for it.
@@ -167,7 +167,7 @@ def by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -
 def moments_of(recordings: Sequence[Recording], apart: bool | None = None) -> list[int]:
     """Return the number of the star and night of every recording, from 0 in the order given.
 
-    `recordings` in order of time; `apart`: see `by_setting`.
+    `recordings` in order of time; `apart`: see `_by_setting`.
     """
     if apart is not None:
         return [number if apart else 0 for number in range(len(recordings))]
@@ -181,14 +181,8 @@ def moments_of(recordings: Sequence[Recording], apart: bool | None = None) -> li
     return found
 
 
-def introduced_nm(recording: Recording) -> float:
-    """Introduced defocus of all its used frames.
-
-    Raises
-    ------
-    InputDataError
-        If it changes during the recording.
-    """
+def _introduced_nm(recording: Recording) -> float:
+    """Introduced defocus of all its used frames."""
     values = np.unique(recording.introduced_defocus_nm)
     if len(values) > 1:
         raise InputDataError(
@@ -198,7 +192,7 @@ def introduced_nm(recording: Recording) -> float:
     return float(values[0]) if len(values) else 0.0
 
 
-def screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
+def _screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
     """Return the pixels of a `recording` that `ingest` found bad, with the mean of what they showed."""
     shown_e = screened_e(ingest, recording)
     return [Screened(*pixel, value_e) for pixel, value_e in shown_e.items() if np.isfinite(value_e)]
@@ -207,7 +201,7 @@ def screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
 def _setting(recording: Recording) -> tuple:
     acquisition = recording.acquisition
     diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
-    return acquisition.spectrum, diversity, introduced_nm(recording), acquisition.pupil_rotation_deg
+    return acquisition.spectrum, diversity, _introduced_nm(recording), acquisition.pupil_rotation_deg
 
 
 def _require_common(recordings: list[Recording]) -> None:

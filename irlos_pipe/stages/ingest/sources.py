@@ -227,6 +227,7 @@ def accumulated(source: Source, exposure_s: float) -> Source:
 
     Parameters
     ----------
+    source : Source
     exposure_s : float
         Of a sum.
 

@@ -54,14 +54,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
             told = told_of(recording, cleaned.noise, ctx.instrument.facility, _step_s(source.raw))
             doubts = [f"{recording.name}: {one.text}" for one in told if one.warned]
-            for line in (*contradictions(recording, cleaned), *doubts):
+            for line in (*_contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
-            rows.append(row(recording, cleaned, source.raw, told, ctx.instrument.name))
-            quality += [*checks(recording, ctx.config), told_check(recording, told)]
+            rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
+            quality += [*_checks(recording, ctx.config), _told_check(recording, told)]
             arrays |= arrays_of(recording, cleaned, source.raw)
     _require_every_input(ctx.inputs, rows, failures)
     lines = [text for _, text in failures]
-    results = IngestResults(inputs=[*rows, *map(dark_row, darks)])
+    results = IngestResults(inputs=[*rows, *map(_dark_row, darks)])
     return StageOutput(arrays, results, quality, summary=[_line(one) for one in rows], failures=lines)
 
 
@@ -115,7 +115,7 @@ def _require_room(source: Source) -> None:
 
 def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
     raw, acquisition = source.raw, source.resolved.acquisition
-    sampling = sampling_px(acquisition, instrument)
+    sampling = _sampling_px(acquisition, instrument)
     cleaned = clean(raw, acquisition.detector, sampling, config.thresholds(), config.limits())
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
@@ -148,7 +148,7 @@ def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
         )
 
 
-def sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
+def _sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
     """Return the pixels per λ/D at the shortest wavelength of an `acquisition` with an `instrument`.
 
     D is that of a lenslet in 2x2 modes.
@@ -194,24 +194,10 @@ def _require_every_input(
 # -- what is reported --------------------------------------------------------------------------------
 
 
-def row(
+def _row(
     recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told] = (), instrument: str = ""
 ) -> RecordingRow:
-    """Return the entry of a `recording` in the results.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its clean frames.
-    cleaned : Cleaned
-        What was found on the way.
-    raw : RawRecording
-        What it was made from.
-    told : sequence of Told
-        What was told of it, against what its frames show.
-    instrument : str
-        Name of the instrument profile.
-    """
+    """Return the entry of a `recording` in the results."""
     acquisition, background, noise = recording.acquisition, cleaned.background, cleaned.noise
     constants_used = constants(acquisition.detector, acquisition.sources, noise)
     return RecordingRow.filled_from(
@@ -230,7 +216,7 @@ def row(
         bad_pixels_found=found_bad(recording, raw).tolist(),
         clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
         cosmic_hits=int(cleaned.hits.frame.size),
-        centre_offset_px=centre_offset_px(recording),
+        centre_offset_px=_centre_offset_px(recording),
         pedestal_adu=background.pedestal_adu,
         pedestal_error_adu=background.pedestal_error_adu,
         noise_floor_e2=noise.floor_e2,
@@ -238,7 +224,7 @@ def row(
         noise={one.name: NoiseRow.filled_from(one) for one in constants_used},
         corner_scatter_e=noise.corner_scatter_e,
         sources=acquisition.sources,
-        observed=observed(recording, raw, instrument),
+        observed=_observed(recording, raw, instrument),
         doubts=[one.text for one in told if one.warned],
     )
 
@@ -248,7 +234,7 @@ def _flux_e(recording: Recording) -> float:
     return float(np.median(frame_flux(recording.images_e)[recording.used]))
 
 
-def observed(recording: Recording, raw: RawRecording, instrument: str) -> Observed:
+def _observed(recording: Recording, raw: RawRecording, instrument: str) -> Observed:
     """Return what products hand on of a `recording` that was made from `raw`, under a profile's name."""
     return Observed.filled_from(
         recording.acquisition,
@@ -260,7 +246,7 @@ def observed(recording: Recording, raw: RawRecording, instrument: str) -> Observ
     )
 
 
-def told_check(recording: Recording, told: Sequence[Told]) -> Check:
+def _told_check(recording: Recording, told: Sequence[Told]) -> Check:
     """Return the check that fails where the frames of a `recording` contradict what was `told` of it."""
     wrong = [one.text for one in told if one.wrong]
     message = "; ".join(wrong) or "nothing that was told is contradicted by the frames beyond doubt"
@@ -268,7 +254,7 @@ def told_check(recording: Recording, told: Sequence[Told]) -> Check:
     return Check(name, float(len(wrong)), "1", None, 0.0, message)
 
 
-def contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
+def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
     """Return one line per constant of the detector that the frames of a `recording` contradict.
 
     Dark current and sky explain a noise beyond the read noise, which `cleaned` allows for.
@@ -282,7 +268,7 @@ def contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
     ]
 
 
-def dark_row(source: Source) -> RecordingRow:
+def _dark_row(source: Source) -> RecordingRow:
     """Return the entry of a dark recording, which has no star."""
     none = {"frames_rejected": 0, "frames_missing": 0, "flux_e": None, "mag_j": None}
     return RecordingRow(
@@ -293,18 +279,18 @@ def dark_row(source: Source) -> RecordingRow:
     )
 
 
-def centre_offset_px(recording: Recording) -> tuple[float, float]:
+def _centre_offset_px(recording: Recording) -> tuple[float, float]:
     """Return the position (x, y) of the star in the mean image against the window's centre [px]."""
     row_px, column_px = star_position(recording.mean_e)
     rows, columns = recording.window
     return column_px - (columns - 1) / 2, row_px - (rows - 1) / 2
 
 
-def checks(recording: Recording, config: Config) -> list[Check]:
+def _checks(recording: Recording, config: Config) -> list[Check]:
     """Return the QC checks of a `recording`, with the limits of `config`."""
     saturated = np.mean(recording.reason == SATURATED)
     missing = recording.frames_missing / (recording.frames + recording.frames_missing)
-    offset_px = np.hypot(*centre_offset_px(recording))
+    offset_px = np.hypot(*_centre_offset_px(recording))
     offset_limit_px = config.max_centre_offset_fraction * min(recording.window)
     table = [
         ("rejected", np.mean(~recording.used), "1", config.max_rejected_fraction, _list_reasons(recording)),

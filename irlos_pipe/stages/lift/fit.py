@@ -50,6 +50,8 @@ def fit_frames(
 
     Parameters
     ----------
+    ctx : StageContext
+    ramp : Ramp
     calibrated : bool
         Whether the NCPAs of `calibrate` are a part of the known wavefront.
     halo : {"calibrated", "fit", "off"}
@@ -63,7 +65,7 @@ def fit_frames(
         once more.
     """
     if ctx.config.singly:
-        return fit_singly(ctx, ramp, calibrated=calibrated, halo=halo)
+        return _fit_singly(ctx, ramp, calibrated=calibrated, halo=halo)
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
     recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas
@@ -121,6 +123,7 @@ def light_path(
 
     Parameters
     ----------
+    ctx : StageContext
     recording : Recording
         Its acquisition and window; its frames do not matter.
     calibrated, halo
@@ -159,7 +162,7 @@ def focus_sensor(
         raise ConfigurationError(f"single frames cannot be measured with this model: {problem}") from None
 
 
-def fit_singly(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
+def _fit_singly(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
     """Estimate every frame of a `ramp` by itself; `ctx`, `calibrated` and `halo` as in `fit_frames`."""
     model = light_path(ctx, ramp.recordings[0], calibrated=calibrated, halo=halo)
     focus = focus_sensor(model, ramp.data.good.numpy(), ramp.data.noise)

@@ -112,6 +112,8 @@ def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: d
 
     Parameters
     ----------
+    ctx : StageContext
+    ramp : Ramp
     nolls : tuple of int
         Modes to be estimated.
     ncpa_nm : dict of int to float
@@ -136,6 +138,7 @@ def effects_for_lift(
 
     Parameters
     ----------
+    ctx : StageContext
     recording : Recording
         Its acquisition sets the conditions.
     halo : {"calibrated", "fit", "off"}
@@ -183,6 +186,9 @@ def ramp_start(
 
     Parameters
     ----------
+    ctx : StageContext
+    model : LightPath
+    ramp : Ramp
     ncpa_nm : dict of int to float
         NCPAs in the known wavefront, taken off the elongation prior.
     start : {"elongation", "scan", "commanded", "zero"}
@@ -215,6 +221,7 @@ def has_other_light(ctx: StageContext[Config], acquisition: Acquisition) -> bool
 
     Parameters
     ----------
+    ctx : StageContext
     acquisition : Acquisition
         How the ramp was taken.
     """
@@ -247,7 +254,12 @@ def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> lis
 
 
 def explains(before: FrameErrors, after: FrameErrors) -> bool:
-    """Return whether a fit of a ramp explains what another one before it misses."""
+    """Return whether a fit of a ramp explains what another one before it misses.
+
+    Parameters
+    ----------
+    before, after : FrameErrors
+    """
     return after.excess <= EXPLAINED * before.excess
 
 
@@ -256,6 +268,7 @@ def older_text(fit: RampFit, calibration_nm: float) -> str:
 
     Parameters
     ----------
+    fit : RampFit
     calibration_nm : float
         Error of the calibrated wavefront [nm RMS].
     """

@@ -39,8 +39,10 @@ def checks_of(
         Its limits.
     converged : float
         Part of the frames whose fit converged.
+    summary : RampSummary
     others : mapping of str to RampSummary
         The ramp with parts of the model left out.
+    errors : FrameErrors
     calibration_nm : float
         Total error expected of the NCPAs [nm RMS]; 0 without.
     frames : int
@@ -120,6 +122,7 @@ def misfits(config: Config, errors: FrameErrors) -> bool:
     ----------
     config : Config
         Its limits.
+    errors : FrameErrors
     """
     return not _misfit(config, errors).passed
 

@@ -37,6 +37,7 @@ def conditions_of(
 
     Parameters
     ----------
+    instrument, model, recording
     highest_noll : int
         Last mode that is estimated as such.
     introduced_nm : mapping of int to float, optional
@@ -154,6 +155,8 @@ def calibrated_effects(
         Of the calibration.
     instrument, model, recording
         See `conditions_of`.
+    calibration_seeing_arcsec : float
+    same_star : bool
     ncpa_wavelength_nm : float, optional
         See `Conditions`.
     """
@@ -217,14 +220,14 @@ def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Condi
     conditions : Conditions
         Of the recording.
     """
-    if not wants_colour(effects, model, conditions):
+    if not _wants_colour(effects, model, conditions):
         return list(effects)
     own = [AtmosphericDispersion.under(conditions), star_colour(conditions)]
     listed = {effect.name for effect in effects}
     return [*effects, *(effect for effect in own if effect.name not in listed)]
 
 
-def wants_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
+def _wants_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
     """Whether colours belong to `effects` of a `model` under `conditions`, see `with_colour`."""
     settings = conditions.settings
     on_sky = any(effect.name == SeeingHalo.name for effect in effects)
@@ -245,6 +248,7 @@ def colour_warning(effects: Sequence[Effect], recordings: Sequence[Recording]) -
     ----------
     effects : sequence of Effect
         Of the model of the recordings.
+    recordings : sequence of Recording
     """
     free = any(effect.name == AtmosphericDispersion.name and effect.parameters for effect in effects)
     unknown = [one.name for one in recordings if one.acquisition.altitude_deg is None]

@@ -152,8 +152,10 @@ def pooled_frames(
 
     Parameters
     ----------
+    recordings : sequence of Recording
     listed : ndarray of bool, (rows, columns)
         Pixels that are good by the model.
+    settings : PsfSettings
     steady : bool
         Whether to take the motion out.
 

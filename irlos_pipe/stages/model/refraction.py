@@ -28,10 +28,11 @@ def refraction_of(acquisition: Acquisition, mean_um: float) -> Refraction:
 
     Parameters
     ----------
+    acquisition : Acquisition
     mean_um : float
         Mean wavelength [µm].
     """
-    size = size_mas_per_um(acquisition, mean_um)
+    size = _size_mas_per_um(acquisition, mean_um)
     if size is None:
         return Refraction((0.0, 0.0), UNKNOWN_MAS_PER_UM)
     if acquisition.dispersion_corrected:
@@ -42,14 +43,8 @@ def refraction_of(acquisition: Acquisition, mean_um: float) -> Refraction:
     return Refraction((x, y), UNSURE * size + LEAST_MAS_PER_UM)
 
 
-def size_mas_per_um(acquisition: Acquisition, mean_um: float) -> float | None:
-    """Return how far refraction moves light per µm at the mean wavelength; None where it is not known.
-
-    Parameters
-    ----------
-    acquisition, mean_um
-        See `refraction_of`.
-    """
+def _size_mas_per_um(acquisition: Acquisition, mean_um: float) -> float | None:
+    """Return how far refraction moves light per µm at the mean wavelength; None where it is not known."""
     air = acquisition.pressure_hpa, acquisition.temperature_c, acquisition.humidity_percent
     pressure, temperature, humidity = (float("nan") if value is None else value for value in air)
     altitude = acquisition.altitude_deg or 0.0
@@ -77,6 +72,7 @@ def refraction_mas(
         At least `LOWEST_DEG`.
     pressure_hpa, temperature_c, humidity_percent : float
         Of the air at the telescope.
+    wavelength_um : float
     """
     a, b = erfa.refco(pressure_hpa, temperature_c, humidity_percent / 100, wavelength_um)
     tangent = np.tan(np.pi / 2 - np.deg2rad(altitude_deg))

@@ -159,7 +159,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"own m_J {bright}: frames can only be dimmed"
         )
     chosen = _choose(ramp, ctx.config)
-    noises = noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
+    noises = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
@@ -257,7 +257,7 @@ def _output(
 
 def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[str]:
     lines = [
-        f"Noise           {noise_text(noise)}",
+        f"Noise           {_noise_text(noise)}",
         f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
     ]
     for row in rows:
@@ -266,7 +266,7 @@ def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[st
     return lines
 
 
-def noise_text(noise: NoiseRow) -> str:
+def _noise_text(noise: NoiseRow) -> str:
     """Return the noise of the dimmed frames in words."""
     if noise.reads is None:
         return f"{noise.floor_e2:.3g} e⁻² per pixel, as recorded"
@@ -307,18 +307,10 @@ class Noises:
         )
 
 
-def noises_of(
+def _noises_of(
     ramp: Ramp, mag_j: float, instrument: Instrument, which: Literal["reads", "recorded"]
 ) -> Noises:
-    """Return the noise that the dimmed frames of a ramp are given.
-
-    Parameters
-    ----------
-    mag_j : float
-        Of its star.
-    which : {"reads", "recorded"}
-        See the settings of the stage.
-    """
+    """Return the noise that the dimmed frames of a ramp are given."""
     recorded = ramp.data.noise
     told = _exposure_noise(ramp, mag_j, instrument) if which == "reads" else None
     if told is None:
@@ -331,11 +323,6 @@ def _exposure_noise(ramp: Ramp, mag_j: float, instrument: Instrument) -> Exposur
 
     Reads and their noise as told of the recording, else by the profile; the sky as told, else by its
     brightness beside the star's.
-
-    Parameters
-    ----------
-    mag_j : float
-        Of its star.
     """
     acquisition, defaults = ramp.acquisition, instrument.defaults
     detector, exposure_s = acquisition.detector, acquisition.exposure_s
@@ -383,6 +370,7 @@ def announce(
         Their rows and columns [px].
     realisations, magnitudes, curves : int
         Draws of the noise of every frame, magnitudes of a curve, and curves.
+    log : logging.Logger
 
     Raises
     ------
