@@ -54,7 +54,7 @@ def inputs(context: click.Context) -> Iterable[str]:
 
 def settings(context: click.Context) -> Iterable[str]:
     """Return ``STAGE.KEY=`` for the settings of the recipe that was typed."""
-    from irlos_pipe.reference.entries import key_entries
+    from irlos_pipe.reference.lookup import key_entries
 
     sections = ("model", *_recipe(context).get("stages", ()))
     return [f"{one.name}=" for one in key_entries() if one.name.partition(".")[0] in sections]
@@ -62,7 +62,7 @@ def settings(context: click.Context) -> Iterable[str]:
 
 def explained(context: click.Context) -> Iterable[str]:
     """Return all names that can be explained."""
-    from irlos_pipe.reference.entries import all_entries
+    from irlos_pipe.reference.lookup import all_entries
 
     return sorted({entry.name for entry in all_entries()})
 

@@ -97,7 +97,7 @@ def compare(first: Path, second: Path, everything: bool, as_json: bool) -> None:
       irlos compare monday tuesday --json > comparison.json
     """
     from irlos_pipe.commands.compared_text import comparison_text
-    from irlos_pipe.product.comparison import compare_runs
+    from irlos_pipe.product.run_table import compare_runs
 
     with readable(first), readable(second):
         found = compare_runs(first, second)

@@ -28,7 +28,7 @@ from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
 from irlos_pipe.report.section_sensitivity import Curve, Look, sensitivity_plot
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.stages.sensitivity.stage import CriterionRow
+from irlos_pipe.stages.sensitivity import CriterionRow
 
 COMPARED = ("none_3", "none_9", "published_3", "published_9", "default_3", "default_9")
 SIGNAL_VARIANT = "default_9"  # the best model gives the noise-free signal of the frames that are dimmed

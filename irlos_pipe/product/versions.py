@@ -16,9 +16,9 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.files.json import changed_values
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.comparison import settings_of
 from irlos_pipe.product.printed import VersionRow, Versions
 from irlos_pipe.product.results import provenance_of, read_run_results
+from irlos_pipe.product.run_table import settings_of
 from irlos_pipe.product.runfolder import LOCK_NAME, OF_A_RUN, RunFolder, require_free
 from irlos_pipe.product.storage import read_product
 

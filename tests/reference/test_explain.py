@@ -8,8 +8,7 @@ from helpers.paths import PACKAGE
 
 from irlos_pipe.effects.catalogue import CATALOGUE
 from irlos_pipe.product.product import Checks
-from irlos_pipe.reference.entries import all_entries
-from irlos_pipe.reference.lookup import explain, overview
+from irlos_pipe.reference.lookup import all_entries, explain, overview
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 NAMED = re.compile(r"Check\(\s*f?\"(?:\{prefix\})?([\w ]+)\"")

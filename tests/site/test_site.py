@@ -10,7 +10,7 @@ from helpers.paths import REPOSITORY
 from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.effects.catalogue import CATALOGUE
-from irlos_pipe.reference.entries import all_entries
+from irlos_pipe.reference.lookup import all_entries
 from irlos_pipe.reference.pages import EXITS, pages
 
 PAGE_OF = {
