@@ -27,7 +27,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.recording_settings import psf_settings

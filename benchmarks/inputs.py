@@ -32,7 +32,7 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.lift import stage as lift
 from irlos_pipe.stages.model.section import ModelConfig
 

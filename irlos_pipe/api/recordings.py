@@ -10,8 +10,8 @@ from typing import Any
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.instrument.instrument import Instrument, load_instrument
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.sources import read_sources, with_darks
+from irlos_pipe.stages.ingest.stage import Config
 from irlos_pipe.stages.ingest.work import ingest
 
 

@@ -65,7 +65,7 @@ def inputs(context: click.Context) -> Iterable[str]:
 @_proposed
 def settings(context: click.Context) -> Iterable[str]:
     """``STAGE.KEY=`` for the settings of the recipe that was typed."""
-    from irlos_pipe.reference.keys import key_entries
+    from irlos_pipe.reference.lookup import key_entries
 
     sections = ("model", *_recipe(context).get("stages", ()))
     return [f"{one.name}=" for one in key_entries() if one.name.partition(".")[0] in sections]

@@ -55,7 +55,7 @@ def explain(
       irlos explain --schema commands > commands.schema.json
     """
     if schema:
-        from irlos_pipe.reference.schema_files import FILES
+        from irlos_pipe.reference import FILES
 
         click.echo(FILES[schema].read_text(encoding="utf-8"), nl=False)
         return

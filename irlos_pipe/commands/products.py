@@ -95,7 +95,7 @@ def compare(
       irlos compare monday tuesday --json > comparison.json
     """
     from irlos_pipe.commands.text import comparison_text
-    from irlos_pipe.product.comparison import compare_runs
+    from irlos_pipe.product.run_table import compare_runs
 
     with readable(first), readable(second):
         found = compare_runs(first, second)

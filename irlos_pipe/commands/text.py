@@ -11,15 +11,18 @@ from typing import Any
 import yaml
 
 from irlos_pipe.conventions.text import aligned, printable, rounded_by_error
-from irlos_pipe.product.compared import Comparison, ModesPair, NumberPair, ValuePair
 from irlos_pipe.product.printed import (
     ArrayRow,
     CheckRow,
+    Comparison,
     HeldProduct,
+    ModesPair,
+    NumberPair,
     ProductRow,
     RunStatus,
     ShownProduct,
     ShownRun,
+    ValuePair,
     Versions,
 )
 

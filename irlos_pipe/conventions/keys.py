@@ -10,6 +10,7 @@ from dataclasses import MISSING, field
 from typing import Any, TypeVar
 
 Row = TypeVar("Row", bound=type)
+DITTO = "〃"  # the meaning of the field above says what this one is as well
 
 
 def key(default: Any = MISSING, meaning: str = "", **how: Any) -> Any:
@@ -24,7 +25,10 @@ def key(default: Any = MISSING, meaning: str = "", **how: Any) -> Any:
     **how
         Of pydantic's ``Field``: limits such as ``ge``; ``alias``, the key where it is not the field's name.
     """
-    return field(default=default, metadata={"description": meaning, **how})
+    metadata = {"description": meaning, **how}
+    if isinstance(default, (dict, list)):
+        return field(default_factory=default.copy, metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
 class Limited:

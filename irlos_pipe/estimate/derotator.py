@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.conventions.numbers import Number
 from irlos_pipe.optics.rotation import partner, rotation_matrix
@@ -228,24 +229,14 @@ def try_both_senses(series: Series) -> Senses:
 
 @dataclass(frozen=True)
 class Consistency:
-    """Mean RMS difference between the estimates of two angles [nm].
+    """Mean RMS difference between the estimates of two angles [nm]."""
 
-    Attributes
-    ----------
-    measured_nm : float
-        As measured: small if nothing turned.
-    turned_back_nm : float
-        In the frame before the derotator: small if everything turned.
-    without_fixed_nm : float
-        The same after the fixed part is taken out: small if the split explains all.
-    expected_nm : float
-        From the errors of the estimates alone.
-    """
-
-    measured_nm: Number = math.nan
-    turned_back_nm: Number = math.nan
-    without_fixed_nm: Number = math.nan
-    expected_nm: Number = math.nan
+    measured_nm: Number = key(math.nan, "As measured: small if nothing turned.")
+    turned_back_nm: Number = key(math.nan, "In the frame before the derotator: small if everything turned.")
+    without_fixed_nm: Number = key(
+        math.nan, "The same after the fixed part is taken out: small if the split explains all."
+    )
+    expected_nm: Number = key(math.nan, "From the errors of the estimates alone.")
 
 
 def consistency(series: Series, split: Split) -> Consistency:

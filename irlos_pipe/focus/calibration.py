@@ -30,10 +30,10 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
-from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.fit import focus_sensor, light_path
 from irlos_pipe.stages.lift.input import ROLES, read_ramp
 from irlos_pipe.stages.lift.results import LiftResults
-from irlos_pipe.stages.lift.singly import focus_sensor, light_path
+from irlos_pipe.stages.lift.stage import Config
 
 LOG = logging.getLogger(__name__)
 QC_FAILED = "qc_failed"  # as results.json says

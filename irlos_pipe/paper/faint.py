@@ -32,7 +32,7 @@ from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
 from irlos_pipe.report.section_sensitivity import Curve, Look, sensitivity_plot
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.stages.sensitivity.stage import CriterionRow
+from irlos_pipe.stages.sensitivity import CriterionRow
 
 LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
 COMPARED = tuple(f"{kind}_{modes}" for kind in LABELS for modes in (3, 9))

@@ -7,9 +7,8 @@ from typing import Any
 
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.product.header import Origin
-from irlos_pipe.product.observed import Recorded
 from irlos_pipe.product.product import Check, Product
-from irlos_pipe.product.results import Provenance, StageResults, results_of
+from irlos_pipe.product.results import Provenance, Recorded, StageResults, results_of
 from irlos_pipe.stages.ingest.results import IngestResults
 
 

@@ -16,8 +16,8 @@ from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.yaml import yaml_text
-from irlos_pipe.product.observed import Recorded, recorded
 from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import Recorded, recorded
 
 ROOT = "recordings"
 ARRAYS = (

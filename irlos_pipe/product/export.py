@@ -13,12 +13,10 @@ from astropy.io import fits
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.product.fits_file import ascii_text, fits_content
 from irlos_pipe.product.header import Card, Origin, header_cards
-from irlos_pipe.product.observed import Recorded, recorded
 from irlos_pipe.product.product import Product, Quantity
-from irlos_pipe.product.results import provenance_of
-from irlos_pipe.product.table import comment_block
+from irlos_pipe.product.results import Recorded, provenance_of, recorded
+from irlos_pipe.product.table import ascii_text, comment_block, fits_content
 
 NOLL = "noll"
 MODAL = ("zernike_nm", "modes_nm", "offset_nm")  # arrays with one coefficient per Noll index

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
-from irlos_pipe.product.observed import Recorded
 from irlos_pipe.product.product import Check
-from irlos_pipe.product.results import Provenance
+from irlos_pipe.product.results import Provenance, Recorded
 
 Value = str | bool | int | float
 FEW_WORDS = frozenset(("OF", "THE", "BY", "AS", "ABOUT", "A", "IN"))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
+from math import nan
 from typing import Any, Literal
 
 from pydantic import Field
 
 from irlos_pipe.files.json import json_text, jsonable
-from irlos_pipe.product.results import Number, Provenance, ResultsPart
+from irlos_pipe.product.results import DITTO, Number, Provenance, ResultsPart, item
 
 
 class Printed(ResultsPart):
@@ -30,81 +30,45 @@ class CheckRow(ResultsPart):
 
     name: str = ""
     passed: bool = False
-    value: Number = math.nan
+    value: Number = nan
     unit: str = ""
-    low: Number = math.nan
-    high: Number = math.nan
+    low: Number = nan
+    high: Number = nan
     message: str = ""
 
 
 class ProductRow(ResultsPart):
-    """Where a product of a run stands.
+    """Where a product of a run stands."""
 
-    Attributes
-    ----------
-    product : str
-        File name.
-    state : str
-        ``up to date``, ``outdated``, ``not of this recipe`` or ``cannot be checked``.
-    reason : str
-        Why it is not up to date; empty if it is.
-    checks, passed : int or None
-        Checks of quality, and how many of them passed; None without a product that can be read.
-    finished : str
-        UTC, ISO 8601.
-    """
-
-    product: str = ""
-    state: str = ""
-    reason: str = ""
-    checks: int | None = None
-    passed: int | None = None
-    finished: str = ""
+    product: str = item("", "File name.")
+    state: str = item("", "``up to date``, ``outdated``, ``not of this recipe`` or ``cannot be checked``.")
+    reason: str = item("", "Why it is not up to date; empty if it is.")
+    checks: int | None = item(
+        None, "Checks of quality, and how many of them passed; None without a product that can be read."
+    )
+    passed: int | None = item(None, DITTO)
+    finished: str = item("", "UTC, ISO 8601.")
 
 
 class RunStatus(Printed):
-    """What ``irlos status DIR --json`` prints of a run.
-
-    Attributes
-    ----------
-    run : str
-        The folder.
-    current : bool
-        Whether all products of the recipe are up to date.
-    """
+    """What ``irlos status DIR --json`` prints of a run."""
 
     format: Literal["irlos-status"] = Field("irlos-status", alias="schema")
-    run: str = ""
-    current: bool = False
+    run: str = item("", "The folder.")
+    current: bool = item(False, "Whether all products of the recipe are up to date.")
     products: list[ProductRow] = []
 
 
 class VersionRow(ResultsPart):
-    """A numbered version of a reduction.
+    """A numbered version of a reduction."""
 
-    Attributes
-    ----------
-    version : str
-        Its folder, ``001``.
-    status : str
-        That of its results.json; ``incomplete`` where products are missing.
-    latest : bool
-        Whether it is the newest complete one, to which ``latest`` links.
-    finished : str
-        When its last product was made: UTC, ISO 8601.
-    software : str
-        Version and revision of irlos_pipe.
-    changed : list of str
-        Settings that differ from those of the version before.
-    """
-
-    version: str = ""
+    version: str = item("", "Its folder, ``001``.")
     recipe: str = ""
-    status: str = ""
-    latest: bool = False
-    finished: str = ""
-    software: str = ""
-    changed: list[str] = []
+    status: str = item("", "That of its results.json; ``incomplete`` where products are missing.")
+    latest: bool = item(False, "Whether it is the newest complete one, to which ``latest`` links.")
+    finished: str = item("", "When its last product was made: UTC, ISO 8601.")
+    software: str = item("", "Version and revision of irlos_pipe.")
+    changed: list[str] = item([], "Settings that differ from those of the version before.")
 
 
 class Versions(Printed):
@@ -127,87 +91,152 @@ class ArrayRow(ResultsPart):
 
 
 class ShownProduct(Printed):
-    """What ``irlos show PRODUCT.h5 --json`` prints: everything but the values of the arrays.
-
-    Attributes
-    ----------
-    product : str
-        File name.
-    results : dict
-        The stage's section of results.json.
-    """
+    """What ``irlos show PRODUCT.h5 --json`` prints: everything but the values of the arrays."""
 
     format: Literal["irlos-show"] = Field("irlos-show", alias="schema")
-    product: str = ""
+    product: str = item("", "File name.")
     stage: str = ""
     provenance: Provenance = Provenance()
     arrays: list[ArrayRow] = []
-    results: dict[str, Any] = {}
+    results: dict[str, Any] = item({}, "The stage's section of results.json.")
     configuration: dict[str, Any] = {}
     checks: list[CheckRow] = []
     log: list[str] = []
 
 
 class HeldProduct(ResultsPart):
-    """A product in the folder of a run.
-
-    Attributes
-    ----------
-    arrays, checks, passed : int or None
-        How many arrays and checks of quality it has, and how many of these passed; None where it cannot be
-        read, as `problem` says.
-    summary : list of str
-        What the stage said on the terminal.
-    """
+    """A product in the folder of a run."""
 
     product: str = ""
     stage: str = ""
-    arrays: int | None = None
-    checks: int | None = None
-    passed: int | None = None
-    summary: list[str] = []
+    arrays: int | None = item(
+        None,
+        "How many arrays and checks of quality it has, and how many of these passed; None where it cannot "
+        "be read, as `problem` says.",
+    )
+    checks: int | None = item(None, DITTO)
+    passed: int | None = item(None, DITTO)
+    summary: list[str] = item([], "What the stage said on the terminal.")
     problem: str = ""
 
 
 class ShownRun(Printed):
-    """What ``irlos show DIR --json`` prints.
-
-    Attributes
-    ----------
-    run : str
-        The folder.
-    recipe, status, notice : str
-        As in results.json; empty without one.
-    files : list of str
-        What the folder holds besides the products.
-    """
+    """What ``irlos show DIR --json`` prints."""
 
     format: Literal["irlos-show-run"] = Field("irlos-show-run", alias="schema")
-    run: str = ""
-    recipe: str = ""
-    status: str = ""
-    notice: str = ""
+    run: str = item("", "The folder.")
+    recipe: str = item("", "As in results.json; empty without one.")
+    status: str = item("", DITTO)
+    notice: str = item("", DITTO)
     products: list[HeldProduct] = []
-    files: list[str] = []
+    files: list[str] = item([], "What the folder holds besides the products.")
 
 
 class Validation(Printed):
-    """What ``irlos validate RECIPE --json`` prints.
-
-    Attributes
-    ----------
-    recipe : str
-        As it was given; `name` is what the recipe calls itself.
-    inputs : dict of str to list of str
-        Paths that were given by input; an empty list for one that is still to be given.
-    problems : list of str
-        What is wrong, a line each, as on the terminal.
-    """
+    """What ``irlos validate RECIPE --json`` prints."""
 
     format: Literal["irlos-validate"] = Field("irlos-validate", alias="schema")
-    recipe: str = ""
+    recipe: str = item("", "As it was given; `name` is what the recipe calls itself.")
     valid: bool = False
     name: str = ""
     stages: list[str] = []
-    inputs: dict[str, list[str]] = {}
-    problems: list[str] = []
+    inputs: dict[str, list[str]] = item(
+        {}, "Paths that were given by input; an empty list for one that is still to be given."
+    )
+    problems: list[str] = item([], "What is wrong, a line each, as on the terminal.")
+
+
+class NumberPair(ResultsPart):
+    """A number of results.json in two runs."""
+
+    stage: str = ""
+    name: str = item("", "Path in the section of the stage; rows of a list by what they are called.")
+    unit: str = ""
+    first: Number = nan
+    second: Number = nan
+    first_error: Number = item(nan, "Standard errors; null for a number without one.")
+    second_error: Number = item(nan, DITTO)
+    difference: Number = item(nan, "The second less the first.")
+    sigmas: Number = item(nan, "The difference in units of both errors in quadrature; null without both.")
+
+
+class ModesPair(ResultsPart):
+    """All coefficients of a wavefront in two runs."""
+
+    stage: str = ""
+    name: str = ""
+    modes: int = item(0, "How many both runs have.")
+    difference_nm: Number = item(nan, "RMS of the wavefront between them, and what both errors add up to.")
+    expected_nm: Number = item(nan, DITTO)
+
+
+class ValuePair(ResultsPart):
+    """Anything else that differs; null for what only the other run has."""
+
+    name: str = ""
+    first: Any = None
+    second: Any = None
+
+
+class Comparison(Printed):
+    """What ``irlos compare FIRST SECOND --json`` prints."""
+
+    format: Literal["irlos-compare"] = Field("irlos-compare", alias="schema")
+    first: str = item("", "Folders of the runs.")
+    second: str = item("", DITTO)
+    same_files: bool = item(
+        False, "Whether both reduce the same files, so that their errors are not independent."
+    )
+    told: list[ValuePair] = item([], "Recipe, status, and versions of the software that differ.")
+    settings: list[ValuePair] = item([], "Keys of the recipe, and input files (checksums), that differ.")
+    files: list[ValuePair] = item([], DITTO)
+    modes: list[ModesPair] = item([], "Wavefronts as a whole.")
+    numbers: list[NumberPair] = item([], "Every number that both runs have, also where it is the same.")
+    words: list[ValuePair] = item([], "Verdicts, methods and other words of results.json that differ.")
+    only_first: list[str] = item([], "What only one of them has.")
+    only_second: list[str] = item([], DITTO)
+    checks: list[ValuePair] = item([], "Checks that passed in one of them and failed in the other.")
+
+
+class MethodScore(ResultsPart):
+    """Errors of a calibration against the truth."""
+
+    method: str = ""
+    error_nm: Number = item(nan, "RMS error of the reported modes against the mean wavefront.")
+    defocus_error_nm: Number = item(nan, "Error of its defocus, with sign.")
+    seconds: Number = item(nan, "Time of the fit.")
+    static_error_nm: Number = item(
+        nan,
+        "RMS error against the static modes without tip and tilt, and the RMS of these errors in units of "
+        "the quoted ones; null where the truth does not state static modes.",
+    )
+    pull_rms: Number = item(nan, DITTO)
+
+
+class CalibrationScore(ResultsPart):
+    """How far a calibration is from the truth, by method."""
+
+    recordings: list[str] = []
+    static_known: bool = False
+    methods: list[MethodScore] = []
+
+
+class RampScore(ResultsPart):
+    """RMS errors of the defocus of a ramp."""
+
+    recordings: int = item(0, "How many are compared.")
+    frames: int = item(0, DITTO)
+    against_introduced_nm: Number = item(
+        nan, "Frames against the introduced defocus, and against the true mean defocus."
+    )
+    against_true_nm: Number = item(nan, DITTO)
+    means_against_true_nm: Number = item(nan, "Means of recordings against the true mean defocus.")
+
+
+class Score(Printed):
+    """What ``irlos score DIR --json`` prints; None for what was not run or has no truth."""
+
+    format: Literal["irlos-score"] = Field("irlos-score", alias="schema")
+    run: str = ""
+    calibration: CalibrationScore | None = None
+    ramp: RampScore | None = None

@@ -1,19 +1,90 @@
-"""The product of a stage: arrays with units and errors, results, QC, configuration, provenance."""
+"""The product of a stage: arrays with units and errors, results, QC, configuration, provenance.
+
+A stage declares its arrays and checks: what is written, and explained, is made from the declaration. A table
+``ARRAYS`` has by name unit, axes and meaning. ± behind the unit says that the product holds errors beside it.
+Of a name in angle brackets there are several: recordings, effects, curves. A table ``CHECKS`` has, by name,
+what is checked, and the key of the settings that holds its limit, if one does.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from irlos_pipe.conventions.text import aligned
-from irlos_pipe.product.quantity import Quantity
-from irlos_pipe.product.table_view import table_of
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.numbers import NullIsNan
+from irlos_pipe.conventions.text import aligned, suggestion
 
 if TYPE_CHECKING:
+    from astropy.nddata import NDData
     from astropy.table import QTable
+    from astropy.units import UnitBase
+
+# Units as products spell them, where Astropy spells them otherwise.
+SPELLINGS = {"e-": "electron", "e-2": "electron2", "ADU": "adu", "ADU2": "adu2", "px": "pix"}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """An array with its unit.
+
+    Attributes
+    ----------
+    value : ndarray
+        Numbers, booleans or strings, of any shape (scalars included).
+    unit : str
+        Unit as text, for example ``nm``; empty for dimensionless values and strings.
+    error : ndarray or None
+        1-sigma error in the same unit and of the same shape.
+
+    Raises
+    ------
+    ValueError
+        When value and error differ in shape.
+    """
+
+    value: np.ndarray
+    unit: str
+    description: str = ""
+    error: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.error is not None and np.shape(self.error) != np.shape(self.value):
+            raise ValueError(f"error has shape {np.shape(self.error)}, value {np.shape(self.value)}")
+
+    def nddata(self) -> NDData:
+        """Return it as `astropy.nddata.NDData`, the error as standard deviation."""
+        from astropy.nddata import NDData, StdDevUncertainty
+
+        error = None if self.error is None else StdDevUncertainty(self.error)
+        meta = {"description": self.description}
+        return NDData(np.asarray(self.value), uncertainty=error, unit=self.astropy_unit, meta=meta)
+
+    @property
+    def astropy_unit(self) -> UnitBase | None:
+        """The unit as Astropy has it, or as a name where it has none (D/λ); None for words and flags."""
+        from astropy import units
+
+        if np.asarray(self.value).dtype.kind not in "iufc":
+            return None
+        return units.Unit(SPELLINGS.get(self.unit, self.unit), parse_strict="silent")
+
+    @property
+    def described(self) -> tuple[str, str, str]:
+        """Shape, unit and description, in words."""
+        shape = "×".join(map(str, np.shape(self.value))) or "scalar"
+        unit = f"{self.unit} ± error" if self.error is not None else self.unit
+        return shape, unit.strip(), self.description
+
+    def __repr__(self) -> str:
+        """Return shape, unit and description."""
+        shape, unit, description = self.described
+        return f"<Quantity {' '.join(filter(None, [shape, unit]))}: {description}>"
+
 
 SHOWN = 12  # arrays of a product, in its text
 
@@ -23,10 +94,10 @@ class Check:
     """One quality-control check: a value and the limits it must keep."""
 
     name: str
-    value: float
+    value: Annotated[int | float, NullIsNan()]
     unit: str
-    low: float | None
-    high: float | None
+    low: int | float | None
+    high: int | float | None
     message: str
 
     @property
@@ -47,15 +118,7 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the check as it stands in qc.json."""
-        return {
-            "name": self.name,
-            "passed": self.passed,
-            "value": self.value,
-            "unit": self.unit,
-            "low": self.low,
-            "high": self.high,
-            "message": self.message,
-        }
+        return {"name": self.name, "passed": self.passed} | asdict(self)
 
 
 @dataclass(frozen=True)
@@ -101,7 +164,23 @@ class Product:
         ConfigurationError
             When an array is unknown, or the lengths differ.
         """
-        return table_of(self.stage, self.arrays, names)
+        from astropy.table import QTable
+
+        arrays = self.arrays
+        for name in names:
+            if name not in arrays:
+                raise ConfigurationError(
+                    f"no array '{name}' in the product of '{self.stage}'{suggestion(name, arrays)}"
+                )
+        chosen = list(names) or _alike(arrays)
+        lengths = {name: len(np.atleast_1d(arrays[name].value)) for name in chosen}
+        if len(set(lengths.values())) > 1:
+            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise ConfigurationError(f"arrays of different lengths do not fit into one table: {told}")
+        table = QTable(meta={"stage": self.stage})
+        for name in chosen:
+            _add(table, name, arrays[name])
+        return table
 
     def __repr__(self) -> str:
         """Return what came out and what the product holds, in lines."""
@@ -111,3 +190,63 @@ class Product:
         rows = [(f"  {name}", *self.arrays[name].described) for name in names[:SHOWN]]
         more = [f"  … and {len(names) - SHOWN} more arrays"] if len(names) > SHOWN else []
         return "\n".join([head, *(f"  {line}" for line in self.summary), aligned(rows), *more])
+
+
+Arrays = Mapping[str, tuple[str, str, str]]  # unit, axes, meaning
+Checks = Mapping[str, tuple[str, str]]  # meaning, key of the limit
+ANY_OF = re.compile(r"<[^>]*>")
+
+
+def declared(
+    arrays: Arrays, values: Mapping[str, Any], note: str = "", *, below: str = ""
+) -> dict[str, Quantity]:
+    """Return `values` as arrays of a product, with what a stage's table `arrays` says of them.
+
+    Parameters
+    ----------
+    values : mapping
+        Arrays by name; where the table has ±, an array and its standard error.
+    note : str
+        Added to the meaning of these values.
+    below : str
+        What their names begin with: the group of the product that they lie in.
+
+    Raises
+    ------
+    KeyError
+        For a name that the table has not.
+    """
+    found = {}
+    for name, given in values.items():
+        unit, axes, text = arrays[name_in(arrays, name) or name]
+        value, error = given if unit.endswith("±") else (given, None)
+        shape = f" ({axes})" if "," in axes else ""
+        text = f"{text}{shape}{'; ' if note else ''}{note}"
+        found[below + name] = Quantity(np.asarray(value), unit.removesuffix("±").strip(), text, error)
+    return found
+
+
+def name_in(arrays: Arrays, name: str) -> str | None:
+    """Return the name under which a table of `arrays` has the array `name`, or None."""
+    if name in arrays:
+        return name
+    patterns = {known: ".+".join(map(re.escape, ANY_OF.split(known))) for known in arrays if "<" in known}
+    return next((known for known, pattern in patterns.items() if re.fullmatch(pattern, name)), None)
+
+
+def _alike(arrays: Mapping[str, Quantity]) -> list[str]:
+    """The arrays of one dimension that have the length of the first."""
+    flat = [name for name, one in arrays.items() if np.ndim(one.value) == 1]
+    return [name for name in flat if len(arrays[name].value) == len(arrays[flat[0]].value)]
+
+
+def _add(table: QTable, name: str, quantity: Quantity) -> None:
+    from astropy.units import Quantity as WithUnit
+
+    unit = quantity.astropy_unit
+    for label, values in ((name, quantity.value), (f"{name}_error", quantity.error)):
+        if values is not None:
+            column = np.atleast_1d(values)
+            plain = unit is None or (column.dtype.kind in "iu" and not quantity.unit)  # as an index
+            table[label] = column if plain else WithUnit(column, unit)
+            table[label].info.description = quantity.description

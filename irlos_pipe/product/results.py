@@ -9,13 +9,16 @@ default, so that a product of an older version, which lacks a key, can still be 
 from __future__ import annotations
 
 import json
-import math
+from collections.abc import Mapping
+from math import nan
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.keys import DITTO as DITTO
 from irlos_pipe.conventions.numbers import Number as Number
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.files.regular import read_regular
@@ -27,6 +30,11 @@ ByNoll = dict[int, Number]  # coefficients [nm RMS] by Noll index, which is text
 EffectValues = dict[str, Any]
 
 
+def item(default: Any, meaning: str = "") -> Any:
+    """Return the field of a model of results: its value where a file lacks it, and what it means."""
+    return Field(default, description=meaning)
+
+
 class ResultsPart(BaseModel):
     """Base of everything that stands in results.json; keys of a newer version are ignored."""
 
@@ -34,22 +42,26 @@ class ResultsPart(BaseModel):
         defer_build=True, extra="ignore", frozen=True, populate_by_name=True
     )
 
+    @classmethod
+    def filled_from(cls, source: object, **own: Any) -> Self:
+        """Return what `source` calls by the names of the fields, arrays as lists, and the `own` values."""
+        names = [name for name in cls.model_fields if name not in own and hasattr(source, name)]
+        values = {name: getattr(source, name) for name in names}
+        plain = {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in values.items()}
+        return cls(**plain | own)
+
     def as_json(self) -> dict[str, Any]:
         """Return the keys that were set, in the types of JSON."""
         return jsonable(self.model_dump(exclude_unset=True, by_alias=True))
 
 
 class StageResults(ResultsPart):
-    """Base of the section of one stage, named by `stage`.
-
-    Attributes
-    ----------
-    untested : list of str
-        What the data cannot tell and stands as told: the first key of the section, before any number.
-    """
+    """Base of the section of one stage, named by `stage`."""
 
     stage: ClassVar[str]
-    untested: list[str] = []
+    untested: list[str] = item(
+        [], "What the data cannot tell and stands as told: the first key of the section, before any number."
+    )
 
 
 class InputFileEntry(ResultsPart):
@@ -70,42 +82,30 @@ LOST = "Lost"  # begins the lines of a summary that say which exposures failed
 
 
 class Provenance(ResultsPart):
-    """Where a product comes from.
+    """Where a product comes from."""
 
-    Attributes
-    ----------
-    key : str
-        Checksum of all that the product depends on; `parts` are what it was made of.
-    summary, failures : list of str
-        Lines for the terminal, and one line per exposure that failed, which the former end with.
-    files : list of str
-        Further files that the stage wrote; `file_sha256` are their checksums by name.
-    software : dict of str to str
-        Versions by package.
-    notice : str
-        What has to be said before any number; empty if nothing has to be.
-    started, finished : str
-        UTC, ISO 8601; `seconds` lie between.
-    """
-
-    key: str = ""
+    key: str = item("", "Checksum of all that the product depends on; `parts` are what it was made of.")
     parts: dict[str, Any] = {}
     recipe: str = ""
-    summary: list[str] = []
-    failures: list[str] = []
-    files: list[str] = []
+    summary: list[str] = item(
+        [], "Lines for the terminal, and one line per exposure that failed, which the former end with."
+    )
+    failures: list[str] = item([], DITTO)
+    files: list[str] = item(
+        [], "Further files that the stage wrote; `file_sha256` are their checksums by name."
+    )
     file_sha256: dict[str, str] = {}
     inputs: list[InputFileEntry] = []
     seed: int | None = None
     device: str = ""
     jobs: int | None = None
-    software: dict[str, str] = {}
+    software: dict[str, str] = item({}, "Versions by package.")
     machine: Machine = Machine()
     command: str = ""
-    notice: str = ""
-    started: str = ""
-    finished: str = ""
-    seconds: Number = math.nan
+    notice: str = item("", "What has to be said before any number; empty if nothing has to be.")
+    started: str = item("", "UTC, ISO 8601; `seconds` lie between.")
+    finished: str = item("", DITTO)
+    seconds: Number = nan
 
 
 Results = TypeVar("Results", bound=StageResults)
@@ -113,29 +113,22 @@ Part = TypeVar("Part", bound=ResultsPart)
 
 
 class RunResults(ResultsPart):
-    """Content of results.json.
-
-    Attributes
-    ----------
-    status : str
-        ``ok``, ``qc_failed``, ``partial`` or ``failed``.
-    notice : str
-        What has to be said before any result; empty if nothing has to be. `samples` are the inputs that
-        were sample recordings of the package.
-    stages : dict of str to dict
-        Sections of the finished stages by name; `of` returns one as its model.
-    error : str
-        What stopped the run; empty if nothing did.
-    """
+    """Content of results.json."""
 
     format: str = Field("irlos-results", alias="schema")
     schema_version: int = 1
     recipe: str = ""
-    status: str = ""
-    notice: str = ""
+    status: str = item("", "``ok``, ``qc_failed``, ``partial`` or ``failed``.")
+    notice: str = item(
+        "",
+        "What has to be said before any result; empty if nothing has to be. `samples` are the inputs that "
+        "were sample recordings of the package.",
+    )
     samples: list[str] = []
-    stages: dict[str, dict[str, Any]] = {}
-    error: str = ""
+    stages: dict[str, dict[str, Any]] = item(
+        {}, "Sections of the finished stages by name; `of` returns one as its model."
+    )
+    error: str = item("", "What stopped the run; empty if nothing did.")
 
     def of(self, kind: type[Results]) -> Results:
         """Return the section of the stage of `kind`; all defaults without that stage.
@@ -192,3 +185,50 @@ def _parsed(kind: type[Part], content: Any, what: str) -> Part:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"])) or "content"
         raise InputDataError(f"{what}: {key}: {first['msg']}; run the recipe again") from error
+
+
+class Observed(ResultsPart):
+    """How and when a recording was taken."""
+
+    file: str = item("", "Name of the data file.")
+    start: str = item("", "Time of the first frame, UTC, ISO 8601; empty where it is not known.")
+    cards: dict[str, Any] = item({}, "Cards of the file's primary header that products inherit, by keyword.")
+    instrument: str = item("", "Name of the instrument profile.")
+    target: str = item("", "Name of the star.")
+    mode: str = item("", "Read-out mode; empty where the layout has none.")
+    exposure_s: Number = item(nan, "Exposure of a frame, and frames per second.")
+    frame_rate_hz: Number = item(nan, DITTO)
+    mag_j: Number = item(nan, "J magnitude of the star.")
+    pixel_scale_mas: Number = item(nan, "Scale of the images, per pixel.")
+    wavelength_nm: Number = item(nan, "Mean wavelength of the photons.")
+    diversity_source: str = item("", "What introduced the diversity, such as ``lens``.")
+    diversity_nm: ByNoll = item({}, "Introduced diversity by Noll index [nm RMS].")
+    derotator_angle_deg: Number = item(nan, "Angles; NaN where they are not known.")
+    parallactic_angle_deg: Number = item(nan, DITTO)
+    altitude_deg: Number = item(nan, DITTO)
+    pupil_rotation_deg: Number = item(nan, DITTO)
+
+
+class Recorded(Observed):
+    """The same with the place of the recording in a run."""
+
+    name: str = ""
+    input: str = ""
+    role: str = ""
+    frames: int = 0
+    frames_rejected: int = 0
+    window: tuple[int, ...] = ()
+
+
+def recorded(provenance: Mapping[str, Any]) -> list[Recorded]:
+    """Return the recordings that a product was made from, as its `provenance` lists them.
+
+    Raises
+    ------
+    InputDataError
+        When the list is damaged.
+    """
+    try:
+        return [Recorded.model_validate(entry) for entry in provenance.get("recordings", ())]
+    except (TypeError, ValidationError) as error:
+        raise InputDataError("provenance: recordings cannot be read; run the recipe again") from error

@@ -1,4 +1,4 @@
-"""Checks and numbers of a run as one table, in CSV or SQLite."""
+"""Checks and numbers of a run as one table: in CSV or SQLite, or beside those of another run."""
 
 from __future__ import annotations
 
@@ -8,15 +8,22 @@ import json
 import math
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import changed_values
 from irlos_pipe.files.regular import read_regular
-from irlos_pipe.product.results import read_run_results
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.product.printed import Comparison, ModesPair, NumberPair, ValuePair
+from irlos_pipe.product.results import provenance_of, read_run_results
 from irlos_pipe.product.runfolder import RunFolder, existing_run
+from irlos_pipe.product.storage import read_product
 
 CHECK_COLUMNS = ("stage", "name", "value", "unit", "low", "high", "passed", "message")
 NUMBER_COLUMNS = ("stage", "name", "value", "unit")
@@ -53,32 +60,38 @@ def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
     if path.exists() and not replace:
         raise ConfigurationError(f"{path}: exists already; choose another name or give --force")
     run = existing_run(folder)
-    write_bytes(path, writers[path.suffix](_checks(run), _numbers(run)))
+    checks = [tuple(check.values()) for check in read_checks(run)]
+    numbers = [
+        (stage, name, value, unit_of(name))
+        for stage, tree in read_run_results(run.results).stages.items()
+        for name, value in _numbers(tree)
+    ]
+    write_bytes(path, writers[path.suffix](checks, numbers))
 
 
-def _checks(run: RunFolder) -> list[Row]:
+def read_checks(run: RunFolder) -> list[dict[str, Any]]:
+    """Return the checks of a `run` as they stand in qc.json.
+
+    Raises
+    ------
+    InputDataError
+        When it cannot be read.
+    """
     try:
         checks = json.loads(read_regular(run.quality))["checks"]
-        return [tuple(check[column] for column in CHECK_COLUMNS) for check in checks]
+        return [{column: check[column] for column in CHECK_COLUMNS} for check in checks]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputDataError(f"{run.quality}: cannot be read ({error}); run the recipe again") from error
 
 
-def _numbers(run: RunFolder) -> list[Row]:
-    stages = read_run_results(run.results).stages
-    return [
-        (stage, name, value, unit_of(name)) for stage, tree in stages.items() for name, value in _leaves(tree)
-    ]
-
-
-def _leaves(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
+def _numbers(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
     """All numbers of a tree with their path; switches are no numbers."""
     if isinstance(tree, dict):
         for key, value in tree.items():
-            yield from _leaves(value, f"{above}.{key}" if above else str(key))
+            yield from _numbers(value, f"{above}.{key}" if above else str(key))
     elif isinstance(tree, list):
         for index, value in enumerate(tree):
-            yield from _leaves(value, f"{above}.{index}")
+            yield from _numbers(value, f"{above}.{index}")
     elif isinstance(tree, (int, float)) and not isinstance(tree, bool) and math.isfinite(tree):
         yield above, tree
 
@@ -109,3 +122,250 @@ def _sqlite(checks: list[Row], numbers: list[Row]) -> bytes:
         return connection.serialize()
     finally:
         connection.close()
+
+
+# -- two runs side by side: what was asked for, and what came out ------------------------------------
+
+Place = tuple[str, ...]  # of a value in results.json, the stage first
+WAVEFRONT = re.compile(r"(.*\.)?zernike_nm\.\d+")
+
+
+def compare_runs(first: Path, second: Path) -> Comparison:
+    """Compare two runs.
+
+    Parameters
+    ----------
+    first, second : Path
+        Folders of runs.
+
+    Raises
+    ------
+    InputDataError
+        When one of them is not the folder of a run, or cannot be read.
+    """
+    runs = existing_run(first), existing_run(second)
+    one, other = (_values(run) for run in runs)
+    files = _pairs(*map(_files, runs))
+    numbers = list(_numbers(one, other))
+    return Comparison(
+        first=str(first),
+        second=str(second),
+        same_files=not files,
+        told=_pairs(*map(_told, runs)),
+        settings=_pairs(*map(settings_of, runs)),
+        files=files,
+        modes=list(_modes(numbers)),
+        numbers=numbers,
+        words=list(_words(one, other)),
+        only_first=_only_in(one, other),
+        only_second=_only_in(other, one),
+        checks=_pairs(*map(_checks, runs)),
+    )
+
+
+def _pairs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[ValuePair]:
+    """What differs between two mappings, nested to any depth."""
+    return [
+        ValuePair(name=".".join(path), first=before, second=after)
+        for path, (before, after) in changed_values(first, second).items()
+    ]
+
+
+def _values(run: RunFolder) -> dict[Place, Leaf]:
+    return dict(leaves(read_run_results(run.results).stages))
+
+
+def _told(run: RunFolder) -> dict[str, Any]:
+    """What a run says of itself: recipe, status, and the software of its last product."""
+    results = read_run_results(run.results)
+    told = {"recipe": results.recipe, "status": results.status}
+    made = [provenance_of(read_product(path, arrays=False)) for path in list(run.products().values())[-1:]]
+    return told | {"software": made[0].software if made else {}}
+
+
+def _files(run: RunFolder) -> dict[str, str]:
+    """Checksums of the files that went in, by label."""
+    made = [provenance_of(read_product(path, arrays=False)) for path in list(run.products().values())[:1]]
+    return {file.label: file.sha256 for one in made for file in one.inputs}
+
+
+def settings_of(run: RunFolder) -> dict[str, Any]:
+    """Return the recipe of a `run` without its name and its inputs.
+
+    Raises
+    ------
+    InputDataError
+        When it cannot be read.
+    """
+    recipe = load_yaml(run.recipe, InputDataError)[0]
+    return {key: value for key, value in recipe.items() if key not in ("recipe", "title", "inputs")}
+
+
+def _checks(run: RunFolder) -> dict[str, str]:
+    return {
+        f"{one['stage']}: {one['name']}": "passed" if one["passed"] else "failed" for one in read_checks(run)
+    }
+
+
+def _numbers(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[NumberPair]:
+    """All numbers that both runs have."""
+    for path, one in first.items():
+        other = second.get(path)
+        if other is not None and _is_number(one.value) and _is_number(other.value):
+            yield _number(path, one, other)
+
+
+def _number(path: Place, first: Leaf, second: Leaf) -> NumberPair:
+    stage, *rest = path
+    difference = second.value - first.value
+    both = math.hypot(first.error, second.error)
+    return NumberPair(
+        stage=stage,
+        name=".".join(rest),
+        unit=unit_of(".".join(rest)),
+        first=first.value,
+        second=second.value,
+        first_error=first.error,
+        second_error=second.error,
+        difference=difference,
+        sigmas=difference / both if both > 0 else math.nan,
+    )
+
+
+def _modes(numbers: Iterable[NumberPair]) -> Iterator[ModesPair]:
+    """Wavefronts whose coefficients have errors."""
+    rows = [one for one in numbers if WAVEFRONT.fullmatch(one.name) and math.isfinite(one.sigmas)]
+    for (stage, name), group in groupby(rows, key=lambda one: (one.stage, one.name.rpartition(".")[0])):
+        pairs = list(group)
+        yield ModesPair(
+            stage=stage,
+            name=name,
+            modes=len(pairs),
+            difference_nm=math.hypot(*(one.difference for one in pairs)),
+            expected_nm=math.hypot(
+                *(error for one in pairs for error in (one.first_error, one.second_error))
+            ),
+        )
+
+
+def _words(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[ValuePair]:
+    """What is no number, and differs."""
+    for path, one in first.items():
+        other = second.get(path)
+        both = other is not None and _is_number(one.value) and _is_number(other.value)
+        if other is not None and not both and one.value != other.value:
+            yield ValuePair(name=".".join(path), first=one.value, second=other.value)
+
+
+def _only_in(one: Mapping[Place, Leaf], other: Mapping[Place, Leaf]) -> list[str]:
+    """What the first has and the second lacks, by the shortest path that the second lacks altogether."""
+    known = {path[:length] for path in other for length in range(1, len(path) + 1)}
+    missing = {
+        next(path[:length] for length in range(1, len(path) + 1) if path[:length] not in known): None
+        for path in one
+        if path not in other and any(path[:length] not in known for length in range(1, len(path) + 1))
+    }
+    return [".".join(path) for path in missing]
+
+
+# -- results as single values with their errors, under names that are the same in another run ----------
+
+# Values whose errors stand under another name than NAME_sigma, NAME_sigma_UNIT or NAME_error_UNIT.
+ERRORS = {
+    "zernike_nm": "sigma_nm",
+    "defocus_nm": "sigma_nm",
+    "ncpa_change_nm": "sigma_nm",
+    "parameters": "sigma",
+    "shown": "shown_sigma",
+    "measured": "error",
+}
+CALLED = ("name", "recording", "effect", "method")  # what a row of a list is called by; `frame` tells on
+OF_THE_MACHINE = {"seconds"}  # differs between any two runs
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """A single value, and its error, NaN without one."""
+
+    value: Any
+    error: float = math.nan
+
+
+def leaves(tree: Any, error: Any = None, above: Place = ()) -> Iterator[tuple[Place, Leaf]]:
+    """Yield the path and the value of every leaf of results in the types of JSON.
+
+    Parameters
+    ----------
+    tree : any
+        Results.
+    error : any
+        Errors in the same form, or None.
+    above : tuple of str
+        Path of the tree itself.
+
+    Notes
+    -----
+    A row of a list is named by what it is called, not by its number, so that rows of two runs are matched by
+    what they are of. Numbers of a list go by their place; a list of anything else is one value.
+    """
+    if isinstance(tree, Mapping):
+        for key, value in tree.items():
+            if key not in _error_keys(tree) | OF_THE_MACHINE:
+                yield from leaves(value, _error_of(key, tree, error), (*above, str(key)))
+    elif isinstance(tree, list) and tree and all(isinstance(row, Mapping) for row in tree):
+        for name, row in zip(_names(tree), tree, strict=True):
+            yield from leaves(row, None, (*above, name))
+    elif isinstance(tree, list) and tree and all(map(_is_number, tree)):
+        errors = error if isinstance(error, list) and len(error) == len(tree) else [None] * len(tree)
+        for index, (value, its_error) in enumerate(zip(tree, errors, strict=True)):
+            yield from leaves(value, its_error, (*above, str(index)))
+    else:
+        yield above, Leaf(tree, float(error) if _is_number(error) and _is_number(tree) else math.nan)
+
+
+def _is_number(value: Any) -> bool:
+    """Return whether a value of JSON is a number; switches are none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _error_of(key: str, tree: Mapping[str, Any], error: Any) -> Any:
+    """The error of a value of a tree: beside it, or in the tree of errors."""
+    if isinstance(error, Mapping):
+        return error.get(key)
+    return next(
+        (tree[name] for name in _candidates(key) if name in tree and _fits(tree[key], tree[name])), None
+    )
+
+
+def _error_keys(tree: Mapping[str, Any]) -> set[str]:
+    """Keys of a tree that hold the errors of others."""
+    return {
+        name
+        for key, value in tree.items()
+        for name in _candidates(key)
+        if name in tree and _fits(value, tree[name])
+    }
+
+
+def _candidates(key: str) -> Iterator[str]:
+    """Keys that the error of a key may stand under."""
+    stem, _, unit = key.rpartition("_")
+    yield from (ERRORS[key],) if key in ERRORS else ()
+    yield f"{key}_sigma"
+    yield from (f"{stem}_sigma_{unit}", f"{stem}_error_{unit}") if stem else ()
+
+
+def _fits(value: Any, error: Any) -> bool:
+    return isinstance(value, Mapping) == isinstance(error, Mapping)
+
+
+def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A name of its own for every row of a list: what it is called, or its number."""
+    called = [_called(row) for row in rows]
+    counted = Counter(called)
+    return [name if name and counted[name] == 1 else str(index) for index, name in enumerate(called)]
+
+
+def _called(row: Mapping[str, Any]) -> str:
+    name = next((str(row[key]) for key in CALLED if isinstance(row.get(key), str)), "")
+    return f"{name}[{row['frame']}]" if name and "frame" in row else name

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.product.printed import ArrayRow, CheckRow, HeldProduct, ShownProduct, ShownRun
-from irlos_pipe.product.quantity import Quantity
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import RunResults, provenance_of, read_run_results
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product, read_product

@@ -47,26 +47,11 @@ COMPRESS_ABOVE_BYTES = 4096
 SUFFIX = ".h5"
 
 
-class _CheckEntry(BaseModel):
-    """A check as it stands in the file; NaN is null there."""
-
-    name: str
-    value: int | float | None
-    unit: str
-    low: int | float | None
-    high: int | float | None
-    message: str
-
-    def check(self) -> Check:
-        value = np.nan if self.value is None else self.value
-        return Check(self.name, value, self.unit, self.low, self.high, self.message)
-
-
 class _Sections(BaseModel):
     """The JSON sections of the file."""
 
     results: dict[str, Any]
-    checks: list[_CheckEntry]
+    checks: list[Check]
     config: dict[str, Any]
     provenance: Provenance
     log: list[str]
@@ -224,7 +209,7 @@ def _read_hdf5(path: Path, arrays: bool) -> Product:
 
 def _product(metadata: Mapping[str, Any], arrays: Mapping[str, Quantity]) -> Product:
     sections = {name: metadata[name] for name in _Sections.model_fields}
-    checks = [entry.check() for entry in _Sections.model_validate(sections).checks]
+    checks = _Sections.model_validate(sections).checks
     return Product(metadata["stage"], arrays, **sections | {"checks": checks})
 
 

@@ -16,9 +16,9 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.files.json import changed_values
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.comparison import settings_of
 from irlos_pipe.product.printed import VersionRow, Versions
 from irlos_pipe.product.results import provenance_of, read_run_results
+from irlos_pipe.product.run_table import settings_of
 from irlos_pipe.product.runfolder import LOCK_NAME, OF_A_RUN, RunFolder, require_free
 from irlos_pipe.product.storage import read_product
 
@@ -88,7 +88,7 @@ def is_complete(run: RunFolder) -> bool:
     return not results.error and set(stages) <= set(results.stages)
 
 
-def latest_version(folder: Path) -> Path | None:
+def _latest_version(folder: Path) -> Path | None:
     """Return the newest complete version in a `folder`; None without one."""
     return next((path for path in reversed(version_folders(folder)) if is_complete(RunFolder(path))), None)
 
@@ -96,7 +96,7 @@ def latest_version(folder: Path) -> Path | None:
 def versions_in(folder: Path) -> Versions:
     """Return what is known of the versions in a `folder`."""
     paths = version_folders(folder)
-    latest = latest_version(folder)
+    latest = _latest_version(folder)
     pairs = zip([None, *paths], paths, strict=False)
     rows = [_row(path, before, latest=path == latest) for before, path in pairs]
     return Versions(folder=str(folder), versions=rows)

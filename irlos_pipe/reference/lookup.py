@@ -1,20 +1,85 @@
-"""Find what a name means."""
+"""Everything that can be explained, from the places that define it, and how it is looked up."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal, get_args, get_type_hints
+
+from pydantic import BaseModel
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import aligned, suggestion
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
-from irlos_pipe.reference.declared import array_entries, check_entries
-from irlos_pipe.reference.entry import Entry
-from irlos_pipe.reference.keys import fact_entries, key_entries
-from irlos_pipe.reference.numbers import number_entries
-from irlos_pipe.reference.terms import term_entries
+from irlos_pipe.instrument.profile import FACTS, Profile
+from irlos_pipe.product.product import Arrays, Checks
+from irlos_pipe.product.results import DITTO, ResultsPart
+from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.recipe.checks import RecipeHead
 from irlos_pipe.stages import LIGHT_PATH, STAGES
+from irlos_pipe.stages.model.section import ModelConfig
+
+Kind = Literal[
+    "stage",
+    "key of a recipe",
+    "key of a side-car",
+    "key of a profile",
+    "fact of a profile",
+    "effect",
+    "check",
+    "number",
+    "array of a product",
+    "term",
+]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A name with its explanation.
+
+    Attributes
+    ----------
+    name : str
+        Where it stands, dotted: ``calibrate.method``.
+    text : str
+        What it means, in lines; the first is a summary.
+    """
+
+    kind: Kind
+    name: str
+    text: str
+
+    @property
+    def summary(self) -> str:
+        """The first line of the explanation."""
+        return self.text.partition("\n")[0]
+
+    def is_called(self, name: str) -> bool:
+        """Return whether `name` is the whole name, or a last part of it."""
+        if self.kind == "term":
+            return self.name.lower() == name.lower()
+        return f".{self.name}".replace("/", ".").endswith(f".{name}".replace("/", "."))
+
+
+def all_entries() -> list[Entry]:
+    """Return everything that can be explained."""
+    stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
+    effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
+    return [
+        *stages,
+        *effects,
+        *_check_entries(),
+        *key_entries(),
+        *_fact_entries(),
+        *_number_entries(),
+        *_array_entries(),
+        *_term_entries(),
+    ]
 
 
 def explain(name: str) -> str:
@@ -40,22 +105,6 @@ def overview() -> str:
     return "\n\n".join(_table(list(group)) for _, group in groupby(entries, key=lambda one: one.kind))
 
 
-def all_entries() -> list[Entry]:
-    """Return everything that can be explained."""
-    stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
-    effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
-    return [
-        *stages,
-        *effects,
-        *check_entries(),
-        *key_entries(),
-        *fact_entries(),
-        *number_entries(),
-        *array_entries(),
-        *term_entries(),
-    ]
-
-
 def _shown(entry: Entry, entries: Sequence[Entry]) -> str:
     """An entry in full; below a stage, what belongs to it in a line each."""
     first, *rest = entry.text.splitlines()
@@ -69,3 +118,195 @@ def _shown(entry: Entry, entries: Sequence[Entry]) -> str:
 def _table(entries: Sequence[Entry]) -> str:
     rows = aligned([(f"  {entry.name}", entry.summary) for entry in entries])
     return f"{entries[0].kind}:\n{rows}"
+
+
+# -- keys of recipes, side-cars and profiles ---------------------------------------------------------
+
+Schema = Mapping[str, Any]
+LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+WORDS = {
+    "number": "number",
+    "integer": "whole number",
+    "string": "text",
+    "boolean": "true or false",
+    "null": "nothing",
+}
+
+
+def key_entries() -> Iterator[Entry]:
+    """Yield the keys of a recipe, section by section, and those of a side-car."""
+    yield from _keys(RecipeHead, (), "key of a recipe")
+    yield from _keys(ModelConfig, ("model",), "key of a recipe")
+    for stage in LIGHT_PATH:
+        yield from _keys(STAGES[stage].Config, (stage,), "key of a recipe")
+    yield from _keys(AcquisitionKeys, ("acquisition",), "key of a side-car")
+    yield from _keys(Profile, ("profile",), "key of a profile")
+
+
+def _fact_entries() -> Iterator[Entry]:
+    """Yield the facts that a profile may state."""
+    for name, rule in FACTS.items():
+        limits = f"value: {rule.kind}, ≥ {rule.low:g}, ≤ {rule.high:g}"
+        lines = [rule.text, f"unit: {rule.unit}", limits, *(["required"] if rule.required else [])]
+        yield Entry("fact of a profile", f"profile.facts.{name}", "\n".join(lines))
+
+
+def _keys(model: type[BaseModel], above: tuple[str, ...], kind: Kind) -> Iterator[Entry]:
+    schema = model.model_json_schema()
+    yield from _of_section(schema, schema.get("$defs", {}), above, kind)
+
+
+def _of_section(section: Schema, known: Schema, above: tuple[str, ...], kind: Kind) -> Iterator[Entry]:
+    for key, field in section.get("properties", {}).items():
+        name = (*above, key)
+        required = key in section.get("required", ())
+        lines = [field.get("description", key.replace("_", " "))]
+        if kind == "key of a side-car":
+            lines.append(f"value: {_value(field, known).removesuffix(' or nothing')}")
+        else:
+            default = "required" if required else f"default: {_default(field.get('default'))}"
+            lines += [f"value: {_value(field, known)}", default]
+        yield Entry(kind, ".".join(name), "\n".join(lines))
+        # the keys of a side-car in a recipe are explained as those of a side-car
+        inner = next(_sections(field, known), None)
+        if inner is not None and not key.startswith("acquisition"):
+            yield from _of_section(inner, known, name, kind)
+
+
+def _sections(field: Schema, known: Schema) -> Iterator[Schema]:
+    """Yield the sections that a field may hold."""
+    if "$ref" in field:
+        yield known[field["$ref"].rpartition("/")[2]]
+    for one in (field["items"],) if "items" in field else field.get("anyOf", ()):
+        yield from _sections(one, known)
+
+
+def _value(field: Schema, known: Schema) -> str:
+    """Return what a field may hold, in words."""
+    if "anyOf" in field:
+        return " or ".join(dict.fromkeys(_value(one, known) for one in field["anyOf"]))
+    if "enum" in field or "const" in field:
+        return ", ".join(map(str, field.get("enum", [field.get("const")])))
+    if "$ref" in field:
+        return f"section with {', '.join(known[field['$ref'].rpartition('/')[2]].get('properties', {}))}"
+    if field.get("type") == "array":
+        return f"list of {_value(field.get('items', {}), known)}"
+    if field.get("type") == "object":
+        return "table"
+    limits = [f"{sign} {field[name]:g}" for name, sign in LIMITS.items() if name in field]
+    return " ".join([WORDS.get(field.get("type", ""), "any"), ", ".join(limits)]).strip()
+
+
+def _default(value: Any) -> str:
+    if value is None:
+        return "none"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+# -- what stages declare -----------------------------------------------------------------------------
+
+
+def _check_entries() -> Iterator[Entry]:
+    """Yield every check; a value out of its limits makes the exit code 4."""
+    for stage in LIGHT_PATH:
+        checks: Checks = getattr(STAGES[stage], "CHECKS", {})
+        for name, (text, key) in checks.items():
+            limit = f"{stage}.{key}" if key else "fixed"
+            yield Entry("check", f"{stage}.{name}", f"{text}\nlimit: {limit}")
+
+
+def _array_entries() -> Iterator[Entry]:
+    """Yield every array of every product."""
+    for stage in LIGHT_PATH:
+        arrays: Arrays = getattr(STAGES[stage], "ARRAYS", {})
+        for name, (unit, axes, text) in arrays.items():
+            lines = [text, *([f"unit: {unit}"] if unit else []), *([f"shape: ({axes})"] if axes else [])]
+            yield Entry("array of a product", f"{stage}.{name}", "\n".join(lines))
+
+
+# -- numbers of results.json -------------------------------------------------------------------------
+
+UNITS = {
+    "nm": "nm",
+    "mas": "mas",
+    "e": "e-",
+    "px": "px",
+    "deg": "deg",
+    "arcsec": "arcsec",
+    "m": "m",
+    "s": "s",
+    "seconds": "s",
+    "mag": "mag",
+    "adu": "ADU",
+}
+ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
+
+
+def _number_entries() -> Iterator[Entry]:
+    """Yield every key under ``stages`` of results.json."""
+    for stage in LIGHT_PATH:
+        yield from _numbers(STAGES[stage].Results, (stage,))
+
+
+def _numbers(model: type, above: tuple[str, ...]) -> Iterator[Entry]:
+    told = told_of(model)
+    for key, annotation in fields_of(model).items():
+        unit = UNITS.get(key.rpartition("_")[2], "")
+        lines = [told.get(key) or _of_the_part(annotation)]
+        lines += [f"unit: {unit}"] if unit else []
+        name = (*above, key)
+        yield Entry("number", ".".join(name), "\n".join([*lines, "in results.json under stages"]))
+        for inner in models_in(annotation):
+            if len(above) < 4:
+                yield from _numbers(inner, name)
+
+
+def _of_the_part(annotation: Any) -> str:
+    """What a field holds, by the first line of the model in it; empty without one."""
+    model = next(models_in(annotation), None)
+    text = "" if model is None else inspect.cleandoc(model.__doc__ or "").partition("\n")[0]
+    return ELSEWHERE.sub("", text)
+
+
+def fields_of(model: type[Any]) -> dict[str, Any]:
+    """Return the annotations of what a `model` writes, by key: pydantic's, or a dataclass of science."""
+    if issubclass(model, ResultsPart):
+        return {key: field.annotation for key, field in model.model_fields.items()}
+    hints = get_type_hints(model)
+    return {field.name: hints[field.name] for field in fields(model)}
+
+
+def told_of(model: type[Any]) -> dict[str, str]:
+    """Return what the fields of a `model` mean, by name, as far as they say so."""
+    if issubclass(model, ResultsPart):
+        said = {name: field.description for name, field in model.model_fields.items()}
+    else:
+        said = {field.name: field.metadata.get("description") for field in fields(model)}
+    found, above = {}, ""
+    for name, meaning in said.items():
+        above = above if meaning == DITTO else meaning or ""
+        found |= {name: above} if above else {}
+    return found
+
+
+def models_in(annotation: Any) -> Iterator[type]:
+    """Yield the models that a field with this `annotation` may hold."""
+    if isinstance(annotation, type) and (is_dataclass(annotation) or issubclass(annotation, ResultsPart)):
+        yield annotation
+    for part in get_args(annotation):
+        yield from models_in(part)
+
+
+# -- terms of the glossary ---------------------------------------------------------------------------
+
+GLOSSARY = Path(__file__).with_name("glossary.md")
+LINE_LENGTH = 100
+TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
+
+
+def _term_entries() -> Iterator[Entry]:
+    """Yield every term of the glossary; one called ``A, B`` under both names."""
+    for names, text in TERM.findall(GLOSSARY.read_text(encoding="utf-8")):
+        lines = textwrap.fill(" ".join(text.split()), LINE_LENGTH)
+        for name in [names] if "(" in names else names.split(", "):
+            yield Entry("term", name, lines)

@@ -8,10 +8,8 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.files.shipped import RECIPES, SIMULATIONS, shipped_folder, shipped_names
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.reference.entry import Entry
-from irlos_pipe.reference.lookup import all_entries
-from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
-from irlos_pipe.reference.terms import GLOSSARY
+from irlos_pipe.reference import COMMANDS, RESULTS
+from irlos_pipe.reference.lookup import GLOSSARY, Entry, all_entries
 from irlos_pipe.stages import LIGHT_PATH
 
 EXITS = {

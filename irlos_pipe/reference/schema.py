@@ -9,12 +9,19 @@ from typing import Any
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from irlos_pipe.product.compared import Comparison
-from irlos_pipe.product.printed import Printed, RunStatus, ShownProduct, ShownRun, Validation, Versions
+from irlos_pipe.product.printed import (
+    Comparison,
+    Printed,
+    RunStatus,
+    Score,
+    ShownProduct,
+    ShownRun,
+    Validation,
+    Versions,
+)
 from irlos_pipe.product.results import ResultsPart, RunResults
-from irlos_pipe.product.scored import Score
-from irlos_pipe.reference.numbers import fields_of, models_in, told_of
-from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
+from irlos_pipe.reference import COMMANDS, RESULTS
+from irlos_pipe.reference.lookup import fields_of, models_in, told_of
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 PRINTED: tuple[type[Printed], ...] = (
@@ -92,8 +99,9 @@ def _schema_of(model: type[ResultsPart], prefix: str = "", *, required: bool = F
         for key, field in section.get("properties", {}).items():
             field.pop("default", None)
             field.pop("title", None)
+            field.pop("description", None)
             if key in described.get(title, {}):
-                field.setdefault("description", described[title][key])
+                field["description"] = described[title][key]
     return schema
 
 

@@ -13,10 +13,10 @@ from irlos_pipe.report.section_quality import quality_text
 from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
 from irlos_pipe.report.text import MISSING, is_known, number, rounded_by_error, with_error
 from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.correct.stage import CorrectResults
+from irlos_pipe.stages.correct import CorrectResults
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.lift.results import LiftResults
-from irlos_pipe.stages.sensitivity.stage import SensitivityResults
+from irlos_pipe.stages.sensitivity import SensitivityResults
 
 
 def key_numbers(run: RunData) -> list[KeyNumber]:

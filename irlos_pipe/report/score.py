@@ -14,10 +14,10 @@ from pydantic import ValidationError
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.conventions.text import and_more
+from irlos_pipe.product.printed import CalibrationScore, MethodScore, RampScore, Score
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
 from irlos_pipe.product.runfolder import existing_run
-from irlos_pipe.product.scored import CalibrationScore, MethodScore, RampScore, Score
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow

@@ -6,7 +6,7 @@ import math
 
 from irlos_pipe.conventions.modes import REPORTED_TEXT
 from irlos_pipe.conventions.text import aligned
-from irlos_pipe.product.scored import CalibrationScore, MethodScore, RampScore, Score
+from irlos_pipe.product.printed import CalibrationScore, MethodScore, RampScore, Score
 
 
 def score_text(score: Score) -> str:

@@ -22,7 +22,7 @@ from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, is_known, mode_label, number, plural, with_error
 from irlos_pipe.report.wavefront_plots import wavefront_map
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
-from irlos_pipe.stages.correct.stage import CorrectResults
+from irlos_pipe.stages.correct import CorrectResults
 
 STAGE = "calibrate"
 MODES_IN_TIME = 5

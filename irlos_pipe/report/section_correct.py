@@ -13,8 +13,7 @@ from irlos_pipe.report.quality_plots import PREDICTED, energy_figures, otf_figur
 from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, mode_name, number
-from irlos_pipe.stages.correct.mirror import MirrorRow
-from irlos_pipe.stages.correct.stage import CorrectResults
+from irlos_pipe.stages.correct import CorrectResults, MirrorRow
 
 STAGE = "correct"
 ROWS_PER_TABLE = 10

@@ -18,7 +18,7 @@ from irlos_pipe.report.misfit_plots import chi2_figures
 from irlos_pipe.report.quality_plots import SIZE_IN
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
-from irlos_pipe.stages.lift.own_wavefront import own_text
+from irlos_pipe.stages.lift.input import own_text
 from irlos_pipe.stages.lift.results import DECISIVE, LiftResults, Line, Offset, Point, Twin
 
 STAGE = "lift"

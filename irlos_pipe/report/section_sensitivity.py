@@ -15,8 +15,7 @@ from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number, plural
-from irlos_pipe.stages.sensitivity.noise import NoiseRow
-from irlos_pipe.stages.sensitivity.stage import CriterionRow, CurveRow, SensitivityResults
+from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
 STAGE = "sensitivity"
 MARKERS = ("o", "s", "^", "D", "v", "P")

@@ -107,7 +107,7 @@ class Stage(Protocol):
 
     It may further define
 
-    - ``ARRAYS`` and ``CHECKS``: the arrays of its product and its checks, see `product.declared`;
+    - ``ARRAYS`` and ``CHECKS``: the arrays of its product and its checks, see `product.product`;
     - ``NEEDS``: names of stages that must come before it in a recipe (default none);
     - ``READS``: names of the earlier stages whose products it looks at (default all of them).
       A change of any other stage does not redo it;

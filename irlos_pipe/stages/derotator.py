@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import nan
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -25,9 +25,8 @@ from irlos_pipe.estimate.derotator import (
     usable_modes,
 )
 from irlos_pipe.optics.wavefront import clear_disc, opd_maps_nm
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Check, Quantity
-from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults
+from irlos_pipe.product.product import Check, Quantity, declared
+from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import AngleRow, CubeEstimate, cube_estimates
 
@@ -83,53 +82,31 @@ class Config(StageConfig):
 
 
 class PartRow(ResultsPart):
-    """One part of the wavefront.
+    """One part of the wavefront."""
 
-    Attributes
-    ----------
-    rms_nm, noise_nm : float
-        RMS over the disc, and what of it the errors of the estimates explain.
-    zernike_nm, sigma_nm : dict of int to float
-        Modes of the part, and their standard errors [nm RMS].
-    """
-
-    rms_nm: Number = math.nan
-    noise_nm: Number = math.nan
-    zernike_nm: ByNoll = {}
-    sigma_nm: ByNoll = {}
+    rms_nm: Number = item(nan, "RMS over the disc, and what of it the errors of the estimates explain.")
+    noise_nm: Number = item(nan, DITTO)
+    zernike_nm: ByNoll = item({}, "Modes of the part, and their standard errors [nm RMS].")
+    sigma_nm: ByNoll = item({}, DITTO)
 
 
 class SplitRow(ResultsPart):
-    """A series of derotator angles split into parts.
+    """A series of derotator angles split into parts."""
 
-    Attributes
-    ----------
-    modes : list of int
-        Noll indices of the modes that were split.
-    reason : str or None
-        Why nothing could be split.
-    sense : str
-        ``clockwise`` or ``anticlockwise``: how the rotating part turns with the angle.
-    delta_chi2 : float
-        χ² of the other sense minus that of this one.
-    chi2_nu, freedom : float, int
-        Reduced χ² of the parts against the single estimates, and its degrees of freedom.
-    parts : dict of str to PartRow or None
-        ``rotating`` (as at angle 0), ``fixed`` and ``unsplit``; None where nothing could be split.
-    measured_nm, residual_nm : list of float
-        RMS of every estimate, and of what the parts leave of it.
-    """
-
-    modes: list[int] = []
-    reason: str | None = None
-    sense: str = ""
-    delta_chi2: Number = math.nan
-    chi2_nu: Number = math.nan
-    freedom: int = 0
-    parts: dict[str, PartRow] | None = None
+    modes: list[int] = item([], "Noll indices of the modes that were split.")
+    reason: str | None = item(None, "Why nothing could be split.")
+    sense: str = item("", "``clockwise`` or ``anticlockwise``: how the rotating part turns with the angle.")
+    delta_chi2: Number = item(nan, "χ² of the other sense minus that of this one.")
+    chi2_nu: Number = item(
+        nan, "Reduced χ² of the parts against the single estimates, and its degrees of freedom."
+    )
+    freedom: int = item(0, DITTO)
+    parts: dict[str, PartRow] | None = item(
+        None, "``rotating`` (as at angle 0), ``fixed`` and ``unsplit``; None where nothing could be split."
+    )
     consistency: Consistency = Consistency()
-    measured_nm: list[Number] = []
-    residual_nm: list[Number] = []
+    measured_nm: list[Number] = item([], "RMS of every estimate, and of what the parts leave of it.")
+    residual_nm: list[Number] = item([], DITTO)
 
 
 class DerotatorResults(SplitRow, StageResults):
@@ -173,7 +150,7 @@ def _one_angle(ctx: StageContext[Config], cubes: list[AngleRow], series: Series)
         modes=list(series.nolls),
         parts=None,
         reason=reason,
-        measured_nm=[rms_nm(one) for one in series.zernike_nm],
+        measured_nm=[_rms_nm(one) for one in series.zernike_nm],
     )
     lines = [
         f"Derotator       nothing split: {reason};",
@@ -193,7 +170,7 @@ def _split(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> 
     return StageOutput(found.arrays(ctx.instrument.pupil), results, checks, summary=found.summary())
 
 
-def rms_nm(zernike_nm: np.ndarray) -> float:
+def _rms_nm(zernike_nm: np.ndarray) -> float:
     """Return the RMS over the disc [nm]."""
     return float(np.sqrt(np.sum(zernike_nm**2)))
 
@@ -254,17 +231,16 @@ class SplitOutput:
             "freedom": self.split.freedom,
             "parts": {name: self._part(name) for name in PARTS},
             "consistency": self.consistency,
-            "measured_nm": [rms_nm(one) for one in self.series.zernike_nm],
-            "residual_nm": [rms_nm(one) for one in residual_nm],
+            "measured_nm": [_rms_nm(one) for one in self.series.zernike_nm],
+            "residual_nm": [_rms_nm(one) for one in residual_nm],
         }
 
     def _part(self, name: str) -> PartRow:
         part, separable = self.parts[name], self.split.separable
         own = np.flatnonzero(~separable if name == "unsplit" else separable)
         nolls = [self.split.nolls[i] for i in own]
-        return PartRow(
-            rms_nm=part.rms_nm,
-            noise_nm=part.noise_nm,
+        return PartRow.filled_from(
+            part,
             zernike_nm=dict(zip(nolls, part.zernike_nm[own].tolist(), strict=True)),
             sigma_nm=dict(zip(nolls, part.sigma_nm[own].tolist(), strict=True)),
         )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from math import nan
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -11,11 +11,11 @@ from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.results import Number, ResultsPart, StageResults, results_of
+from irlos_pipe.product.product import declared
+from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
 from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
@@ -75,30 +75,20 @@ class Config(StageConfig):
 
 
 class LawRow(ResultsPart):
-    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`.
+    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`."""
 
-    Attributes
-    ----------
-    A_nm, A_sigma_nm : float
-        Amplitude A of the law, and its standard error [nm RMS].
-    B, B_sigma : float
-        Decay B per mode, and its standard error.
-    C_nm, C_sigma_nm : float
-        Plateau C, and its standard error [nm RMS].
-    deviance_nu : float
-        Deviance over what draws from the law would give; near 1 where it holds.
-    plateau_noll : int or None
-        Noll index from which the exponential is below a tenth of the plateau.
-    """
-
-    A_nm: Number = math.nan
-    B: Number = math.nan
-    C_nm: Number = math.nan
-    A_sigma_nm: Number = math.nan
-    B_sigma: Number = math.nan
-    C_sigma_nm: Number = math.nan
-    deviance_nu: Number = math.nan
-    plateau_noll: int | None = None
+    A_nm: Number = item(nan, "Amplitude A of the law, and its standard error [nm RMS].")
+    B: Number = item(nan, "Decay B per mode, and its standard error.")
+    C_nm: Number = item(nan, "Plateau C, and its standard error [nm RMS].")
+    A_sigma_nm: Number = item(nan, "Amplitude A of the law, and its standard error [nm RMS].")
+    B_sigma: Number = item(nan, "Decay B per mode, and its standard error.")
+    C_sigma_nm: Number = item(nan, "Plateau C, and its standard error [nm RMS].")
+    deviance_nu: Number = item(
+        nan, "Deviance over what draws from the law would give; near 1 where it holds."
+    )
+    plateau_noll: int | None = item(
+        None, "Noll index from which the exponential is below a tenth of the plateau."
+    )
 
     @classmethod
     def of(cls, law: ModeLaw) -> LawRow:
@@ -117,61 +107,35 @@ class LawRow(ResultsPart):
 
 
 class NumberScan(ResultsPart):
-    """Fits with several numbers of modes; lists are over `highest_noll`.
+    """Fits with several numbers of modes; lists are over `highest_noll`."""
 
-    Attributes
-    ----------
-    cubes : int
-        Cubes that the numbers were tried on.
-    highest_noll : list of int
-        Highest Noll index of each fit.
-    held_out_chi2_nu, fitted_chi2_nu : list of float
-        Reduced χ² of unseen frames, and of those fitted.
-    excess, excess_sigma : list of float
-        Held-out χ²/ν above the least, with its error.
-    change_nm : list of float
-        RMS difference of the reported modes from the estimate with the recommended number.
-    halves_nm : list of float
-        Error from the difference of the two halves of the frames.
-    best, recommended : int
-        Highest Noll index with the least χ², and the least one that is as good within the error.
-    """
-
-    cubes: int = 0
-    highest_noll: list[int] = []
-    held_out_chi2_nu: list[Number] = []
-    excess: list[Number] = []
-    excess_sigma: list[Number] = []
-    fitted_chi2_nu: list[Number] = []
-    change_nm: list[Number] = []
-    halves_nm: list[Number] = []
-    best: int = 0
-    recommended: int = 0
+    cubes: int = item(0, "Cubes that the numbers were tried on.")
+    highest_noll: list[int] = item([], "Highest Noll index of each fit.")
+    held_out_chi2_nu: list[Number] = item([], "Reduced χ² of unseen frames, and of those fitted.")
+    excess: list[Number] = item([], "Held-out χ²/ν above the least, with its error.")
+    excess_sigma: list[Number] = item([], DITTO)
+    fitted_chi2_nu: list[Number] = item([], "Reduced χ² of unseen frames, and of those fitted.")
+    change_nm: list[Number] = item(
+        [], "RMS difference of the reported modes from the estimate with the recommended number."
+    )
+    halves_nm: list[Number] = item([], "Error from the difference of the two halves of the frames.")
+    best: int = item(
+        0, "Highest Noll index with the least χ², and the least one that is as good within the error."
+    )
+    recommended: int = item(0, DITTO)
 
 
 class ModesResults(StageResults):
-    """Strength of the modes and their number.
-
-    Attributes
-    ----------
-    method : str
-        How the modes of the cubes were estimated.
-    cubes : int
-        Cubes that the law was fitted to.
-    draws : int
-        Independent sets of NCPAs among the `cubes`.
-    laws : dict of str to LawRow
-        ``estimates`` as they are, and ``ncpas`` without the errors of the estimates.
-    numbers : NumberScan or None
-        None where no cube has frames enough.
-    """
+    """Strength of the modes and their number."""
 
     stage: ClassVar[str] = "modes"
-    method: str = ""
-    cubes: int = 0
-    draws: int = 0
-    laws: dict[str, LawRow] = {}
-    numbers: NumberScan | None = None
+    method: str = item("", "How the modes of the cubes were estimated.")
+    cubes: int = item(0, "Cubes that the law was fitted to.")
+    draws: int = item(0, "Independent sets of NCPAs among the `cubes`.")
+    laws: dict[str, LawRow] = item(
+        {}, "``estimates`` as they are, and ``ncpas`` without the errors of the estimates."
+    )
+    numbers: NumberScan | None = item(None, "None where no cube has frames enough.")
 
 
 Results = ModesResults

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from math import nan
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -10,9 +11,8 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.late import torch
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Check
-from irlos_pipe.product.results import Number, ResultsPart, StageResults
+from irlos_pipe.product.product import Check, declared
+from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 if TYPE_CHECKING:
@@ -44,47 +44,25 @@ class Config(StageConfig):
 
 
 class DefocusPrior(ResultsPart):
-    """Prior of the defocus of one frame.
+    """Prior of the defocus of one frame."""
 
-    Attributes
-    ----------
-    name : str
-        Recording, in which the frame has the number `frame`.
-    frame : int
-        Number of the frame in its recording, from 0.
-    introduced_nm : float
-        Defocus introduced by the focus stage.
-    defocus_nm : float
-        Defocus by the law, from the widths of the image.
-    """
-
-    name: str = ""
-    frame: int = 0
-    introduced_nm: Number = math.nan
-    defocus_nm: Number = math.nan
+    name: str = item("", "Recording, in which the frame has the number `frame`.")
+    frame: int = item(0, "Number of the frame in its recording, from 0.")
+    introduced_nm: Number = item(nan, "Defocus introduced by the focus stage.")
+    defocus_nm: Number = item(nan, "Defocus by the law, from the widths of the image.")
 
 
 class PriorResults(StageResults):
-    """The law defocus = `A` (σ1/σ2 − 1) + `B` [nm], and what it gives for every frame.
-
-    Attributes
-    ----------
-    A, B : float
-        Slope and constant of the law [nm]; σ1 and σ2 are the widths of the image along the two axes.
-    angle_deg : float
-        Direction of the first axis, from +x towards +y.
-    valid_nm : (float, float)
-        Range of defocus of the law.
-    law_residual_nm : float
-        RMS departure of the law from the model.
-    """
+    """The law defocus = `A` (σ1/σ2 − 1) + `B` [nm], and what it gives for every frame."""
 
     stage: ClassVar[str] = NAME
-    A: Number = math.nan
-    B: Number = math.nan
-    angle_deg: Number = math.nan
-    valid_nm: tuple[Number, Number] = (math.nan, math.nan)
-    law_residual_nm: Number = math.nan
+    A: Number = item(
+        nan, "Slope and constant of the law [nm]; σ1 and σ2 are the widths of the image along the two axes."
+    )
+    B: Number = item(nan, DITTO)
+    angle_deg: Number = item(nan, "Direction of the first axis, from +x towards +y.")
+    valid_nm: tuple[Number, Number] = item((math.nan, math.nan), "Range of defocus of the law.")
+    law_residual_nm: Number = item(nan, "RMS departure of the law from the model.")
     estimates: list[DefocusPrior] = []
 
 
@@ -132,11 +110,8 @@ def _output(
     ratio, defocus_nm = np.concatenate(ratios), np.concatenate([law.defocus_nm(one) for one in ratios])
     introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
     frames = [(one.name, frame) for one in recordings for frame in range(one.frames)]
-    results = PriorResults(
-        A=law.A,
-        B=law.B,
-        angle_deg=law.angle_deg,
-        valid_nm=law.valid_nm,
+    results = PriorResults.filled_from(
+        law,
         law_residual_nm=law.residual_nm,
         estimates=[
             DefocusPrior(name=name, frame=frame, introduced_nm=introduced, defocus_nm=value)

@@ -12,8 +12,7 @@ from helpers.paths import PACKAGE, REPOSITORY
 
 import irlos_pipe
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.product.product import Product, Quantity
-from irlos_pipe.product.quantity import SPELLINGS
+from irlos_pipe.product.product import SPELLINGS, Product, Quantity
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT
 

@@ -12,7 +12,7 @@ from conftest import invoke
 from helpers import made_run
 from helpers.result_schema import without_unknown_keys
 
-from irlos_pipe.reference.schema_files import COMMANDS
+from irlos_pipe.reference import COMMANDS
 
 
 def printed(*call: str, code: int = 0) -> dict[str, Any]:

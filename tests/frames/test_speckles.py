@@ -15,7 +15,7 @@ from irlos_pipe.frames.measured_noise import MeasuredNoise
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector, RawFrames
 from irlos_pipe.frames.told import EXCESS, GAIN, READ_NOISE, believed, constants
-from irlos_pipe.stages.ingest.config import Config
+from irlos_pipe.stages.ingest.stage import Config
 
 GAIN_E = 4.0
 PEAK = (32, 32)

@@ -6,7 +6,7 @@ import json
 from functools import cache
 from typing import Any
 
-from irlos_pipe.reference.schema_files import RESULTS
+from irlos_pipe.reference import RESULTS
 
 
 def schema_problems(content: dict[str, Any]) -> list[str]:

@@ -10,10 +10,9 @@ import pytest
 from conftest import invoke
 from helpers import made_run
 
-from irlos_pipe.product.compared import Comparison, NumberPair
-from irlos_pipe.product.comparison import compare_runs
-from irlos_pipe.product.leaves import leaves
+from irlos_pipe.product.printed import Comparison, NumberPair
 from irlos_pipe.product.product import Product
+from irlos_pipe.product.run_table import compare_runs, leaves
 
 
 def write(folder: Path, made: list[Product], **recipe: object) -> Path:

@@ -10,8 +10,7 @@ from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnosis.records import FineStructure
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Product
+from irlos_pipe.product.product import Product, declared
 from irlos_pipe.product.results import RunResults, read_run_results, results_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.diagnose.results import DiagnoseResults

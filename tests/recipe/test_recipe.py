@@ -92,7 +92,7 @@ def test_all_mistakes_are_reported_at_once_in_the_order_of_the_file(bench):
 def test_a_mistake_is_reported_with_file_line_and_suggestion(bench, monkeypatch, addition, expected):
     if addition.startswith("correct"):
         monkeypatch.setitem(
-            sys.modules, "irlos_pipe.stages.correct.stage", sys.modules["irlos_pipe.stages.lift.stage"]
+            sys.modules, "irlos_pipe.stages.correct", sys.modules["irlos_pipe.stages.lift.stage"]
         )
     (line,) = error_lines(bench, RECIPE + addition + "\n")
     assert line.startswith(expected)

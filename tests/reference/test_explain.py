@@ -7,7 +7,7 @@ from conftest import invoke
 from helpers.paths import PACKAGE
 
 from irlos_pipe.effects.catalogue import CATALOGUE
-from irlos_pipe.product.declared import Checks
+from irlos_pipe.product.product import Checks
 from irlos_pipe.reference.lookup import all_entries, explain, overview
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 

@@ -9,11 +9,11 @@ from helpers import sparta_files
 from helpers.result_schema import schema_problems
 
 from irlos_pipe.pipeline import run_recipe
-from irlos_pipe.product.declared import name_in
+from irlos_pipe.product.product import name_in
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
+from irlos_pipe.reference import COMMANDS, RESULTS
 from irlos_pipe.reference.schema import commands_schema, results_schema, text_of
-from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 pytestmark = pytest.mark.slow

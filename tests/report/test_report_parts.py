@@ -31,7 +31,7 @@ from irlos_pipe.report.text import (
     with_error,
 )
 from irlos_pipe.stages.diagnose.results import Change, DiagnoseResults, StepRow
-from irlos_pipe.stages.sensitivity.stage import CurveRow
+from irlos_pipe.stages.sensitivity import CurveRow
 
 NAN = float("nan")
 

@@ -11,8 +11,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
 from irlos_pipe.readers.acquisition import Resolved
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.stages.ingest.accumulate import accumulated
-from irlos_pipe.stages.ingest.sources import Source
+from irlos_pipe.stages.ingest.sources import Source, accumulated
 
 FRAMES = 20
 ADU = np.random.default_rng(0).integers(190, 400, (FRAMES, 6, 7)).astype(np.uint16)

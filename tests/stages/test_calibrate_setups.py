@@ -10,7 +10,7 @@ import pytest
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
-from irlos_pipe.stages.calibrate.setups import by_setup, require_joint
+from irlos_pipe.stages.calibrate.input import by_setup, require_joint
 from irlos_pipe.stages.model.section import ModelConfig
 
 NARROW, BROAD = ((1600.0, 1.0),), ((1215.0, 0.5), (1625.0, 0.5))

@@ -10,7 +10,7 @@ from helpers.effect_cases import CONDITIONS
 from irlos_pipe.effects import SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.colour import AtmosphericDispersion
 from irlos_pipe.effects.declaration import Refraction
-from irlos_pipe.stages.model.colour import with_colour
+from irlos_pipe.stages.model.effects import with_colour
 from irlos_pipe.stages.model.section import ModelConfig
 
 SKY = [SeeingHalo.under(CONDITIONS), TipTiltJitter()]

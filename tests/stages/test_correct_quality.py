@@ -11,7 +11,7 @@ import pytest
 from irlos_pipe.frames.recording import PROFILE
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product
-from irlos_pipe.stages.correct.stage import _checks
+from irlos_pipe.stages.correct import _checks
 
 WAVELENGTH_NM, SEEING = 1600.0, 0.5
 INSTRUMENT = load_instrument("irlos")

@@ -7,7 +7,7 @@ import json
 import pytest
 from pydantic import ValidationError
 
-from irlos_pipe.stages.diagnose.config import Config
+from irlos_pipe.stages.diagnose.stage import Config
 
 CALIBRATED = {"calibrate": {"zernike_nm": {"4": 1.0}, "all_zernike_nm": {"4": 1.5, "40": 2.0}}}
 DIAGNOSED = {"diagnose": {"zernike_nm": {"before": {"5": 3.0}, "after": {"5": 4.0}}}}

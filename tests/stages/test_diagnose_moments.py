@@ -8,8 +8,8 @@ import pytest
 from helpers.made_run import recording
 
 from irlos_pipe.report.section_diagnose_sharing import sharing_tables
-from irlos_pipe.stages.diagnose.input import moments_of
 from irlos_pipe.stages.diagnose.results import DiagnoseResults, OwnValueRow, SharingRow, StarRow
+from irlos_pipe.stages.diagnose.work import moments_of
 
 HOUR_S = 3600.0
 

@@ -12,14 +12,13 @@ from irlos_pipe.effects.public_values import mean_of, rows_of
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product, Quantity
-from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
     good_pixels,
     image_effects,
     model_effects,
 )
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
 IRLOS = load_instrument("irlos")
 

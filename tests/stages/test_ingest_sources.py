@@ -10,8 +10,8 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers import find
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.sources import read_sources
+from irlos_pipe.stages.ingest.stage import Config
 from irlos_pipe.stages.ingest.work import ingest
 
 IRLOS = load_instrument("irlos")

@@ -78,6 +78,22 @@ def test_counts_become_the_electrons_that_were_put_in(tmp_path):
     assert recording.used.all() and recording.good.all()
 
 
+def test_a_clean_recording_of_any_window_passes_its_checks_and_keeps_its_times(tmp_path, caplog):
+    image = star(24, 37)
+    times = {"Seconds": 1700000000 + np.arange(12) // 10, "USeconds": 100000 * (np.arange(12) % 10)}
+    write_recorder(tmp_path / "rec", counts(image), pad=100, keys=sidecar(), times=times)
+    with caplog.at_level(logging.WARNING, logger="test"):
+        output = run(tmp_path)
+    assert caplog.messages == []
+    assert len(output.checks) == 7 and all(check.passed for check in output.checks)
+    recording = only_recording(output)
+    assert recording.window == (24, 37)
+    brightest = np.unravel_index(recording.images_e.mean(axis=0).argmax(), (24, 37))
+    assert brightest == np.unravel_index(image.argmax(), (24, 37))
+    assert recording.time_s == pytest.approx(0.1 * np.arange(12), abs=1e-5)
+    assert recording.start_unix_s == 1700000000
+
+
 def test_the_results_describe_every_recording(tmp_path):
     write_recorder(
         tmp_path / "rec",
@@ -105,13 +121,6 @@ def test_the_results_describe_every_recording(tmp_path):
     assert len(output.summary) == 1
 
 
-def test_a_clean_recording_passes_its_checks(tmp_path):
-    write_recorder(tmp_path / "rec", counts(IMAGE))
-    checks = run(tmp_path).checks
-    assert len(checks) == 7
-    assert all(check.passed for check in checks)
-
-
 def test_recordings_survive_the_product_file(tmp_path):
     write_recorder(tmp_path / "ramp" / "offset_2", counts(IMAGE), keys={"introduced_defocus_nm": 40.0})
     write_recorder(
@@ -129,12 +138,6 @@ def test_recordings_survive_the_product_file(tmp_path):
     assert ramp[0].acquisition == before.acquisition
     assert ramp[0].introduced_defocus_nm.tolist() == [40.0] * 12
     assert ramp[0].reason.tolist() == [""] * 12
-
-
-def test_a_product_without_recordings_of_an_input_says_so(tmp_path):
-    write_recorder(tmp_path / "rec", counts(IMAGE))
-    with pytest.raises(InputDataError, match="no recordings of input 'ramp'"):
-        recordings_from_product(product_of(run(tmp_path)), "ramp")
 
 
 def test_the_raw_counts_stay_retrievable(tmp_path):
@@ -164,15 +167,6 @@ def test_sky_and_flat_are_taken_out(tmp_path):
     assert np.abs(np.mean(pull)) < 0.1
     assert np.std(pull) == pytest.approx(1, abs=0.1)
     assert recording.background_variance_e2 == pytest.approx(4.0, rel=0.3)
-
-
-def test_windows_need_not_be_square(tmp_path):
-    image = star(24, 37)
-    write_recorder(tmp_path / "rec", counts(image), pad=100)
-    recording = only_recording(run(tmp_path))
-    assert recording.window == (24, 37)
-    brightest = np.unravel_index(recording.images_e.mean(axis=0).argmax(), (24, 37))
-    assert brightest == np.unravel_index(image.argmax(), (24, 37))
 
 
 def test_spoilt_frames_are_kept_with_their_reason(tmp_path):
@@ -218,30 +212,32 @@ def test_what_a_bad_pixel_showed_is_kept_unless_a_map_lists_it(tmp_path):
     write_recorder(tmp_path / "rec", adu, maps=maps)
     output = run(tmp_path)
     assert screened_e(product_of(output), only_recording(output)) == {(4, 5): pytest.approx(4950.0)}
-
-
-def test_a_product_that_did_not_keep_what_bad_pixels_showed_asks_for_ingest(tmp_path):
-    adu = counts(IMAGE, 20)
-    adu[:, 4, 5] = 5000.0
-    write_recorder(tmp_path / "rec", adu)
-    output = run(tmp_path)
-    older = {key: one for key, one in output.arrays.items() if not key.endswith("/screened_e")}
     with pytest.raises(InputDataError, match="run ingest again"):
-        screened_e(replace(product_of(output), arrays=older), only_recording(output))
+        screened_e(earlier(output, "screened_e"), only_recording(output))
+
+
+def earlier(output, *lacking):
+    """The product as an earlier version made it, which lacked some arrays."""
+    arrays = {key: one for key, one in output.arrays.items() if not key.endswith(lacking)}
+    assert len(arrays) == len(output.arrays) - len(lacking)
+    return replace(product_of(output), arrays=arrays)
 
 
 def test_the_mean_of_the_used_frames_is_stored(tmp_path):
     adu = counts(IMAGE, 20)
     adu[3] *= 2  # a flux that is not used
     write_recorder(tmp_path / "rec", adu)
-    product = product_of(run(tmp_path))
+    output = run(tmp_path)
+    product, older = product_of(output), earlier(output, "mean_e", "dark_variance_e2")
     (overview,) = overviews_from_product(product)
     (recording,) = recordings_from_product(product)
     assert recording.used.sum() == 19
     assert overview.mean_e == pytest.approx(recording.images_e[recording.used].mean(axis=0), rel=1e-5)
-    older = {key: one for key, one in product.arrays.items() if not key.endswith("/mean_e")}
-    (again,) = overviews_from_product(replace(product, arrays=older))
+    (again,) = overviews_from_product(older)
     assert np.array_equal(again.mean_e, overview.mean_e)
+    assert recordings_from_product(older)[0].dark_variance_e2 == 0.0
+    with pytest.raises(InputDataError, match="no recordings of input 'ramp'"):
+        recordings_from_product(product, "ramp")
 
 
 def test_a_hit_in_the_core_costs_its_pixel_and_many_cost_the_frame(tmp_path):
@@ -321,14 +317,6 @@ def test_a_coadded_frame_has_the_noise_of_all_its_exposures(tmp_path, averaged, 
     assert (detector.e_per_adu, detector.read_noise_e) == (gain, 5.0)
 
 
-def test_times_count_from_the_first_frame(tmp_path):
-    times = {"Seconds": 1700000000 + np.arange(12) // 10, "USeconds": 100000 * (np.arange(12) % 10)}
-    write_recorder(tmp_path / "rec", counts(IMAGE), times=times)
-    recording = only_recording(run(tmp_path))
-    assert recording.time_s == pytest.approx(0.1 * np.arange(12), abs=1e-5)
-    assert recording.start_unix_s == 1700000000
-
-
 def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
     pattern = np.random.default_rng(7).normal(100, 10, IMAGE.shape)
     noise = np.random.default_rng(8).normal(0, 2, (50, *IMAGE.shape))
@@ -352,6 +340,15 @@ def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
     assert recording.window == (36, 36) and recording.used.all()
     flux_e = recording.mean_e.reshape(2, 18, 2, 18).sum(axis=(1, 3))
     assert flux_e == pytest.approx(np.full((2, 2), 2e5), rel=0.05)
+
+
+def test_inputs_without_a_star_and_folders_without_recordings_are_refused(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(NothingToDo):
+        run(tmp_path / "empty")
+    write_recorder(tmp_path / "dark", counts(IMAGE), keys={"role": "dark"})
+    with pytest.raises(InputDataError, match="input 'cube': only darks"):
+        run(tmp_path / "dark")
 
 
 def test_the_recipe_may_differ_per_input(tmp_path):
@@ -390,25 +387,6 @@ def test_a_cube_of_useless_frames_is_refused_with_the_reason(tmp_path, spoil, me
     assert "\n" not in str(caught.value)
 
 
-def test_an_empty_folder_leaves_nothing_to_do(tmp_path):
-    with pytest.raises(NothingToDo):
-        run(tmp_path)
-
-
-def test_an_input_with_darks_only_is_refused(tmp_path):
-    write_recorder(tmp_path / "dark", counts(IMAGE), keys={"role": "dark"})
-    with pytest.raises(InputDataError, match="input 'cube': only darks"):
-        run(tmp_path)
-
-
-def test_equal_names_in_one_input_stay_apart(tmp_path):
-    for seed, night in enumerate(("a", "b")):
-        write_recorder(tmp_path / night / "offset_00", counts(IMAGE, seed=seed))
-    output = run(tmp_path)
-    assert len({row["name"] for row in output.results.as_json()["inputs"]}) == 2
-    assert len(recordings_from_product(product_of(output))) == 2
-
-
 def test_files_are_never_written(tmp_path):
     path = write_recorder(tmp_path / "rec", counts(IMAGE))
     before = {file: file.read_bytes() for file in path.parent.iterdir()}
@@ -417,17 +395,6 @@ def test_files_are_never_written(tmp_path):
 
 
 needs_samples = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared samples are not there")
-
-
-@pytest.mark.slow
-@needs_samples
-def test_the_shared_samples_are_clean():
-    output = run(SHARED)
-    assert output.failures == []
-    assert len(output.results.as_json()["inputs"]) == 14
-    for row in output.results.as_json()["inputs"]:
-        assert (row["frames_rejected"], row["bad_pixels"], row["cosmic_hits"]) == (0, [], 0), row["name"]
-    assert all(check.passed for check in output.checks)
 
 
 @needs_samples
@@ -445,21 +412,6 @@ def test_the_flux_of_the_samples_is_that_of_their_magnitude(name, mag_j, exposur
     (row,) = run(SHARED / name).results.as_json()["inputs"]
     # the window holds most of the light, never more than all of it
     assert 0.85 * photons < row["flux_e"] < photons
-
-
-def test_a_complete_side_car_leaves_no_warning(tmp_path, caplog):
-    write_recorder(tmp_path / "rec", counts(IMAGE), keys=sidecar())
-    with caplog.at_level(logging.WARNING, logger="test"):
-        run(tmp_path)
-    assert caplog.messages == []
-
-
-def test_a_product_of_the_first_version_is_read_as_if_its_dark_had_no_noise(tmp_path):
-    write_recorder(tmp_path / "rec", counts(IMAGE))
-    product = product_of(run(tmp_path))
-    older = {key: one for key, one in product.arrays.items() if not key.endswith("/dark_variance_e2")}
-    assert len(older) == len(product.arrays) - 1
-    assert recordings_from_product(replace(product, arrays=older))[0].dark_variance_e2 == 0.0
 
 
 @pytest.mark.parametrize("kind", ["light", "first of another level", "sum", "mean", "closed"])

@@ -29,15 +29,15 @@ from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.product import Product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.lift import work
-from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import _with_light_of
-from irlos_pipe.stages.lift.own_wavefront import (
+from irlos_pipe.stages.lift.input import (
     explains,
     has_other_light,
     older_text,
     own_text,
     with_own_wavefront,
 )
+from irlos_pipe.stages.lift.stage import Config
 
 NOMINAL, MISFIT = FrameErrors(4.0, 2.3, 2.2), FrameErrors(4.0, 9.2, 2.2)
 

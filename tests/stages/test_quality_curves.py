@@ -8,7 +8,7 @@ from helpers.made_run import star
 from helpers.optics_cases import settings
 
 from irlos_pipe.diagnosis.verdict import Pictures
-from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
+from irlos_pipe.stages.diagnose.output import quality_arrays
 
 
 def pictures() -> Pictures:

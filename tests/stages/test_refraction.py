@@ -10,7 +10,7 @@ import pytest
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.readers.acquisition import altitude_deg
-from irlos_pipe.stages.model.refraction import refraction_mas, refraction_of
+from irlos_pipe.stages.model.effects import refraction_mas, refraction_of
 
 J_H = ((1215.0, 0.5), (1625.0, 0.5))
 AIR = {"pressure_hpa": 743.0, "temperature_c": 11.5, "humidity_percent": 15.0}

@@ -5,7 +5,7 @@ import logging
 import pytest
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.stages.sensitivity.effort import announce
+from irlos_pipe.stages.sensitivity import announce
 
 LOG = logging.getLogger("test_sensitivity_effort")
 

@@ -19,7 +19,7 @@ from irlos_pipe.optics.wavefront import modes_at, opd_maps_nm
 from irlos_pipe.paper.common.observation import frames_of, model_effects_of, settings_of
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 
 DEFAULT = DEFAULT_METHOD
 PAPER_CHOICE = "dip_global"

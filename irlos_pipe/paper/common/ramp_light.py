@@ -23,7 +23,7 @@ from irlos_pipe.paper.common.observation import conditions_of, settings_of
 from irlos_pipe.paper.common.ramps import NINE, TTF, LiftVariant, ObservedRamp
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.stages.model.colour import star_colour
+from irlos_pipe.stages.model.effects import star_colour
 
 CHROMATIC_STREAM, FILTER_STREAM = 2, 3  # children of a sample's seed, beside that of the ramp
 WAVEFRONT_MODES = 50  # as many as the NCPAs have

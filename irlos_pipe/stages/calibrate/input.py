@@ -1,4 +1,4 @@
-"""The input of a calibration: frames of recordings and the model of the recipe."""
+"""The input of a calibration: frames and the model of the recipe, for one set-up or several."""
 
 from __future__ import annotations
 
@@ -7,17 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
+from irlos_pipe.effects import Conditions, Effect
+from irlos_pipe.effects.chromatic import FilterNcpa
+from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.setups import Setup, is_common
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.model.colour import colour_warning, with_colour
-from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects, shown
-from irlos_pipe.stages.model.recording_settings import pooled_frames, psf_settings
+from irlos_pipe.stages.model.effects import (
+    colour_warning,
+    conditions_of,
+    elements_of,
+    good_pixels,
+    image_effects,
+    model_effects,
+    shown,
+    with_colour,
+)
+from irlos_pipe.stages.model.recording_settings import differences, pooled_frames, psf_settings
 
 ROLES = ("ncpa_calibration", "psf", "derotator")
 
@@ -46,8 +56,6 @@ class CubeInput:
     ----------
     frames : Frames
         Bad pixels that the model lists masked.
-    settings : PsfSettings
-    effects : list of Effect
     """
 
     frames: Frames
@@ -77,3 +85,121 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
     steady = METHODS[options.method].effects
     frames = pooled_frames(recordings, good_pixels(effects, first.window), settings, steady=steady)
     return CubeInput(frames, settings, image_effects(effects))
+
+
+# -- recordings in several set-ups, calibrated together ----------------------------------------------
+
+COMMON = {
+    "pixel_scale_mas": "pixel scale",
+    "pupil_rotation_deg": "rotation of the pupil",
+    "derotator_angle_deg": "derotator angle",
+}
+
+
+def by_setup(recordings: Sequence[Recording]) -> list[list[Recording]]:
+    """Return `recordings` with the same band, filter, diversity and introduced defocus together."""
+    groups: dict[tuple, list[Recording]] = {}
+    for recording in recordings:
+        acquisition = recording.acquisition
+        diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
+        focus = tuple(np.unique(recording.introduced_defocus_nm).tolist())
+        key = acquisition.spectrum, elements_of(acquisition), diversity, focus
+        groups.setdefault(key, []).append(recording)
+    return list(groups.values())
+
+
+def require_joint(ctx: StageContext, groups: Sequence[Sequence[Recording]], method: str) -> None:
+    """Refuse groups of recordings that cannot be calibrated together.
+
+    Raises
+    ------
+    InputDataError
+        If they differ in more than band, filter, diversity and focus, or the focus changes within one.
+    ConfigurationError
+        For a `method` of one set-up, and a `filter_ncpa` that does not say of which filter or lens.
+    """
+    first = groups[0][0]
+    for group in groups:
+        differing = differences(first, group[0], COMMON)
+        if differing:
+            raise InputDataError(
+                f"{group[0].name}: {' and '.join(differing)} of {first.name} are others; set-ups calibrated "
+                "together may differ in band, filter, diversity and introduced defocus only"
+            )
+        if len(np.unique(group[0].introduced_defocus_nm)) > 1:
+            raise InputDataError(
+                f"{group[0].name}: the introduced defocus changes from frame to frame; set-ups calibrated "
+                "together need recordings of one defocus each"
+            )
+    if method != DEFAULT_METHOD:
+        raise ConfigurationError(
+            f"calibrate.method {method} takes recordings of one set-up, and those given differ in band, "
+            f"filter or diversity; use {DEFAULT_METHOD}, or calibrate.each"
+        )
+    names = sorted({name for group in groups for name in elements_of(group[0].acquisition) if name})
+    for entry in ctx.model.entries():
+        if entry.name == FilterNcpa.name and entry.options.get("of") not in names:
+            raise ConfigurationError(
+                f"model.effects: filter_ncpa: say of which filter or source of diversity, of: one of "
+                f"{', '.join(map(repr, names))}"
+            )
+
+
+def setups_of(
+    ctx: StageContext, groups: Sequence[Sequence[Recording]], options: CalibrationOptions
+) -> list[Setup]:
+    """Return what `calibrate_setups` needs of every group of recordings.
+
+    Parameters
+    ----------
+    ctx : StageContext
+    groups : sequence of sequence of Recording
+        Those of one set-up each, see `by_setup`.
+    options : CalibrationOptions
+    """
+    highest_noll = options.last_noll
+    reference_nm = groups[0][0].acquisition.wavelength_nm
+    conditions = [_conditions(ctx, group[0], highest_noll, reference_nm) for group in groups]
+    first = model_effects(
+        ctx.instrument, ctx.model, groups[0][0], highest_noll, ncpa_wavelength_nm=reference_nm
+    )
+    common = [_focused(effect) for effect in image_effects(shown(first, conditions)) if is_common(effect)]
+    return [
+        _setup(ctx, group, under, [effect.seen_in(under, conditions[0]) for effect in common], highest_noll)
+        for group, under in zip(groups, conditions, strict=True)
+    ]
+
+
+def _conditions(
+    ctx: StageContext, recording: Recording, highest_noll: int, reference_nm: float
+) -> Conditions:
+    """Conditions of a recording with its introduced defocus."""
+    focus = {4: float(recording.introduced_defocus_nm[0])} if recording.frames else {}
+    return conditions_of(
+        ctx.instrument,
+        ctx.model,
+        recording,
+        highest_noll,
+        introduced_nm=focus,
+        ncpa_wavelength_nm=reference_nm,
+    )
+
+
+def _focused(effect: Effect) -> Effect:
+    """The effect, with the focus of a filter or lens, which recordings of known focus show."""
+    return effect.with_focus() if isinstance(effect, FilterNcpa) else effect
+
+
+def _setup(
+    ctx: StageContext,
+    group: Sequence[Recording],
+    conditions: Conditions,
+    common: Sequence[Effect],
+    highest_noll: int,
+) -> Setup:
+    listed = model_effects(ctx.instrument, ctx.model, group[0], highest_noll)
+    own = [e for e in image_effects(with_colour(listed, ctx.model, conditions)) if not is_common(e)]
+    if warning := colour_warning(own, group):
+        ctx.log.warning(warning)
+    frames = pooled_frames(group, good_pixels(listed, group[0].window), conditions.settings)
+    return Setup(frames, conditions.settings, common, own)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
 from irlos_pipe.estimate.cube import Motion
 from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.product.product import Check
-from irlos_pipe.stages.calibrate.config import Limits
+from irlos_pipe.stages.calibrate.stage import Limits
 
 LOWEST_KURTOSIS = 1.3  # two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
@@ -27,9 +28,7 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
         checks.append(_twin(result))
     if result.mirrored is not None and result.mirrored.tells:
         checks.append(_orientation(result.mirrored))
-    return [
-        Check(f"{prefix}{one.name}", one.value, one.unit, one.low, one.high, one.message) for one in checks
-    ]
+    return [replace(one, name=f"{prefix}{one.name}") for one in checks]
 
 
 def _converged(limits: Limits, result: Calibration) -> Check:
@@ -113,14 +112,8 @@ def _window(limits: Limits, result: Calibration) -> Check:
 def _moves(motion: Motion, window: tuple[int, ...], most: float) -> Check:
     part = motion.largest_px / min(window)
     why = ": too much of the light leaves the window" if part > most else ""
-    return Check(
-        "motion of the star",
-        part,
-        "",
-        None,
-        most,
-        f"{motion_line(motion)}, by {part:.2f} of the window{why}",
-    )
+    message = f"{motion_line(motion)}, by {part:.2f} of the window{why}"
+    return Check("motion of the star", part, "", None, most, message)
 
 
 def motion_line(motion: Motion) -> str:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from math import nan
 from typing import ClassVar
 
 import numpy as np
 
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import (
+    DITTO,
     ByNoll,
     EffectValues,
     Number,
     ResultsPart,
     StageResults,
+    item,
     results_of,
 )
 
@@ -66,191 +69,119 @@ CHECKS = {
 
 
 class Tail(ResultsPart):
-    """Modes beyond the closed basis: law, see `estimate.open_fit.TailLaw`, and RMS as estimated.
+    """Modes beyond the closed basis: law, see `estimate.open_fit.TailLaw`, and RMS as estimated."""
 
-    Attributes
-    ----------
-    first_noll : int
-        First of these modes.
-    amplitude_nm : float
-        Standard deviation of a mode of the radial order n₁ of the first one [nm RMS].
-    slope : float
-        Exponent p of the law: the standard deviation falls as (n/n₁)^p.
-    wfe_nm : float
-        RMS of all these modes as estimated.
-    """
-
-    first_noll: int = 0
-    amplitude_nm: Number = math.nan
-    slope: Number = math.nan
-    wfe_nm: Number = math.nan
+    first_noll: int = item(0, "First of these modes.")
+    amplitude_nm: Number = item(
+        nan, "Standard deviation of a mode of the radial order n₁ of the first one [nm RMS]."
+    )
+    slope: Number = item(nan, "Exponent p of the law: the standard deviation falls as (n/n₁)^p.")
+    wfe_nm: Number = item(nan, "RMS of all these modes as estimated.")
 
 
 class Estimate(ResultsPart):
-    """The part of the results that every estimate has.
+    """The part of the results that every estimate has."""
 
-    Attributes
-    ----------
-    method : str
-        How they were estimated, such as ``long_exposure`` or ``dip_global``.
-    zernike_nm, sigma_nm : dict of int to float
-        Reported modes of the static wavefront without the diversity, and their standard errors.
-    wfe_nm, wfe_sigma_nm : float
-        RMS of the reported modes, and the total error expected of them.
-    frames : int
-        Used frames.
-    errors_from : str
-        ``frames``: from their scatter; ``noise`` or ``few_frames``: see `estimate.calibration_errors`.
-    seconds : float
-        Time of the fit.
-    chi2_nu, nominal_chi2_nu, nominal_chi2_nu_sigma : float
-        Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much that
-        varies by chance, see `estimate.calibration_errors`.
-    loss : str
-        Function of the residuals that the fit minimises.
-    optimiser : str
-        Algorithm that minimises it.
-    modes_estimated : int
-        Modes in the fit, more than are reported.
-    all_zernike_nm : dict of int to float
-        All estimated modes of the static wavefront, by Noll index [nm RMS].
-    tail : Tail or None
-        What was found of the modes beyond the closed basis; None for a closed one.
-    status : dict of str to int
-        Number of fits by their outcome.
-    """
-
-    method: str = ""
-    zernike_nm: ByNoll = {}
-    sigma_nm: ByNoll = {}
-    wfe_nm: Number = math.nan
-    wfe_sigma_nm: Number = math.nan
-    frames: int = 0
-    errors_from: str = "frames"
-    seconds: Number = math.nan
-    chi2_nu: Number = math.nan
-    nominal_chi2_nu: Number = math.nan
-    nominal_chi2_nu_sigma: Number = math.nan
-    loss: str = ""
-    optimiser: str = ""
-    modes_estimated: int | None = None
-    all_zernike_nm: ByNoll = {}
-    tail: Tail | None = None
-    status: dict[str, int] = {}
+    method: str = item("", "How they were estimated, such as ``long_exposure`` or ``dip_global``.")
+    zernike_nm: ByNoll = item(
+        {}, "Reported modes of the static wavefront without the diversity, and their standard errors."
+    )
+    sigma_nm: ByNoll = item({}, DITTO)
+    wfe_nm: Number = item(nan, "RMS of the reported modes, and the total error expected of them.")
+    wfe_sigma_nm: Number = item(nan, DITTO)
+    frames: int = item(0, "Used frames.")
+    errors_from: str = item(
+        "frames",
+        "``frames``: from their scatter; ``noise`` or ``few_frames``: see `estimate.calibration_errors`.",
+    )
+    seconds: Number = item(nan, "Time of the fit.")
+    chi2_nu: Number = item(
+        nan,
+        "Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much "
+        "that varies by chance, see `estimate.calibration_errors`.",
+    )
+    nominal_chi2_nu: Number = item(nan, DITTO)
+    nominal_chi2_nu_sigma: Number = item(nan, DITTO)
+    loss: str = item("", "Function of the residuals that the fit minimises.")
+    optimiser: str = item("", "Algorithm that minimises it.")
+    modes_estimated: int | None = item(None, "Modes in the fit, more than are reported.")
+    all_zernike_nm: ByNoll = item({}, "All estimated modes of the static wavefront, by Noll index [nm RMS].")
+    tail: Tail | None = item(
+        None, "What was found of the modes beyond the closed basis; None for a closed one."
+    )
+    status: dict[str, int] = item({}, "Number of fits by their outcome.")
 
 
 class Twin(ResultsPart):
-    """Comparison with the twin solution, see `estimate.twin.TwinCheck`.
+    """Comparison with the twin solution, see `estimate.twin.TwinCheck`."""
 
-    Attributes
-    ----------
-    delta_chi2 : float
-        χ² of the refitted twin minus that of the solution, prior included.
-    rms_nm, twin_rms_nm : float
-        RMS of the coefficients of the solution and of the twin, without tip and tilt.
-    distance_nm : float
-        RMS difference between the two; near 0 where the twin fell back into the solution.
-    evidence : float
-        -2 times the logarithm of the odds of the twin, by the data and the law of NCPAs; large: excluded.
-    preferred : str
-        ``solution``, ``twin``, or ``undecided`` where neither data nor law tell.
-    """
-
-    delta_chi2: Number = math.nan
-    rms_nm: Number = math.nan
-    twin_rms_nm: Number = math.nan
-    distance_nm: Number = math.nan
-    evidence: Number = math.nan
-    preferred: str = ""
+    delta_chi2: Number = item(nan, "χ² of the refitted twin minus that of the solution, prior included.")
+    rms_nm: Number = item(
+        nan, "RMS of the coefficients of the solution and of the twin, without tip and tilt."
+    )
+    twin_rms_nm: Number = item(nan, DITTO)
+    distance_nm: Number = item(
+        nan, "RMS difference between the two; near 0 where the twin fell back into the solution."
+    )
+    evidence: Number = item(
+        nan,
+        "-2 times the logarithm of the odds of the twin, by the data and the law of NCPAs; large: excluded.",
+    )
+    preferred: str = item("", "``solution``, ``twin``, or ``undecided`` where neither data nor law tell.")
 
 
 class Lenslets(ResultsPart):
-    """What the four images of a 2x2 mode determine, and what their centroids say.
+    """What the four images of a 2x2 mode determine, and what their centroids say."""
 
-    Attributes
-    ----------
-    modes_tried, combinations : int
-        Modes from Noll 2 on, and how many combinations of them the images tell better than the prior.
-    information : list of float
-        Eigenvalues of the Fisher matrix in units of the prior, descending.
-    determined : list of int
-        Modes whose error is at most half of the prior's.
-    left : dict of int to float
-        Error of every mode over that of its prior.
-    bound_nm : dict of int to float
-        Cramér–Rao bound of the estimated modes: noise alone, no prior of the modes.
-    centroids_nm, centroids_sigma_nm : dict of int to float
-        Modes from the centroids of the images, as of a Shack–Hartmann sensor, and their errors by the
-        scatter of the frames.
-    """
-
-    modes_tried: int = 0
-    combinations: int = 0
-    information: list[Number] = []
-    determined: list[int] = []
-    left: ByNoll = {}
-    bound_nm: ByNoll = {}
-    centroids_nm: ByNoll = {}
-    centroids_sigma_nm: ByNoll = {}
+    modes_tried: int = item(
+        0, "Modes from Noll 2 on, and how many combinations of them the images tell better than the prior."
+    )
+    combinations: int = item(0, DITTO)
+    information: list[Number] = item(
+        [], "Eigenvalues of the Fisher matrix in units of the prior, descending."
+    )
+    determined: list[int] = item([], "Modes whose error is at most half of the prior's.")
+    left: ByNoll = item({}, "Error of every mode over that of its prior.")
+    bound_nm: ByNoll = item(
+        {}, "Cramér–Rao bound of the estimated modes: noise alone, no prior of the modes."
+    )
+    centroids_nm: ByNoll = item(
+        {},
+        "Modes from the centroids of the images, as of a Shack–Hartmann sensor, and their errors by the "
+        "scatter of the frames.",
+    )
+    centroids_sigma_nm: ByNoll = item({}, DITTO)
 
 
 class AngleRow(ResultsPart):
-    """A recording and its derotator angle.
+    """A recording and its derotator angle."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the recording.
-    derotator_angle_deg : float
-        Angle of the derotator when it was taken.
-    """
-
-    name: str = ""
-    derotator_angle_deg: Number = math.nan
+    name: str = item("", "Name of the recording.")
+    derotator_angle_deg: Number = item(nan, "Angle of the derotator when it was taken.")
 
 
 class CubeRow(Estimate, AngleRow):
-    """Estimate of one recording that was reduced by itself.
+    """Estimate of one recording that was reduced by itself."""
 
-    Attributes
-    ----------
-    effects : dict of str to dict
-        Estimated effects with the values of their parameters.
-    """
-
-    effects: dict[str, EffectValues] = {}
+    effects: dict[str, EffectValues] = item({}, "Estimated effects with the values of their parameters.")
 
 
 class CalibrateResults(Estimate, StageResults):
-    """One estimate from all recordings, or the mean over the `cubes` that were reduced one by one.
-
-    Attributes
-    ----------
-    effects : dict of str to dict
-        Estimated effects with the values of their parameters.
-    effects_sigma : dict of str to dict
-        Their standard errors, see `estimate.calibration_errors`; empty for the mean over `cubes`.
-    seeing_arcsec : float
-        Seeing taken for the calibration.
-    wavelength_nm : float
-        Mean wavelength of its recordings, at which the NCPAs are stated.
-    twin : Twin or None
-        None without a twin solution, and for the mean over cubes.
-    compare : list of Estimate
-        Estimates with other methods.
-    lenslets : Lenslets or None
-        What the images of a 2x2 mode determine; None for other recordings.
-    """
+    """One estimate from all recordings, or the mean over the `cubes` that were reduced one by one."""
 
     stage: ClassVar[str] = "calibrate"
-    effects: dict[str, EffectValues] = {}
-    effects_sigma: dict[str, EffectValues] = {}
-    seeing_arcsec: Number = math.nan
-    wavelength_nm: Number = math.nan
-    twin: Twin | None = None
-    compare: list[Estimate] = []
+    effects: dict[str, EffectValues] = item({}, "Estimated effects with the values of their parameters.")
+    effects_sigma: dict[str, EffectValues] = item(
+        {}, "Their standard errors, see `estimate.calibration_errors`; empty for the mean over `cubes`."
+    )
+    seeing_arcsec: Number = item(nan, "Seeing taken for the calibration.")
+    wavelength_nm: Number = item(nan, "Mean wavelength of its recordings, at which the NCPAs are stated.")
+    twin: Twin | None = item(None, "None without a twin solution, and for the mean over cubes.")
+    compare: list[Estimate] = item([], "Estimates with other methods.")
     cubes: list[CubeRow] = []
-    lenslets: Lenslets | None = None
+    lenslets: Lenslets | None = item(
+        None, "What the images of a 2x2 mode determine; None for other recordings."
+    )
 
     def effect_number(self, effect: str, parameter: str) -> float:
         """Return an estimated `parameter` of an `effect` as a number; NaN where there is none."""
@@ -264,7 +195,6 @@ class CubeEstimate:
 
     Attributes
     ----------
-    nolls : tuple of int
     zernike_nm, sigma_nm : ndarray, (modes,)
     covariance_nm2 : ndarray, (modes, modes)
     frames_nm : ndarray, (frames, modes)

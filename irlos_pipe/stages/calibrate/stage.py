@@ -2,8 +2,24 @@
 
 from __future__ import annotations
 
-from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.config import Config
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from irlos_pipe.conventions.late import LateModule
+from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
+from irlos_pipe.estimate.calibration_options import (
+    DEFAULT_METHOD,
+    METHODS,
+    OPEN,
+    CalibrationOptions,
+    MethodName,
+    OptimiserName,
+)
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
+from irlos_pipe.numerics.loss import LossName
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import ARRAYS, CHECKS
 from irlos_pipe.stages.calibrate.results import CalibrateResults as Results
 
@@ -13,10 +29,92 @@ NAME = "calibrate"
 VERSION = 24
 NEEDS = ("ingest",)
 READS = ("ingest",)
+WORK = LateModule("irlos_pipe.stages.calibrate.work")
+ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
+
+
+class Limits(StageConfig):
+    """Limits of the quality control, part of the stage's settings."""
+
+    max_chi2_nu: float | None = Field(
+        None,
+        gt=0,
+        description="QC limit on the reduced chi-square of the mean image; null: by its nominal value, which "
+        "the scatter of the frames tells",
+    )
+    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
+    min_frames: int = Field(
+        8, ge=1, description="QC limit on the frames where they scatter by more than noise"
+    )
+    max_motion: float = Field(
+        0.25, gt=0, le=1, description="QC limit on how far the star moves, over the smaller window side"
+    )
+    min_window: float = Field(8.0, ge=0, description="QC limit on the smaller side of the window, in λ/D")
+
+
+class Config(Limits):
+    """Settings of the calibration."""
+
+    input: str = Field("calibration", description="recipe input that holds the cubes")
+    each: bool = Field(False, description="calibrate every recording by itself instead of all together")
+    method: MethodName = Field(
+        DEFAULT_METHOD,
+        description="calibration method: which images are fitted, and by how many wavefronts",
+    )
+    loss: LossName | None = Field(
+        CalibrationOptions.loss,
+        description="loss function (l1 is rounded within 1 sigma, huber within 2); null: that of the method",
+    )
+    optimiser: OptimiserName = Field(
+        CalibrationOptions.optimiser, description="solver: Levenberg-Marquardt, or L-BFGS with autograd"
+    )
+    highest_noll: ClosedNoll | Literal["open"] | None = Field(
+        CalibrationOptions.highest_noll,
+        description="highest Noll mode estimated, from 2 on; open: all that the window shows, by a prior "
+        "whose law is fitted; null: that of the method, open for long_exposure",
+    )
+    prior_scale: float | None = Field(
+        3.0, gt=0, le=1000, description="width of the prior over that of the NCPA law; null: no prior"
+    )
+    max_iterations: int = Field(
+        CalibrationOptions.max_iterations, ge=1, le=10000, description="largest number of iterations of a fit"
+    )
+    compare: tuple[MethodName, ...] = Field(
+        (), description="further methods to run, for comparison in the report only"
+    )
+
+    @model_validator(mode="after")
+    def _can_be_open(self) -> Config:
+        if self.highest_noll == OPEN and not METHODS[self.method].open:
+            raise ValueError(
+                f"'highest_noll: open' is not for method '{self.method}'; give a number, or null"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _compared_on_all(self) -> Config:
+        if self.each and self.compare:
+            raise ValueError("'compare' works on all recordings together; leave it out with 'each: true'")
+        return self
+
+    def options(self, ncpa_law: NcpaLaw, method: str | None = None) -> CalibrationOptions:
+        """Options of the configured method with a prior from `ncpa_law`.
+
+        Or those of another `method` as published: own loss, own modes, no prior.
+        """
+        if method is not None:
+            return CalibrationOptions(method, max_iterations=self.max_iterations)
+        return CalibrationOptions(
+            self.method,
+            self.loss,
+            self.optimiser,
+            self.highest_noll,
+            None if self.prior_scale is None else NcpaPrior(ncpa_law, self.prior_scale),
+            self.max_iterations,
+            ncpa_law,
+        )
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate with the chosen method, and with the methods to compare."""
-    from irlos_pipe.stages.calibrate.work import run as work
-
-    return work(ctx)
+    return WORK.run(ctx)

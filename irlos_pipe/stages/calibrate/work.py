@@ -2,22 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
+from irlos_pipe.effects.base import labels_of
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.public_values import mean_of, measured, rows_of
 from irlos_pipe.estimate.calibration import Calibration, calibrate
-from irlos_pipe.estimate.calibration_options import (
-    CalibrationOptions,
-)
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.methods import scheme_of
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.estimate.setups import calibrate_setups
-from irlos_pipe.frames.recording import Recording
+from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.optics.image_quality import correlations
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.config import Config
-from irlos_pipe.stages.calibrate.input import CubeInput, cube_input, require_calibration
-from irlos_pipe.stages.calibrate.output import joint_output, wfe_nm
-from irlos_pipe.stages.calibrate.per_recording import Cube, each_output
-from irlos_pipe.stages.calibrate.setups import by_setup, require_joint, setups_of
+from irlos_pipe.stages.calibrate.input import (
+    CubeInput,
+    by_setup,
+    cube_input,
+    require_calibration,
+    require_joint,
+    setups_of,
+)
+from irlos_pipe.stages.calibrate.quality import checks_of, motion_line
+from irlos_pipe.stages.calibrate.results import (
+    ARRAYS,
+    CUBES,
+    CalibrateResults,
+    CubeRow,
+    Estimate,
+    Lenslets,
+    Tail,
+    Twin,
+)
+from irlos_pipe.stages.calibrate.stage import Config
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.recording_settings import SETUP_KEYS, differences, seeing_arcsec
+from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
@@ -29,11 +59,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
+    """One estimate from all recordings."""
     used = [r for r in recordings if r.frames]
     if not used:
         raise InputDataError(_no_frame(recordings[0]))
     if any(differences(used[0], other, SETUP_KEYS) for other in used[1:]):
         return _jointly(ctx, used)
+    first = recordings[0].acquisition
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
     cube = cube_input(ctx, recordings, options)
     result = _calibrated(ctx, recordings[0].name, cube, options)
@@ -42,14 +74,12 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         for method in ctx.config.compare
         if method != ctx.config.method
     ]
-    first = recordings[0].acquisition
-    seeing = seeing_arcsec(ctx.instrument, first)
-    output = joint_output(ctx.config, result, others, seeing, first)
+    output = _joint_output(ctx, result, others, first)
     if first.lenslets == 1:
         return output
-    from irlos_pipe.stages.calibrate.lenslets import with_lenslets
-
-    return with_lenslets(ctx, output, result, cube)
+    row = _lenslets(ctx, result, cube)
+    results = output.results.model_copy(update={"lenslets": row})
+    return replace(output, results=results, summary=[*output.summary, *_lenslet_lines(row)])
 
 
 def _jointly(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
@@ -60,25 +90,18 @@ def _jointly(ctx: StageContext[Config], recordings: list[Recording]) -> StageOut
         ctx.log.warning("calibrate.compare is left out: methods are compared on recordings of one set-up")
     result = calibrate_setups(setups_of(ctx, groups, options), options, device=ctx.device)
     ctx.log.info("%d set-ups together: chi2/nu %.2f, %.1f s", len(groups), result.chi2_nu, result.seconds)
-    first = groups[0][0].acquisition
-    return joint_output(ctx.config, result, [], seeing_arcsec(ctx.instrument, first), first)
+    return _joint_output(ctx, result, [], groups[0][0].acquisition)
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
+    """An estimate from every recording, and the mean over them."""
     usable = [r for r in recordings if r.frames]
     failures = [_no_frame(r) for r in recordings if not r.frames]
     if not usable:
         raise InputDataError(failures[0])
-    cubes = [
-        Cube(
-            r.name,
-            r.acquisition,
-            seeing_arcsec(ctx.instrument, r.acquisition),
-            _calibrate(ctx, [r], ctx.config.options(ctx.instrument.facility.ncpa_law)),
-        )
-        for r in usable
-    ]
-    return each_output(ctx.config, cubes, failures)
+    options = ctx.config.options(ctx.instrument.facility.ncpa_law)
+    cubes = [Cube(one.name, one.acquisition, _calibrate(ctx, [one], options)) for one in usable]
+    return _each_output(ctx, cubes, failures)
 
 
 def _no_frame(recording: Recording) -> str:
@@ -110,3 +133,301 @@ def _calibrated(
         result.seconds,
     )
     return result
+
+
+# -- what is reported --------------------------------------------------------------------------------
+
+LABEL_WIDTH = 24  # of what stands before numbers in lines for the terminal; the longest effect has 22
+MEAN = ("noll", "zernike_nm", "modes_nm", "covariance_nm2", "effects")  # arrays of the mean over cubes
+
+
+def _joint_output(
+    ctx: StageContext[Config], result: Calibration, others: Sequence[Calibration], acquisition: Acquisition
+) -> StageOutput:
+    """One estimate, those of other methods beside it; `acquisition` is that of the first recording."""
+    results = CalibrateResults(
+        **_estimate(result),
+        effects=result.effects,
+        effects_sigma=result.effects_sigma,
+        seeing_arcsec=seeing_arcsec(ctx.instrument, acquisition),
+        wavelength_nm=acquisition.wavelength_nm,
+        twin=None if result.twin is None else Twin.filled_from(result.twin),
+        untested=untested_by_cubes(acquisition.diversity, _not_told(result)),
+        compare=[Estimate(**_estimate(other)) for other in others],
+    )
+    summary = _summary(result, others)
+    return StageOutput(_arrays(result), results, checks_of(ctx.config, result), summary=summary)
+
+
+@dataclass(frozen=True)
+class Cube:
+    """One recording and what was estimated from it."""
+
+    name: str
+    acquisition: Acquisition
+    result: Calibration
+
+
+def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Sequence[str]) -> StageOutput:
+    """One estimate per recording; the keys and arrays of a joint estimate hold the mean over the cubes.
+
+    Those of every cube stand in ``cubes``, its arrays under ``cubes/<name>/``. `failures` has one line per
+    recording that could not be used.
+    """
+    mean = _mean_calibration([cube.result for cube in cubes])
+    arrays = _arrays(mean, note="mean over the cubes", only=MEAN)
+    for cube in cubes:
+        arrays |= _arrays(cube.result, f"{CUBES}/{cube.name}/")
+    why = [_not_told(cube.result) for cube in cubes]
+    results = CalibrateResults(
+        **_estimate(mean),
+        effects=mean.effects,
+        seeing_arcsec=float(np.mean([seeing_arcsec(ctx.instrument, cube.acquisition) for cube in cubes])),
+        wavelength_nm=float(np.mean([cube.acquisition.wavelength_nm for cube in cubes])),
+        twin=None,
+        compare=[],
+        cubes=[
+            CubeRow(
+                name=cube.name,
+                derotator_angle_deg=cube.acquisition.derotator_angle_deg,
+                **_estimate(cube.result),
+                effects=cube.result.effects,
+            )
+            for cube in cubes
+        ],
+        untested=untested_by_cubes(cubes[0].acquisition.diversity, next(filter(None, why), "")),
+    )
+    checks = [check for cube in cubes for check in checks_of(ctx.config, cube.result, f"{cube.name}: ")]
+    return StageOutput(arrays, results, checks, summary=_mean_summary(mean, cubes), failures=failures)
+
+
+def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
+    """Return the plain mean of estimates from cubes, which count alike however bright they are.
+
+    It has the modes that all of them have, and the frames and fits of all.
+    """
+    first = min(results, key=lambda one: len(one.nolls))
+    own = slice(len(first.nolls))
+
+    def mean(name: str) -> np.ndarray:
+        return np.mean([getattr(one, name)[own] for one in results], axis=0)
+
+    return replace(
+        first,
+        zernike_nm=mean("zernike_nm"),
+        fitted_modes_nm=mean("fitted_modes_nm"),
+        covariance_nm2=np.sum([one.covariance_nm2[own, own] for one in results], axis=0) / len(results) ** 2,
+        effects=mean_of([one.effects for one in results]),
+        effect_values={
+            name: np.mean([one.effect_values[name] for one in results], axis=0)
+            for name in first.effect_values
+        },
+        frames_nm=np.concatenate([one.frames_nm[:, own] for one in results]),
+        frame_status=[status for one in results for status in one.frame_status],
+        chi2_nu=float(np.mean([one.chi2_nu for one in results])),
+        nominal=replace(
+            first.nominal,
+            value=float(np.mean([one.nominal.value for one in results])),
+            sigma=float(np.mean([one.nominal.sigma for one in results])),
+        ),
+        seconds=sum(one.seconds for one in results),
+        twin=None,
+        tail=None,
+    )
+
+
+def _not_told(result: Calibration) -> str:
+    """Return why a `result` does not tell whether the images are mirrored; empty where it does."""
+    return "" if result.mirrored is not None and result.mirrored.tells else FAINT_VANES
+
+
+def _reported(nolls: Sequence[int]) -> slice:
+    """Return the positions of the reported modes among rising Noll indices `nolls`."""
+    return slice(0, sum(noll <= HIGHEST_REPORTED_NOLL for noll in nolls))
+
+
+def wfe_nm(nolls: Sequence[int], zernike_nm: np.ndarray) -> float:
+    """Return the RMS [nm] of the reported modes.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+    zernike_nm : ndarray, (modes,)
+        Coefficients, or their standard errors, which gives the expected total error.
+    """
+    return float(np.sqrt(np.sum(zernike_nm[_reported(nolls)] ** 2)))
+
+
+def _by_noll(nolls: Sequence[int], values: np.ndarray) -> dict[int, float]:
+    """Return the `values` of the reported modes by their index; `nolls` has that of every value."""
+    own = _reported(nolls)
+    return dict(zip(nolls[own], values[own].tolist(), strict=True))
+
+
+def _estimate(result: Calibration) -> dict[str, Any]:
+    """Return the keys of `Estimate`."""
+    return {
+        "method": result.options.method,
+        "zernike_nm": _by_noll(result.nolls, result.zernike_nm),
+        "sigma_nm": _by_noll(result.nolls, result.sigma_nm),
+        "wfe_nm": wfe_nm(result.nolls, result.zernike_nm),
+        "wfe_sigma_nm": wfe_nm(result.nolls, result.sigma_nm),
+        "frames": len(result.frames_nm),
+        "errors_from": result.errors_from,
+        "seconds": round(result.seconds, 3),
+        "chi2_nu": result.chi2_nu,
+        "nominal_chi2_nu": result.nominal.value,
+        "nominal_chi2_nu_sigma": result.nominal.sigma,
+        "loss": result.options.loss,
+        "optimiser": result.options.optimiser,
+        "modes_estimated": len(result.nolls),
+        "all_zernike_nm": dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)),
+        "tail": _tail(result),
+        "status": _counts(result.frame_status),
+    }
+
+
+def _tail(result: Calibration) -> Tail | None:
+    """The law of the modes beyond the closed basis, and their RMS."""
+    if result.tail is None:
+        return None
+    beyond = np.asarray(result.nolls) >= result.tail.first_noll
+    return Tail.filled_from(result.tail, wfe_nm=float(np.linalg.norm(result.zernike_nm[beyond])))
+
+
+def _counts(status: Sequence[str]) -> dict[str, int]:
+    """Return how often every status occurs."""
+    return {name: list(status).count(name) for name in sorted(set(status))}
+
+
+def _arrays(
+    result: Calibration, below: str = "", note: str = "", only: Sequence[str] = ()
+) -> dict[str, Quantity]:
+    """The arrays of an estimate, in the group `below`; of those in a group or alone only the ones named."""
+    own, left = _reported(result.nolls), result.left
+    values: dict[str, Any] = {} if left is None else {"left_frequency": left.at, "left_power": left.value}
+    values |= {
+        "noll": result.nolls,
+        "zernike_nm": (result.zernike_nm, result.sigma_nm),
+        "modes_nm": result.fitted_modes_nm,
+        "covariance_nm2": result.covariance_nm2,
+        "correlation": correlations(result.covariance_nm2[own, own]),
+        "frames_nm": result.frames_nm,
+        "frame_status": np.array(result.frame_status, dtype=object),
+        "iterations": result.iterations,
+        "mean_image_e": (result.mean_image_e, result.sigma_image_e),
+        "model_image_e": result.model_image_e,
+        **{f"effects/{name}": parameters for name, parameters in result.effect_values.items()},
+    }
+    wanted = {name: one for name, one in values.items() if not only or name.partition("/")[0] in only}
+    return declared(ARRAYS, wanted, note, below=below)
+
+
+def _effect_lines(effects: dict[str, dict], sigma: dict[str, dict] | None = None) -> list[str]:
+    """Return one line per effect, with the errors `sigma` where there are any."""
+    errors = sigma or {}
+    return [
+        f"  {name:{LABEL_WIDTH}s}"
+        + ", ".join(f"{key} {value:.4g}" for key, value in rows_of(measured(values, errors.get(name, {}))))
+        for name, values in effects.items()
+    ]
+
+
+def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
+    wfe, sigma = wfe_nm(result.nolls, result.zernike_nm), wfe_nm(result.nolls, result.sigma_nm)
+    last = result.nolls[_reported(result.nolls)][-1]
+    few = ["  errors from the noise model and the misfit: too few frames to show their scatter"]
+    return [
+        f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
+        f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
+        f"nominal {result.nominal.value:.2f})",
+        *(few if result.errors_from != "frames" else []),
+        *([] if result.motion is None else [f"  {motion_line(result.motion)}"]),
+        *_tail_lines(result),
+        *_effect_lines(result.effects, result.effects_sigma),
+        *(
+            f"  beside: {wfe_nm(other.nolls, other.zernike_nm):.1f} nm RMS ({other.options.method}, "
+            f"{other.seconds:.1f} s, χ²/ν {other.chi2_nu:.2f})"
+            for other in others
+        ),
+        CUBES_IN_SHORT,
+    ]
+
+
+def _tail_lines(result: Calibration) -> list[str]:
+    tail = _tail(result)
+    if tail is None:
+        return []
+    return [
+        f"  {f'Noll {tail.first_noll}–{result.nolls[-1]}':{LABEL_WIDTH}s}{tail.wfe_nm:.1f} nm RMS, "
+        f"law {tail.amplitude_nm:.2g} nm each, as order^{-tail.slope:.1f}"
+    ]
+
+
+def _mean_summary(mean: Calibration, cubes: Sequence[Cube]) -> list[str]:
+    last = mean.nolls[_reported(mean.nolls)][-1]
+    return [
+        f"NCPA            {wfe_nm(mean.nolls, mean.zernike_nm):.1f} ± "
+        f"{wfe_nm(mean.nolls, mean.sigma_nm):.1f} nm RMS in Noll 2–{last}: mean of {len(cubes)} "
+        f"{'cube' if len(cubes) == 1 else 'cubes'} ({mean.options.method})",
+        *_effect_lines(mean.effects),
+        *(
+            f"  {cube.name}: {wfe_nm(mean.nolls, cube.result.zernike_nm):.1f} nm RMS, derotator "
+            f"{cube.acquisition.derotator_angle_deg:g}°, χ²/ν {cube.result.chi2_nu:.2f}"
+            for cube in cubes
+        ),
+        CUBES_IN_SHORT,
+    ]
+
+
+# -- what the images of a 2x2 mode determine, and their centroids ------------------------------------
+
+TRIED_NOLLS = tuple(range(2, 46))
+
+
+def _lenslets(ctx: StageContext[Config], result: Calibration, cube: CubeInput) -> Lenslets:
+    """Return what the images of `cube` determine beside the prior, and what their centroids say."""
+    law = ctx.instrument.facility.ncpa_law
+    scale = ctx.config.prior_scale or Config().prior_scale or 1.0
+    known = dict(zip(result.nolls, result.fitted_modes_nm.tolist(), strict=True))
+    tried = _identified(ctx, result, cube, known, TRIED_NOLLS, NcpaPrior(law, scale))
+    own = _identified(ctx, result, cube, known, result.nolls, NcpaPrior(law, scale))
+    per_frame = modes_of_centroids_nm(
+        cube.frames.images_e.numpy(),
+        cube.settings.geometry,
+        cube.settings.pixel_scale_mas,
+        float(np.sqrt(cube.frames.noise.floor_e2)),
+    )
+    count = len(per_frame)
+    sigma = per_frame.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(len(NOLLS), np.nan)
+    return Lenslets(
+        modes_tried=len(TRIED_NOLLS),
+        combinations=tried.combinations,
+        information=tried.information.tolist(),
+        determined=list(tried.determined()),
+        left=dict(zip(TRIED_NOLLS, tried.left.tolist(), strict=True)),
+        bound_nm=dict(zip(result.nolls, own.bound_nm.tolist(), strict=True)),
+        centroids_nm=dict(zip(NOLLS, per_frame.mean(axis=0).tolist(), strict=True)),
+        centroids_sigma_nm=dict(zip(NOLLS, sigma.tolist(), strict=True)),
+    )
+
+
+def _identified(ctx, result: Calibration, cube: CubeInput, known: dict, nolls: tuple, prior: NcpaPrior):
+    psf = light_path(cube.settings, nolls, device=ctx.device, dtype=torch.float64)
+    effects = [effect for effect in cube.effects if effect.plane in ("otf", "sampling")]
+    model = ImageModel(psf, effects)
+    labels = dict(zip(labels_of(cube.effects), cube.effects, strict=True))
+    ordered = [label for one in model.effects.effects for label, e in labels.items() if e is one]
+    values = [result.effect_values[label] for label in ordered]
+    start = torch.as_tensor(np.concatenate([*values, np.empty(0)]))
+    return identified(model, known, start, cube.frames, prior.sigma_nm(nolls).numpy())
+
+
+def _lenslet_lines(row: Lenslets) -> list[str]:
+    return [
+        f"Lenslets        by their noise the four images determine {row.combinations} of {row.modes_tried} "
+        f"combinations of Noll 2–{TRIED_NOLLS[-1]}, {len(row.determined)} modes to half of their prior",
+        "  speckles, and places of the images that nobody knows, leave fewer: docs/two_by_two.md",
+        f"  defocus from centroids {row.centroids_nm[4]:+.1f} ± {row.centroids_sigma_nm[4]:.1f} nm, "
+        f"Cramér–Rao bound of the fit {row.bound_nm.get(4, np.nan):.1f} nm",
+    ]

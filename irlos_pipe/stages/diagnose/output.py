@@ -1,23 +1,22 @@
-"""What stage `diagnose` reports of cubes: results, arrays, summary, and the model with what was found."""
+"""What stage `diagnose` reports of cubes: results, check, arrays, summary, the model with what was found."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import yaml
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
-from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.rest import Rest
 from irlos_pipe.diagnosis.sharing import Sharing, Together
-from irlos_pipe.diagnosis.verdict import Diagnosis, Step, sentence
+from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis, Pictures, Step, sentence
 from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.frames.detector import star_position
+from irlos_pipe.optics.image_quality import encircled_energy, power_spectrum, transfer_cut
+from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import MapSize
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.stages.diagnose.results import (
     ARRAYS,
     AdjustedRow,
@@ -50,47 +49,30 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
     diversity_nm : mapping of int to float
         With which they were taken, Noll: nm RMS.
     """
-    noise, modes = result.noise, [_by_noll(result, one) for one in result.modes_nm]
-    return DiagnoseResults(
+    modes = [_by_noll(result, one) for one in result.modes_nm]
+    return DiagnoseResults.filled_from(
+        result,
         untested=untested_by_cubes(diversity_nm, LOOKED_AT_ELSEWHERE),
-        verdict=result.verdict,
-        grade=result.grade,
         sentence=sentence(result),
         steps=[_step(step, result.together) for step in result.steps],
         nearest=None if result.nearest is None else _step(result.nearest, result.together),
-        gap=gap_row(result.gap),
-        unexplained=result.unexplained,
-        why_unknown=result.why_unknown,
-        rest=_rest(result.rest),
+        gap=GapRow.filled_from(result.gap),
+        rest=RestRow.filled_from(result.rest, where=WhereRow.filled_from(result.rest)),
         open_facts={one.name: one.base.describe(one.values) for one in result.open_facts},
         adjusted=[
-            AdjustedRow(
-                effect=one.label,
-                phrase=one.phrase,
-                parameters=one.public,
-                sigma=one.sigma,
-                opposite=one.opposite,
-            )
-            for one in result.adjusted
+            AdjustedRow.filled_from(one, effect=one.label, parameters=one.public) for one in result.adjusted
         ],
-        tried=[
-            TriedRow(effect=one.name, outcome=one.outcome, significance=one.significance, reason=one.reason)
-            for one in result.tried
-        ],
+        tried=[TriedRow.filled_from(one, effect=one.name) for one in result.tried],
         untestable=list(result.untestable),
         recordings=_stars(result.together),
         sharing=[_sharing(one) for one in result.together.sharing] if result.together else [],
         second_recording=dict(result.advice),
-        mdb=result.mdb,
         model=MODEL_FILE,
-        noise=NoiseRow(**asdict(noise), holds=noise.holds, text=noise.text),
+        noise=NoiseRow.filled_from(result.noise),
         fine_structure=result.fine,
         chi2_nu=Change.of(result.chi2_nu),
         excess_sigma=Change.of(result.excess_sigma),
-        motion_ratio=result.motion_ratio,
-        drift_significance=result.drift_significance,
         frames=FrameCounts(training=result.frames[0], held_out=result.frames[1]),
-        held_out=result.held_out,
         added_wavefront=MapSize.of(result.pictures.added_opd_nm),
         zernike_nm=ModesChange(before=modes[0], after=modes[1]),
         sigma_nm=_by_noll(result, result.modes_sigma_nm),
@@ -98,9 +80,12 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
     )
 
 
-def gap_row(gap: Gap) -> GapRow:
-    """Return a gap as it stands in the results."""
-    return GapRow(before=gap.before, after=gap.after, floor=gap.floor, shrink=gap.shrink)
+def checks_of(results: DiagnoseResults) -> list[Check]:
+    """Return the check of a diagnosis: that the model with what was named in `results` lacks nothing."""
+    explained = results.verdict != UNKNOWN and not results.unexplained
+    grade = f", {results.grade}" if results.grade and results.grade != results.verdict else ""
+    message = f"{results.verdict}{grade}: {results.sentence}"
+    return [Check("everything explained", float(explained), "", 1.0, None, message)]
 
 
 def _stars(together: Together | None) -> list[StarRow]:
@@ -114,56 +99,24 @@ def _stars(together: Together | None) -> list[StarRow]:
 
 
 def _sharing(one: Sharing) -> SharingRow:
-    values = [
-        OwnValueRow(
-            recording=own.moment, parameters=own.public, sigma=own.sigma, significance=own.significance
-        )
-        for own in one.values
-    ]
-    return SharingRow(
-        effect=one.labels[0],
-        finding=one.finding,
-        significance=one.significance,
-        chi2_fall=one.chi2_fall,
-        parameters=one.parameters,
-        held_out_z=one.preference,
-        values=values,
-    )
+    values = [OwnValueRow.filled_from(own, recording=own.moment, parameters=own.public) for own in one.values]
+    return SharingRow.filled_from(one, effect=one.labels[0], held_out_z=one.preference, values=values)
 
 
 def _step(step: Step, together: Together | None = None) -> StepRow:
-    return StepRow(
+    return StepRow.filled_from(
+        step,
         effect=step.label,
         indistinguishable=[other.name for other in step.alternatives],
         alternatives=list(step.alternatives),
         parameters=step.public,
-        sigma=step.sigma,
-        phrase=step.phrase,
         shown=step.shown or step.public,
         shown_sigma=step.shown_sigma or step.sigma,
-        significance=step.significance,
-        explained=step.explained,
         held_out_z=step.preference,
         gap_before=step.gap.before,
         gap_after=step.gap.after,
         ranking=list(step.ranking),
-        share=step.share,
-        unusual=step.unusual,
         recordings=[] if together is None else step.found_in(together.moments),
-        opposite=step.opposite,
-    )
-
-
-def _rest(rest: Rest) -> RestRow:
-    return RestRow(
-        light_fraction=rest.light_fraction,
-        where=WhereRow(x_mas=rest.x_mas, y_mas=rest.y_mas, extent_mas=rest.extent_mas),
-        excess=rest.excess,
-        symmetry=rest.symmetry,
-        time=rest.time,
-        finer_than_diffraction=rest.finer_than_diffraction,
-        flat_rms=rest.flat_rms,
-        text=rest.text,
     )
 
 
@@ -214,6 +167,41 @@ def summary_lines(result: Diagnosis) -> list[str]:
     fine = result.fine
     lines.append(f"  finer than D/λ  {fine.ratio:.2f} × what noise leaves there, {fine.significance:.1f} σ")
     return lines
+
+
+# -- OTF, encircled energy, and power of what is left, measured and predicted ------------------------
+
+
+def quality_arrays(pictures: Pictures, settings: PsfSettings) -> dict[str, Quantity]:
+    """Return the curves of the mean held-out image and of its predictions.
+
+    Pixels that are not used hold the prediction after in all three. Light is that of the window.
+
+    Parameters
+    ----------
+    pictures : Pictures
+    settings : PsfSettings
+        Of the recording.
+    """
+    used = np.isfinite(pictures.sigma_e) & (pictures.sigma_e > 0)
+    resolution_px, arrays = settings.resolution_px, dict[str, np.ndarray]()
+    images = {"measured": pictures.measured_e, "before": pictures.before_e, "after": pictures.after_e}
+    centre = star_position(np.nan_to_num(pictures.after_e))
+    for name, image in images.items():
+        whole = np.where(used, image, pictures.after_e)
+        energy = encircled_energy(whole / whole.sum(), centre)
+        arrays["encircled_radius_mas"] = energy.at * settings.pixel_scale_mas
+        arrays[f"encircled_{name}"] = energy.value
+        for axis, letter in ((1, "x"), (0, "y")):
+            cut = transfer_cut(whole, resolution_px, axis)
+            arrays |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
+    for name in ("before", "after"):
+        left = np.where(
+            used, (pictures.measured_e - images[name]) / np.where(used, pictures.sigma_e, 1), np.nan
+        )
+        power = power_spectrum(left, resolution_px)
+        arrays |= {"left_frequency": power.at, f"left_power_{name}": power.value}
+    return declared(ARRAYS, arrays)
 
 
 # -- the model with what was found -------------------------------------------------------------

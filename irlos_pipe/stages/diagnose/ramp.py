@@ -1,4 +1,4 @@
-"""The stage `diagnose` on a ramp: errors of the focus stage, from the estimates of `lift`."""
+"""Stage `diagnose` on a ramp: errors of the focus stage by the estimates of `lift`, and of the light path."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ import torch
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
-from irlos_pipe.diagnosis.ramp.gap import LightPathName, ramp_gap
+from irlos_pipe.diagnosis.ramp.gap import LightPathName, compare, ramp_gap
 from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.diagnosis.verdict import EFFECT
-from irlos_pipe.effects import EffectSet
+from irlos_pipe.effects import CATALOGUE, EffectSet
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Product
+from irlos_pipe.effects.planes import LensEffect
+from irlos_pipe.estimate.ramp_fit import RampFit
+from irlos_pipe.product.product import Product, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.diagnose.lens import wanted_lens
-from irlos_pipe.stages.diagnose.output import MODEL_FILE, gap_row
-from irlos_pipe.stages.diagnose.quality import checks_of
-from irlos_pipe.stages.diagnose.results import ARRAYS, Change, DiagnoseResults, StepRow
+from irlos_pipe.stages.diagnose.output import MODEL_FILE, checks_of
+from irlos_pipe.stages.diagnose.results import ARRAYS, Change, DiagnoseResults, GapRow, StepRow
+from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
+from irlos_pipe.stages.lift.stage import Config as LiftConfig
+from irlos_pipe.stages.model.effects import conditions_of
 
 
 def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[str, Any]]]:
@@ -40,7 +42,7 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
     ramp = read_ramp(ctx, ctx.config.input)
     lift = ctx.products["lift"]
     held_out = frames_held_out(ramp.commanded_nm, every)
-    ctx, lens, fit = wanted_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
+    ctx, lens, fit = _wanted_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
     estimated = fit.defocus_nm if lens and fit else np.asarray(lift.arrays["defocus_nm"].value, float)
     try:
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
@@ -63,8 +65,8 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
         checks_of(results),
         summary=_summary(result, lens, gap),
     )
-    lenses = [entry(lens.effect.name, lens.public)] if lens else []
-    return output, [*lenses, *(entry(one.name, one.public) for one in result.names)]
+    lenses = [_entry(lens.effect.name, lens.public)] if lens else []
+    return output, [*lenses, *(_entry(one.name, one.public) for one in result.names)]
 
 
 def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
@@ -107,7 +109,7 @@ def _results(
         sentence=sentence(result, lens),
         steps=[*_lens_steps(lens), *(_step(one, gap) for one in result.names)],
         nearest=_step(result.nearest[0], gap) if result.nearest else None,
-        gap=gap_row(gap),
+        gap=GapRow.filled_from(gap),
         unexplained=result.verdict == "unknown" or (lens is not None and not lens.comparison.complete),
         untestable=list(result.untestable),
         mdb=result.smallest,
@@ -118,7 +120,7 @@ def _results(
     )
 
 
-def entry(name: str, public: dict[str, Any]) -> dict[str, Any]:
+def _entry(name: str, public: dict[str, Any]) -> dict[str, Any]:
     """Return the effect `name` with its `public` values as an entry of the section `model` of a recipe."""
     return {name: public}
 
@@ -143,7 +145,8 @@ def _lens_steps(lens: LightPathName | None) -> list[StepRow]:
 
 def _step(one: RampName, gap: Gap) -> StepRow:
     reason = "their courses over the visits are alike"
-    return StepRow(
+    return StepRow.filled_from(
+        one,
         effect=one.name,
         indistinguishable=[other.name for other in one.alternatives],
         alternatives=[
@@ -152,11 +155,8 @@ def _step(one: RampName, gap: Gap) -> StepRow:
         ],
         parameters=one.public,
         sigma=one.public_sigma,
-        phrase=one.phrase,
         shown=one.public,
         shown_sigma=one.public_sigma,
-        significance=one.significance,
-        explained=one.explained,
         gap_before=gap.before,
         gap_after=gap.after,
         ranking=[],
@@ -198,3 +198,62 @@ def _summary(result: RampDiagnosis, lens: LightPathName | None, gap: Gap) -> lis
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
+
+
+# -- what introduced defocus is: effects of lenses, from fits of the images --------------------------
+
+
+def _lens_candidates(ctx: StageContext, ramp: Ramp) -> list[LensEffect]:
+    """Return the lens effects that mean something for this `ramp` and that the recipe's model lacks."""
+    present = {entry.name for entry in ctx.model.entries()}
+    conditions = conditions_of(ctx.instrument, ctx.model, ramp.recordings[0])
+    found = []
+    for name, kind in CATALOGUE.items():
+        if name in present or not issubclass(kind, LensEffect):
+            continue
+        try:
+            found.append(kind.under(conditions))
+        except ValueError:
+            continue
+    return found
+
+
+def _wanted_lens(
+    ctx: StageContext, ramp: Ramp, held_out: np.ndarray, sure: float
+) -> tuple[StageContext, LightPathName | None, RampFit | None]:
+    """Return the lens effect that the images want, if there is one, and the fit that it was found with.
+
+    Returns
+    -------
+    StageContext
+        Its model has the effect.
+    LightPathName or None
+    RampFit or None
+        The ramp fitted again; None where nothing had to be compared and the frames share nothing fitted.
+    """
+    candidates = _lens_candidates(ctx, ramp)
+    if not candidates and not ctx.products["lift"].config["common_modes"]:
+        return ctx, None, None
+    plain = _fitted(ctx, ramp, held_out)
+    best: tuple[StageContext, LightPathName | None, RampFit] = (ctx, None, plain)
+    for effect in candidates:
+        values = [one.start for one in effect.parameters]
+        other = _with_effect(ctx, effect, values)
+        fit = _fitted(other, ramp, held_out)
+        comparison = compare(ramp.data, plain, fit, held_out)
+        known = best[1].comparison.significance if best[1] else 0.0
+        if comparison.favours(sure) and comparison.significance > known:
+            best = other, LightPathName(effect, values, comparison), fit
+    return best
+
+
+def _with_effect(ctx: StageContext, effect: LensEffect, values: list[float]) -> StageContext:
+    entry = {effect.name: effect.describe(np.array(values))}
+    return replace(ctx, model=ctx.model.model_copy(update={"effects": (*ctx.model.effects, entry)}))
+
+
+def _fitted(ctx: StageContext, ramp: Ramp, held_out: np.ndarray) -> RampFit:
+    """LIFT as it was asked for; what all frames share comes from the frames that are not held out."""
+    config = LiftConfig(**ctx.products["lift"].config)
+    lift = replace(ctx, config=config)
+    return fit_frames(lift, ramp, calibrated=config.calibrated, halo=config.halo, seen=~held_out)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from math import nan
 from typing import ClassVar
 
 from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
 from irlos_pipe.optics.wavefront import MapSize
-from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
+from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
 
 ARRAYS = {
     "measured_e": ("e- ±", "y, x", "mean of the held-out frames"),
@@ -40,225 +40,113 @@ CHECKS = {
 
 
 class GapRow(ResultsPart):
-    """``Σ|measured − predicted| / Σ measured`` of the held-out frames.
+    """``Σ|measured − predicted| / Σ measured`` of the held-out frames."""
 
-    Attributes
-    ----------
-    before, after : float
-        With the model as it was, and with what was found.
-    floor : float
-        What noise alone leaves.
-    shrink : float
-        (before − after) / (before − floor).
-    """
-
-    before: Number = math.nan
-    after: Number = math.nan
-    floor: Number = math.nan
-    shrink: Number = math.nan
+    before: Number = item(nan, "With the model as it was, and with what was found.")
+    after: Number = item(nan, DITTO)
+    floor: Number = item(nan, "What noise alone leaves.")
+    shrink: Number = item(nan, "(before − after) / (before − floor).")
 
 
 class TriedRow(ResultsPart):
-    """What became of an effect of the catalogue, see `diagnosis.verdict.Tried`.
+    """What became of an effect of the catalogue, see `diagnosis.verdict.Tried`."""
 
-    Attributes
-    ----------
-    effect : str
-        Name of the effect.
-    outcome : str
-        ``named``; ``nearest``, where the verdict is unknown; ``modelled`` from the start; ``adjusted``,
-        not named; ``fitted``, explains less; ``scored``, not significant; ``absorbed``, not to be seen;
-        ``not tried``.
-    significance : float
-        Of its score test at the last model for which a name was looked for, in Gaussian σ.
-    reason : str
-        Why, in words.
-    """
-
-    effect: str = ""
-    outcome: str = ""
-    significance: Number = math.nan
-    reason: str = ""
+    effect: str = item("", "Name of the effect.")
+    outcome: str = item(
+        "",
+        "``named``; ``nearest``, where the verdict is unknown; ``modelled`` from the start; ``adjusted``, "
+        "not named; ``fitted``, explains less; ``scored``, not significant; ``absorbed``, not to be seen; "
+        "``not tried``.",
+    )
+    significance: Number = item(
+        nan, "Of its score test at the last model for which a name was looked for, in Gaussian σ."
+    )
+    reason: str = item("", "Why, in words.")
 
 
 class AdjustedRow(ResultsPart):
-    """An effect that makes the final model fit better and is not named.
+    """An effect that makes the final model fit better and is not named."""
 
-    Attributes
-    ----------
-    effect : str
-        Its label there.
-    phrase : str
-        The effect with its size and error, as a sentence names it.
-    parameters, sigma : dict
-        Values and standard errors by name of the parameter.
-    opposite : OppositeSide or None
-        Its opposite side, where these data do not exclude that.
-    """
-
-    effect: str = ""
-    phrase: str = ""
-    parameters: EffectValues = {}
-    sigma: EffectValues = {}
-    opposite: OppositeSide | None = None
+    effect: str = item("", "Its label there.")
+    phrase: str = item("", "The effect with its size and error, as a sentence names it.")
+    parameters: EffectValues = item({}, "Values and standard errors by name of the parameter.")
+    sigma: EffectValues = item({}, DITTO)
+    opposite: OppositeSide | None = item(None, "Its opposite side, where these data do not exclude that.")
 
 
 class StepRow(ResultsPart):
-    """An effect, in the order found.
+    """An effect, in the order found."""
 
-    Attributes
-    ----------
-    effect : str
-        Name of the effect.
-    indistinguishable : list of str
-        Names of the `alternatives`.
-    alternatives : list of Alternative
-        Effects that these data do not distinguish from it.
-    parameters, sigma : dict
-        Values and standard errors by name of the parameter.
-    phrase : str
-        The effect with its size and error, as a sentence names it.
-    shown, shown_sigma : dict
-        The same for readers: of petals differences from their mean, of a table of modes the RMS as well.
-    significance : float
-        Significance in Gaussian σ.
-    explained : float
-        Part of the excess over noise that was there before.
-    held_out_z : float
-        Vuong's statistic on the held-out frames.
-    gap_before, gap_after : float
-        Gap without and with it.
-    ranking : list of Ranked
-        Candidates when it was chosen, the best first.
-    share : float
-        Part of its own signal that the final model explains where that signal lies.
-    unusual : list of str
-        Parameters beyond what is usual for the effect.
-    recordings : list of str
-        Where it was found; empty: in all.
-    opposite : OppositeSide or None
-        Its opposite side, where these data do not exclude that.
-    """
-
-    effect: str = ""
-    indistinguishable: list[str] = []
-    alternatives: list[Alternative] = []
-    parameters: EffectValues = {}
-    sigma: EffectValues = {}
-    phrase: str = ""
-    shown: EffectValues = {}
-    shown_sigma: EffectValues = {}
-    significance: Number = math.nan
-    explained: Number = math.nan
-    held_out_z: Number = math.nan
-    gap_before: Number = math.nan
-    gap_after: Number = math.nan
-    ranking: list[Ranked] = []
-    share: Number = math.nan
-    unusual: list[str] = []
-    recordings: list[str] = []
-    opposite: OppositeSide | None = None
+    effect: str = item("", "Name of the effect.")
+    indistinguishable: list[str] = item([], "Names of the `alternatives`.")
+    alternatives: list[Alternative] = item([], "Effects that these data do not distinguish from it.")
+    parameters: EffectValues = item({}, "Values and standard errors by name of the parameter.")
+    sigma: EffectValues = item({}, DITTO)
+    phrase: str = item("", "The effect with its size and error, as a sentence names it.")
+    shown: EffectValues = item(
+        {},
+        "The same for readers: of petals differences from their mean, of a table of modes the RMS as well.",
+    )
+    shown_sigma: EffectValues = item({}, DITTO)
+    significance: Number = item(nan, "Significance in Gaussian σ.")
+    explained: Number = item(nan, "Part of the excess over noise that was there before.")
+    held_out_z: Number = item(nan, "Vuong's statistic on the held-out frames.")
+    gap_before: Number = item(nan, "Gap without and with it.")
+    gap_after: Number = item(nan, DITTO)
+    ranking: list[Ranked] = item([], "Candidates when it was chosen, the best first.")
+    share: Number = item(nan, "Part of its own signal that the final model explains where that signal lies.")
+    unusual: list[str] = item([], "Parameters beyond what is usual for the effect.")
+    recordings: list[str] = item([], "Where it was found; empty: in all.")
+    opposite: OppositeSide | None = item(None, "Its opposite side, where these data do not exclude that.")
 
 
 class OwnValueRow(ResultsPart):
-    """What one star and night has of an effect, see `diagnosis.sharing.OwnValue`.
+    """What one star and night has of an effect, see `diagnosis.sharing.OwnValue`."""
 
-    Attributes
-    ----------
-    recording : str
-        Name of the star and night.
-    parameters, sigma : dict
-        Values and standard errors by name of the parameter.
-    significance : float
-        Of its presence there, in Gaussian σ.
-    """
-
-    recording: str = ""
-    parameters: EffectValues = {}
-    sigma: EffectValues = {}
-    significance: Number = math.nan
+    recording: str = item("", "Name of the star and night.")
+    parameters: EffectValues = item({}, "Values and standard errors by name of the parameter.")
+    sigma: EffectValues = item({}, DITTO)
+    significance: Number = item(nan, "Of its presence there, in Gaussian σ.")
 
 
 class SharingRow(ResultsPart):
-    """Whether stars and nights share an effect, see `diagnosis.sharing.Sharing`.
+    """Whether stars and nights share an effect, see `diagnosis.sharing.Sharing`."""
 
-    Attributes
-    ----------
-    effect : str
-        Name of the effect.
-    finding : str
-        ``common``, ``differs``, or ``open`` where these data do not tell.
-    significance : float
-        Of the differences, in Gaussian σ.
-    chi2_fall : float
-        By which χ² falls with a value of each, for so many more `parameters`.
-    parameters : int
-        Further parameters that values of each take.
-    held_out_z : float
-        Vuong's statistic for a value of each against one for all.
-    values : list of OwnValueRow
-        What each star and night has of it.
-    """
-
-    effect: str = ""
-    finding: str = ""
-    significance: Number = math.nan
-    chi2_fall: Number = math.nan
-    parameters: int = 0
-    held_out_z: Number = math.nan
-    values: list[OwnValueRow] = []
+    effect: str = item("", "Name of the effect.")
+    finding: str = item("", "``common``, ``differs``, or ``open`` where these data do not tell.")
+    significance: Number = item(nan, "Of the differences, in Gaussian σ.")
+    chi2_fall: Number = item(nan, "By which χ² falls with a value of each, for so many more `parameters`.")
+    parameters: int = item(0, "Further parameters that values of each take.")
+    held_out_z: Number = item(nan, "Vuong's statistic for a value of each against one for all.")
+    values: list[OwnValueRow] = item([], "What each star and night has of it.")
 
 
 class StarRow(ResultsPart):
-    """One star and night, see `diagnosis.moments.Moment`, and by how much its wavefront differs.
+    """One star and night, see `diagnosis.moments.Moment`, and by how much its wavefront differs."""
 
-    Attributes
-    ----------
-    name, star : str
-        Name of the star and night, and of the star.
-    ncpa_change_nm, sigma_nm : float
-        RMS over the modes of the change from the common wavefront, and of its standard errors.
-    """
-
-    name: str = ""
-    star: str = ""
-    ncpa_change_nm: Number = math.nan
-    sigma_nm: Number = math.nan
+    name: str = item("", "Name of the star and night, and of the star.")
+    star: str = item("", DITTO)
+    ncpa_change_nm: Number = item(
+        nan, "RMS over the modes of the change from the common wavefront, and of its standard errors."
+    )
+    sigma_nm: Number = item(nan, DITTO)
 
 
 class NoiseRow(ResultsPart):
-    """Whether the noise model holds, see `diagnosis.checks.noise.NoiseVerdict`.
+    """Whether the noise model holds, see `diagnosis.checks.noise.NoiseVerdict`."""
 
-    Attributes
-    ----------
-    kind : str
-        ``photon-limited``, ``speckle-limited``, or ``unseen`` of a single frame.
-    bright_ratio, faint_ratio : float
-        Measured over predicted variance of bright and of faint pixels.
-    holds : bool
-        Whether the noise model explains the scatter of the frames.
-    text : str
-        The same in words.
-    """
-
-    kind: str = ""
-    bright_ratio: Number = math.nan
-    faint_ratio: Number = math.nan
-    holds: bool = True
-    text: str = ""
+    kind: str = item("", "``photon-limited``, ``speckle-limited``, or ``unseen`` of a single frame.")
+    bright_ratio: Number = item(nan, "Measured over predicted variance of bright and of faint pixels.")
+    faint_ratio: Number = item(nan, DITTO)
+    holds: bool = item(True, "Whether the noise model explains the scatter of the frames.")
+    text: str = item("", "The same in words.")
 
 
 class Change(ResultsPart):
-    """A number with the model as it was, and with what was found.
+    """A number with the model as it was, and with what was found."""
 
-    Attributes
-    ----------
-    before, after : float
-        With the model as it was, and with what was found.
-    """
-
-    before: Number = math.nan
-    after: Number = math.nan
+    before: Number = item(nan, "With the model as it was, and with what was found.")
+    after: Number = item(nan, DITTO)
 
     @classmethod
     def of(cls, pair: Sequence[float]) -> Change:
@@ -267,165 +155,97 @@ class Change(ResultsPart):
 
 
 class ModesChange(ResultsPart):
-    """Coefficients with the model as it was, and with what was found.
+    """Coefficients with the model as it was, and with what was found."""
 
-    Attributes
-    ----------
-    before, after : dict of int to float
-        With the model as it was, and with what was found, by Noll index [nm RMS].
-    """
-
-    before: ByNoll = {}
-    after: ByNoll = {}
+    before: ByNoll = item({}, "With the model as it was, and with what was found, by Noll index [nm RMS].")
+    after: ByNoll = item({}, DITTO)
 
 
 class FrameCounts(ResultsPart):
-    """Frames that the fits saw, and those held out.
+    """Frames that the fits saw, and those held out."""
 
-    Attributes
-    ----------
-    training, held_out : int
-        Frames that the fits saw, and those that no fit has seen.
-    """
-
-    training: int = 0
-    held_out: int = 0
+    training: int = item(0, "Frames that the fits saw, and those that no fit has seen.")
+    held_out: int = item(0, DITTO)
 
 
 class WhereRow(ResultsPart):
-    """The strongest part of what is left, from the star, x to the right and y up [mas].
+    """The strongest part of what is left, from the star, x to the right and y up [mas]."""
 
-    Attributes
-    ----------
-    x_mas, y_mas : float
-        Position from the star, to the right and up.
-    extent_mas : float
-        Diameter of a disc as large.
-    """
-
-    x_mas: Number = math.nan
-    y_mas: Number = math.nan
-    extent_mas: Number = math.nan
+    x_mas: Number = item(nan, "Position from the star, to the right and up.")
+    y_mas: Number = item(nan, DITTO)
+    extent_mas: Number = item(nan, "Diameter of a disc as large.")
 
 
 class RestRow(ResultsPart):
-    """What the model still misses, see `diagnosis.rest.Rest`.
+    """What the model still misses, see `diagnosis.rest.Rest`."""
 
-    Attributes
-    ----------
-    light_fraction : float
-        Part of the light that is misplaced beyond what noise alone shows.
-    excess : bool
-        Whether the strongest part is too bright in the data, not too faint.
-    symmetry : str
-        ``symmetric``, ``antisymmetric`` or ``one-sided``, under a half turn about the star.
-    time : str
-        Whether the two halves of the frames leave the same: ``static``, ``moving`` or ``not seen``.
-    finer_than_diffraction : bool
-        Whether a part of it is finer than the telescope can make.
-    flat_rms : float
-        Relative error of the flat that would make what is finer; 0 where none is told apart.
-    text : str
-        All of it in a sentence.
-    """
-
-    light_fraction: Number = math.nan
+    light_fraction: Number = item(nan, "Part of the light that is misplaced beyond what noise alone shows.")
     where: WhereRow = WhereRow()
-    excess: bool = False
-    symmetry: str = ""
-    time: str = ""
-    finer_than_diffraction: bool = False
-    flat_rms: Number = 0.0
-    text: str = ""
+    excess: bool = item(False, "Whether the strongest part is too bright in the data, not too faint.")
+    symmetry: str = item(
+        "", "``symmetric``, ``antisymmetric`` or ``one-sided``, under a half turn about the star."
+    )
+    time: str = item(
+        "", "Whether the two halves of the frames leave the same: ``static``, ``moving`` or ``not seen``."
+    )
+    finer_than_diffraction: bool = item(False, "Whether a part of it is finer than the telescope can make.")
+    flat_rms: Number = item(
+        0.0, "Relative error of the flat that would make what is finer; 0 where none is told apart."
+    )
+    text: str = item("", "All of it in a sentence.")
 
 
 class DiagnoseResults(StageResults):
-    """What the model of cubes or a ramp lacks; some keys stand only for cubes, `defocus_error_nm` for a ramp.
-
-    Attributes
-    ----------
-    verdict : str
-        ``none``, ``effect`` or ``unknown``.
-    grade : str
-        ``none``, ``complete``, ``partial``, ``resembles`` or ``unknown``, see `diagnosis.verdict.Diagnosis`.
-    sentence : str
-        The verdict in words, with sizes and errors.
-    steps : list of StepRow
-        Effects that are named, in the order found.
-    nearest : StepRow or None
-        What comes nearest, where the verdict is unknown.
-    unexplained : bool
-        Whether a significant part of the residual is left.
-    why_unknown : str
-        Why nothing is named; empty where something is, or nothing is missing.
-    rest : RestRow or None
-        What the model with the effects still misses.
-    open_facts : dict
-        Facts of the instrument that `model` leaves free beside the steps and what is adjusted, as they are
-        off by more than 1.5 standard errors; only where all had to be free. Their values, by effect.
-    adjusted : list of AdjustedRow
-        Effects in the final model that are not named.
-    tried : list of TriedRow
-        Every effect of the catalogue, and what became of it.
-    untestable : list of str
-        Effects that the free parameters absorb.
-    recordings : list of StarRow
-        Stars and nights, where there are several; `sharing` says what they share.
-    sharing : list of SharingRow
-        Which effects stars and nights share.
-    second_recording : dict of str to Advice
-        A second recording that would show it, by effect of `untestable`.
-    mdb : dict of str to dict
-        Smallest detectable size of every effect that was not found.
-    model : str
-        File with the model and what was found.
-    chi2_nu, excess_sigma : Change
-        Reduced χ² of the mean image, and its excess in σ.
-    motion_ratio, drift_significance : float
-        Image motion over its expectation; drift in σ.
-    held_out : str
-        ``frames`` or ``pixels``: what no fit has seen.
-    added_wavefront : MapSize
-        RMS and peak to valley of the wavefront that what was found adds.
-    zernike_nm : ModesChange
-        Total static wavefront [nm RMS]; `sigma_nm` its standard errors.
-    sigma_nm : dict of int to float
-        Standard errors of `zernike_nm` with what was found, by Noll index [nm RMS].
-    defocus_error_nm : Change
-        RMS of estimated minus introduced defocus of a ramp.
-    seconds : float
-        Time of the diagnosis.
-    """
+    """What the model of cubes or a ramp lacks; some keys stand only for cubes, `defocus_error_nm` for a "
+    "ramp."""
 
     stage: ClassVar[str] = "diagnose"
-    verdict: str = ""
-    grade: str = ""
-    sentence: str = ""
-    steps: list[StepRow] = []
-    nearest: StepRow | None = None
+    verdict: str = item("", "``none``, ``effect`` or ``unknown``.")
+    grade: str = item(
+        "",
+        "``none``, ``complete``, ``partial``, ``resembles`` or ``unknown``, see "
+        "`diagnosis.verdict.Diagnosis`.",
+    )
+    sentence: str = item("", "The verdict in words, with sizes and errors.")
+    steps: list[StepRow] = item([], "Effects that are named, in the order found.")
+    nearest: StepRow | None = item(None, "What comes nearest, where the verdict is unknown.")
     gap: GapRow = GapRow()
-    unexplained: bool = False
-    why_unknown: str = ""
-    rest: RestRow | None = None
-    adjusted: list[AdjustedRow] = []
-    open_facts: dict[str, EffectValues] = {}
-    tried: list[TriedRow] = []
-    untestable: list[str] = []
-    recordings: list[StarRow] = []
-    sharing: list[SharingRow] = []
-    second_recording: dict[str, Advice] = {}
-    mdb: dict[str, EffectValues] = {}
-    model: str = ""
+    unexplained: bool = item(False, "Whether a significant part of the residual is left.")
+    why_unknown: str = item("", "Why nothing is named; empty where something is, or nothing is missing.")
+    rest: RestRow | None = item(None, "What the model with the effects still misses.")
+    adjusted: list[AdjustedRow] = item([], "Effects in the final model that are not named.")
+    open_facts: dict[str, EffectValues] = item(
+        {},
+        "Facts of the instrument that `model` leaves free beside the steps and what is adjusted, as they "
+        "are off by more than 1.5 standard errors; only where all had to be free. Their values, by effect.",
+    )
+    tried: list[TriedRow] = item([], "Every effect of the catalogue, and what became of it.")
+    untestable: list[str] = item([], "Effects that the free parameters absorb.")
+    recordings: list[StarRow] = item(
+        [], "Stars and nights, where there are several; `sharing` says what they share."
+    )
+    sharing: list[SharingRow] = item([], "Which effects stars and nights share.")
+    second_recording: dict[str, Advice] = item(
+        {}, "A second recording that would show it, by effect of `untestable`."
+    )
+    mdb: dict[str, EffectValues] = item({}, "Smallest detectable size of every effect that was not found.")
+    model: str = item("", "File with the model and what was found.")
     noise: NoiseRow | None = None
     fine_structure: FineStructure | None = None
-    chi2_nu: Change = Change()
-    excess_sigma: Change = Change()
-    motion_ratio: Number = math.nan
-    drift_significance: Number = math.nan
+    chi2_nu: Change = item(Change(), "Reduced χ² of the mean image, and its excess in σ.")
+    excess_sigma: Change = item(Change(), DITTO)
+    motion_ratio: Number = item(nan, "Image motion over its expectation; drift in σ.")
+    drift_significance: Number = item(nan, DITTO)
     frames: FrameCounts = FrameCounts()
-    held_out: str = "frames"
-    added_wavefront: MapSize = MapSize()
-    zernike_nm: ModesChange = ModesChange()
-    sigma_nm: ByNoll = {}
-    defocus_error_nm: Change = Change()
-    seconds: Number = math.nan
+    held_out: str = item("frames", "``frames`` or ``pixels``: what no fit has seen.")
+    added_wavefront: MapSize = item(
+        MapSize(), "RMS and peak to valley of the wavefront that what was found adds."
+    )
+    zernike_nm: ModesChange = item(
+        ModesChange(), "Total static wavefront [nm RMS]; `sigma_nm` its standard errors."
+    )
+    sigma_nm: ByNoll = item(
+        {}, "Standard errors of `zernike_nm` with what was found, by Noll index [nm RMS]."
+    )
+    defocus_error_nm: Change = item(Change(), "RMS of estimated minus introduced defocus of a ramp.")
+    seconds: Number = item(nan, "Time of the diagnosis.")

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
-from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.diagnose.config import Config
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from irlos_pipe.conventions.late import LateModule
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
+from irlos_pipe.diagnosis.options import DRIFT_NM
+from irlos_pipe.files.regular import read_regular
+from irlos_pipe.product.runfolder import RunFolder
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.diagnose.results import ARRAYS, CHECKS
 from irlos_pipe.stages.diagnose.results import DiagnoseResults as Results
 
@@ -13,10 +23,79 @@ NAME = "diagnose"
 VERSION = 28
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
+WORK = LateModule("irlos_pipe.stages.diagnose.work")
+Noll = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
+Nanometres = Annotated[float, Field(ge=-5000, le=5000)]
+
+
+def _wavefront_of(value: Any) -> Any:
+    """Return coefficients as they are, and those in the results of a run for its path.
+
+    Parameters
+    ----------
+    value : mapping or str
+        Noll index to nm RMS, or the path of a run folder or its ``results.json``: of its diagnosis the
+        wavefront with what was found, else that of its calibration.
+
+    Raises
+    ------
+    ValueError
+        Where no wavefront can be read.
+    """
+    if not isinstance(value, str):
+        return value
+    path = Path(value)
+    path = RunFolder(path).results if path.is_dir() else path
+    try:
+        stages = json.loads(read_regular(path))["stages"]
+    except OSError as error:
+        raise ValueError(
+            f"{path}: {error.strerror or error}; give a run folder or its results.json"
+        ) from None
+    except (ValueError, KeyError, TypeError):
+        raise ValueError(f"{path}: no results of a run; give a run folder or its results.json") from None
+    if "diagnose" in stages and "zernike_nm" in stages["diagnose"]:
+        return stages["diagnose"]["zernike_nm"]["after"]
+    if "calibrate" in stages:
+        return stages["calibrate"]["all_zernike_nm"]
+    raise ValueError(f"{path}: no calibration and no diagnosis of a cube; give a run that has one")
+
+
+class Config(StageConfig):
+    """Settings of the diagnosis."""
+
+    input: str = Field("cube", description="recipe input that holds the cubes, or the ramp")
+    highest_noll: int = Field(
+        66,
+        ge=4,
+        le=HIGHEST_NOLL,
+        description="modes 2 to this belong to every model; beyond: high_order_ncpa",
+    )
+    held_out: float = Field(
+        0.25,
+        gt=0.05,
+        le=0.5,
+        description="part of the frames, or of the pixels of fewer than 16, that no fit sees",
+    )
+    most_names: int = Field(4, ge=1, le=10, description="names at which to stop, of each star and night")
+    recordings: Literal["auto", "together", "apart"] = Field(
+        "auto",
+        description="of one star and night (together), each of its own (apart), or as targets and times tell",
+    )
+    night_drift_nm: float = Field(
+        DRIFT_NM,
+        gt=0,
+        le=100,
+        description="prior σ of the change of every mode between stars and nights [nm]",
+    )
+    sure_sigma: float = Field(5.0, ge=3, le=20, description="significance of a detection")
+    begin_near: Annotated[dict[Noll, Nanometres], BeforeValidator(_wavefront_of)] = Field(
+        {},
+        description="a wavefront from which the fit begins as well, Noll index to nm RMS, or the path of a "
+        "run that found it in another recording",
+    )
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Diagnose the recipe's input: behind the stage `lift` a ramp, else cubes of one wavefront."""
-    from irlos_pipe.stages.diagnose.work import run as work
-
-    return work(ctx)
+    return WORK.run(ctx)

@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnosis.moments import Moments, placed
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.verdict import Diagnosis
-from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.diagnosis.view import Exposures, Screened
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.residual import kurtosis_of_frames
-from irlos_pipe.product.product import Check
+from irlos_pipe.frames.recording import Recording
+from irlos_pipe.product.product import Check, Product
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.quality import frame_checks
-from irlos_pipe.stages.diagnose.config import Config
-from irlos_pipe.stages.diagnose.input import Alike, by_setting, introduced_nm, screened_pixels
 from irlos_pipe.stages.diagnose.output import (
     MODEL_FILE,
+    checks_of,
     diagnose_arrays,
     diagnose_results,
     model_entries,
     model_yaml,
+    quality_arrays,
     summary_lines,
 )
-from irlos_pipe.stages.diagnose.quality import checks_of
-from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
+from irlos_pipe.stages.diagnose.stage import Config
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, screened_e
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.recording_settings import pooled_frames, psf_settings
+from irlos_pipe.stages.model.recording_settings import differences, in_time_order, pooled_frames, psf_settings
 
 EXPECTED_FITS = 11  # of one cube, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}
@@ -42,7 +45,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
         return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
     apart = APART[ctx.config.recordings]
-    groups = by_setting(ctx.products["ingest"], ctx.config.input, apart=apart)
+    groups = _by_setting(ctx.products["ingest"], ctx.config.input, apart=apart)
     result, settings = _diagnose(ctx, groups), psf_settings(ctx.instrument, ctx.model, groups[0].first)
     model = model_yaml(ctx.model, model_entries(result))
     results = diagnose_results(result, groups[0].first.acquisition.diversity)
@@ -87,13 +90,126 @@ def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -
     """Recordings of one setting and moment, the introduced defocus in the known wavefront."""
     first = alike.first
     conditions = conditions_of(
-        ctx.instrument, ctx.model, first, ctx.config.highest_noll, introduced_nm={4: introduced_nm(first)}
+        ctx.instrument, ctx.model, first, ctx.config.highest_noll, introduced_nm={4: _introduced_nm(first)}
     )
     return Exposures(
         pooled_frames(alike.recordings, good_pixels(effects, first.window), conditions.settings),
         conditions,
-        screened_pixels(ctx.products["ingest"], first),
+        _screened_pixels(ctx.products["ingest"], first),
         alike.moment,
         first.name,
         alike.star,
     )
+
+
+# -- recordings that a diagnosis takes together ------------------------------------------------------
+
+COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator angle"}
+NIGHT_S = 12 * 3600.0  # between recordings, from which they are of different nights
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Recordings of one moment with equal settings.
+
+    Attributes
+    ----------
+    recordings : sequence of Recording
+        In order of time.
+    moment : int
+        Number of the star and night.
+    """
+
+    recordings: Sequence[Recording]
+    moment: int = 0
+
+    @property
+    def first(self) -> Recording:
+        """The first recording."""
+        return self.recordings[0]
+
+    @property
+    def star(self) -> str:
+        """What the side-car or header calls it."""
+        return self.first.acquisition.target
+
+    @property
+    def diversity_nm(self) -> float:
+        """Size of the diversity [nm RMS]."""
+        return float(np.linalg.norm(list(self.first.acquisition.diversity.values())))
+
+
+def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -> list[Alike]:
+    """Return the used frames of the input `input_name` of `ingest`, one group per setting and moment.
+
+    The setting with the largest diversity comes first: errors of the diversity are stated for it.
+
+    Parameters
+    ----------
+    apart : bool, optional
+        Whether every recording is of its own star or night, or all are of one; by default targets and times
+        tell.
+
+    Raises
+    ------
+    InputDataError
+        If recordings of one moment differ in more than focus, diversity and band.
+    """
+    recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
+    _require_common(recordings)
+    groups: dict[tuple, list[Recording]] = {}
+    for recording, moment in zip(recordings, moments_of(recordings, apart), strict=True):
+        groups.setdefault((moment, *_setting(recording)), []).append(recording)
+    found = [Alike(alike, key[0]) for key, alike in groups.items()]
+    return sorted(found, key=lambda alike: -alike.diversity_nm)
+
+
+def moments_of(recordings: Sequence[Recording], apart: bool | None = None) -> list[int]:
+    """Return the number of the star and night of every recording, from 0 in the order given.
+
+    `recordings` in order of time; `apart`: see `_by_setting`.
+    """
+    if apart is not None:
+        return [number if apart else 0 for number in range(len(recordings))]
+    night, last_s = 0, float("nan")
+    known: dict[tuple[str, int], int] = {}
+    found = []
+    for recording in recordings:
+        night += bool(recording.start_unix_s - last_s > NIGHT_S)
+        last_s = recording.start_unix_s
+        found.append(known.setdefault((recording.acquisition.target, night), len(known)))
+    return found
+
+
+def _introduced_nm(recording: Recording) -> float:
+    """Introduced defocus of all its used frames."""
+    values = np.unique(recording.introduced_defocus_nm)
+    if len(values) > 1:
+        raise InputDataError(
+            f"{recording.name}: the introduced defocus changes from frame to frame; a diagnosis takes "
+            "recordings of one defocus each, or the recipe diagnose_ramp"
+        )
+    return float(values[0]) if len(values) else 0.0
+
+
+def _screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
+    """Return the pixels of a `recording` that `ingest` found bad, with the mean of what they showed."""
+    shown_e = screened_e(ingest, recording)
+    return [Screened(*pixel, value_e) for pixel, value_e in shown_e.items() if np.isfinite(value_e)]
+
+
+def _setting(recording: Recording) -> tuple:
+    acquisition = recording.acquisition
+    diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
+    return acquisition.spectrum, diversity, _introduced_nm(recording), acquisition.pupil_rotation_deg
+
+
+def _require_common(recordings: list[Recording]) -> None:
+    """Raise InputDataError unless window, pixel scale and derotator angle are the same."""
+    for other in recordings[1:]:
+        differing = differences(recordings[0], other, COMMON)
+        if differing:
+            raise InputDataError(
+                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; cubes "
+                "diagnosed together may differ in star, night, focus, diversity and band only"
+            )

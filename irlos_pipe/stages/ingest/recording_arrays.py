@@ -12,8 +12,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.blocks import mean_frame, picked
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.product import Product, Quantity, declared
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.ingest.results import RECORDING, ROOT, IngestResults
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
+from math import nan
 from typing import ClassVar
 
-from irlos_pipe.product.observed import Observed
-from irlos_pipe.product.results import Number, ResultsPart, StageResults
+from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, StageResults, item
 
 ROOT = "recordings"
 # Arrays of a recording.
@@ -43,107 +42,72 @@ CHECKS = {
 
 
 class NoiseRow(ResultsPart):
-    """A constant of the detector, of a frame; the read noise as measured includes that of dark and sky.
+    """A constant of the detector, of a frame; the read noise as measured includes that of dark and sky."""
 
-    Attributes
-    ----------
-    used : float
-        What the reduction goes on with.
-    source : str
-        Where that comes from: side-car, recipe, header, instrument profile or ``measured``.
-    measured, error : float
-        From the frames, the others taken as they are used; NaN where the frames do not tell.
-    """
-
-    used: Number = math.nan
-    source: str = ""
-    measured: Number = math.nan
-    error: Number = math.nan
+    used: Number = item(nan, "What the reduction goes on with.")
+    source: str = item(
+        "", "Where that comes from: side-car, recipe, header, instrument profile or ``measured``."
+    )
+    measured: Number = item(
+        nan, "From the frames, the others taken as they are used; NaN where the frames do not tell."
+    )
+    error: Number = item(nan, DITTO)
 
 
 class RecordingRow(ResultsPart):
-    """One recording; those of role ``dark`` have only the keys up to `mag_j`.
+    """One recording; those of role ``dark`` have only the keys up to `mag_j`."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the recording, that of its folder or file.
-    input : str
-        Recipe input that it belongs to.
-    role : str
-        What it was taken for, as the side-car tells: ``ncpa_calibration``, ``defocus_ramp``, …
-    layout : str
-        Kind of file that it was read from, ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``.
-    mode : str
-        Read-out mode, empty where the layout has none.
-    frames, frames_rejected, frames_missing : int
-        All frames recorded, those of them that are not used, and those that the recorder lost.
-    window : (int, int)
-        Rows and columns.
-    flux_e : float
-        Median over the used frames of the sum over the window [e-].
-    mag_j : float
-        J magnitude of the star, as told.
-    reasons : dict of str to int
-        Rejected frames by reason.
-    saturated_frames : int
-        Frames that are rejected for pixels at the saturation level.
-    bad_pixels, bad_pixels_found : list of (row, column)
-        All masked pixels, and those of them that no map of dead pixels lists.
-    clipped_pixels : list of (row, column)
-        Those of the masked pixels that stop at a level of their own in many frames.
-    cosmic_hits : int
-        Replaced pixels, over all frames.
-    centre_offset_px : (float, float)
-        Position (x, y) of the star from the centre of the window.
-    pedestal_adu, pedestal_error_adu : float
-        Level without light that was estimated from the frames themselves, and its standard error; NaN where
-        dark images give it.
-    noise_floor_e2, excess_noise_measured : float
-        Noise as measured from the frames; NaN where it cannot be.
-    background_variance_e2, dark_variance_e2 : float
-        Variance per pixel beyond read noise and star, and of the dark image.
-    noise : dict of str to NoiseRow
-        Gain, read noise and excess noise by their side-car key.
-    corner_scatter_e : float
-        RMS over time of the darkest pixels, stripes and a changing halo included.
-    sources : dict of str to str
-        Where each key of the acquisition came from.
-    observed : Observed
-        What products hand on of it.
-    doubts : list of str
-        What was told and the frames, or plain sense, put in doubt.
-    """
-
-    name: str = ""
-    input: str = ""
-    role: str = ""
-    layout: str = ""
-    mode: str = ""
-    frames: int = 0
-    window: tuple[int, ...] = ()
-    frames_rejected: int = 0
-    frames_missing: int = 0
-    flux_e: Number = math.nan
-    mag_j: Number = math.nan
-    reasons: dict[str, int] = {}
-    saturated_frames: int = 0
-    bad_pixels: list[tuple[int, int]] = []
-    bad_pixels_found: list[tuple[int, int]] = []
-    clipped_pixels: list[tuple[int, int]] = []
-    cosmic_hits: int | None = None
-    centre_offset_px: tuple[Number, ...] = ()
-    pedestal_adu: Number = math.nan
-    pedestal_error_adu: Number = math.nan
-    noise_floor_e2: Number = math.nan
-    excess_noise_measured: Number = math.nan
-    background_variance_e2: Number = math.nan
-    dark_variance_e2: Number = math.nan
-    noise: dict[str, NoiseRow] = {}
-    corner_scatter_e: Number = math.nan
-    sources: dict[str, str] = {}
-    observed: Observed = Observed()
-    doubts: list[str] = []
+    name: str = item("", "Name of the recording, that of its folder or file.")
+    input: str = item("", "Recipe input that it belongs to.")
+    role: str = item(
+        "", "What it was taken for, as the side-car tells: ``ncpa_calibration``, ``defocus_ramp``, …"
+    )
+    layout: str = item(
+        "", "Kind of file that it was read from, ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``."
+    )
+    mode: str = item("", "Read-out mode, empty where the layout has none.")
+    frames: int = item(
+        0, "All frames recorded, those of them that are not used, and those that the recorder lost."
+    )
+    window: tuple[int, ...] = item((), "Rows and columns.")
+    frames_rejected: int = item(
+        0, "All frames recorded, those of them that are not used, and those that the recorder lost."
+    )
+    frames_missing: int = item(0, DITTO)
+    flux_e: Number = item(nan, "Median over the used frames of the sum over the window [e-].")
+    mag_j: Number = item(nan, "J magnitude of the star, as told.")
+    reasons: dict[str, int] = item({}, "Rejected frames by reason.")
+    saturated_frames: int = item(0, "Frames that are rejected for pixels at the saturation level.")
+    bad_pixels: list[tuple[int, int]] = item(
+        [], "All masked pixels, and those of them that no map of dead pixels lists."
+    )
+    bad_pixels_found: list[tuple[int, int]] = item([], DITTO)
+    clipped_pixels: list[tuple[int, int]] = item(
+        [], "Those of the masked pixels that stop at a level of their own in many frames."
+    )
+    cosmic_hits: int | None = item(None, "Replaced pixels, over all frames.")
+    centre_offset_px: tuple[Number, ...] = item(
+        (), "Position (x, y) of the star from the centre of the window."
+    )
+    pedestal_adu: Number = item(
+        nan,
+        "Level without light that was estimated from the frames themselves, and its standard error; NaN "
+        "where dark images give it.",
+    )
+    pedestal_error_adu: Number = item(nan, DITTO)
+    noise_floor_e2: Number = item(nan, "Noise as measured from the frames; NaN where it cannot be.")
+    excess_noise_measured: Number = item(nan, DITTO)
+    background_variance_e2: Number = item(
+        nan, "Variance per pixel beyond read noise and star, and of the dark image."
+    )
+    dark_variance_e2: Number = item(nan, DITTO)
+    noise: dict[str, NoiseRow] = item({}, "Gain, read noise and excess noise by their side-car key.")
+    corner_scatter_e: Number = item(
+        nan, "RMS over time of the darkest pixels, stripes and a changing halo included."
+    )
+    sources: dict[str, str] = item({}, "Where each key of the acquisition came from.")
+    observed: Observed = item(Observed(), "What products hand on of it.")
+    doubts: list[str] = item([], "What was told and the frames, or plain sense, put in doubt.")
 
     @property
     def frames_used(self) -> int:

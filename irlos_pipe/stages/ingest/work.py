@@ -1,4 +1,4 @@
-"""Ingest: from the files of the recorder to clean frames in electrons."""
+"""Ingest: from the files of the recorder to clean frames in electrons, and what is reported of them."""
 
 from __future__ import annotations
 
@@ -11,26 +11,22 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.files.memory import require_memory
+from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned, clean
+from irlos_pipe.frames.detector import star_position
 from irlos_pipe.frames.recording import PROFILE, Acquisition, Recording
-from irlos_pipe.frames.screening import REPEATED_IMAGE, tally
-from irlos_pipe.frames.told import READ_NOISE, believed, told_of
+from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, tally
+from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, told_of
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.product.results import Observed
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.times import counter_step, frames_missing, relative_times
+from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.ingest.accumulate import accumulated
-from irlos_pipe.stages.ingest.config import Config
-from irlos_pipe.stages.ingest.output import checks, contradictions, dark_row, row, summary, told_check
-from irlos_pipe.stages.ingest.recording_arrays import arrays_of
-from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
-from irlos_pipe.stages.ingest.sources import (
-    Source,
-    failing_alone,
-    read_sources,
-    with_darks,
-)
+from irlos_pipe.stages.ingest.recording_arrays import arrays_of, found_bad
+from irlos_pipe.stages.ingest.results import IngestResults, NoiseRow, RecordingRow
+from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone, read_sources, with_darks
+from irlos_pipe.stages.ingest.stage import Config
 
 BYTES_PER_PIXEL = 1600  # of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
 BYTES_PER_VALUE = 8
@@ -57,15 +53,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
             told = told_of(recording, cleaned.noise, ctx.instrument.facility, _step_s(source.raw))
             doubts = [f"{recording.name}: {one.text}" for one in told if one.warned]
-            for line in (*contradictions(recording, cleaned), *doubts):
+            for line in (*_contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
-            rows.append(row(recording, cleaned, source.raw, told, ctx.instrument.name))
-            quality += [*checks(recording, ctx.config), told_check(recording, told)]
+            rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
+            quality += [*_checks(recording, ctx.config), _told_check(recording, told)]
             arrays |= arrays_of(recording, cleaned, source.raw)
     _require_every_input(ctx.inputs, rows, failures)
     lines = [text for _, text in failures]
-    results = IngestResults(inputs=[*rows, *map(dark_row, darks)])
-    return StageOutput(arrays, results, quality, summary=summary(rows), failures=lines)
+    results = IngestResults(inputs=[*rows, *map(_dark_row, darks)])
+    return StageOutput(arrays, results, quality, summary=[_line(one) for one in rows], failures=lines)
 
 
 def _accumulated(source: Source, ctx: StageContext[Config]) -> Source:
@@ -118,7 +114,7 @@ def _require_room(source: Source) -> None:
 
 def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
     raw, acquisition = source.raw, source.resolved.acquisition
-    sampling = sampling_px(acquisition, instrument)
+    sampling = _sampling_px(acquisition, instrument)
     cleaned = clean(raw, acquisition.detector, sampling, config.thresholds(), config.limits())
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
@@ -151,7 +147,7 @@ def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
         )
 
 
-def sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
+def _sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
     """Return the pixels per λ/D at the shortest wavelength of an `acquisition` with an `instrument`.
 
     D is that of a lenslet in 2x2 modes.
@@ -192,3 +188,138 @@ def _require_every_input(
             raise InputDataError(
                 reasons[0] + and_more(reasons) if reasons else f"input '{name}': only darks, no star in it"
             )
+
+
+# -- what is reported --------------------------------------------------------------------------------
+
+
+def _row(
+    recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told] = (), instrument: str = ""
+) -> RecordingRow:
+    """Return the entry of a `recording` in the results."""
+    acquisition, background, noise = recording.acquisition, cleaned.background, cleaned.noise
+    constants_used = constants(acquisition.detector, acquisition.sources, noise)
+    return RecordingRow.filled_from(
+        recording,
+        role=acquisition.role,
+        layout=raw.layout,
+        mode=raw.mode,
+        frames=raw.frames,
+        window=raw.window,
+        frames_rejected=int(np.sum(~recording.used)),
+        flux_e=_flux_e(recording),
+        mag_j=acquisition.mag_j,
+        reasons=tally(recording.reason),
+        saturated_frames=int(np.sum(recording.reason == SATURATED)),
+        bad_pixels=np.argwhere(~recording.good).tolist(),
+        bad_pixels_found=found_bad(recording, raw).tolist(),
+        clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
+        cosmic_hits=int(cleaned.hits.frame.size),
+        centre_offset_px=_centre_offset_px(recording),
+        pedestal_adu=background.pedestal_adu,
+        pedestal_error_adu=background.pedestal_error_adu,
+        noise_floor_e2=noise.floor_e2,
+        excess_noise_measured=noise.excess_noise_factor,
+        noise={one.name: NoiseRow.filled_from(one) for one in constants_used},
+        corner_scatter_e=noise.corner_scatter_e,
+        sources=acquisition.sources,
+        observed=_observed(recording, raw, instrument),
+        doubts=[one.text for one in told if one.warned],
+    )
+
+
+def _flux_e(recording: Recording) -> float:
+    """Median over the used frames of their sum [e-]."""
+    return float(np.median(frame_flux(recording.images_e)[recording.used]))
+
+
+def _observed(recording: Recording, raw: RawRecording, instrument: str) -> Observed:
+    """Return what products hand on of a `recording` that was made from `raw`, under a profile's name."""
+    return Observed.filled_from(
+        recording.acquisition,
+        file=raw.path.name,
+        start=iso_time(recording.start_unix_s),
+        cards=dict(raw.cards),
+        instrument=instrument,
+        diversity_nm=recording.acquisition.diversity,
+    )
+
+
+def _told_check(recording: Recording, told: Sequence[Told]) -> Check:
+    """Return the check that fails where the frames of a `recording` contradict what was `told` of it."""
+    wrong = [one.text for one in told if one.wrong]
+    message = "; ".join(wrong) or "nothing that was told is contradicted by the frames beyond doubt"
+    name = f"ingest/{recording.input}/{recording.name}/told"
+    return Check(name, float(len(wrong)), "1", None, 0.0, message)
+
+
+def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
+    """Return one line per constant of the detector that the frames of a `recording` contradict.
+
+    Dark current and sky explain a noise beyond the read noise, which `cleaned` allows for.
+    """
+    acquisition = recording.acquisition
+    return [
+        f"{recording.name}: {one.name} = {one.used:.4g} by the {one.source}, "
+        f"{one.measured:.4g} +- {one.error:.2g} by its frames"
+        for one in constants(acquisition.detector, acquisition.sources, cleaned.noise)
+        if one.contradicted and not (one.name == READ_NOISE and one.measured > one.used)
+    ]
+
+
+def _dark_row(source: Source) -> RecordingRow:
+    """Return the entry of a dark recording, which has no star."""
+    none = {"frames_rejected": 0, "frames_missing": 0, "flux_e": None, "mag_j": None}
+    return RecordingRow(
+        input=source.input,
+        role="dark",
+        **{key: getattr(source.raw, key) for key in ("name", "layout", "mode", "frames", "window")},
+        **none,
+    )
+
+
+def _centre_offset_px(recording: Recording) -> tuple[float, float]:
+    """Return the position (x, y) of the star in the mean image against the window's centre [px]."""
+    row_px, column_px = star_position(recording.mean_e)
+    rows, columns = recording.window
+    return column_px - (columns - 1) / 2, row_px - (rows - 1) / 2
+
+
+def _checks(recording: Recording, config: Config) -> list[Check]:
+    """Return the QC checks of a `recording`, with the limits of `config`."""
+    saturated = np.mean(recording.reason == SATURATED)
+    missing = recording.frames_missing / (recording.frames + recording.frames_missing)
+    offset_px = np.hypot(*_centre_offset_px(recording))
+    offset_limit_px = config.max_centre_offset_fraction * min(recording.window)
+    table = [
+        ("rejected", np.mean(~recording.used), "1", config.max_rejected_fraction, _list_reasons(recording)),
+        ("saturated", saturated, "1", config.max_saturated_fraction, "frames that are saturated"),
+        ("missing", missing, "1", config.max_missing_fraction, "frames that the recorder lost"),
+        ("bad_pixels", np.mean(~recording.good), "1", config.max_bad_pixel_fraction, "masked pixels"),
+        ("centring", offset_px, "px", offset_limit_px, "distance of the star from the window's centre"),
+    ]
+    prefix = f"ingest/{recording.input}/{recording.name}"
+    message = "signal above the level of the sky, or dark; negative, and it is not that of these frames"
+    return [
+        *(
+            Check(f"{prefix}/{name}", float(value), unit, None, float(high), message)
+            for name, value, unit, high, message in table
+        ),
+        Check(f"{prefix}/flux", _flux_e(recording), "e-", 0.0, None, message),
+    ]
+
+
+def _list_reasons(recording: Recording) -> str:
+    found = ", ".join(f"{number} x {reason}" for reason, number in tally(recording.reason).items())
+    return f"frames that are rejected ({found or 'none'})"
+
+
+def _line(entry: RecordingRow) -> str:
+    """What came of a recording, for the terminal."""
+    rows, columns = entry.window
+    missing = f", {entry.frames_missing} missing" if entry.frames_missing else ""
+    bad = f", {len(entry.bad_pixels)} bad pixels" if entry.bad_pixels else ""
+    return (
+        f"{entry.input} {entry.name}: {entry.frames_used} of {entry.frames} frames{missing}{bad}, "
+        f"{rows}x{columns} px, {entry.flux_e:.3g} e- per frame"
+    )

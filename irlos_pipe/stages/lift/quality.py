@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp import RampSummary
 from irlos_pipe.product.product import Check
-from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.stage import Config
 
 OFFSET_SIGMA = 3.0  # standard errors from which an offset is none of chance
 SIGMA = 5.0  # standard errors that a slope may be off, and an RMS may rise, by chance
@@ -78,23 +78,13 @@ def checks_of(
 
 
 def unexplained_offset_nm(summary: RampSummary) -> float:
-    """Return the size of a ramp's offset, or 0 where its own error excuses it [nm].
-
-    Parameters
-    ----------
-    summary : RampSummary
-    """
+    """Return the size of a ramp's offset, or 0 where its own error excuses it [nm]."""
     offset_nm = abs(summary.offset_nm)
     return offset_nm if offset_nm > OFFSET_SIGMA * summary.offset_sigma_nm else 0.0
 
 
 def offset_text(summary: RampSummary) -> str:
-    """Return what an offset that no error of a ramp excuses says of it.
-
-    Parameters
-    ----------
-    summary : RampSummary
-    """
+    """Return what an offset that no error of a ramp excuses says of it."""
     return (
         f"the ramp has an offset of {summary.offset_nm:+.1f} ± {summary.offset_sigma_nm:.1f} nm: a "
         "calibration of another time, or the zero point of the focus stage; it counts as an error of frames"

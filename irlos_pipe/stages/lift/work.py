@@ -18,15 +18,12 @@ from irlos_pipe.estimate.lift_errors import (
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise, summarise_one_offset
 from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.estimate.tabulated import FocusCurve, focus_curve
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import fit_frames
-from irlos_pipe.stages.lift.input import Ramp, read_ramp
-from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, older_text, own_text
+from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, own_text, read_ramp
 from irlos_pipe.stages.lift.quality import (
     WITHOUT_NCPAS,
     checks_of,
@@ -35,6 +32,7 @@ from irlos_pipe.stages.lift.quality import (
     unexplained_offset_nm,
 )
 from irlos_pipe.stages.lift.results import ARRAYS, LiftResults, Line, Offset, Point, Twin
+from irlos_pipe.stages.lift.stage import Config
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
 
@@ -53,22 +51,36 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     others = _comparison(ctx, ramp, fit) if ctx.config.compare else {}
     typical = _typical(fit) if ctx.config.compare else None
     curve = None if typical is None else _curve(ramp, fit, typical)
-    errors = _frame_errors(ramp, fit)
+    errors, photon_nm = _frame_errors(ramp, fit), fit.result.mode(4)[1].numpy()
     optics_nm = _optics_nm(ctx, ramp, fit)
     summary = replace(
         summary, offset_sigma_nm=float(np.hypot(summary.offset_sigma_nm, np.nanmedian(optics_nm)))
     )
     offset_nm = unexplained_offset_nm(summary) if _is_calibrated(ctx) else 0.0
-    sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), np.hypot(optics_nm, offset_nm))
+    sigma_nm = errors.sigma_nm(photon_nm, np.hypot(optics_nm, offset_nm))
     for text in (offset_text(summary) if offset_nm else "", older_text(fit, _wavefront_nm(ctx))):
         if text:
             ctx.log.warning(text)
     converged = float(fit.result.solution.converged.double().mean())
+    results = LiftResults(
+        modes=list(ctx.config.modes),
+        calibrated=ctx.config.calibrated,
+        points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
+        summary=Line.filled_from(summary),
+        offsets=_offsets(summary),
+        effects=fit.effects | focus.effects,
+        effects_sigma=focus.sigma,
+        effects_fitted_jointly=fit.shared is not None,
+        compare={name: Line.filled_from(other) for name, other in others.items()},
+        twin=_twin(ramp, typical, curve),
+        ao_defocus_nm=excess_scatter_nm(ramp.data.introduced_nm, fit.defocus_nm, photon_nm),
+        chi2_nu=errors.chi2_nu,
+        nominal_chi2_nu=errors.nominal_chi2_nu,
+        untested=list(BY_RAMP),
+    )
     return StageOutput(
         _arrays(ramp, fit, summary, sigma_nm) | _curve_arrays(curve),
-        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm, optics_nm, offset_nm).model_copy(
-            update={"twin": _twin(ramp, typical, curve)}
-        ),
+        results,
         checks_of(ctx.config, converged, summary, others, errors, _wavefront_nm(ctx), len(ramp.names)),
         summary=_lines(ctx, fit, summary, others),
     )
@@ -184,37 +196,6 @@ def _of_one_offset(ramp: Ramp) -> bool:
 # -- what is reported --------------------------------------------------------------------------
 
 
-def _results(
-    ctx: StageContext[Config],
-    ramp: Ramp,
-    fit: RampFit,
-    summary: RampSummary,
-    others: dict[str, RampSummary],
-    focus: FocusStage,
-    errors: FrameErrors,
-    sigma_nm: np.ndarray,
-    optics_nm: np.ndarray,
-    offset_nm: float,
-) -> LiftResults:
-    return LiftResults(
-        modes=list(ctx.config.modes),
-        calibrated=ctx.config.calibrated,
-        points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
-        summary=_line(summary),
-        offsets=_offsets(summary),
-        effects=fit.effects | focus.effects,
-        effects_sigma=focus.sigma,
-        effects_fitted_jointly=fit.shared is not None,
-        compare={name: _line(other) for name, other in others.items()},
-        ao_defocus_nm=excess_scatter_nm(
-            ramp.data.introduced_nm, fit.defocus_nm, fit.result.mode(4)[1].numpy()
-        ),
-        chi2_nu=errors.chi2_nu,
-        nominal_chi2_nu=errors.nominal_chi2_nu,
-        untested=list(BY_RAMP),
-    )
-
-
 def _points(
     ramp: Ramp,
     fit: RampFit,
@@ -246,15 +227,11 @@ def _points(
     ]
 
 
-def _line(summary: RampSummary) -> Line:
-    return Line(**{key: getattr(summary, key) for key in Line.model_fields})
-
-
 def _offsets(summary: RampSummary) -> list[Offset]:
-    return [
-        Offset(introduced_nm=float(o), median_nm=float(m), scatter_nm=float(s))
-        for o, m, s in zip(summary.offsets_nm, summary.median_nm, summary.scatter_nm, strict=True)
-    ]
+    rows = zip(
+        summary.offsets_nm.tolist(), summary.median_nm.tolist(), summary.scatter_nm.tolist(), strict=True
+    )
+    return [Offset(introduced_nm=o, median_nm=m, scatter_nm=s) for o, m, s in rows]
 
 
 def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray) -> dict[str, Quantity]:
@@ -288,15 +265,12 @@ def _curve_arrays(curve: FocusCurve | None) -> dict[str, Quantity]:
 def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:
     if frame is None or curve is None:
         return Twin()
-    return Twin(
+    return Twin.filled_from(
+        curve,
         name=ramp.names[frame],
         frame=ramp.frame[frame],
         defocus_nm=curve.best_nm,
         chi2_nu=curve.best_chi2_nu,
-        twin_nm=curve.twin_nm,
-        twin_chi2_nu=curve.twin_chi2_nu,
-        delta_chi2=curve.delta_chi2,
-        evidence=curve.evidence,
     )
 
 

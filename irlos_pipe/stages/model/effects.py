@@ -6,21 +6,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import erfa
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
-from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect
+from irlos_pipe.conventions.text import and_more
+from irlos_pipe.conventions.units import MAS_PER_RAD
+from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect, SeeingHalo
 from irlos_pipe.effects.base import labels_of
+from irlos_pipe.effects.colour import AtmosphericDispersion, Spectrum
+from irlos_pipe.effects.declaration import Refraction
+from irlos_pipe.effects.public_values import components
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
-from irlos_pipe.stages.model.refraction import refraction_of
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
 
 def conditions_of(
@@ -197,3 +201,131 @@ def _measured(product: Product, label: str, entry: EffectEntry, conditions: Cond
             "calibrate again with it"
         )
     return FixedEffect(effect, values)
+
+
+# -- dispersion and the colour of the star: in every broad band on sky unless a recipe says no -------
+
+BROAD = 0.05  # width of a band, of its mean wavelength, in which colours matter
+COST = (
+    "100 mas/um that no model knows move the defocus by 20 to 70 nm, and what is found from the images "
+    "instead is less certain on faint stars"
+)
+
+
+def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> list[Effect]:
+    """Return the `effects` of a recipe's `model` with dispersion and the colour of the star, both free.
+
+    Only where the band is broad, and on sky, that is with an AO residual; what the recipe lists itself stays
+    as it is.
+
+    Parameters
+    ----------
+    conditions : Conditions
+        Of the recording.
+    """
+    if not _wants_colour(effects, model, conditions):
+        return list(effects)
+    own = [AtmosphericDispersion.under(conditions), star_colour(conditions)]
+    listed = {effect.name for effect in effects}
+    return [*effects, *(effect for effect in own if effect.name not in listed)]
+
+
+def _wants_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
+    """Whether colours belong to `effects` of a `model` under `conditions`, see `with_colour`."""
+    settings = conditions.settings
+    on_sky = any(effect.name == SeeingHalo.name for effect in effects)
+    return model.colour == "auto" and on_sky and settings.span_nm > BROAD * settings.mean_nm
+
+
+def star_colour(conditions: Conditions) -> FixedEffect:
+    """Return the `spectrum` under `conditions`, its slope alone free: a star redder or bluer than stated."""
+    effect = Spectrum.under(conditions)
+    null = [parameter.start for parameter in effect.parameters]
+    return FixedEffect(effect, null, free=["slope_per_um"])
+
+
+def colour_warning(effects: Sequence[Effect], recordings: Sequence[Recording]) -> str:
+    """Return the warning that a model with free dispersion lacks an altitude; empty if it lacks none.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        Of the model of the recordings.
+    recordings : sequence of Recording
+    """
+    free = any(effect.name == AtmosphericDispersion.name and effect.parameters for effect in effects)
+    unknown = [one.name for one in recordings if one.acquisition.altitude_deg is None]
+    if not (free and unknown):
+        return ""
+    named = unknown[0] + and_more(unknown)
+    return f"{named}: altitude_deg is not known, so atmospheric dispersion starts from none: {COST}"
+
+
+# -- dispersion as it is known: altitude, air, and direction of the zenith ---------------------------
+
+# displacement(λ) = A(λ) tan z + B(λ) tan³ z
+#
+# towards the zenith, with the constants of IAU SOFA's ``refco``: Saastamoinen's model of the atmosphere, and
+# the refractivity of air of IAG 1999.
+
+UNKNOWN_MAS_PER_UM = 300.0  # what nothing corrects 60° from the zenith, at 1.4 µm
+UNSURE, LEAST_MAS_PER_UM = 0.1, 5.0  # part of what is computed that may be wrong, and at least
+LEFT = 0.2  # part that a corrector may leave
+STEP_UM = 0.01
+LOWEST_DEG = 10.0  # beyond it the formula errs
+
+
+def refraction_of(acquisition: Acquisition, mean_um: float) -> Refraction:
+    """Return what is to be expected of dispersion at the mean wavelength of a recording.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    mean_um : float
+        Mean wavelength [µm].
+    """
+    size = _size_mas_per_um(acquisition, mean_um)
+    if size is None:
+        return Refraction((0.0, 0.0), UNKNOWN_MAS_PER_UM)
+    if acquisition.dispersion_corrected:
+        return Refraction((0.0, 0.0), LEFT * size + LEAST_MAS_PER_UM)
+    if acquisition.zenith_angle_deg is None:
+        return Refraction((0.0, 0.0), max(size, UNKNOWN_MAS_PER_UM))
+    x, y = components(size, acquisition.zenith_angle_deg + 180)  # longer waves lie away from the zenith
+    return Refraction((x, y), UNSURE * size + LEAST_MAS_PER_UM)
+
+
+def _size_mas_per_um(acquisition: Acquisition, mean_um: float) -> float | None:
+    """Return how far refraction moves light per µm at the mean wavelength; None where it is not known."""
+    air = acquisition.pressure_hpa, acquisition.temperature_c, acquisition.humidity_percent
+    pressure, temperature, humidity = (float("nan") if value is None else value for value in air)
+    altitude = acquisition.altitude_deg or 0.0
+    if altitude < LOWEST_DEG or not np.isfinite([pressure, temperature, humidity]).all():
+        return None
+    ends = [
+        refraction_mas(altitude, pressure, temperature, humidity, mean_um + step)
+        for step in (-STEP_UM, STEP_UM)
+    ]
+    return (ends[0] - ends[1]) / (2 * STEP_UM)
+
+
+def refraction_mas(
+    altitude_deg: float,
+    pressure_hpa: float,
+    temperature_c: float,
+    humidity_percent: float,
+    wavelength_um: float,
+) -> float:
+    """Return by how much light of one wavelength is raised towards the zenith [mas].
+
+    Parameters
+    ----------
+    altitude_deg : float
+        At least `LOWEST_DEG`.
+    pressure_hpa, temperature_c, humidity_percent : float
+        Of the air at the telescope.
+    wavelength_um : float
+    """
+    a, b = erfa.refco(pressure_hpa, temperature_c, humidity_percent / 100, wavelength_um)
+    tangent = np.tan(np.pi / 2 - np.deg2rad(altitude_deg))
+    return float((a * tangent + b * tangent**3) * MAS_PER_RAD)

@@ -129,7 +129,6 @@ def differences(one: Recording, other: Recording, terms: Mapping[str, str]) -> l
 
     Parameters
     ----------
-    one, other : Recording
     terms : mapping of str to str
         What to call numbers of the acquisition that may differ; the window is compared as well.
     """

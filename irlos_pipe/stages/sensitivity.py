@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import nan
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.product.declared import declared
-from irlos_pipe.product.product import Quantity
-from irlos_pipe.product.results import Number, ResultsPart, StageResults
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.files.memory import require_memory
+from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
+from irlos_pipe.product.product import Quantity, declared
+from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.lift.config import Mode
-from irlos_pipe.stages.sensitivity.effort import announce
-from irlos_pipe.stages.sensitivity.noise import NoiseRow, Noises, noises_of
+from irlos_pipe.stages.lift.stage import Mode
 
 if TYPE_CHECKING:
     from irlos_pipe.estimate.sensitivity import Curve
+    from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.lift.input import Ramp
 
 NAME = "sensitivity"
@@ -36,6 +39,8 @@ CURVE = {
     "failures": ("", "magnitude", "estimates that failed"),
 }
 ARRAYS = {f"curves/<n>/{name}": what for name, what in CURVE.items()}
+BYTES_PER_PIXEL = 40  # of every image that is estimated at once; 24 to 29 were measured with 48x48 px
+MANY = 20_000  # estimates; a processor makes some hundred per second of 64x64 px
 
 
 class Config(StageConfig):
@@ -78,43 +83,36 @@ class Config(StageConfig):
         return modes
 
 
+class NoiseRow(ResultsPart):
+    """Noise of the dimmed frames, beside that of exposures of one read without sky."""
+
+    reads: int | None = item(None, "Reads in an exposure.")
+    exposure_s: Number = item(nan, "Exposure of a frame.")
+    read_noise_e: Number = item(nan, "Read noise of one read.")
+    excess_noise_factor: Number = item(nan, "Variance of the photons over that of Poisson.")
+    sky_e: Number = item(nan, "Electrons of sky and of dark current in a pixel of an exposure.")
+    dark_e: Number = item(nan, DITTO)
+    floor_e2: Number = item(nan, "Variance of a pixel without star.")
+    one_read_floor_e2: Number = item(nan, DITTO)
+
+
 class CurveRow(ResultsPart):
-    """One curve over the magnitudes `mag_j`.
+    """One curve over the magnitudes `mag_j`."""
 
-    Attributes
-    ----------
-    calibrated : bool
-        Whether the NCPAs are part of the known wavefront.
-    modes : list of int
-        Estimated modes (Noll).
-    mag_j : list of float
-        J magnitudes, to which the frames were dimmed.
-    median_abs_error_nm, p16_nm, p84_nm : list of float
-        Percentiles of |estimated − introduced| defocus.
-    crb_nm, one_read_crb_nm : list of float
-        Cramér–Rao bound, 1σ; and of exposures of one read without sky.
-    failures : list of int
-        Estimates that failed, of `trials` per magnitude.
-    trials : int
-        Estimates per magnitude.
-    limit_mag : float
-        Faintest magnitude that meets the criterion; NaN if none does.
-    one_read_bound_mag : float
-        Limiting magnitude of an efficient estimate from exposures of one read without sky.
-    """
-
-    calibrated: bool = False
-    modes: list[int] = []
-    mag_j: list[Number] = []
-    median_abs_error_nm: list[Number] = []
-    p16_nm: list[Number] = []
-    p84_nm: list[Number] = []
-    crb_nm: list[Number] = []
-    one_read_crb_nm: list[Number] = []
-    failures: list[int] = []
-    trials: int | None = None
-    limit_mag: Number = math.nan
-    one_read_bound_mag: Number = math.nan
+    calibrated: bool = item(False, "Whether the NCPAs are part of the known wavefront.")
+    modes: list[int] = item([], "Estimated modes (Noll).")
+    mag_j: list[Number] = item([], "J magnitudes, to which the frames were dimmed.")
+    median_abs_error_nm: list[Number] = item([], "Percentiles of |estimated − introduced| defocus.")
+    p16_nm: list[Number] = item([], DITTO)
+    p84_nm: list[Number] = item([], DITTO)
+    crb_nm: list[Number] = item([], "Cramér–Rao bound, 1σ; and of exposures of one read without sky.")
+    one_read_crb_nm: list[Number] = item([], DITTO)
+    failures: list[int] = item([], "Estimates that failed, of `trials` per magnitude.")
+    trials: int | None = item(None, "Estimates per magnitude.")
+    limit_mag: Number = item(nan, "Faintest magnitude that meets the criterion; NaN if none does.")
+    one_read_bound_mag: Number = item(
+        nan, "Limiting magnitude of an efficient estimate from exposures of one read without sky."
+    )
 
     @property
     def at_the_end(self) -> bool:
@@ -123,34 +121,20 @@ class CurveRow(ResultsPart):
 
 
 class CriterionRow(ResultsPart):
-    """What a limiting magnitude keeps: largest median error, and largest part of failures.
+    """What a limiting magnitude keeps: largest median error, and largest part of failures."""
 
-    Attributes
-    ----------
-    median_abs_error_nm : float
-        Largest median of |estimated − introduced| defocus.
-    failures : float
-        Largest part of the estimates that may fail.
-    """
-
-    median_abs_error_nm: Number = math.nan
-    failures: Number = math.nan
+    median_abs_error_nm: Number = item(nan, "Largest median of |estimated − introduced| defocus.")
+    failures: Number = item(nan, "Largest part of the estimates that may fail.")
 
 
 class SensitivityResults(StageResults):
-    """One curve per combination of modes and calibration.
-
-    Attributes
-    ----------
-    crb_note : str
-        How the Cramér–Rao bounds compare with the median errors.
-    """
+    """One curve per combination of modes and calibration."""
 
     stage: ClassVar[str] = "sensitivity"
     curves: list[CurveRow] = []
     criterion: CriterionRow = CriterionRow()
     noise: NoiseRow = NoiseRow()
-    crb_note: str = ""
+    crb_note: str = item("", "How the Cramér–Rao bounds compare with the median errors.")
 
 
 Results = SensitivityResults
@@ -174,7 +158,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"own m_J {bright}: frames can only be dimmed"
         )
     chosen = _choose(ramp, ctx.config)
-    noises = noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
+    noises = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
@@ -258,15 +242,9 @@ def _output(
         values = {name: getattr(curve, name) for name in CURVE}
         note = f"NCPAs {'added' if calibrated else 'left out'}, {len(nolls)} modes"
         arrays |= declared(CURVE, values, note, below=f"curves/{number}/")
-        own = CurveRow(
-            calibrated=calibrated,
-            modes=list(nolls),
-            trials=curve.trials,
-            limit_mag=curve.limit_mag,
-            one_read_bound_mag=curve.bound_mag(Criterion(config.limit_nm, config.limit_failures)),
-            **{name: value.tolist() for name, value in values.items()},
-        )
-        rows.append(own)
+        bound = curve.bound_mag(Criterion(config.limit_nm, config.limit_failures))
+        own = {"calibrated": calibrated, "modes": list(nolls), "one_read_bound_mag": bound}
+        rows.append(CurveRow.filled_from(curve, **own))
     results = SensitivityResults(
         curves=rows,
         criterion=CriterionRow(median_abs_error_nm=config.limit_nm, failures=config.limit_failures),
@@ -278,7 +256,7 @@ def _output(
 
 def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[str]:
     lines = [
-        f"Noise           {noise_text(noise)}",
+        f"Noise           {_noise_text(noise)}",
         f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
     ]
     for row in rows:
@@ -287,7 +265,7 @@ def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[st
     return lines
 
 
-def noise_text(noise: NoiseRow) -> str:
+def _noise_text(noise: NoiseRow) -> str:
     """Return the noise of the dimmed frames in words."""
     if noise.reads is None:
         return f"{noise.floor_e2:.3g} e⁻² per pixel, as recorded"
@@ -304,3 +282,107 @@ def _limit_text(row: CurveRow) -> str:
     if not math.isfinite(row.limit_mag):
         return "not reached at any magnitude"
     return f"m_J {'≥ ' if row.at_the_end else ''}{row.limit_mag:.1f}"
+
+
+# -- noise of the frames of a fainter star: of all reads of an exposure, with sky and dark current ---
+
+
+@dataclass(frozen=True)
+class Noises:
+    """Noise of the dimmed frames, that of one read without sky, and what the former consists of."""
+
+    faint: NoiseModel
+    one_read: NoiseModel
+    told: ExposureNoise | None
+
+    def row(self, exposure_s: float | None) -> NoiseRow:
+        """Return the entry of the results for exposures of `exposure_s`."""
+        return NoiseRow.filled_from(
+            self.told,
+            excess_noise_factor=self.faint.excess_noise_factor,
+            exposure_s=exposure_s or math.nan,
+            floor_e2=self.faint.floor_e2,
+            one_read_floor_e2=self.one_read.floor_e2,
+        )
+
+
+def _noises_of(
+    ramp: Ramp, mag_j: float, instrument: Instrument, which: Literal["reads", "recorded"]
+) -> Noises:
+    """Return the noise that the dimmed frames of a ramp are given."""
+    recorded = ramp.data.noise
+    told = _exposure_noise(ramp, mag_j, instrument) if which == "reads" else None
+    if told is None:
+        return Noises(recorded, recorded, None)
+    return Noises(told.beyond(recorded), NoiseModel(1.0, told.read_noise_e**2), told)
+
+
+def _exposure_noise(ramp: Ramp, mag_j: float, instrument: Instrument) -> ExposureNoise | None:
+    """Return the noise of an exposure of a ramp as the instrument reads it; None where that is not known.
+
+    Reads and their noise as told of the recording, else by the profile; the sky as told, else by its
+    brightness beside the star's.
+    """
+    acquisition, defaults = ramp.acquisition, instrument.defaults
+    detector, exposure_s = acquisition.detector, acquisition.exposure_s
+    read_s = defaults.get("detector.read_s")
+    reads = detector.reads
+    noise_e: float | None = detector.read_noise_e / reads**0.5
+    if reads == 1 and read_s and exposure_s:
+        reads, noise_e = max(1, round(exposure_s / read_s)), defaults.get("detector.read_noise_e")
+    if exposure_s is None or noise_e is None:
+        return None
+    dark_e = defaults.get("detector.dark_e_per_s", 0.0) * exposure_s
+    sky_e = max(detector.background_e - dark_e, _sky_e_per_s(ramp, mag_j, instrument) * exposure_s)
+    factor = max(detector.excess_noise_factor, defaults.get("detector.excess_noise_factor", 1.0))
+    return ExposureNoise(reads, noise_e, factor, sky_e, dark_e)
+
+
+def _sky_e_per_s(ramp: Ramp, mag_j: float, instrument: Instrument) -> float:
+    """Light of the sky in a pixel, from that of the star of known magnitude."""
+    acquisition = ramp.acquisition
+    star_e = max(float(ramp.data.images_e.double().sum((1, 2)).median()), 0.0)
+    star_e_per_s_m0 = star_e / (acquisition.exposure_s or math.inf) * 10 ** (0.4 * mag_j)
+    return instrument.facility.sky_photons_per_s(
+        acquisition.spectrum, star_e_per_s_m0, acquisition.pixel_scale_mas
+    )
+
+
+# -- what a scan will take, said and judged before its work begins -----------------------------------
+
+
+def announce(
+    frames: int,
+    window: tuple[int, int],
+    realisations: int,
+    magnitudes: int,
+    curves: int,
+    log: logging.Logger,
+) -> None:
+    """Say how many estimates there will be, as a warning where it takes minutes.
+
+    Parameters
+    ----------
+    frames : int
+        Bright frames that are dimmed.
+    window : (int, int)
+        Their rows and columns [px].
+    realisations, magnitudes, curves : int
+        Draws of the noise of every frame, magnitudes of a curve, and curves.
+    log : logging.Logger
+
+    Raises
+    ------
+    ConfigurationError
+        Where the memory does not suffice for one magnitude.
+    """
+    rows, columns = window
+    at_once = frames * realisations
+    estimates = at_once * magnitudes * curves
+    text = (
+        f"{estimates} estimates of {rows}x{columns} px: {frames} frames x {realisations} realisations x "
+        f"{magnitudes} magnitudes x {curves} curves"
+    )
+    advice = "lower sensitivity.realisations or sensitivity.frames_per_offset"
+    require_memory(BYTES_PER_PIXEL * at_once * rows * columns, text, ConfigurationError, advice)
+    log.log(logging.WARNING if estimates > MANY else logging.INFO, "%s", text)

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from dataclasses import asdict
+from dataclasses import replace
+from math import nan
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
+from irlos_pipe.estimate.correction import MirrorOffsets, mirror_offsets
+from irlos_pipe.files.first_image import first_image
+from irlos_pipe.files.regular import open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
-from irlos_pipe.product.declared import declared
 from irlos_pipe.product.header import Card
-from irlos_pipe.product.product import Check
-from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults, results_of
+from irlos_pipe.product.product import Check, declared
+from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.correct.mirror import ARRAYS as MIRROR_ARRAYS
-from irlos_pipe.stages.correct.mirror import MirrorRow, in_mirror_modes
-from irlos_pipe.stages.correct.mirror_file import MirrorFile, mirror_file
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
@@ -32,6 +35,11 @@ VERSION = 6
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 MAP_SAMPLES = 160
+MIRROR_SIGN = (
+    "offset: add it to the reference of the mode to cancel the aberration; in the unit of the table of "
+    "modes, whose maps are OPD in nm; diversity, piston, tip and tilt not included"
+)
+LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000
 SIGN = (
     "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
     "diversity not included"
@@ -53,8 +61,35 @@ ARRAYS = {
     "otf_y_frequency": ("D/λ", "frequency", "spatial frequency along y"),
     "otf_x_<image>": ("", "frequency", "modulus of the OTF along x"),
     "otf_y_<image>": ("", "frequency", "modulus of the OTF along y"),
-} | MIRROR_ARRAYS
+} | {"mirror_offset": ("±", "mode", MIRROR_SIGN)}
 CHECKS = {"predicted Strehl": ("predicted Strehl against the best that the AO residual leaves", "")}
+
+
+class MirrorFile(BaseModel):
+    """A file with modes, by its content: other modes in the same file are another correction."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    file: str = Field(description="path of the FITS cube")
+    sha256: str = Field(description="checksum of its content, filled in when the recipe is read")
+
+
+def mirror_file(value: Any) -> Any:
+    """Return path and checksum for the path of a file; for both of before, those of the file as it is now.
+
+    Raises
+    ------
+    ValueError
+        Where the file cannot be read.
+    """
+    named = value.get("file") if isinstance(value, dict) else value
+    if not isinstance(named, str):
+        return value
+    path = Path(named).absolute()
+    try:
+        with open_regular(path) as stream:
+            return {"file": str(path), "sha256": hashlib.file_digest(stream, "sha256").hexdigest()}
+    except OSError as error:
+        raise ValueError(f"{named}: {error.strerror or error}; give a FITS cube of OPD maps [nm]") from None
 
 
 class Config(StageConfig):
@@ -68,55 +103,48 @@ class Config(StageConfig):
 
 
 class StrehlRow(ResultsPart):
-    """What one part of the model does to the Strehl ratio, see `estimate.correction.StrehlPart`.
+    """What one part of the model does to the Strehl ratio, see `estimate.correction.StrehlPart`."""
 
-    Attributes
-    ----------
-    name : str
-        Part of the model: all of it, its modes, or an effect.
-    wfe_nm : float
-        RMS of its modes; NaN of an effect.
-    alone, without : float
-        Strehl ratio with nothing else in the model, and with all else but this part.
-    """
+    name: str = item("", "Part of the model: all of it, its modes, or an effect.")
+    wfe_nm: Number = item(nan, "RMS of its modes; NaN of an effect.")
+    alone: Number = item(nan, "Strehl ratio with nothing else in the model, and with all else but this part.")
+    without: Number = item(nan, DITTO)
 
-    name: str = ""
-    wfe_nm: Number = math.nan
-    alone: Number = math.nan
-    without: Number = math.nan
+
+class MirrorRow(ResultsPart):
+    """The correction in the modes of a mirror, see `estimate.correction.MirrorOffsets`."""
+
+    modes: int = item(0, "Number of modes of its table.")
+    offset: list[Number] = item([], "Offset of each, in the unit of the table.")
+    before_nm: Number = item(
+        nan,
+        "RMS over the clear pupil without piston, tip and tilt: of the estimated wavefront, and of what the "
+        "modes cannot make of it [nm].",
+    )
+    after_nm: Number = item(nan, DITTO)
 
 
 class CorrectResults(StageResults):
-    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them.
-
-    Attributes
-    ----------
-    offset_nm : dict of int to float
-        Modal offsets to add to the reference, by Noll index [nm RMS]: −NCPA, without the diversity.
-    sign : str
-        What the sign of the offsets means, in words.
-    strehl_before, strehl_after : float
-        Strehl ratio predicted without and with the offsets.
-    strehl_budget : list of StrehlRow
-        What each part of the model costs the image before the correction; the whole model first.
-    wavefront_before, wavefront_after : MapSize
-        RMS and peak to valley of the maps of the wavefront, without tip and tilt.
-    resolution_mas : float
-        λ/D at the mean wavelength.
-    mirror : MirrorRow or None
-        The same correction in the modes of a mirror, where their table was given.
-    """
+    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them."""
 
     stage: ClassVar[str] = "correct"
-    offset_nm: ByNoll = {}
-    sign: str = ""
-    strehl_before: Number = math.nan
-    strehl_after: Number = math.nan
-    strehl_budget: list[StrehlRow] = []
-    wavefront_before: MapSize = MapSize()
-    wavefront_after: MapSize = MapSize()
-    resolution_mas: Number = math.nan
-    mirror: MirrorRow | None = None
+    offset_nm: ByNoll = item(
+        {}, "Modal offsets to add to the reference, by Noll index [nm RMS]: −NCPA, without the diversity."
+    )
+    sign: str = item("", "What the sign of the offsets means, in words.")
+    strehl_before: Number = item(nan, "Strehl ratio predicted without and with the offsets.")
+    strehl_after: Number = item(nan, DITTO)
+    strehl_budget: list[StrehlRow] = item(
+        [], "What each part of the model costs the image before the correction; the whole model first."
+    )
+    wavefront_before: MapSize = item(
+        MapSize(), "RMS and peak to valley of the maps of the wavefront, without tip and tilt."
+    )
+    wavefront_after: MapSize = item(MapSize(), DITTO)
+    resolution_mas: Number = item(nan, "λ/D at the mean wavelength.")
+    mirror: MirrorRow | None = item(
+        None, "The same correction in the modes of a mirror, where their table was given."
+    )
 
 
 Results = CorrectResults
@@ -142,12 +170,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             | _arrays(offsets, prediction)
             | _curves(prediction, scale_mas),
         ),
-        CorrectResults(
+        CorrectResults.filled_from(
+            prediction,
             offset_nm=dict(zip(offsets.nolls.tolist(), offsets.value_nm.tolist(), strict=True)),
             sign=SIGN,
-            strehl_before=prediction.strehl_before,
-            strehl_after=prediction.strehl_after,
-            strehl_budget=[StrehlRow(**asdict(one)) for one in budget],
+            strehl_budget=[StrehlRow.filled_from(one) for one in budget],
             wavefront_before=MapSize.of(before_nm),
             wavefront_after=MapSize.of(after_nm),
             resolution_mas=prediction.resolution_px * scale_mas,
@@ -253,13 +280,10 @@ def _maps_nm(
 
 
 def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:
-    images = {name: getattr(prediction, name) for name in ("before", "after", "perfect")}
-    return images | {
+    names = ("before", "after", "perfect", "radius_mas", "profile_before", "profile_after")
+    return {name: getattr(prediction, name) for name in names} | {
         "noll": offsets.nolls,
         "offset_nm": (offsets.value_nm, offsets.sigma_nm),
-        "radius_mas": prediction.radius_mas,
-        "profile_before": prediction.profile_before,
-        "profile_after": prediction.profile_after,
     }
 
 
@@ -274,3 +298,86 @@ def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
             cut = prediction.transfer(image, axis)
             arrays |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
     return arrays
+
+
+# -- the correction in the modes of a mirror ---------------------------------------------------------
+
+
+def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
+    """Return the output of the stage with the offsets of a mirror's modes, as arrays, results and files.
+
+    Parameters
+    ----------
+    ctx : StageContext
+        Its settings name the table of modes.
+    output : StageOutput
+        Without them.
+
+    Raises
+    ------
+    InputDataError
+        If the table cannot be used.
+    """
+    named: MirrorFile = ctx.config.mirror_modes
+    path = Path(named.file)
+    maps_nm = _read_modes(path)
+    arrays = ctx.products["calibrate"].arrays
+    nolls, zernike_nm, covariance_nm2 = (
+        np.asarray(arrays[name].value) for name in ("noll", "zernike_nm", "covariance_nm2")
+    )
+    lit = clear_pupil(ctx.instrument.pupil, maps_nm.shape[-1])
+    try:
+        found = mirror_offsets(maps_nm, nolls.tolist(), zernike_nm, covariance_nm2, lit, ctx.config.gain)
+    except ValueError as problem:
+        raise InputDataError(f"{path}: {problem}") from None
+    table = _mirror_table(named, ctx.config.gain, found)
+    row = MirrorRow.filled_from(found, modes=len(found.value), offset=found.value.tolist())
+    line = (
+        f"  {len(found.value)} modes of {path.name}: {found.before_nm:.1f} nm RMS, of which they cannot make "
+        f"{found.after_nm:.1f}; offsets in mirror.csv and mirror.fits"
+    )
+    return replace(
+        output,
+        arrays=output.arrays | declared(ARRAYS, {"mirror_offset": (found.value, found.sigma)}),
+        results=output.results.model_copy(update={"mirror": row}),
+        files=output.files | {"mirror.csv": table, "mirror.fits": table},
+        summary=[*output.summary, line],
+    )
+
+
+def _mirror_table(named: MirrorFile, gain: float, found: MirrorOffsets) -> Table:
+    columns = (
+        Column("mode", "", np.arange(len(found.value)), "index in the table, from 0"),
+        Column("offset", "", found.value, "to be added to the reference", ".6g"),
+        Column("sigma", "", found.sigma, "1-sigma error", ".3g"),
+    )
+    facts = (
+        Card("IRLOS SIGN", "offset cancels NCPA", "add it to the reference"),
+        Card("IRLOS BASIS", Path(named.file).name, "table of modes"),
+        Card("IRLOS BASIS SHA256", named.sha256[:32], "first 32 digits"),
+        Card("IRLOS GAIN", gain, "part of the aberration corrected"),
+        Card("ESO QC MIRROR BEFORE", found.before_nm, "[nm] RMS over the clear pupil"),
+        Card("ESO QC MIRROR AFTER", found.after_nm, "[nm] RMS that the modes cannot make"),
+    )
+    return Table("MIRROR_OFFSETS", "IRLOS_MIRROR_OFFSETS", columns, MIRROR_SIGN, facts)
+
+
+def _read_modes(path: Path) -> np.ndarray:
+    """Return OPD maps of a mirror's modes, (modes, n, n), from the first image of a FITS file.
+
+    n samples lie across the diameter of the pupil, as pixels across a window; row index is y.
+    """
+    try:
+        maps, _ = first_image(path)
+    except ValueError as error:
+        raise InputDataError(f"{path}: {error}; modes are a cube of n × n maps across the pupil") from None
+    if maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
+        found = " × ".join(map(str, maps.shape))
+        raise InputDataError(f"{path}: an image of {found}; modes are a cube of n × n maps across the pupil")
+    count, samples = maps.shape[:2]
+    if not (LEAST_SAMPLES <= samples <= MOST_SAMPLES and 1 <= count <= MOST_MODES):
+        raise InputDataError(
+            f"{path}: {count} modes of {samples} × {samples}; up to {MOST_MODES} modes of {LEAST_SAMPLES} "
+            f"to {MOST_SAMPLES} samples across can be used"
+        )
+    return maps

@@ -1,1 +1,0 @@
-"""Stage `correct`: modal offsets, and what they would do to the image."""

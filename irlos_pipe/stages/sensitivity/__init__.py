@@ -1,1 +1,0 @@
-"""Stage `sensitivity`: how faint a star may be."""
