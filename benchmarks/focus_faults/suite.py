@@ -71,40 +71,10 @@ class Case(NamedTuple):
         return self.seed, self.name
 
 
-class LoopRun(NamedTuple):
-    """A run of the loop with bad exposures.
-
-    Attributes
-    ----------
-    mag_j : float
-    changes : mapping
-        Of the `Rig`.
-    lost : int
-        Right exposures that may go by unused, until a recorder that jumps is followed again.
-    event : str
-        Words that an event must hold; empty if none is asked.
-    """
-
-    kind: str
-    family: str
-    known: bool
-    mag_j: float
-    changes: Mapping[str, Any]
-    lost: int = 0
-    event: str = ""
-
-    @property
-    def name(self) -> str:
-        """Unique, and fit for a folder."""
-        return f"{self.kind}.{file_name(self.family)}.{self.mag_j:g}"
-
-
 @cache
 def trials() -> dict[str, Trial]:
     """Return every trial by the name of its case."""
-    found = {
-        one.name: Trial(one.kind, one.family, one.known, partial(_judge_run, one)) for one in loop_runs()
-    }
+    found = dict([*_of_light(), *_of_times(), *_of_focus()])
     for name, known, harm in file_cases():
         judge = partial(_judge_problem, lambda bench, name=name, harm=harm: judge_file(name, harm, *bench))
         found[f"{FILES}.{file_name(name)}"] = Trial(FILES, name, known, judge)
@@ -121,14 +91,25 @@ def trials() -> dict[str, Trial]:
 # -- what goes wrong with the light and the pixels, the counters and clocks, and the focus itself ---------
 
 
-def loop_runs() -> Iterator[LoopRun]:
-    """Yield every run of the loop with bad exposures."""
-    yield from _of_light()
-    yield from _of_times()
-    yield from _of_focus()
+def _run(
+    kind: str,
+    family: str,
+    known: bool,
+    mag_j: float,
+    changes: Mapping[str, Any],
+    lost: int = 0,
+    event: str = "",
+) -> tuple[str, Trial]:
+    """Return a run of the loop with `changes` of the `Rig`, and its name.
+
+    So many right exposures may be `lost` unused, until a recorder that jumps is followed again; the words
+    `event` must stand in an event.
+    """
+    name = f"{kind}.{file_name(family)}.{mag_j:g}"
+    return name, Trial(kind, family, known, partial(_judge_run, name, kind, mag_j, changes, lost, event))
 
 
-def _of_light() -> Iterator[LoopRun]:
+def _of_light() -> Iterator[tuple[str, Trial]]:
     for known, pixels, looks in (
         (True, spoiling.PIXELS, spoiling.LOOKS),
         (False, spoiling.MORE_PIXELS, spoiling.MORE_LOOKS),
@@ -136,9 +117,9 @@ def _of_light() -> Iterator[LoopRun]:
         for mag_j in MAGNITUDES:
             for family, spoil in pixels.items():
                 event = "frozen" if family.startswith("frozen") else ""
-                yield LoopRun(LIGHT, family, known, mag_j, {"spoil": spoil}, event=event)
+                yield _run(LIGHT, family, known, mag_j, {"spoil": spoil}, event=event)
             for family, changes in looks.items():
-                yield LoopRun(LIGHT, family, known, mag_j, {"bad_look": Look(changes=changes)})
+                yield _run(LIGHT, family, known, mag_j, {"bad_look": Look(changes=changes)})
 
 
 Arrive = Callable[[Read, int, Rig], Sequence[Arrival]]
@@ -203,7 +184,7 @@ def _ahead(frames: int, seconds: float) -> Arrive:
     return _once(counter=lambda read: read.counter + frames, unix_s=lambda read: read.unix_s + seconds)
 
 
-def _of_times() -> Iterator[LoopRun]:
+def _of_times() -> Iterator[tuple[str, Trial]]:
     for known, family, arrive, lost, event, spell in (
         (True, "counter and time ahead", _ahead(10**5, 3600), 0, "ahead", 20),
         (True, "counter and time far ahead", _ahead(10**7, 1e9), 0, "ahead", 20),
@@ -230,10 +211,10 @@ def _of_times() -> Iterator[LoopRun]:
         ),
     ):
         changes = {"arrive": arrive, "spell": spell, "after": 0 if "counts" in family else 8}
-        yield LoopRun(TIMES, family, known, 12.0, changes, lost, event)
+        yield _run(TIMES, family, known, 12.0, changes, lost, event)
 
 
-def _of_focus() -> Iterator[LoopRun]:
+def _of_focus() -> Iterator[tuple[str, Trial]]:
     stuck, fine = "stage stuck from the start", ""
     for mag_j in (9.0, 15.0, 17.0):
         for family, event, changes in (
@@ -249,25 +230,27 @@ def _of_focus() -> Iterator[LoopRun]:
             ("far away", fine, {"start_nm": 300.0}),
         ):
             spell = {"before": 30, "spell": 470, "after": 0}
-            yield LoopRun(FOCUS, family, "stuck" in family, mag_j, spell | changes, event=event)
+            yield _run(FOCUS, family, "stuck" in family, mag_j, spell | changes, event=event)
 
 
 # -- what a case shows -------------------------------------------------------------------------
 
 
-def _judge_run(case: LoopRun, bench: Bench) -> Outcome:
+def _judge_run(
+    name: str, kind: str, mag_j: float, changes: Mapping[str, Any], lost: int, event: str, bench: Bench
+) -> Outcome:
     """Run a case; `walked_nm` is of the offset from the truth where the loop is to be stopped."""
-    rig = Rig(bench.skies, case.mag_j, crc32(f"{bench.skies.seed}.{case.name}".encode()), **case.changes)
+    rig = Rig(bench.skies, mag_j, crc32(f"{bench.skies.seed}.{name}".encode()), **changes)
     outcome = run(rig, bench.calibration, bench.folder)
     counts = judged(outcome)
-    stopped = any(OPEN in event for event in outcome.events)
+    stopped = any(OPEN in one for one in outcome.events)
     problem = ""
-    if case.event and not any(case.event in event for event in outcome.events):
-        problem = f"no event says '{case.event}'"
-    if stopped and case.event != OPEN:
+    if event and not any(event in one for one in outcome.events):
+        problem = f"no event says '{event}'"
+    if stopped and event != OPEN:
         problem = "a closed loop was stopped"
-    refused = 0 if case.kind == FOCUS and stopped else max(0, counts["refused"] - case.lost)
-    walked = float(outcome.records[-1]["offset_nm"]) if case.kind == FOCUS and outcome.records else 0.0
+    refused = 0 if kind == FOCUS and stopped else max(0, counts["refused"] - lost)
+    walked = float(outcome.records[-1]["offset_nm"]) if kind == FOCUS and outcome.records else 0.0
     return counts | {"refused": refused, "problem": problem, "walked_nm": walked}
 
 

@@ -135,7 +135,7 @@ def test_residuals_hold_what_wanders_within_an_exposure():
     found = outcome([], [3.0, 4.0])
     wander = found.night.drift.wander_within_nm2(1.0)
     assert wander > 0
-    assert found.residual_nm(0, 2) == pytest.approx(np.sqrt(12.5 + wander))
+    assert found.residual_nm(range(2)) == pytest.approx(np.sqrt(12.5 + wander))
 
 
 def test_an_ageing_instrument_keeps_its_focus_and_the_size_of_what_turns():

@@ -40,22 +40,6 @@ def test_facts_that_the_model_takes_for_exact_are_left_free_where_they_fit_best(
     assert "plate_scale" not in found  # which is as told
 
 
-def test_they_are_facts_of_the_instrument_and_nothing_else(found):
-    assert all(effect.base.fact and effect.base.varies for effect in found.values())
-    assert "spectrum" not in found  # one factor for pixels and wavelengths is what no image shows
-
-
-def test_what_is_named_or_adjusted_is_told_there(behind_a_stop):
-    assert STOP.name not in {effect.name for effect in open_facts(*behind_a_stop, [STOP.name])}
-
-
-def test_a_fit_that_fails_leaves_nothing_free(behind_a_stop):
-    _, final = behind_a_stop
-    failed = SimpleNamespace(chi2=np.inf)
-    fitter = SimpleNamespace(of=lambda *_: SimpleNamespace(explored=lambda *_: failed))
-    assert open_facts(fitter, final, []) == []
-
-
 def test_the_model_of_a_recipe_has_them_free_from_there():
     result = SimpleNamespace(steps=[], adjusted=[], open_facts=[FixedEffect(STOP, TRUE)])
     (entry,) = model_entries(result)

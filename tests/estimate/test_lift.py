@@ -17,7 +17,6 @@ from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.loss import LOSSES
 from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf import PsfModel
 
@@ -69,20 +68,6 @@ def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
     inside = np.abs((result.zernike_nm - true).numpy()) < result.sigma_nm.numpy()
     assert 0.63 < inside.mean() < 0.73
     assert abs(float(result.chi2_nu.mean()) - 1) < 0.01
-
-
-@pytest.mark.slow
-def test_weights_from_the_image_itself_are_biased_where_the_model_s_are_not(model):
-    """The reason for iterating the variances: at low flux, low pixels get too much weight."""
-    images = 300
-    true = random_modes(images, seed=7)
-    data = drawn(model, true, cases.photons(19), seed=8)
-    chi2 = {
-        noise: float(estimate(model, data, true[:, 2].numpy(), LiftOptions(noise)).chi2_nu.mean())
-        for noise in ("data", "iterative")
-    }
-    assert abs(chi2["iterative"] - 1) < 0.01
-    assert abs(chi2["data"] - 1) > abs(chi2["iterative"] - 1)
 
 
 def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
@@ -175,15 +160,6 @@ def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stand
     assert torch.allclose(result.mode(4)[0], true[:, 2], atol=5)
 
 
-def test_the_excess_noise_factor_widens_the_error_bars(model):
-    true = torch.zeros(1, 3, dtype=torch.float64)
-    flux = torch.tensor([cases.photons(10)])
-    poisson, excess = (
-        cramer_rao_nm(ImageModel(model), true, flux, NoiseModel(factor, 0.01)) for factor in (1.0, 1.5)
-    )
-    assert torch.allclose(excess, poisson * np.sqrt(1.5), rtol=1e-3)
-
-
 def photon_fit(model, images, mask=None) -> PhotonFit:
     mask = cases.everything(images) if mask is None else mask
     layout = Layout(TTF, prior_sigma_nm=torch.tensor([300.0, 300.0, 200.0]))
@@ -204,17 +180,6 @@ def test_the_slope_with_variances_that_follow_is_that_of_the_objective():
         move[0, i] = step
         rise = problem.objective(x + move, which) - problem.objective(x - move, which)
         assert float(rise / (2 * step)) == pytest.approx(float(gradient[0, i]), rel=1e-4, abs=1e-6)
-
-
-def test_pixels_that_are_masked_count_for_nothing_where_variances_follow(model):
-    at = random_modes(1, seed=5)
-    clean = drawn(model, at, 2e4, seed=6)
-    spoilt, mask = clean.clone(), cases.everything(clean).clone()
-    spoilt[0, 30, 31], mask[30, 31] = 1e6, False
-    x = torch.cat([at, torch.tensor([[2e4, 0.0]])], dim=1).double()
-    fits = (photon_fit(model, data, mask) for data in (clean, spoilt))
-    one, other = (fit.normal_equations(x, torch.arange(1)) for fit in fits)
-    assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 @pytest.mark.slow
@@ -245,27 +210,6 @@ def test_images_that_are_fitted_in_pieces_find_what_they_find_together(model, mo
     assert torch.allclose(pieces.zernike_nm, together.zernike_nm, rtol=0, atol=1e-4)
     assert torch.allclose(pieces.model_e, together.model_e, rtol=1e-5, atol=1e-3)
     assert torch.allclose(pieces.chi2_nu, together.chi2_nu)
-
-
-def test_a_fit_in_inference_mode_is_the_same(model):
-    """As a loop in real time would run it."""
-    true = random_modes(2, seed=31)
-    data = drawn(model, true, 3e4, seed=32)
-    arguments = ImageModel(model), data, cases.everything(data), NOISE, 0.5 * true
-    usual = lift(*arguments)
-    with torch.inference_mode():
-        quick = lift(*arguments)
-    assert torch.equal(usual.zernike_nm, quick.zernike_nm)
-
-
-def test_some_members_of_a_fit_with_variances_that_follow_have_the_objectives_they_had():
-    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
-    true = random_modes(4, seed=41)
-    fit = photon_fit(precise, drawn(precise, true, 2e4, seed=42).double())
-    x = torch.cat([true, torch.tensor([[2e4, 0.0]]).expand(4, 2)], dim=1).double()
-    some = torch.tensor([3, 1])
-    found = fit.members(some).objective(x[some], torch.arange(2))
-    assert torch.allclose(found, fit.objective(x, torch.arange(4))[some], rtol=1e-9)
 
 
 def test_the_scan_finds_defocus_and_position_of_any_image():
@@ -326,13 +270,3 @@ def test_single_wrong_pixels_hardly_disturb_a_robust_loss(model):
     rms_nm = {loss: float((zernike_nm - true).square().mean().sqrt()) for loss, zernike_nm in found.items()}
     assert rms_nm["huber"] < 0.5 * rms_nm["gaussian"]
     assert rms_nm["l1"] < 0.5 * rms_nm["gaussian"]
-
-
-def test_variances_that_a_loss_has_forgotten_do_not_come_back(model):
-    images = drawn(model, random_modes(2, seed=16), 1e5, seed=17)
-    every = cases.everything(images)
-    problem = image_problem(ImageModel(model), Layout(TTF), images, torch.ones_like(images), every)
-    in_electrons = problem.with_loss(LOSSES["l1"])
-    assert in_electrons.root_weight.unique().tolist() == [1.0]
-    with pytest.raises(ValueError, match="forgotten"):
-        in_electrons.with_loss(LOSSES["huber"])

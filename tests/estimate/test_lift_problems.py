@@ -6,12 +6,10 @@ import pytest
 import torch
 from helpers import optics_cases as cases
 
-from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import alike
-from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS, REALISATIONS = (2, 3, 4, 5, 7, 8), 12
@@ -56,13 +54,3 @@ def test_estimates_are_those_of_fits_with_derivatives_of_their_own(model, flux_e
     assert ours.solution.converged.all()
     assert float(((ours.zernike_nm - theirs.zernike_nm).abs() / theirs.sigma_nm).max()) < 0.1
     assert ours.sigma_nm.numpy() == pytest.approx(theirs.sigma_nm.numpy(), rel=0.3)
-
-
-def test_models_whose_single_fits_are_quick_or_the_only_way_go_without(model):
-    psf = PsfModel(cases.settings(32), (2, 3, 4))
-    start = torch.zeros(4, 3).double()
-    assert alike(tabulated(ImageModel(psf), start), start, torch.arange(4)) is None
-    bend = CATALOGUE["interpixel_crosstalk"]()
-    assert alike(ImageModel(psf, [FixedEffect(bend, [0.02])]), start, torch.arange(4)) is None
-    assert alike(ImageModel(psf, [bend]), start, torch.arange(4)) is None
-    assert alike(ImageModel(psf), start, torch.arange(4)) is not None

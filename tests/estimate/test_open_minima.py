@@ -97,80 +97,12 @@ def closed(problem: OpenFit, chi2_nu: float) -> tuple[SimpleNamespace, SimpleNam
     return fit, SimpleNamespace(values=place())
 
 
-@pytest.mark.parametrize(("chi2_nu", "before"), [(0.9, 100.0), (3.0, 5.0)])
-def test_a_nominal_fit_and_one_that_no_modes_improve_are_left_as_they_are(
-    problem, monkeypatch, chi2_nu, before
-):
-    monkeypatch.setattr(OpenFit, "reduced_chi2", lambda fit, x: torch.tensor([chi2_nu]))
-    opened = ended(problem, place())
-    assert likelier_minimum(None, closed(problem, before), opened, 1.0) is opened
-
-
 def test_a_wrong_minimum_gives_way_to_the_right_one(problem):
     wrong = place()
     wrong[0, 5:9] += 150.0
     found = likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, wrong), 1.4)
     assert float(found.problem.reduced_chi2(found.solution.values)[0]) < 1.4
     assert (found.solution.values - place())[0, :27].norm() < 5
-
-
-@pytest.mark.slow
-def test_the_fit_stays_where_no_likelier_minimum_is_found(problem, monkeypatch):
-    monkeypatch.setattr(open_minima, "SHAKES", 1)
-    wrong = place()
-    wrong[0, 5:9] += 150.0
-    right = likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, wrong), 0.0)
-    best = ended(problem, right.solution.values)
-    assert likelier_minimum(task(place() + 400), closed(problem, 1e6), best, 0.0).solution.objective <= (
-        best.solution.objective
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("off_nm", "shaken"), [(0.0, 0), (150.0, 2)])
-def test_minima_are_disturbed_only_if_there_are_others_than_the_known_one(
-    problem, monkeypatch, off_nm, shaken
-):
-    """Softened weights lead from the truth back to it, also where χ²/ν cannot fall below the limit."""
-    tried = []
-    monkeypatch.setattr(open_minima._Search, "_shaken", lambda search, best: tried.append(best) or best)
-    known = place()
-    known[0, 5:9] += off_nm
-    likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, known), 0.0)
-    assert len(tried) == shaken
-
-
-@pytest.mark.slow
-def test_shakes_end_after_a_count_of_iterations_in_proportion(problem, monkeypatch):
-    """Of three starts in vain, a search without a limit takes some hundred iterations for shakes."""
-    spent = []
-    lacks = SimpleNamespace(part=0.0)
-    monkeypatch.setattr(open_minima, "lacking", lambda *_: lacks)
-    monkeypatch.setattr(open_minima, "SHAKEN_TIMES", 0.5)
-
-    class Counted(open_minima._Search):
-        def _shaken(self, best):
-            spent.append((self.spent, self.allowed))
-            return super()._shaken(best)
-
-    monkeypatch.setattr(open_minima, "_Search", Counted)
-    known = place()
-    known[0, 5:9] += 150.0
-    likelier_minimum(task(place(), place() + 60), closed(problem, 1e6), ended(problem, known), 0.0)
-    (first, allowed), (last, _) = spent[0], spent[-1]
-    assert allowed == 1.5 * first
-    assert first < last < allowed + 3 * open_minima.ITERATIONS
-
-
-@pytest.mark.slow
-def test_where_one_fact_explains_the_misfit_nothing_is_shaken(problem, monkeypatch):
-    shaken = []
-    monkeypatch.setattr(open_minima, "lacking", lambda *_: SimpleNamespace(part=0.6))
-    monkeypatch.setattr(open_minima._Search, "_shaken", lambda search, best: shaken.append(best) or best)
-    known = place()
-    known[0, 5:9] += 150.0
-    likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, known), 0.0)
-    assert not shaken
 
 
 @pytest.mark.slow
@@ -226,12 +158,3 @@ def test_shakes_by_the_curvature_follow_the_softened_likelihood(problem):
     hessian = Softening(factor).of(problem).normal_equations(x, FIRST)[2][0, :27, :27]
     moves = torch.cat([by_curvature(problem, x, rng) - x for _ in range(40)])[:, :27]
     assert float(((moves @ hessian) * moves).sum(1).mean()) == pytest.approx(27, rel=0.2)
-
-
-def test_modes_without_curvature_are_shaken_by_the_prior(problem, monkeypatch):
-    def none(fit, x, which):
-        return None, None, torch.zeros(1, 29, 29, dtype=torch.float64)
-
-    monkeypatch.setattr(OpenFit, "normal_equations", none)
-    moved = by_curvature(problem, place(), np.random.default_rng(4))
-    assert torch.equal(moved, by_prior(problem, place(), np.random.default_rng(4)))

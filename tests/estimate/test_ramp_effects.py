@@ -7,7 +7,6 @@ import torch
 from helpers.optics_cases import BAND, NARROW_H, RESIDUAL_LAW, settings
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
-from irlos_pipe.effects.detector import InterpixelCrosstalk
 from irlos_pipe.estimate.ramp_fit import ramp_effects
 from irlos_pipe.optics.grids import Grids
 from irlos_pipe.optics.psf import PsfModel
@@ -49,15 +48,3 @@ def test_fitting_frees_the_variance_of_the_residual_and_of_the_kernel():
     free = [parameter for effect in chosen for parameter in effect.parameters]
     assert [parameter.name for parameter in free] == ["variance_nm2", "variance_mas2"]
     assert free[0].start == pytest.approx(MEASURED.values[0])
-
-
-def test_an_effect_of_another_place_comes_along_fitted_unless_it_was_measured():
-    crosstalk = InterpixelCrosstalk()
-    free = ramp_effects((*AVAILABLE, crosstalk), {})[-1]
-    assert free is crosstalk
-    measured = FixedEffect(crosstalk, [0.05])
-    assert ramp_effects((*AVAILABLE, crosstalk), {crosstalk.name: measured})[-1] is measured
-
-
-def test_a_model_without_effects_stays_without():
-    assert ramp_effects((), {}) == []

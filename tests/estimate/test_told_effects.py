@@ -3,23 +3,16 @@ stay on the way from one problem to the other; made-up objectives."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.effects import FixedEffect, TipTiltJitter
-from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.companion import Companion
-from irlos_pipe.estimate import calibration
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.cube_fit import CubeFit
-from irlos_pipe.estimate.effect_modes import starts_as_told
-from irlos_pipe.estimate.open_fit import open_basis
-from irlos_pipe.estimate.open_minima import _Search, likelier_minimum
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -37,16 +30,6 @@ def task() -> CubeFit:
     return CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)
 
 
-def test_only_what_was_found_before_starts_as_told():
-    companion = Companion()
-    assert starts_as_told(FixedEffect(companion, PLACE, NAMES))
-    assert not starts_as_told(FixedEffect(companion, PLACE))  # held
-    assert not starts_as_told(companion)
-    assert not starts_as_told(FixedEffect(PlateScale(9.7), [0.0], ["fraction"]))  # free, but from nothing
-    assert starts_as_told(FixedEffect(PlateScale(9.7), [0.004], ["fraction"]))
-    assert not starts_as_told(FixedEffect(TipTiltJitter(), [8.0], ["sigma_mas"]))  # in every recording
-
-
 def test_releasing_an_effect_changes_no_image(task):
     told, jitter = FixedEffect(Companion(), PLACE, NAMES), TipTiltJitter()
     held = task.fit([told.expected(), jitter])
@@ -57,32 +40,3 @@ def test_releasing_an_effect_changes_no_image(task):
     assert np.allclose(
         problem.model.effects.split(values[0, problem.layout.effect_values])["companion"], PLACE
     )
-
-
-def test_other_minima_begin_with_effects_that_the_closed_basis_held_where_they_were_told(monkeypatch, task):
-    told = FixedEffect(Companion(), PLACE, NAMES)
-    held = task.fit([told.expected()])
-    problem, values = task.released([told], held)
-    opened = open_basis(problem, values, max_iterations=1)
-    begun: list[torch.Tensor] = []
-    monkeypatch.setattr(_Search, "best_from", lambda search, starts, known: begun.extend(starts))
-    assert likelier_minimum(task, held, opened, most=0.0) is opened
-    layout = opened.problem.layout
-    assert [one.shape for one in begun] == [(1, layout.size)] * 2
-    assert np.allclose([one[0, layout.effect_values].numpy() for one in begun], [PLACE] * 2)
-
-
-@pytest.mark.parametrize(("other", "told_wins"), [(90.0, True), (110.0, False), (None, False)])
-def test_the_likelier_of_both_ways_is_kept(monkeypatch, task, other, told_wins):
-    told = FixedEffect(Companion(), PLACE, NAMES)
-    closed = task.fit([told])
-
-    def ended(objective):
-        return SimpleNamespace(solution=SimpleNamespace(objective=torch.tensor([objective])))
-
-    opened, begun = ended(100.0), other and ended(other)
-    monkeypatch.setattr(calibration, "open_basis", lambda problem, values, max_iterations: begun)
-    fit, found = calibration._from_told(task, closed, opened)
-    assert found is (begun if told_wins else opened)
-    assert (fit is closed) is not told_wins
-    assert len(fit[0].model.effects.parameters) == (0 if told_wins else len(NAMES))
