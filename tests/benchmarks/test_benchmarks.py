@@ -42,10 +42,6 @@ def fft_model(settings, refinement=1):
     )
 
 
-def test_the_fft_baseline_pads_to_the_size_that_the_paper_gives(settings):
-    assert fft_model(settings).padded == 540
-
-
 @pytest.mark.slow
 def test_the_fft_baseline_agrees_with_the_model_once_its_samples_are_pixels(settings):
     ours = PsfModel(settings, NOLLS).images(ZERNIKE_NM)[0]

@@ -12,7 +12,6 @@ from helpers import focus_loop as made_loop
 
 from benchmarks.focus_faults import rig as faults
 from benchmarks.focus_faults.spoiling import PIXELS
-from benchmarks.focus_faults.suite import trials
 from benchmarks.focus_loop import telescope as telescopes
 from benchmarks.focus_loop.ageing import Ageing
 from benchmarks.focus_loop.process import Feed
@@ -177,11 +176,6 @@ def test_light_of_a_later_step_has_the_ncpas_of_its_middle(monkeypatch, tmp_path
 
 
 # -- bad exposures -----------------------------------------------------------------------------
-
-
-def test_there_are_two_hundred_cases_and_half_of_them_are_further_kinds():
-    assert len(trials()) >= 200
-    assert sum(not trial.known for trial in trials().values()) >= 100
 
 
 def measured(counter: int, defocus_nm: float, valid: bool = True) -> dict:

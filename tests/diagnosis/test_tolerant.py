@@ -1,7 +1,10 @@
-"""Parts of the tolerant search, on frames drawn from the model itself (same code).
+"""Parts of the tolerant search, and facts that a diagnosis leaves free.
 
-Truth: fits from elsewhere, what was put into the frames, and the order in which names were found.
+Frames are drawn from the model itself (same code). Truth: fits from elsewhere, what was put into the frames,
+and the order in which names were found.
 """
+
+from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -16,6 +19,7 @@ from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.open_facts import open_facts
 from irlos_pipe.diagnosis.opposite import opposite_side
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
@@ -24,6 +28,7 @@ from irlos_pipe.diagnosis.verdict import Adjusted
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.optics.psf_settings import KnownWavefront
+from irlos_pipe.stages.diagnose.output import model_entries
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 SCALE = CATALOGUE["plate_scale"].under(CONDITIONS)
@@ -130,3 +135,35 @@ def test_where_nothing_is_named_the_nearest_is_said_with_its_size():
     assert step.public["flux_ratio"] == pytest.approx(0.02, abs=5 * step.sigma["flux_ratio"])
     assert step.share > 0.9
     assert _nearest(SimpleNamespace(nearest=None)) is None
+
+
+# -- facts that are left free --------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def behind_a_stop():
+    """Frames behind a stop that is off, and a fit that takes all facts for exact."""
+    training = cube(image(effect=STOP, values=TRUE)).training
+    model = fitted(training, [])
+    return Fitter(model.views, training), Optimum(training, model)
+
+
+@pytest.fixture(scope="module")
+def found(behind_a_stop) -> dict[str, FixedEffect]:
+    return {effect.name: effect for effect in open_facts(*behind_a_stop, [])}
+
+
+def test_facts_that_the_model_takes_for_exact_are_left_free_where_they_fit_best(found):
+    true, stop = STOP.describe(np.array(TRUE)), found[STOP.name]
+    values = stop.base.describe(stop.values)
+    assert values["dx_m"] == pytest.approx(true["dx_m"], abs=0.01)
+    assert values["dy_m"] == pytest.approx(true["dy_m"], abs=0.01)
+    assert values["rotation_deg"] == pytest.approx(true["rotation_deg"], abs=0.5)
+    assert "plate_scale" not in found  # which is as told
+
+
+def test_the_model_of_a_recipe_has_them_free_from_there():
+    result = SimpleNamespace(steps=[], adjusted=[], open_facts=[FixedEffect(STOP, TRUE)])
+    (entry,) = model_entries(result)
+    assert entry[STOP.name]["fit"] is True
+    assert entry[STOP.name]["rotation_deg"] == pytest.approx(1.0)

@@ -1,6 +1,9 @@
 """Calibration methods on noise-limited frames drawn from the model (same code, on purpose: without
 model error every method must find the truth within its errors), the scatter of means against AR(1)
-theory, and the twin solution against the symmetry of the pupil."""
+theory, and the twin solution against the symmetry of the pupil. Errors of many frames: the covariance of the
+mean of independent draws, and the scaling of errors by √(χ²/ν)."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_errors import widening
+from irlos_pipe.estimate.calibration_errors import errors_of, widening
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.twin import twin_of
@@ -159,3 +162,26 @@ def test_the_error_of_a_mean_counts_the_autocorrelation(phi):
     assert np.mean(autocorrelation_time(series)) == pytest.approx((1 + phi) / (1 - phi), rel=0.12)
     quoted = np.sqrt(np.mean(np.diag(covariance_of_mean(series))))
     assert quoted == pytest.approx(series.mean(0).std(), rel=0.15)
+
+
+# -- errors of many frames -----------------------------------------------------------------------
+
+
+SIGMA_NM, MANY_FRAMES = 8.0, 400
+DRAWN_NM = np.random.default_rng(4).normal(0.0, SIGMA_NM, (MANY_FRAMES, 5))
+
+
+def sigma_nm(misfit: float) -> np.ndarray:
+    """Errors of five modes; many frames need neither problem nor solution."""
+    covariance, source = errors_of(SimpleNamespace(show_scatter=True), None, None, DRAWN_NM, misfit)
+    assert source == "frames"
+    return np.sqrt(np.diag(covariance))
+
+
+def test_the_error_of_a_mean_falls_with_the_root_of_the_frames():
+    assert sigma_nm(1.0) == pytest.approx(SIGMA_NM / np.sqrt(MANY_FRAMES), rel=0.3)
+
+
+@pytest.mark.parametrize(("misfit", "growth"), [(0.3, 1.0), (1.0, 1.0), (4.0, 2.0), (252.0, np.sqrt(252))])
+def test_errors_grow_with_the_root_of_what_is_above_the_nominal_misfit_and_never_shrink(misfit, growth):
+    assert sigma_nm(misfit) == pytest.approx(growth * sigma_nm(1.0))

@@ -1,5 +1,8 @@
 """LIFT on images drawn from the model. Truth: Monte Carlo (the images come from the same model, on
-purpose: bias, efficiency and error bars are properties of the estimator) and analysis at zero flux."""
+purpose: bias, efficiency and error bars are properties of the estimator), analysis at zero flux, and fits
+with derivatives of their own."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.lift import image_problem, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import PhotonFit
+from irlos_pipe.estimate.lift_problems import PhotonFit, alike
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
@@ -270,3 +273,50 @@ def test_single_wrong_pixels_hardly_disturb_a_robust_loss(model):
     rms_nm = {loss: float((zernike_nm - true).square().mean().sqrt()) for loss, zernike_nm in found.items()}
     assert rms_nm["huber"] < 0.5 * rms_nm["gaussian"]
     assert rms_nm["l1"] < 0.5 * rms_nm["gaussian"]
+
+
+# -- realisations with the curvature of their frames ---------------------------------------------
+
+
+NOLLS, REALISATIONS = (2, 3, 4, 5, 7, 8), 12
+FRAMES_NM = torch.tensor([[5.0, -8, 60, 20, -15, 10], [-3.0, 4, -90, -10, 20, 5]]).double()
+FRAME = torch.arange(2).repeat(REALISATIONS)
+LIMIT = torch.tensor([20.0, 20.0, 40.0, 20.0, 20.0, 20.0]).double()
+
+
+@pytest.fixture(scope="module")
+def halo_model() -> ImageModel:
+    effects = cases.halo_and_jitter
+    psf = PsfModel(cases.settings(32, cases.J_AND_H[1::3], pupil_samples=64), NOLLS)
+    known = effects(psf)
+    return ImageModel(psf, known.held(known.starts))
+
+
+def drawn_alike(halo_model: ImageModel, flux_e: float) -> torch.Tensor:
+    flux = torch.full((2,), flux_e).double()
+    mean_e = halo_model.predict(FRAMES_NM, flux, torch.zeros(2).double()).numpy()
+    realisations = [cases.draw_frames(mean_e[f], 1, seed) for seed, f in enumerate(FRAME.tolist())]
+    return torch.cat(realisations)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flux_e", [3e5, 3e3])
+@pytest.mark.parametrize("prior", [None, LIMIT])
+def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, flux_e, prior):
+    images_e = drawn_alike(halo_model, flux_e)
+    near = alike(halo_model, FRAMES_NM + 10.0, FRAME)
+    found = [
+        lift(
+            halo_model,
+            images_e,
+            cases.everything(images_e),
+            cases.READ_NOISE,
+            torch.zeros(len(images_e), len(NOLLS)).double(),
+            LiftOptions(noise="model", prior_sigma_nm=prior, alike=one),
+        )
+        for one in (None, near)
+    ]
+    theirs, ours = found
+    assert ours.solution.converged.all()
+    assert float(((ours.zernike_nm - theirs.zernike_nm).abs() / theirs.sigma_nm).max()) < 0.1
+    assert ours.sigma_nm.numpy() == pytest.approx(theirs.sigma_nm.numpy(), rel=0.3)

@@ -1,5 +1,9 @@
-"""Other minima of the fit of all modes. Truth: images by the simulator, which shares no optics with the
-model, with a tail of 20 nm in every mode; weights and priors as they are defined; images of known modes."""
+"""Other minima of the fit of all modes, the other side of a stop, and effects that a diagnosis found.
+
+Truth: images by the simulator, which shares no optics with the model, with a tail of 20 nm in every mode;
+weights and priors as they are defined; images of known modes; the side on which a stop was when images were
+made by the model itself (same code: what is tested is where the fit goes).
+"""
 
 from __future__ import annotations
 
@@ -11,15 +15,21 @@ import torch
 from helpers import optics_cases as cases
 from helpers.simulated_scenes import image
 
+from irlos_pipe.effects import FixedEffect, TipTiltJitter
+from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate import calibration, open_minima
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.open_fit import Opened, OpenFit, last_noll_of, visible_order
+from irlos_pipe.estimate.cube_fit import CubeFit
+from irlos_pipe.estimate.open_fit import Opened, OpenFit, last_noll_of, open_basis, visible_order
 from irlos_pipe.estimate.open_minima import Softening, by_curvature, by_prior, likelier_minimum
+from irlos_pipe.estimate.open_sides import likelier_side
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.tail_law import TailLaw
+from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
 WINDOW, TAIL_NM, FLUX_E, FRAMES, SEED = 40, 20.0, 4e6, 20, 3
@@ -158,3 +168,90 @@ def test_shakes_by_the_curvature_follow_the_softened_likelihood(problem):
     hessian = Softening(factor).of(problem).normal_equations(x, FIRST)[2][0, :27, :27]
     moves = torch.cat([by_curvature(problem, x, rng) - x for _ in range(40)])[:, :27]
     assert float(((moves @ hessian) * moves).sum(1).mean()) == pytest.approx(27, rel=0.2)
+
+
+# -- the other side of a displaced stop ----------------------------------------------------------
+
+
+NOLLS = tuple(range(2, 12))
+STOP = PupilMisregistration()
+FREE = [parameter.name for parameter in STOP.parameters]
+DISTANCE_M, DIRECTION_RAD = 0.06, -0.6
+
+
+def opened_from(direction_rad: float) -> Opened:
+    """Fit all modes to the image behind a stop, which begins in a direction; a fit of few iterations."""
+    psf = PsfModel(cases.settings(), NOLLS, dtype=torch.float64)
+    modes_nm = cases.vector(cases.ncpa_nm(4, highest_noll=11, total_nm=60.0), NOLLS)
+    made = ImageModel(psf, [FixedEffect(STOP, [DISTANCE_M, DIRECTION_RAD, 0.0])])
+    images = cases.draw_frames(psf.images(modes_nm, made.optics)[0].double().numpy() * 3e6, 4, seed=5)
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    task = CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)
+    closed = task.fit([FixedEffect(STOP, [DISTANCE_M, direction_rad, 0.0], FREE)])
+    opened = open_basis(*closed[:1], closed[1].values, max_iterations=30)
+    assert opened is not None
+    return opened
+
+
+def stop_of(opened: Opened) -> np.ndarray:
+    values = opened.solution.values[0, opened.problem.layout.effect_values]
+    distance_m, direction_rad, _ = values.tolist()
+    return distance_m * np.array([np.cos(direction_rad), np.sin(direction_rad)])
+
+
+@pytest.fixture(scope="module")
+def wrong() -> Opened:
+    return opened_from(DIRECTION_RAD + np.pi)
+
+
+TRUE_M = DISTANCE_M * np.array([np.cos(DIRECTION_RAD), np.sin(DIRECTION_RAD)])
+
+
+def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
+    assert stop_of(wrong) @ TRUE_M <= 0  # on the other side, or at rest
+    found = likelier_side(wrong, max_iterations=30)
+    assert found.solution.objective[0] < wrong.solution.objective[0]
+    assert stop_of(found) == pytest.approx(TRUE_M, abs=0.01)
+
+
+def test_a_fit_on_the_right_side_stays_there():
+    right = opened_from(DIRECTION_RAD)
+    assert stop_of(likelier_side(right, max_iterations=30)) == pytest.approx(TRUE_M, abs=0.01)
+
+
+def test_a_model_without_a_direction_is_left_as_it_is(wrong):
+    held = [
+        FixedEffect(effect.base, effect.all_values([0.0] * 3))
+        for effect in wrong.problem.model.effects.effects
+    ]
+    model = ImageModel(wrong.problem.model.psf, held)
+    bare = Opened(wrong.problem.with_model(model), wrong.solution, wrong.law)
+    assert likelier_side(bare, max_iterations=30) is bare
+
+
+# -- effects that a diagnosis found --------------------------------------------------------------
+
+
+PLACE = [0.01, 90.0, -70.0]  # flux ratio, x and y [mas]
+NAMES = [parameter.name for parameter in Companion().parameters]
+
+
+@pytest.fixture(scope="module")
+def cube_fit() -> CubeFit:
+    psf = PsfModel(cases.settings(), NOLLS, dtype=torch.float64)
+    modes_nm = cases.vector(cases.ncpa_nm(4, highest_noll=11, total_nm=60.0), NOLLS)
+    images = cases.draw_frames(psf.images(modes_nm)[0].double().numpy() * 3e6, 4, seed=5)
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    return CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)
+
+
+def test_releasing_an_effect_changes_no_image(cube_fit):
+    told, jitter = FixedEffect(Companion(), PLACE, NAMES), TipTiltJitter()
+    held = cube_fit.fit([told.expected(), jitter])
+    problem, values = cube_fit.released([told, jitter], held)
+    assert problem.layout.size == held[0].layout.size + len(NAMES)
+    before, after = held[0].predict(held[1].values), problem.predict(values)
+    assert torch.allclose(after, before, rtol=1e-12, atol=1e-9)
+    assert np.allclose(
+        problem.model.effects.split(values[0, problem.layout.effect_values])["companion"], PLACE
+    )
