@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import os
 import platform
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -17,14 +21,76 @@ import torch
 from tqdm import tqdm
 
 from benchmarks.breakdown import measure_breakdown
-from benchmarks.docs import breakdown
-from benchmarks.docs import write_docs as put_into_docs
+from benchmarks.harness import DOCS, REPOSITORY, markdown, put
 from benchmarks.inputs import Inputs, prepare
-from benchmarks.measure import in_own_process
-from benchmarks.plan import CUBE, LIFT, NCPA, NCPA_60, OTHERS, Entry
-from benchmarks.table import render
 
 RESULTS = Path(__file__).parent / "results.json"
+CUBE = 300  # frames of the calibration that all NCPA cases are scaled to
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "AOCORE_FFT_WORKERS",
+    "AOCORE_BLAS_THREADS",
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the table.
+
+    Attributes
+    ----------
+    case : str
+        A function of `cases`.
+    frames, quick_frames : int
+        Frames that are really worked on, by default and with ``--quick``.
+    threads : int
+        Workers of irlos_pipe.
+    gpu : bool
+        Run only where PyTorch finds a CUDA device.
+    """
+
+    case: str
+    label: str
+    frames: int
+    quick_frames: int
+    threads: int = 1
+    gpu: bool = False
+
+
+GROUPS: dict[str, tuple[Entry, ...]] = {
+    "ncpa": (
+        Entry("fft_lbfgs", "padded FFT, autograd, L-BFGS, L1", 12, 3),
+        Entry("solvephase_lm", "solvephase, LM per frame, weighted", 60, 3),
+        Entry("dip_global", "irlos dip_global, L1", CUBE, 30),
+        Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
+        Entry("lift_slices", "irlos lift_slices, weighted", CUBE, 30),
+        Entry("dip_global_cuda", "irlos dip_global, L1, CUDA", CUBE, 30, gpu=True),
+    ),
+    "ncpa_60": (
+        Entry("fft_lbfgs_60", "padded FFT, autograd, L-BFGS, L1", 12, 3),
+        Entry("dip_global_60", "irlos dip_global, L1", CUBE, 30),
+        Entry("dip_global_60_cuda", "irlos dip_global, L1, CUDA", CUBE, 30, gpu=True),
+    ),
+    "lift": (
+        Entry("lift_numpy", "NumPy FFT, Gauss-Newton per frame", 7, 2),
+        Entry("lift_solvephase", "solvephase, per frame", 7, 3),
+        Entry("lift_bare", "irlos lift, the ramp once", 42, 42),
+        Entry("lift_bare", "irlos lift, ten realisations", 420, 84),
+        Entry("lift_halo", "irlos lift, ten realisations, halo", 420, 84),
+        Entry("lift_halo_cuda", "irlos lift, ten realisations, halo, CUDA", 420, 84, gpu=True),
+    ),
+    "others": (
+        Entry("long_exposure", "irlos long_exposure, calibration-sky, 230 modes", 200, 200),
+        Entry("long_exposure_cuda", "irlos long_exposure, the same, CUDA", 200, 200, gpu=True),
+        Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
+        Entry("sensitivity_scan", "irlos sensitivity scan, 3 and 9 modes, halo", 924, 88, threads=2),
+        Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),
+        Entry("model_jacobian", "irlos model, images and 29 derivatives", 160, 32),
+        Entry("stream_10000", "irlos run, ingest to long_exposure, one cube", 10_000, 600),
+    ),
+}
 
 
 @click.command()
@@ -38,20 +104,21 @@ def main(quick: bool, write_docs: bool) -> None:
         RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     click.echo(f"{render(results)}\n\n{breakdown(results)}")
     if write_docs:
-        put_into_docs(results)
+        parts = {"table": f"```text\n{render(results)}\n```", "breakdown": breakdown(results)}
+        put(DOCS / "performance.md", parts)
 
 
 def measure_all(folder: Path, quick: bool) -> dict:
     """Prepare the inputs in `folder` and run every case."""
-    drawn = max(entry.quick_frames if quick else entry.frames for entry in NCPA)
+    drawn = max(entry.quick_frames if quick else entry.frames for entry in GROUPS["ncpa"])
     prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames", disable=None))
     cuda = torch.cuda.is_available()
-    groups = [[one for one in group if cuda or not one.gpu] for group in (NCPA, NCPA_60, LIFT, OTHERS)]
-    bar = tqdm(total=sum(map(len, groups)) + 1, disable=None)
-    ncpa, more, ramp, others = ([_measure(entry, folder, quick, bar) for entry in group] for group in groups)
-    common = _compare(ncpa, Inputs(folder))
-    _compare(more, Inputs(folder))
-    _compare_ramp(ramp)
+    groups = {key: [one for one in group if cuda or not one.gpu] for key, group in GROUPS.items()}
+    bar = tqdm(total=sum(map(len, groups.values())) + 1, disable=None)
+    found = {key: [_measure(one, folder, quick, bar) for one in group] for key, group in groups.items()}
+    common = _compare(found["ncpa"], Inputs(folder))
+    _compare(found["ncpa_60"], Inputs(folder))
+    _compare_ramp(found["lift"])
     bar.set_description("breakdown")
     shares = measure_breakdown(Inputs(folder), frames=8 if quick else 48)
     bar.close()
@@ -60,19 +127,24 @@ def measure_all(folder: Path, quick: bool) -> dict:
         "machine": _machine(),
         "common_frames": common,
         "cuda": torch.cuda.get_device_name() if cuda else None,
-        "ncpa": ncpa,
-        "ncpa_60": more,
-        "lift": ramp,
-        "others": others,
+        **found,
         "breakdown": shares,
     }
 
 
 def _measure(entry: Entry, folder: Path, quick: bool, bar: tqdm) -> dict:
+    """Run one case in a fresh interpreter, whose libraries get one thread each."""
     bar.set_description(entry.label)
-    outcome = in_own_process(entry.case, folder, entry.quick_frames if quick else entry.frames, entry.threads)
+    frames, threads = str(entry.quick_frames if quick else entry.frames), str(entry.threads)
+    command = [sys.executable, "-m", "benchmarks.cases", entry.case, str(folder), frames, threads]
+    environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=REPOSITORY)
+    if done.returncode != 0:
+        why = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise SystemExit(f"benchmark {entry.case} failed: {why}")
     bar.update()
-    return {"label": entry.label} | outcome
+    outcome = json.loads(done.stdout.splitlines()[-1])
+    return {"label": entry.label} | outcome | {"case": entry.case, "threads": entry.threads}
 
 
 def _compare(entries: list[dict], inputs: Inputs) -> int:
@@ -115,19 +187,90 @@ def _rms(values: Iterable[float]) -> float:
 
 
 def _machine() -> dict:
+    described = Path("/proc/cpuinfo")
+    lines = described.read_text().splitlines() if described.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
-        "cpu": _cpu_name(),
+        "cpu": names[0] if names else platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         **{name: version(name) for name in ("torch", "numpy", "solvephase")},
     }
 
 
-def _cpu_name() -> str:
-    described = Path("/proc/cpuinfo")
-    lines = described.read_text().splitlines() if described.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
+# -- results as aligned text -------------------------------------------------------------------
+
+COLUMNS: dict[str, Callable[[dict], str]] = {
+    "threads": lambda entry: str(entry["threads"]),
+    "frames": lambda entry: str(entry["frames"]),
+    "wall s": lambda entry: f"{entry['wall_s']:.2f}",
+    "CPU s": lambda entry: f"{entry['cpu_s']:.2f}",
+    f"s for {CUBE}": lambda entry: f"{'' if entry['frames'] == CUBE else '~'}{entry['cube_s']:.1f}",
+    "CPU ms/frame": lambda entry: f"{1e3 * entry['cpu_s'] / entry['frames']:.2f}",
+    "speed-up": lambda entry: f"{entry['speed_up']:.1f}",
+    "peak MiB": lambda entry: f"{entry['peak_mib']:.0f}",
+    "error nm": lambda entry: f"{entry['error_nm']:.1f}" if "error_nm" in entry else "",
+    "on common": lambda entry: f"{entry['common_error_nm']:.1f}",
+}
+TABLES = {  # title, and the columns that it lacks
+    "ncpa": ("NCPAs, 29 modes", ("CPU ms/frame",)),
+    "ncpa_60": ("NCPAs, 60 modes", ("CPU ms/frame",)),
+    "lift": ("LIFT, ramp, J+H at 6 wavelengths", (f"s for {CUBE}",)),
+    "others": ("other", (f"s for {CUBE}", "speed-up", "on common")),
+}
+
+
+def render(results: dict) -> str:
+    """All tables, the machine above."""
+    machine = results["machine"]
+    lines = [
+        f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, torch {machine['torch']}, "
+        f"solvephase {machine['solvephase']}, {results['date']}"
+    ]
+    for group, (title, lacking) in TABLES.items():
+        columns = {name: text for name, text in COLUMNS.items() if name not in lacking}
+        rows = [[one["label"], *(text(one) for text in columns.values())] for one in results[group]]
+        lines += ["", *_align([[title, *columns], *rows])]
+    return "\n".join([*lines, "", *_notes(results)])
+
+
+def _notes(results: dict) -> list[str]:
+    latency = next(entry for entry in results["others"] if "median_ms" in entry)
+    common = results["common_frames"]
+    return [
+        f"~ extrapolated linearly to {CUBE} frames from those that were fitted.",
+        "speed-up: processor time per frame of the first line over that of the line.",
+        f"CUDA: {results['cuda']}, by wall clock." if results["cuda"] else "CUDA: no device here, no line.",
+        "error: total RMS of Noll 2-30 of the mean estimate against the truth, over all frames of the line",
+        f"and over the first {common}, which all lines have fitted; LIFT: RMS of the defocus over all",
+        "images of the line and over those that all lines have fitted.",
+        f"single-frame LIFT: median {latency['median_ms']:.1f} ms, "
+        f"99th percentile {latency['p99_ms']:.1f} ms.",
+    ]
+
+
+def _align(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))]
+        )
+        for row in rows
+    ]
+
+
+def breakdown(results: dict) -> str:
+    """Markdown table of shares, and the floors."""
+    measured = results["breakdown"]
+    both = dip, lift = measured["dip_global"], measured["lift"]
+    groups = sorted(dip["shares"] | lift["shares"], key=lambda group: -dip["shares"].get(group, 0.0))
+    rows: list[list[Any]] = [
+        [group, *(f"{one['shares'].get(group, 0.0):.0%}" for one in both)] for group in groups
+    ]
+    floor = f"floor: the single-precision products at {measured['gflops']:.0f} GFlop/s"
+    rows.append([floor, *(f"{one['floor_s'] / one['seconds']:.0%}" for one in both)])
+    rows.append(["distance to the floor", *(f"{one['over_floor']:.1f}×" for one in both)])
+    return markdown(["one thread", "dip_global", "lift, ramp"], rows)
 
 
 if __name__ == "__main__":

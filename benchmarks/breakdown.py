@@ -13,9 +13,8 @@ from collections import defaultdict
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from benchmarks.inputs import Inputs
-from benchmarks.lift_cases import prepared_lift
-from benchmarks.measure import stopwatch
+from benchmarks.cases import prepared_lift
+from benchmarks.inputs import Inputs, stopwatch
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.numerics.parallel import workers

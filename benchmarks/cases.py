@@ -10,29 +10,63 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
+from astropy.io import fits
 
-from benchmarks.frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
-from benchmarks.inputs import Inputs, true_zernike_nm
-from benchmarks.lift_cases import lift_bare, lift_halo, lift_latency, lift_numpy, lift_solvephase
-from benchmarks.long_recording import stream_10000
-from benchmarks.measure import peak_mib, stopwatch
+from benchmarks.inputs import (
+    DIVERSITY_NM,
+    NOLLS,
+    PIXEL_SCALE_MAS,
+    READ_NOISE_E,
+    RECIPES,
+    SEED,
+    WAVELENGTH_NM,
+    WINDOW_PX,
+    Inputs,
+    peak_mib,
+    stopwatch,
+    true_zernike_nm,
+)
+from irlos_pipe.effects import Effect
+from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
+from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
+from irlos_pipe.estimate.sensitivity import Criterion, dim, scan
+from irlos_pipe.estimate.tabulated import tabulated
+from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.pipeline import Selection, run_recipe
+from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.lift.input import (
+    Ramp,
+    calibrated_ncpa_nm,
+    effects_for_lift,
+    ramp_model,
+    ramp_start,
+    read_ramp,
+)
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.recording_settings import psf_settings
 
 MORE_NOLLS = tuple(range(2, 62))
+
+
+# -- calibration -------------------------------------------------------------------------------
 
 
 def _calibrated(inputs: Inputs, count: int, method: str, highest_noll: int = NOLLS[-1]) -> dict:
@@ -115,14 +149,288 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
     return watch.over(len(frames.images_e)) | {"error_nm": error_nm}
 
 
+# -- LIFT --------------------------------------------------------------------------------------
+#
+# All fit the same images: the ramp of ``data_samples`` as if its star were dimmer, `REALISATIONS` times with
+# noise of its own. Errors are those of the defocus against what was introduced.
+
+REALISATIONS, FACTOR, DIMMED_SEED = 10, 0.5, 5
+REPEATS = 5  # of fits that take less than a second; the median counts
+FEW = 3  # frames with which libraries start up before the clock does
+TWO_WAVELENGTHS = ((1215.0, 0.5), (1625.0, 0.5))
+
+
+@dataclass(frozen=True)
+class DimmedRamp:
+    """Images that all implementations fit, and what this project's LIFT starts from."""
+
+    inputs: Inputs
+
+    @cached_property
+    def ramp(self) -> Ramp:
+        """The ramp as it was recorded."""
+        return read_ramp(self.inputs.context, self.inputs.context.config.input)
+
+    @cached_property
+    def ncpa_nm(self) -> dict[int, float]:
+        """NCPAs as calibrated."""
+        return calibrated_ncpa_nm(self.inputs.context)
+
+    @cached_property
+    def model(self) -> PsfModel:
+        """Tip, tilt and defocus, J+H."""
+        return ramp_model(self.inputs.context, self.ramp, self.inputs.context.config.modes, self.ncpa_nm)
+
+    @cached_property
+    def halo(self) -> list[Effect]:
+        """AO residual and jitter as calibrated."""
+        return effects_for_lift(self.inputs.context, self.ramp.recordings[0], "calibrated", "calibrated")
+
+    @cached_property
+    def start_nm(self) -> torch.Tensor:
+        """Start of every image, (images, modes): that of the frame it was made from."""
+        context = self.inputs.context
+        start_nm = ramp_start(context, self.model, self.ramp, self.ncpa_nm, context.config.start)
+        return start_nm.repeat(REALISATIONS, 1)
+
+    @cached_property
+    def data(self) -> RampData:
+        """All images, realisation by realisation."""
+        bright, frames = self.ramp.data, len(self.ramp.names)
+        start_nm = self.start_nm[:frames]
+        signal_e = fit_ramp(self.model, bright, start_nm, LiftOptions(), self.halo).result.model_e
+        generator = torch.Generator().manual_seed(DIMMED_SEED)
+        drawn = [dim(bright.images_e, signal_e, FACTOR, bright.noise, generator) for _ in range(REALISATIONS)]
+        introduced_nm = np.tile(bright.introduced_nm, REALISATIONS)
+        return replace(bright, images_e=torch.cat(drawn).float(), introduced_nm=introduced_nm)
+
+    def first(self, count: int) -> RampData:
+        """The first images; the first realisation comes first."""
+        data = self.data
+        return replace(data, images_e=data.images_e[:count], introduced_nm=data.introduced_nm[:count])
+
+
+def prepared_lift(inputs: Inputs, count: int, with_halo: bool) -> Callable[[], dict[int, float]]:
+    """This project's LIFT of so many images in one batch.
+
+    Returns
+    -------
+    callable
+        Fits, and returns the error of the defocus of every image [nm].
+    """
+    dimmed = DimmedRamp(inputs)
+    data, effects = dimmed.first(count), dimmed.halo if with_halo else []
+
+    def fit() -> dict[int, float]:
+        found = fit_ramp(dimmed.model, data, dimmed.start_nm[:count], LiftOptions(), effects).result
+        return dict(enumerate((found.mode(4)[0].numpy() - data.introduced_nm).tolist()))
+
+    fit_ramp(dimmed.model, dimmed.first(FEW), dimmed.start_nm[:FEW], LiftOptions(), effects)
+    return fit
+
+
+def _lift(inputs: Inputs, count: int, with_halo: bool) -> dict:
+    fit, watches = prepared_lift(inputs, count, with_halo), []
+    for _ in range(REPEATS):
+        with stopwatch() as watch:
+            errors_nm = fit()
+        watches.append(watch)
+    median = sorted(watches, key=lambda one: one.cpu_s)[REPEATS // 2]
+    return median.over(count) | {"errors_nm": errors_nm}
+
+
+def lift_bare(inputs: Inputs, count: int) -> dict:
+    """Without AO residual and jitter, which the other implementations do not have."""
+    return _lift(inputs, count, with_halo=False)
+
+
+def lift_halo(inputs: Inputs, count: int) -> dict:
+    """With the full model."""
+    return _lift(inputs, count, with_halo=True)
+
+
+def _one_by_one(inputs: Inputs, count: int, build: Callable[[PsfSettings, float], object]) -> dict:
+    """Another implementation on images spread over the first realisation, same NCPAs."""
+    context, dimmed = inputs.context, DimmedRamp(inputs)
+    settings = psf_settings(
+        context.instrument, context.model, dimmed.ramp.recordings[0], ncpa_nm=dimmed.ncpa_nm
+    )
+    fitter = build(settings, dimmed.ramp.acquisition.detector.read_noise_e)
+    chosen = np.linspace(0, len(dimmed.ramp.names) - 1, count).astype(int)
+    images_e = dimmed.data.images_e[chosen].numpy()
+    fitter.fit_nm(images_e[0])
+    with stopwatch() as watch:
+        estimates_nm = fitter.fit_all_nm(images_e)
+    errors_nm = estimates_nm[:, 2] - dimmed.data.introduced_nm[chosen]
+    return watch.over(count) | {"errors_nm": dict(zip(chosen.tolist(), errors_nm.tolist(), strict=True))}
+
+
+def lift_solvephase(inputs: Inputs, count: int) -> dict:
+    """`solvephase`'s LIFT."""
+    from benchmarks.baseline_solvephase import SolvephaseFit
+
+    return _one_by_one(inputs, count, lambda case, noise: SolvephaseFit(case, 3, noise, "poisson"))
+
+
+def lift_numpy(inputs: Inputs, count: int) -> dict:
+    """Gauss-Newton with NumPy's FFT, as the paper's code."""
+    from benchmarks.baseline_numpy_lift import NumpyLift
+
+    return _one_by_one(inputs, count, lambda case, noise: NumpyLift(case, (2, 3, 4), noise))
+
+
+def lift_latency(inputs: Inputs, count: int) -> dict:
+    """One frame at a time, three modes, two wavelengths, no AO residual."""
+    settings = PsfSettings(
+        inputs.settings.geometry,
+        (WINDOW_PX, WINDOW_PX),
+        PIXEL_SCALE_MAS,
+        TWO_WAVELENGTHS,
+        KnownWavefront(DIVERSITY_NM),
+    )
+    model = PsfModel(settings.for_single_frames(), (2, 3, 4))
+    frames = inputs.calibration_frames(1)
+    truth_nm = torch.tensor([[20.0, -30.0, 100.0]])
+    image_e = torch.poisson(
+        model.images(truth_nm).clamp_min(0) * 1e5, generator=torch.Generator().manual_seed(1)
+    )
+    start_nm, times_s = torch.zeros_like(truth_nm), []
+    table = tabulated(ImageModel(model), start_nm)  # built once, before the loop is closed
+    for _ in range(count):
+        with torch.inference_mode(), stopwatch() as watch:  # no bookkeeping for derivatives: a tenth
+            lift(table, image_e, frames.good, frames.noise, start_nm)
+        times_s.append((watch.wall_s, watch.cpu_s))
+    wall_s, cpu_s = np.array(times_s).T
+    return {
+        "frames": count,
+        "wall_s": float(wall_s.sum()),
+        "cpu_s": float(cpu_s.sum()),
+        "median_ms": float(np.median(wall_s) * 1e3),
+        "p99_ms": float(np.percentile(wall_s, 99) * 1e3),
+    }
+
+
+# -- the paper's sensitivity scan: offsets, magnitudes and realisations ------------------------
+
+REACH_NM, MAGNITUDES, FAINTEST_MAG_J, SCANNED = 170.0, 11, 19.0, 10
+MODES = (2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)
+CONFIGURATIONS = tuple(product((True, False), MODES))
+PRIOR = 0.8  # the start in units of the introduced defocus: as far off as the elongation prior
+SCAN_SEED = 11
+
+
+class SensitivityScan:
+    """All curves on frames drawn from the model of the ramp in ``data_samples``, one per offset.
+
+    Parameters
+    ----------
+    fits : int
+        As many as there are to be in all.
+    """
+
+    def __init__(self, inputs: Inputs, fits: int):
+        self.context, self.ncpa_nm = inputs.context, calibrated_ncpa_nm(inputs.context)
+        self.ramp = read_ramp(self.context, self.context.config.input)
+        per_curve = max(1, fits // (MAGNITUDES * len(CONFIGURATIONS)))
+        self.realisations = min(SCANNED, per_curve)
+        self.introduced_nm = np.linspace(-REACH_NM, REACH_NM, per_curve // self.realisations)
+        self.fits = len(self.introduced_nm) * self.realisations * MAGNITUDES * len(CONFIGURATIONS)
+        self.data = self._drawn()
+
+    def curves(self) -> list[float]:
+        """Run the scan; returns the median error of the brightest star of every configuration [nm]."""
+        return [self._curve(*configuration) for configuration in CONFIGURATIONS]
+
+    def _curve(self, calibrated: bool, nolls: tuple[int, ...]) -> float:
+        ramp, data = self.ramp, self.data
+        model = ramp_model(self.context, ramp, nolls, self.ncpa_nm if calibrated else {})
+        start_nm = start_from_defocus(model, data, PRIOR * self.introduced_nm)
+        bright = fit_ramp(model, data, start_nm, LiftOptions(), self._effects(calibrated))
+        mag_j = ramp.acquisition.mag_j
+        curve = scan(
+            bright.model,
+            data,
+            bright.result.model_e,
+            mag_j,
+            np.linspace(mag_j, FAINTEST_MAG_J, MAGNITUDES),
+            self.realisations,
+            start_nm,
+            Criterion(np.inf, 1.0),
+            SCAN_SEED,
+            near_nm=bright.result.zernike_nm,
+        )
+        return float(curve.median_abs_error_nm[0])
+
+    def _effects(self, calibrated: bool) -> list[Effect]:
+        recording = self.ramp.recordings[0]
+        return effects_for_lift(self.context, recording, "calibrated", "calibrated", calibrated=calibrated)
+
+    def _drawn(self) -> RampData:
+        """A bright frame per offset, with photon noise."""
+        real, model = self.ramp.data, ramp_model(self.context, self.ramp, MODES[0], self.ncpa_nm)
+        modes_nm = torch.zeros(len(self.introduced_nm), 3, dtype=torch.float64)
+        modes_nm[:, 2] = torch.as_tensor(self.introduced_nm)
+        flux_e = real.images_e.double().sum((1, 2)).median().expand(len(modes_nm))
+        image_model = ImageModel(model, self._effects(calibrated=True))
+        background_e = torch.zeros_like(flux_e)
+        mean_e = image_model.predict(modes_nm, flux_e, background_e, image_model.effects.starts).clamp_min(0)
+        images_e = torch.poisson(mean_e, generator=torch.Generator().manual_seed(SCAN_SEED)).float()
+        return RampData(images_e, real.good, real.noise, self.introduced_nm)
+
+
 def sensitivity_scan(inputs: Inputs, count: int) -> dict:
     """The paper's sensitivity scan, `count` fits in all."""
-    from benchmarks.sensitivity import SensitivityScan
-
     scan = SensitivityScan(inputs, count)
     with stopwatch() as watch:
         bright_nm = scan.curves()
     return watch.over(scan.fits) | {"bright_nm": bright_nm}
+
+
+# -- a recording of thousands of frames through the pipeline: how much memory it takes ---------
+
+PEDESTAL_ADU, E_PER_ADU = 200.0, 4.0  # the brightest speckles do not saturate
+ACQUISITION = {
+    "role": "ncpa_calibration",
+    "exposure_s": 0.1,
+    "seeing_arcsec": 0.5,
+    "pixel_scale_mas": PIXEL_SCALE_MAS,
+    "spectrum": [{"wavelength_nm": WAVELENGTH_NM, "weight": 1.0}],
+    "diversity": {"source": "lens", "zernike": DIVERSITY_NM},
+    "detector": {"e_per_adu": E_PER_ADU, "read_noise_e": READ_NOISE_E},
+}
+
+
+def stream_10000(inputs: Inputs, count: int) -> dict:
+    """Ingest and the default calibration of a cube of so many frames, files included."""
+    cube = inputs.folder / "long.fits"
+    write_cube(cube, inputs.frames.images_e, count)
+    recipe = load_recipe(RECIPES / "ncpa_calibration.yaml", inputs=[f"calibration={cube}"])
+    with stopwatch() as watch:
+        run_recipe(recipe, inputs.folder / "long", Selection(last="calibrate"))
+    _require_all_used(inputs.folder / "long", count)
+    return watch.over(count)
+
+
+def _require_all_used(run: Path, count: int) -> None:
+    """Raise unless every frame was calibrated with: a frame that is rejected costs nothing."""
+    results = json.loads((run / "results.json").read_text())
+    (recording,) = results["stages"]["ingest"]["inputs"]
+    if recording["frames_rejected"]:
+        raise RuntimeError(f"{recording['frames_rejected']} of {count} frames were rejected")
+
+
+def write_cube(path: Path, images_e: np.ndarray, count: int) -> None:
+    """Repeat drawn frames with further read noise as counts of a plain FITS cube, its side-car beside it."""
+    rng = np.random.default_rng(SEED)
+    adu = np.empty((count, *images_e.shape[1:]), np.uint16)
+    for number in range(count):
+        noisy_e = images_e[number % len(images_e)] + rng.normal(0.0, READ_NOISE_E, images_e.shape[1:])
+        adu[number] = np.rint(noisy_e / E_PER_ADU + PEDESTAL_ADU).clip(0, 65535)
+    fits.PrimaryHDU(adu).writeto(path, overwrite=True)
+    path.with_suffix(".yaml").write_text(yaml_text(ACQUISITION))
+
+
+# -- the forward model -------------------------------------------------------------------------
 
 
 def _model_case(inputs: Inputs, count: int, jacobian: bool) -> dict:
@@ -145,6 +453,9 @@ def model_images(inputs: Inputs, count: int) -> dict:
 def model_jacobian(inputs: Inputs, count: int) -> dict:
     """Forward model with the derivatives of 29 modes."""
     return _model_case(inputs, count, jacobian=True)
+
+
+# -- the same on a GPU -------------------------------------------------------------------------
 
 
 def dip_global_cuda(inputs: Inputs, count: int) -> dict:

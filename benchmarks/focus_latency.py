@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
-from benchmarks.frames import DIVERSITY_NM, PIXEL_SCALE_MAS, WINDOW_PX
-from benchmarks.lift_cases import TWO_WAVELENGTHS
+from benchmarks.cases import TWO_WAVELENGTHS
+from benchmarks.inputs import DIVERSITY_NM, PIXEL_SCALE_MAS, WINDOW_PX
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus
 from irlos_pipe.estimate.lift import lift

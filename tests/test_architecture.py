@@ -127,10 +127,6 @@ def test_modules_import_each_other_without_a_circle_annotations_included():
     assert len(list(TopologicalSorter(graph).static_order())) == len(known)
 
 
-def test_no_module_lies_loose_beside_the_packages():
-    assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}
-
-
 def test_every_module_belongs_to_a_package_of_the_list():
     unknown = {dotted(module) for module in MODULES if part(dotted(module)) not in {"", *MAY_IMPORT}}
     assert unknown == set(), f"say in MAY_IMPORT where {unknown} belong"

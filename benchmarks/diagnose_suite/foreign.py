@@ -16,19 +16,12 @@ from irlos_pipe.simulate.aperture import centres
 Image = Callable[[np.ndarray], np.ndarray]
 
 
-def unchanged(image_e: np.ndarray) -> np.ndarray:
-    """The image as it is."""
-    return image_e
-
-
 @dataclass(frozen=True)
 class Foreign:
-    """One such effect.
+    """One such effect: its drawn numbers, and what it does.
 
     Attributes
     ----------
-    truth : mapping
-        Its drawn numbers.
     image : callable
         Mean photo-electrons (rows, columns) with the effect, from those without.
     patches : tuple of Vane
@@ -36,7 +29,7 @@ class Foreign:
     """
 
     truth: Mapping[str, Any] = field(default_factory=dict)
-    image: Image = unchanged
+    image: Image = np.asarray
     patches: tuple[Vane, ...] = ()
 
 

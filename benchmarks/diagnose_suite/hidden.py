@@ -1,22 +1,38 @@
-"""What is hidden: the effects of the catalogue, drawn at a size, and what is true about them."""
+"""What is hidden: effects of the catalogue, drawn at a size; and mild errors of everything beside them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from benchmarks.diagnose_suite.settings import EXPOSURE_S, Setting
+from benchmarks.diagnose_suite.cases import EXPOSURE_S, NARROW, Setting
 from irlos_pipe.conventions.bands import NARROW_H
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.effects.sky import JITTER_CORRELATION_S
+from irlos_pipe.simulate.light import mean_centre_nm
+from irlos_pipe.simulate.recordings.spec import BANDS
 
 SPREAD = 0.25  # of the drawn size about its level, natural logarithm
 LINES_HZ = (24.2, 45.5, 48.3, 72.5)  # of UT4 above 20 Hz
 PIXEL_SCALE_MAS = 9.7
+# Parameters that say how large an effect is, where its others do not: places, directions, frequencies.
+SIZED_BY = {
+    "atmospheric_dispersion": "mas_per_um",
+    "anamorphism": "fraction",
+    "phase_bump": "nm",
+    "pupil_spot": "opacity",
+    "companion": "flux_ratio",
+    "ghost": "flux_ratio",
+    "background_gradient": "e_per_pixel",
+    "bad_pixels": "pixels",
+}
+
+Rng = np.random.Generator
+Parameters = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -25,7 +41,6 @@ class Hidden:
 
     Attributes
     ----------
-    effect : str
     parameters : mapping
         Of the simulator.
     truth : mapping
@@ -43,198 +58,245 @@ class Hidden:
         return {key: value for key, value in {**self.parameters, **self.truth}.items() if key in public}
 
 
-Draw = Callable[[np.random.Generator, float, Setting], Hidden]
-
-
-def drawn(effect: str, level_size: float, setting: Setting, rng: np.random.Generator) -> Hidden:
+def drawn(effect: str, level_size: float, setting: Setting, rng: Rng) -> Hidden:
     """An effect about as large as its level, in a random place or direction."""
     size = float(level_size * np.exp(SPREAD * rng.uniform(-1, 1)))
-    return DRAWS[effect](rng, size, setting)
+    parameters = DRAWS[effect](rng, size, setting)
+    truth = {SIZED_BY[effect]: parameters[SIZED_BY[effect]]} if effect in SIZED_BY else parameters
+    # A frame's mean position moves, too, which blurs the mean of the frames.
+    if effect == "tip_tilt_jitter":
+        truth = {"sigma_mas": float(size * np.sqrt(1 + JITTER_CORRELATION_S / EXPOSURE_S))}
+    if effect == "vibration":
+        line = np.sinc(parameters["frequency_hz"] * EXPOSURE_S)
+        truth = {"sigma_mas": float(size * np.sqrt(1 + line**2))}
+    return Hidden(effect, parameters, truth)
 
 
-def _plain(effect: str, key: str, signed: bool = False) -> Draw:
-    def draw(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-        value = {key: float(size * (_sign(rng) if signed else 1.0))}
-        return Hidden(effect, value, value)
+def _plain(key: str, signed: bool = False) -> Callable[[Rng, float, Setting], Parameters]:
+    return lambda rng, size, setting: {key: float(size * (_sign(rng) if signed else 1.0))}
+
+
+def _modes(key: str, nolls: range | None, how_many: int) -> Callable[[Rng, float, Setting], Parameters]:
+    """Some modes of a given RMS each; of the setting, where no `nolls` are given."""
+
+    def draw(rng: Rng, size: float, setting: Setting) -> Parameters:
+        among = setting.hidden_nolls if nolls is None else nolls
+        taken = sorted(rng.choice(among, how_many, replace=False).tolist())
+        values = rng.standard_normal(how_many)
+        values_of_rms = (values * size / np.sqrt(np.mean(values**2))).tolist()
+        return {key: dict(zip(taken, values_of_rms, strict=True))}
 
     return draw
 
 
-def _sign(rng: np.random.Generator) -> float:
+def _sign(rng: Rng) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
-def _angle_deg(rng: np.random.Generator, turn_deg: float = 360.0) -> float:
+def _signed(size: float, rng: Rng) -> float:
+    return float(size * rng.choice([-1.0, 1.0]))
+
+
+def _angle_deg(rng: Rng, turn_deg: float = 360.0) -> float:
     return float(rng.uniform(0, turn_deg))
 
 
-def _table(rng: np.random.Generator, size: float, nolls: range, how_many: int) -> dict[int, float]:
-    """Some modes of a given RMS each."""
-    chosen = sorted(rng.choice(nolls, how_many, replace=False).tolist())
-    values = rng.standard_normal(how_many)
-    return dict(zip(chosen, (values * size / np.sqrt(np.mean(values**2))).tolist(), strict=True))
-
-
-def _jitter(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    """A frame's mean position moves too, which blurs the mean of the frames."""
-    frame_mean = np.sqrt(1 + JITTER_CORRELATION_S / EXPOSURE_S)
-    return Hidden("tip_tilt_jitter", {"sigma_mas": size}, {"sigma_mas": float(size * frame_mean)})
-
-
-def _vibration(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    hz, angle = float(rng.choice(LINES_HZ)), _angle_deg(rng, 180)
-    total = float(size * np.sqrt(1 + np.sinc(hz * EXPOSURE_S) ** 2))
-    line = {"sigma_mas": size, "angle_deg": angle, "frequency_hz": hz}
-    return Hidden("vibration", line, {"sigma_mas": total})
-
-
-def _dispersion(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    values = {"mas_per_um": size, "angle_deg": _angle_deg(rng)}
-    return Hidden("atmospheric_dispersion", values, {"mas_per_um": size})
-
-
-def _spectrum(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    """The filter's centre in a narrow band, the colour of the star between J and H."""
-    value = size * _sign(rng)
-    if setting.bands == "j_h":
-        return Hidden("spectrum", {"slope": value}, {"slope": value})
-    centre = {"wavelength_nm": NARROW_H.centre_nm + value}
-    return Hidden("spectrum", centre, centre)
-
-
-def _anamorphism(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    stretch = {"fraction": size, "angle_deg": _angle_deg(rng, 180)}
-    return Hidden("anamorphism", stretch, {"fraction": size})
-
-
-def _pupil(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    """The stop displaced, and the vanes turned by as much at half the radius."""
-    angle = rng.uniform(0, 2 * np.pi)
-    turned = float(np.rad2deg(size / 2.0)) * _sign(rng)
-    shift = {"dx_m": float(size * np.cos(angle)), "dy_m": float(size * np.sin(angle)), "rotation_deg": turned}
-    return Hidden("pupil_misregistration", shift, shift)
-
-
-def _sizes(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    """The hole larger or smaller."""
-    told_m = load_instrument("irlos").facility.pupil.obscuration_m
-    hole = {"obscuration_m": told_m + size * _sign(rng)}
-    return Hidden("pupil_geometry", hole, hole)
-
-
-def _amplitude(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    table = {"zernike": _table(rng, size, range(2, 12), 4)}
-    return Hidden("amplitude_aberration", table, table)
-
-
-def _low_wind(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    """Without mean piston, tip and tilt, which belong to the whole pupil."""
-    petals = size * rng.standard_normal((3, 4)) * np.array([[1.0], [0.4], [0.4]])
-    petals -= petals.mean(axis=1, keepdims=True)
-    table = dict(zip(("piston_nm", "tip_nm", "tilt_nm"), petals.tolist(), strict=True))
-    return Hidden("low_wind_effect", table, table)
-
-
-def _high_order(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    table = {"zernike_nm": _table(rng, size, setting.hidden_nolls, 4)}
-    return Hidden("high_order_ncpa", table, table)
-
-
-def _bump(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    bump = {"nm": size * _sign(rng), **_place(rng), "width_m": float(rng.uniform(0.3, 0.6))}
-    return Hidden("phase_bump", bump, {"nm": bump["nm"]})
-
-
-def _spot(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    spot = {"opacity": size, **_place(rng), "radius_m": float(rng.uniform(0.3, 0.6))}
-    return Hidden("pupil_spot", spot, {"opacity": size})
-
-
-def _place(rng: np.random.Generator) -> dict[str, float]:
+def _place(rng: Rng) -> dict[str, float]:
     """Somewhere between the hole and the rim of the pupil."""
     radius, angle = rng.uniform(1.2, 3.0), rng.uniform(0, 2 * np.pi)
     return {"x_m": float(radius * np.cos(angle)), "y_m": float(radius * np.sin(angle))}
 
 
-def _chromatic(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    """Of tip and tilt nothing, which are dispersion."""
-    table = {"zernike_nm_per_um": _table(rng, size, range(4, 16), 4)}
-    return Hidden("chromatic_ncpa", table, table)
-
-
-def _filter(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    table = {"zernike_nm": _table(rng, size, range(5, 16), 4)}
-    return Hidden("filter_ncpa", table, table)
-
-
-def _drift(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    table = {"zernike_nm": _table(rng, size, range(4, 12), 3)}
-    return Hidden("ncpa_drift", table, table)
-
-
-def second_image_place(rng: np.random.Generator, setting: Setting) -> dict[str, float]:
+def second_image_place(rng: Rng, setting: Setting) -> dict[str, float]:
     """Place beyond λ/D and within the window."""
     farthest = 0.42 * setting.window * PIXEL_SCALE_MAS
     return {"sep_mas": float(rng.uniform(60, farthest)), "pa_deg": _angle_deg(rng)}
 
 
-def _companion(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    return Hidden("companion", {"flux_ratio": size, **second_image_place(rng, setting)}, {"flux_ratio": size})
+def _vibration(rng: Rng, size: float, setting: Setting) -> Parameters:
+    hz, angle = float(rng.choice(LINES_HZ)), _angle_deg(rng, 180)
+    return {"sigma_mas": size, "angle_deg": angle, "frequency_hz": hz}
 
 
-def _ghost(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+def _spectrum(rng: Rng, size: float, setting: Setting) -> Parameters:
+    """The filter's centre in a narrow band, the colour of the star between J and H."""
+    value = size * _sign(rng)
+    return {"slope": value} if setting.bands == "j_h" else {"wavelength_nm": NARROW_H.centre_nm + value}
+
+
+def _pupil(rng: Rng, size: float, setting: Setting) -> Parameters:
+    """The stop displaced, and the vanes turned by as much at half the radius."""
+    angle = rng.uniform(0, 2 * np.pi)
+    turned = float(np.rad2deg(size / 2.0)) * _sign(rng)
+    return {"dx_m": float(size * np.cos(angle)), "dy_m": float(size * np.sin(angle)), "rotation_deg": turned}
+
+
+def _hole(rng: Rng, size: float, setting: Setting) -> Parameters:
+    nominal_m = load_instrument("irlos").facility.pupil.obscuration_m
+    return {"obscuration_m": nominal_m + size * _sign(rng)}
+
+
+def _low_wind(rng: Rng, size: float, setting: Setting) -> Parameters:
+    """Without mean piston, tip and tilt, which belong to the whole pupil."""
+    petals = size * rng.standard_normal((3, 4)) * np.array([[1.0], [0.4], [0.4]])
+    petals -= petals.mean(axis=1, keepdims=True)
+    return dict(zip(("piston_nm", "tip_nm", "tilt_nm"), petals.tolist(), strict=True))
+
+
+def _ghost(rng: Rng, size: float, setting: Setting) -> Parameters:
     """Out of focus by as much as tells it from a companion."""
     defocus_nm = float(rng.uniform(50, 200)) * _sign(rng)
-    image = {"flux_ratio": size, **second_image_place(rng, setting), "defocus_nm": defocus_nm}
-    return Hidden("ghost", image, {"flux_ratio": size})
+    return {"flux_ratio": size, **second_image_place(rng, setting), "defocus_nm": defocus_nm}
 
 
-def _gradient(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    slope = {"e_per_pixel": size, "angle_deg": _angle_deg(rng)}
-    return Hidden("background_gradient", slope, {"e_per_pixel": size})
-
-
-def _bad_pixels(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+def _bad_pixels(rng: Rng, size: float, setting: Setting) -> Parameters:
     """One to four, of one kind: hot anywhere; dead or stuck where there is light."""
     kind = str(rng.choice(["hot", "dead", "stuck"]))
     reach = setting.window // 2 - 4 if kind == "hot" else 3
     pixels = setting.window // 2 + rng.integers(-reach, reach, (int(rng.integers(1, 5)), 2))
     unique = sorted({(int(row), int(column)) for row, column in pixels})
-    values = {"pixels": [list(pixel) for pixel in unique], "kind": kind, "level_e": size}
-    return Hidden("bad_pixels", values, {"pixels": values["pixels"]})
+    return {"pixels": [list(pixel) for pixel in unique], "kind": kind, "level_e": size}
 
 
-def _stage(effect: str, key: str = "nm") -> Draw:
-    return _plain(effect, key, signed=True)
-
-
-DRAWS: dict[str, Draw] = {
-    "tip_tilt_jitter": _jitter,
+# Parameters of the simulator by the random numbers, the size and the setting.
+DRAWS: dict[str, Callable[[Rng, float, Setting], Parameters]] = {
+    "tip_tilt_jitter": lambda rng, size, setting: {"sigma_mas": size},
     "vibration": _vibration,
-    "seeing_halo": _plain("seeing_halo", "wfe_nm"),
-    "atmospheric_dispersion": _dispersion,
+    "seeing_halo": _plain("wfe_nm"),
+    "atmospheric_dispersion": lambda rng, size, setting: {"mas_per_um": size, "angle_deg": _angle_deg(rng)},
     "spectrum": _spectrum,
-    "plate_scale": _plain("plate_scale", "fraction", signed=True),
-    "anamorphism": _anamorphism,
-    "diversity_error": _plain("diversity_error", "nm", signed=True),
+    "plate_scale": _plain("fraction", signed=True),
+    "anamorphism": lambda rng, size, setting: {"fraction": size, "angle_deg": _angle_deg(rng, 180)},
+    "diversity_error": _plain("nm", signed=True),
     "pupil_misregistration": _pupil,
-    "pupil_geometry": _sizes,
-    "amplitude_aberration": _amplitude,
+    "pupil_geometry": _hole,
+    "amplitude_aberration": _modes("zernike", range(2, 12), 4),
     "low_wind_effect": _low_wind,
-    "high_order_ncpa": _high_order,
-    "phase_bump": _bump,
-    "pupil_spot": _spot,
-    "ncpa_drift": _drift,
-    "chromatic_ncpa": _chromatic,
-    "filter_ncpa": _filter,
-    "companion": _companion,
+    "high_order_ncpa": _modes("zernike_nm", None, 4),
+    "phase_bump": lambda rng, size, setting: {
+        "nm": size * _sign(rng),
+        **_place(rng),
+        "width_m": float(rng.uniform(0.3, 0.6)),
+    },
+    "pupil_spot": lambda rng, size, setting: {
+        "opacity": size,
+        **_place(rng),
+        "radius_m": float(rng.uniform(0.3, 0.6)),
+    },
+    "ncpa_drift": _modes("zernike_nm", range(4, 12), 3),
+    # Of tip and tilt nothing, which are dispersion.
+    "chromatic_ncpa": _modes("zernike_nm_per_um", range(4, 16), 4),
+    "filter_ncpa": _modes("zernike_nm", range(5, 16), 4),
+    "companion": lambda rng, size, setting: {"flux_ratio": size, **second_image_place(rng, setting)},
     "ghost": _ghost,
-    "interpixel_crosstalk": _plain("interpixel_crosstalk", "fraction"),
-    "detector_nonlinearity": _plain("detector_nonlinearity", "fraction_at_peak"),
-    "background_gradient": _gradient,
+    "interpixel_crosstalk": _plain("fraction"),
+    "detector_nonlinearity": _plain("fraction_at_peak"),
+    "background_gradient": lambda rng, size, setting: {"e_per_pixel": size, "angle_deg": _angle_deg(rng)},
     "bad_pixels": _bad_pixels,
-    "focus_stage_hysteresis": _stage("focus_stage_hysteresis"),
-    "focus_stage_offset": _stage("focus_stage_offset"),
-    "focus_stage_scale": _stage("focus_stage_scale", "fraction"),
+    "focus_stage_hysteresis": _plain("nm", signed=True),
+    "focus_stage_offset": _plain("nm", signed=True),
+    "focus_stage_scale": _plain("fraction", signed=True),
 }
-STAGE = ("focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale")
+
+
+# -- mild errors -------------------------------------------------------------------------------
+#
+# The instrument as it is, of which the diagnosis is given the nominal one. Every recording has errors of
+# these sizes; signs, directions, places and patterns are random.
+
+OBSCURATION = 0.10  # of its diameter
+VANES_DEG = 3.0
+STOP_M = 0.05
+PLATE_SCALE = 0.005
+BAND_NM = 5.0
+TAIL_NM, TAIL_NOLLS = 2.0, (52, 200)
+FLAT = 0.005  # RMS
+GHOST = 0.003  # of the star's light
+GHOST_DEFOCUS_NM = 100.0
+# Of the AO residual, inside the correction band; the model expects a power law of free slope, and the
+# simulator's default is a slope of 2.
+LAWS: tuple[Mapping[str, Any], ...] = (
+    {"shape": "power_law", "slope": 1.0},
+    {"shape": "power_law", "slope": 3.0},
+    {"shape": "servo_lag"},
+    {"shape": "aliasing"},
+)
+OUTER_SCALES = (0.5, 2.0)  # of the profile's
+ALIKE_IN_NARROW_BAND = frozenset({"plate_scale", "spectrum"})  # both only scale the image
+
+
+@dataclass(frozen=True)
+class Mild:
+    """The mild errors of one case; without arguments there are none.
+
+    Attributes
+    ----------
+    sections : mapping
+        Keys of a simulation spec, by section.
+    effects : mapping
+        Effects of the catalogue in every recording, with the simulator's parameters.
+    """
+
+    sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def over(self, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        """Return the `sections` of a spec with the errors."""
+        changed = {name: {**sections.get(name, {}), **own} for name, own in self.sections.items()}
+        shared = {"effects": {name: dict(own) for name, own in self.effects.items()}} if self.effects else {}
+        return dict(sections) | changed | shared
+
+    def without(self, hidden: Mapping[str, Mapping[str, Any]], setting: Setting) -> Mild:
+        """Return the errors that remain beside what is `hidden`, effects with the simulator's parameters.
+
+        What is hidden takes the place of an error of the same parameter, and of one that has the same image:
+        two of them would add up or cancel.
+        """
+        alike = ALIKE_IN_NARROW_BAND if setting.bands == NARROW and ALIKE_IN_NARROW_BAND & set(hidden) else ()
+        rest = {
+            name: {key: value for key, value in own.items() if key not in hidden.get(name, {})}
+            for name, own in self.effects.items()
+            if name not in alike
+        }
+        return replace(self, effects={name: own for name, own in rest.items() if own})
+
+    @property
+    def truth(self) -> dict[str, Mapping[str, Any]]:
+        """What is there, under the names that a diagnosis may rightly give it; `flat_error` has none."""
+        named = {
+            "pupil_geometry": self.sections.get("pupil"),
+            "high_order_ncpa": self.sections.get("ncpa"),
+            "seeing_halo": self.sections.get("sky"),
+            "flat_error": self.sections.get("detector"),
+        }
+        return {**self.effects, **{name: dict(value) for name, value in named.items() if value}}
+
+
+def drawn_mild(setting: Setting, rng: Rng) -> Mild:
+    """Draw the errors of a case; on the bench there is no AO residual."""
+    facility = load_instrument("irlos").facility
+    angle = rng.uniform(0, 2 * np.pi)
+    effects = {
+        "plate_scale": {"fraction": _signed(PLATE_SCALE, rng)},
+        "spectrum": {"wavelength_nm": mean_centre_nm(BANDS[setting.bands]) + _signed(BAND_NM, rng)},
+        "pupil_misregistration": {
+            "dx_m": float(STOP_M * np.cos(angle)),
+            "dy_m": float(STOP_M * np.sin(angle)),
+            "rotation_deg": _signed(VANES_DEG, rng),
+        },
+        "ghost": {
+            "flux_ratio": GHOST,
+            **second_image_place(rng, setting),
+            "defocus_nm": _signed(GHOST_DEFOCUS_NM, rng),
+        },
+    }
+    sections = {
+        "pupil": {"obscuration_m": facility.pupil.obscuration_m * (1 + _signed(OBSCURATION, rng))},
+        "ncpa": {"tail_nm": TAIL_NM, "tail_nolls": list(TAIL_NOLLS)},
+        "detector": {"flat_error_rms": FLAT, "pattern_seed": int(rng.integers(2**31))},
+    }
+    law = dict(LAWS[rng.integers(len(LAWS))])
+    outer_scale_m = facility.outer_scale_m * float(rng.choice(OUTER_SCALES))
+    if setting.on_sky:
+        sections["sky"] = {**law, "outer_scale_m": outer_scale_m}
+    return Mild(sections, effects)

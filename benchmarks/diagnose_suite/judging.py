@@ -1,13 +1,16 @@
-"""Whether the right thing was named."""
+"""Whether the right thing was named, with the right size; outcomes sorted by what can be asked of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
-from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR
+from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, SINGLE
+from benchmarks.harness import Outcome
+from irlos_pipe.conventions.bands import NARROW_H
 from irlos_pipe.effects.base import kind_of
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
@@ -15,7 +18,10 @@ GRADES = ("complete", "partial", "resembles", UNKNOWN, NONE)
 LARGEST_SET = 3
 NEAR_MAS = 41.0  # λ/D at 1.6 µm: within it a second image is where it is said to be
 SECOND_IMAGES = ("companion", "ghost")
-Outcome = Mapping[str, Any]
+CONFIDENCE = 0.95
+NEGLIGIBLE = 1e-9  # a component of a direction that is zero but for rounding
+PETAL_KINDS = ("piston_nm", "tip_nm", "tilt_nm")  # of which the mean belongs to the whole pupil
+CLEARLY_THERE = 3.0  # times the smallest detectable size
 
 
 def is_dirty(outcome: Outcome) -> bool:
@@ -171,3 +177,138 @@ def _is_found_beside_others(outcome: Outcome) -> bool:
     if kind == PAIR:
         return all_named(outcome)
     return kind.endswith((CLEAN, OUTSIDE)) or is_named(outcome) or is_untestable(outcome)
+
+
+# -- whether a size is right, and how large it is for what can be seen -------------------------
+
+
+def true_size_inside(outcome: Outcome) -> bool | None:
+    """Whether the true size lies in the quoted 95 % interval; None if nothing was quoted.
+
+    Of an effect with several sizes (modes, petals), ``Σ ((found − true)/σ)²`` is compared with the 95 %
+    point of χ²; errors of different sizes are taken as independent.
+    """
+    (effect,) = outcome["truth"]["effects"]
+    step = next((one for one in outcome["diagnosis"]["steps"] if one["effect"] == effect), None)
+    if step is None or not is_first(outcome):
+        return None
+    truth = outcome["truth"]["sizes"][effect]
+    if effect == "bad_pixels":
+        return sorted(map(list, step["parameters"]["pixels"])) == sorted(truth["pixels"])
+    found, true, sigma = _aligned(step, truth)
+    if not np.all(np.isfinite(sigma)) or not np.all(sigma > 0):
+        return False
+    return bool(np.sum(((found - true) / sigma) ** 2) <= stats.chi2.ppf(CONFIDENCE, len(true)))
+
+
+def _aligned(step: Mapping[str, Any], truth: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Found sizes, true ones and standard errors in one order; modes that one of them lacks are zero."""
+    rows = []
+    for key, value in truth.items():
+        found, true = _leaves(key, step["parameters"].get(key)), _leaves(key, value)
+        sigma = _leaves("", step["sigma"].get(key))
+        rows += [(found.get(at, 0.0), true.get(at, 0.0), sigma.get(at, np.nan)) for at in {**true, **found}]
+    return tuple(np.array(rows, float).T)
+
+
+def _leaves(key: str, value: Any) -> dict[str, float]:
+    """Numbers by their place in a public value; petals without their mean."""
+    if value is None:
+        return {}
+    if isinstance(value, list):
+        numbers = np.array(value, float)
+        value = dict(enumerate(numbers - (numbers.mean() if key in PETAL_KINDS else 0.0)))
+    if not isinstance(value, Mapping):
+        value = {"": value}
+    return {str(place): np.nan if one is None else float(one) for place, one in value.items()}
+
+
+def in_smallest(outcome: Outcome, smallest: Mapping[str, Any]) -> float:
+    """Size of the hidden effect over its smallest detectable one (MDB); NaN where that is not known.
+
+    ``sqrt(Σ (size / MDB)²)`` over modes or petals: the root of the expected gain of χ² over that at which
+    an effect counts as seen.
+    """
+    (effect,) = outcome["truth"]["effects"]
+    truth, mdb = outcome["truth"]["sizes"].get(effect, {}), smallest.get(effect, {})
+    ratios = [
+        (number - NARROW_H.centre_nm if key == "wavelength_nm" else number) / smallest_one
+        for key in truth
+        if key in mdb
+        for place, number in _leaves(key, truth[key]).items()
+        if (smallest_one := abs(_leaves("", mdb[key]).get(place, 0.0))) > NEGLIGIBLE
+    ]
+    return float(np.linalg.norm(ratios)) if ratios else float("nan")
+
+
+# -- outcomes sorted by what can be asked of them ----------------------------------------------
+
+
+class Singles(NamedTuple):
+    """Recordings with one hidden effect, by what can be asked of them."""
+
+    testable: Sequence[Outcome]
+    small: Sequence[Outcome]
+    untestable: Sequence[Outcome]
+
+
+def in_world(outcomes: Sequence[Outcome], dirty: bool) -> list[Outcome]:
+    """Outcomes of cases with mild errors of everything (`dirty`), or of those without."""
+    return [one for one in outcomes if is_dirty(one) == dirty]
+
+
+def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
+    """Outcomes of one kind of case."""
+    return [one for one in outcomes if one["truth"]["kind"] == kind]
+
+
+def smallest_sizes(
+    outcomes: Sequence[Outcome], clean: str = CLEAN, dirty: bool = False
+) -> dict[str, dict[str, Any]]:
+    """Smallest detectable sizes in every setting: those of the median of its recordings with nothing hidden.
+
+    Beside mild errors (`dirty`) they are larger, as these imitate a part of what is hidden; effects of which
+    such recordings state none, because they have them, keep the size without mild errors.
+    """
+    smallest: dict[str, dict[str, Any]] = {}
+    for world in (False, True) if dirty else (False,):
+        tables: dict[str, list[Mapping]] = {}
+        for one in of_kind(in_world(outcomes, world), clean):
+            tables.setdefault(one["truth"]["setting"], []).append(one["diagnosis"]["mdb"])
+        for setting, several in tables.items():
+            smallest[setting] = smallest.get(setting, {}) | _median(several)
+    return smallest
+
+
+def _median(tables: Sequence[Any]) -> Any:
+    """Median of equally built tables, number by number, over those that have it."""
+    present = [one for one in tables if one is not None]
+    if not present:
+        return None
+    if isinstance(present[0], Mapping):
+        keys = {key: None for one in present for key in one}
+        return {key: _median([one.get(key) for one in present]) for key in keys}
+    if isinstance(present[0], list):
+        return [_median(list(group)) for group in zip(*present, strict=True)]
+    return float(np.median(np.abs(present)))
+
+
+def sorted_singles(
+    outcomes: Sequence[Outcome],
+    kind: str = SINGLE,
+    clean: str = CLEAN,
+    dirty: bool = False,
+    smallest: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Singles:
+    """Split the recordings with one effect, beside mild errors of everything (`dirty`) or alone.
+
+    An effect is untestable where the diagnosis says so, and small below `CLEARLY_THERE` times the `smallest`
+    detectable size, of such recordings unless given; where that is not known it counts as large.
+    """
+    smallest = smallest_sizes(outcomes, clean, dirty) if smallest is None else smallest
+    singles = of_kind(in_world(outcomes, dirty), kind)
+    untestable = [one for one in singles if is_untestable(one)]
+    rest = [one for one in singles if not is_untestable(one)]
+    sizes = [in_smallest(one, smallest.get(one["truth"]["setting"], {})) for one in rest]
+    small = [one for one, size in zip(rest, sizes, strict=True) if size < CLEARLY_THERE]
+    return Singles([one for one in rest if one not in small], small, untestable)

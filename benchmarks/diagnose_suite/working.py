@@ -6,110 +6,67 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import yaml
 
-from benchmarks.diagnose_suite.cases import SINGLE, Case
-from benchmarks.diagnose_suite.making import make_case
-from benchmarks.diagnose_suite.planning import CALIBRATION, CUBE, RAMP
-from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.files.json import json_text
+from benchmarks import harness
+from benchmarks.diagnose_suite.cases import CLEAN, RAMP_CLEAN, SINGLE, Case, all_cases, in_one_setting
+from benchmarks.diagnose_suite.making import CALIBRATION, CUBE, RAMP, make_case
+from benchmarks.diagnose_suite.scoring import BIASED_NM, write_report
+from benchmarks.harness import REPOSITORY, Outcome, Suite
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.pipeline.provenance import software_versions
 from irlos_pipe.recipe import load_recipe
 
-RECIPES = Path(__file__).parents[2] / "recipes"
+REPORTED_SEED = 86602540  # of the reported runs; no threshold may rest on its cases
+RECIPES = REPOSITORY / "recipes"
 NOT_KEPT = ("noise", "sentence", "model", "sigma_nm")
 TRUTH_KEPT = ("kind", "suite_seed", "dirty", "setting", "level", "effects", "sizes", "known", "mild")
+# Of outcomes that are kept with the project: what scores need.
+SLIM_DIAGNOSIS = ("verdict", "grade", "gap", "chi2_nu", "seconds", "untestable", "why_unknown")
+SLIM_STEP = ("effect", "indistinguishable", "parameters", "sigma", "significance")
 NOLLS = range(2, 31)  # of which the error is reported
-BIASED_NM = 5.0  # from which an effect biases them
 
 
-@dataclass(frozen=True)
-class Folder:
-    """Where everything of the suite lies."""
+def outcome_of(case: Case, output: Path) -> Outcome:
+    """Simulate a case into the folder `output`, diagnose it, and compare with the truth.
 
-    path: Path
-
-    def data(self, case: Case) -> Path:
-        """Recordings: all that `diagnose` is given."""
-        return self.path / "data" / case.name
-
-    @property
-    def truth(self) -> Path:
-        """What is true, which `diagnose` never sees."""
-        return self.path / "truth"
-
-    def run(self, case: Case) -> Path:
-        """Of the diagnosis."""
-        return self.path / "runs" / case.name
-
-    def reference(self, case: Case) -> Path:
-        """Of a diagnosis with the true model."""
-        return self.path / "true_models" / case.name
-
-    def outcome(self, case: Case) -> Path:
-        """What came out; there when the case is finished."""
-        return self.path / "outcomes" / f"{case.name}.json"
-
-
-def work(case: Case, folder: Folder) -> dict[str, Any]:
-    """Outcome of a case, computed unless it is there."""
-    if not folder.outcome(case).is_file():
-        outcome = _worked(case, folder)
-        folder.outcome(case).parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(folder.outcome(case), json_text(outcome).encode())
-    outcome = _present_keys(json.loads(folder.outcome(case).read_text()))
-    if outcome["truth"]["suite_seed"] != case.suite_seed:
-        raise ValueError(
-            f"{folder.outcome(case)} has the seed {outcome['truth']['suite_seed']}, not {case.suite_seed}; "
-            "give another folder"
-        )
-    return outcome
-
-
-def _present_keys(outcome: dict[str, Any]) -> dict[str, Any]:
-    """An outcome as it is written now; `told` is the former spelling of `diagnosis`."""
-    renamed = {"diagnosis" if key == "told" else key: value for key, value in outcome.items()}
-    formerly = {"suite_seed": 0, "dirty": False, "known": {}, "mild": {}}
-    return renamed | {"truth": formerly | renamed["truth"]}
-
-
-def _worked(case: Case, folder: Folder) -> dict[str, Any]:
-    for leftover in (folder.data(case), folder.run(case), folder.reference(case)):
+    ``data`` there is all that `diagnose` is given, ``truth`` what it never sees; ``runs`` has the diagnoses,
+    ``true_models`` those with the true model.
+    """
+    data, run, reference = (output / part / case.name for part in ("data", "runs", "true_models"))
+    for leftover in (data, run, reference):
         shutil.rmtree(leftover, ignore_errors=True)
     began = time.process_time()
-    make_case(case, folder.data(case), folder.truth)
+    truth = make_case(case, data, output / "truth")
     made = time.process_time()
-    diagnosis = diagnosed(case, folder.data(case), folder.run(case), case.model_effects)
+    diagnosis = _diagnosed(case, data, run, case.model_effects)
     ended = time.process_time()
-    truth = json.loads((folder.truth / f"{case.name}.json").read_text())
-    errors_nm = None if case.is_ramp else ncpa_errors_nm(diagnosis, truth)
+    errors_nm = None if case.is_ramp else _rms_nm(diagnosis, truth["mean_zernike_nm"][CUBE])
+    biases_nm = None
+    # It is worth while to fit the true model; of mild errors nobody has one.
+    if case.kind == SINGLE and not case.dirty and errors_nm["before"] > BIASED_NM:
+        # The same frames are fitted, so the noise and speckles that they share are no part of the bias.
+        true_model = _diagnosed(case, data, reference, case.true_model(truth["known"]))
+        best_nm = true_model["zernike_nm"]["before"]
+        biases_nm = _rms_nm(diagnosis, {noll: best_nm[str(noll)] for noll in NOLLS})
     return {
         "case": case.name,
         "code": software_versions()["irlos_pipe"],
         "truth": {key: truth[key] for key in TRUTH_KEPT},
         "diagnosis": {key: value for key, value in diagnosis.items() if key not in NOT_KEPT},
         "ncpa_error_nm": errors_nm,
-        "ncpa_bias_nm": _biases_nm(case, folder, diagnosis, truth)
-        if _may_be_biased(case, errors_nm)
-        else None,
+        "ncpa_bias_nm": biases_nm,
         "cpu_s": {"simulate": made - began, "diagnose": ended - made},
     }
 
 
-def diagnosed(case: Case, data: Path, output: Path, effects: Sequence[Any] | None) -> dict[str, Any]:
-    """Run the recipe of the case on its recordings; returns what `results.json` says of `diagnose`.
-
-    Parameters
-    ----------
-    effects : sequence or None
-        That the model has already, unless it is the recipe's.
-    """
+def _diagnosed(case: Case, data: Path, output: Path, effects: Sequence[Any] | None) -> dict[str, Any]:
+    """Run the recipe of the case, its model with other `effects` if there are any; what `diagnose` says."""
     recipe = "diagnose_ramp" if case.is_ramp else case.setting.recipe
     inputs = [f"{name}={data / name}" for name in ((RAMP, CALIBRATION) if case.is_ramp else (CUBE,))]
     run_recipe(load_recipe(RECIPES / f"{recipe}.yaml", settings_of(effects), inputs), output)
@@ -123,39 +80,62 @@ def settings_of(effects: Sequence[Any] | None) -> list[str]:
     return [f"model.effects={yaml.safe_dump(list(effects), default_flow_style=True, width=1000000).strip()}"]
 
 
-def ncpa_errors_nm(diagnosis: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
+def _rms_nm(diagnosis: dict[str, Any], true_nm: dict[int, float]) -> dict[str, float]:
     """RMS error of Noll 2 to 30 with the model as it was, and with what was found."""
-    true_nm = truth["mean_zernike_nm"][CUBE]
+    found_nm = diagnosis["zernike_nm"]
     return {
-        when: float(np.linalg.norm([diagnosis["zernike_nm"][when][str(n)] - true_nm[str(n)] for n in NOLLS]))
+        when: float(np.linalg.norm([found_nm[when][str(noll)] - true_nm[noll] for noll in NOLLS]))
         for when in ("before", "after")
     }
 
 
-def _may_be_biased(case: Case, errors_nm: dict[str, float] | None) -> bool:
-    """Whether it is worth while to fit the true model; of mild errors nobody has one."""
-    return (
-        case.kind == SINGLE and not case.dirty and errors_nm is not None and errors_nm["before"] > BIASED_NM
-    )
+# -- the suite ---------------------------------------------------------------------------------
 
 
-def _biases_nm(
-    case: Case, folder: Folder, diagnosis: dict[str, Any], truth: dict[str, Any]
-) -> dict[str, float]:
-    """RMS of what the model as it was, and that with what was found, add to the error of the true model.
+def key_of(outcome: Outcome) -> tuple:
+    """Return what an outcome says of its case."""
+    return outcome["truth"]["suite_seed"], outcome["case"]
 
-    The same frames are fitted, so the noise and speckles that they share are none of it.
+
+def slim(outcome: Outcome) -> Outcome:
+    """Return an outcome without what no score needs."""
+    diagnosis, clean = outcome["diagnosis"], outcome["truth"]["kind"] in (CLEAN, RAMP_CLEAN)
+    slim = {key: diagnosis[key] for key in SLIM_DIAGNOSIS if key in diagnosis}
+    slim["steps"] = [{key: step[key] for key in SLIM_STEP if key in step} for step in diagnosis["steps"]]
+    slim["nearest"] = {"effect": (diagnosis.get("nearest") or {}).get("effect")}
+    slim["mdb"] = diagnosis["mdb"] if clean else {}  # those of clean recordings are the smallest sizes
+    return {**outcome, "diagnosis": slim}
+
+
+def present(outcome: Outcome) -> Outcome:
+    """Return an outcome as it is written now; `told` is the former spelling of `diagnosis`."""
+    renamed = {"diagnosis" if key == "told" else key: value for key, value in outcome.items()}
+    formerly = {"suite_seed": 0, "dirty": False, "known": {}, "mild": {}}
+    return renamed | {"truth": formerly | renamed["truth"]}
+
+
+SUITE = Suite(
+    outcome_of,
+    key_of,
+    write_report,
+    inside="outcomes",
+    slim=slim,
+    present=present,
+)
+
+
+@click.command()
+@harness.options(REPORTED_SEED)
+@click.option("--dirty", is_flag=True, help="Beside what is hidden, everything has a mild error.")
+@click.option("--once", is_flag=True, help="Each in one of its settings, which take turns.")
+@click.option("--shuffled", is_flag=True, help="In random order: wherever it is stopped, a fair sample.")
+def main(dirty: bool, once: bool, shuffled: bool, seed: int, only: str, sample: int | None, **how) -> None:
+    """Hide effects in simulated recordings and see whether `diagnose` names them.
+
+    A folder is gone on with where it stopped: finished cases are kept.
     """
-    effects = case.true_model(with_noll_indices(truth["known"]))
-    best = diagnosed(case, folder.data(case), folder.reference(case), effects)["zernike_nm"]["before"]
-    return {
-        when: float(np.linalg.norm([diagnosis["zernike_nm"][when][str(n)] - best[str(n)] for n in NOLLS]))
-        for when in ("before", "after")
-    }
-
-
-def with_noll_indices(known: Any) -> Any:
-    """Tables of modes with numbers for keys, which JSON makes text."""
-    if not isinstance(known, dict):
-        return known
-    return {int(k) if k.isdecimal() else k: with_noll_indices(value) for k, value in known.items()}
+    every = all_cases(seed, dirty)
+    cases = harness.chosen(in_one_setting(every) if once else every, only, sample)
+    if shuffled:
+        cases = list(np.random.default_rng(seed).permutation(np.array(cases, dtype=object)))
+    harness.run(SUITE, cases, **how)

@@ -1,19 +1,25 @@
-"""A telescope that answers the loop, in one process with it and by a clock of its own."""
+"""A telescope that answers the loop, in one process with it and by a clock of its own.
+
+The light comes from the simulator, which shares no optics with the model of the loop. Reads of a quarter of a
+second are tabulated over the defocus once and drawn in random order, so that an hour takes seconds.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import cast
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 from unittest import mock
+from zlib import crc32
 
 import numpy as np
 
-from benchmarks.focus_faults.sky import Look, Skies, noisy_e
-from benchmarks.focus_loop.telescope import LAYER
+from benchmarks.focus_loop.telescope import LAYER, Night, kept_table, scene_of
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
@@ -22,6 +28,90 @@ from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.record import content_of
 from irlos_pipe.focus.service import COMMAND, Service
 from irlos_pipe.focus.source import Arrival
+from irlos_pipe.paper.common.focus_loop import FrameTable
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.scene import Scene
+
+READS = 4  # of an exposure of a second
+TABLED_MAG_J = 8.0
+REACH_NM, NODES, TABLED_READS = 450.0, 20, 32
+NEAR_NM, NEAR_NODES, NEAR_READS = 160.0, 10, 12  # of scenes with something wrong
+USUAL_SEEING = 0.5  # of the calibration
+_TABLES: dict[Path, FrameTable] = {}
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the telescope sees: `seeing` [arcsec], and `changes` of the scene, unknown to the loop."""
+
+    seeing: float = USUAL_SEEING
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Of the file of its table."""
+        return f"seeing_{self.seeing}_{crc32(repr(sorted(self.changes.items())).encode()):08x}"
+
+
+@dataclass(frozen=True)
+class Skies:
+    """Tables of looks in a `folder`, of the sky of a `seed`."""
+
+    folder: Path
+    seed: int
+
+    def table(self, look: Look) -> FrameTable:
+        """Return the reads of a `look`; they take a while to simulate."""
+        path = self.folder / f"{self.seed}_{look.name}.npz"
+        if path not in _TABLES:
+            reach_nm, nodes = (NEAR_NM, NEAR_NODES) if look.changes else (REACH_NM, NODES)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            _TABLES[path] = kept_table(path, lambda: _scene(look, self.seed), reach_nm, nodes)
+        return _TABLES[path]
+
+    def exposure_e(
+        self, look: Look, mag_j: float, defocus_nm: float, rng: np.random.Generator
+    ) -> tuple[np.ndarray, float]:
+        """Return the mean electrons of one exposure, without noise, and its defocus with that of the sky."""
+        table = self.table(look)
+        frames = rng.integers(table.series_e.shape[1], size=READS)
+        bounded = np.clip([defocus_nm], -table.reach_nm, table.reach_nm)
+        mean_e = sum(table.images_e(frame, bounded)[0] for frame in frames)
+        light = 10 ** (0.4 * (TABLED_MAG_J - mag_j))
+        return np.maximum(mean_e, 0.0) * light, defocus_nm + float(table.sky_focus_nm[frames].mean())
+
+
+def noisy_e(mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return what the detector makes of an exposure, (rows, columns) [e-], sky in it.
+
+    Reads are drawn at once, their noises add, so that none of them is clipped by the converter.
+    """
+    scene = _detector()
+    factor, read_e = scene.detector.excess_noise_factor, scene.detector.read_noise_e
+    charge_e = rng.poisson(mean_e + (scene.sky_e_per_s + scene.detector.dark_e_per_s) * scene.exposure_s)
+    spread_e = np.sqrt((factor - 1) * charge_e + scene.reads * read_e**2)
+    return (charge_e - scene.detector.dark_e_per_s + spread_e * rng.standard_normal(mean_e.shape)).astype(
+        np.float32
+    )
+
+
+@cache
+def _detector() -> Scene:
+    return scene_of(Night(reads=1))
+
+
+def _scene(look: Look, seed: int) -> Scene:
+    scene = scene_of(Night(mag_j=TABLED_MAG_J, reads=READS))
+    reads = NEAR_READS if look.changes else TABLED_READS
+    scene = replace(scene, frames=reads, seed=(seed, 5), sky=Sky(look.seeing))
+    changes = {
+        key: {**getattr(scene, key), **value} if isinstance(value, dict) else value
+        for key, value in look.changes.items()
+    }
+    return replace(scene, **changes)
+
+
+# -- the telescope -----------------------------------------------------------------------------
 
 START_UNIX_S = 1.75e9
 FIRST_COUNTER = 5000
@@ -101,8 +191,15 @@ class Rig:
         self._exposures = self.before + self.spell + self.after
         steps_nm = LAYER.drift(8.0).draw_nm(np.random.default_rng([self.seed, 12]), self._exposures + 1, 1.0)
         self.drift_nm = self.start_nm + steps_nm + THERMAL_NM * np.arange(self._exposures + 1)
-        self._commanded_nm, self._applied_nm, self._index = [0.0] * (DELAY + 1 + self.late), 0.0, 0
+        self._commanded_nm, self.applied_nm, self._index = [0.0] * (DELAY + 1 + self.late), 0.0, 0
         self.command: Mailbox | None = None
+
+    def go_on(self, last: Mapping[str, Any]) -> None:
+        """Go on with the counters, the time and the offset of the `last` record of a run as long as this."""
+        self._index, self._exposures = self._exposures, 2 * self._exposures
+        self.drift_nm = np.full(self._exposures + 1, last["offset_nm"])
+        self.clock.passed_s, self.applied_nm = 60.0, last["offset_nm"]
+        self._commanded_nm = [last["offset_nm"]] * len(self._commanded_nm)
 
     def poll(self, timeout_s: float) -> Sequence[Arrival] | None:
         """See `Source.poll`."""
@@ -113,9 +210,8 @@ class Rig:
         residual_nm = self.drift_nm[index] - self._applied(index)
         number = index - self.before
         inside = 0 <= number < self.spell
-        image_e, defocus_nm = self.image(
-            residual_nm, self.bad_look if inside and self.bad_look else self.look
-        )
+        look = self.bad_look if inside and self.bad_look else self.look
+        image_e, defocus_nm = self.image(residual_nm, look)
         harmed = inside and (self.spoil is not None or self.bad_look is not None)
         if inside and self.spoil is not None:
             image_e = self.spoil(image_e, number, self, self.rng)
@@ -137,24 +233,11 @@ class Rig:
         found = None if self.command is None else self.command.read()
         self._commanded_nm.append(self._commanded_nm[-1] if found is None else found.offset_nm)
         new, old = self._commanded_nm[-1 - DELAY - self.late], self._commanded_nm[-2 - DELAY - self.late]
-        self._applied_nm += self.answer(index) * (new - old)
-        return self._applied_nm
+        self.applied_nm += self.answer(index) * (new - old)
+        return self.applied_nm
 
 
-@dataclass(frozen=True)
-class Ready:
-    """A request whose calibration is there already."""
-
-    run: Path
-    found: Calibration
-
-    def load(self) -> Calibration:
-        """Return it."""
-        return self.found
-
-
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """Records, events and truth of a run."""
 
     records: list[dict]
@@ -164,16 +247,12 @@ class Outcome:
 
 def run(rig: Rig, calibration: Calibration, output: Path, **settings: float) -> Outcome:
     """Let the loop run on a rig, with the `settings` of `LoopSettings`."""
-
-    def opened(*_: object) -> Rig:
-        return rig
-
     loop = LoopSettings(ControllerSettings(gain=GAIN, delay=DELAY), **settings)  # type: ignore[arg-type]
     output.mkdir(parents=True, exist_ok=True)
-    request = cast(CalibrationRequest, Ready(output, calibration))
+    request = cast(CalibrationRequest, SimpleNamespace(run=output, load=lambda: calibration))
     rig.command = Mailbox(output / COMMAND)
     with rig.clock.running():
-        Service(output, request, loop, opened, silent_after_s=10.0).run(lambda _: None)
+        Service(output, request, loop, lambda *_: rig, silent_after_s=10.0).run(lambda _: None)
     rig.command.close()
     return outcome_of(output, rig.shots)
 
@@ -192,3 +271,33 @@ def is_wrong(record: dict, shot: Shot, sigmas: float = 3.0, least_nm: float = 5.
     """Return whether a measurement is off by more than it says, and by more than matters."""
     error_nm = abs((record["defocus_nm"] or math.nan) - shot.defocus_nm)
     return not (error_nm <= sigmas * (record["sigma_nm"] or 0.0) or error_nm <= least_nm)
+
+
+def judged(outcome: Outcome) -> dict[str, Any]:
+    """Return the counts of a run.
+
+    Returns
+    -------
+    dict
+        Exposures that were ``bad`` and ``right``; bad ones that were commanded although, with a value within
+        its error (``commanded_right``) or not (``commanded_wrongly``), and the ``reasons`` why others were
+        not; right ones that were not used (``refused``), and those whose value was commanded and is beyond
+        its error (``wrong_right``).
+    """
+    records = {one["counter"]: one for one in outcome.records}
+    bad = [(records.get(shot.counter), shot) for shot in outcome.shots if not shot.right]
+    right = [(records.get(shot.counter), shot) for shot in outcome.shots if shot.right]
+    used = [(record, shot) for record, shot in bad if record is not None and record["valid"]]
+    wrong = sum(is_wrong(record, shot) for record, shot in used)
+    reasons = sorted({reason for record, _ in bad if record is not None for reason in record["reasons"]})
+    return {
+        "bad": len(bad),
+        "right": len(right),
+        "commanded_right": len(used) - wrong,
+        "commanded_wrongly": wrong,
+        "refused": sum(record is None or not record["valid"] for record, _ in right),
+        "wrong_right": sum(
+            is_wrong(record, shot) for record, shot in right if record is not None and record["valid"]
+        ),
+        "reasons": reasons,
+    }

@@ -55,7 +55,7 @@ def _two_pointings(pixels: int) -> Spoil:
 
 def _two_focuses(apart_nm: float) -> Spoil:
     def mixed(image: np.ndarray, number: int, rig: Rig, rng: np.random.Generator) -> np.ndarray:
-        residual_nm = rig.drift_nm[rig.before + number] - rig._applied_nm
+        residual_nm = rig.drift_nm[rig.before + number] - rig.applied_nm
         both = [rig.image(residual_nm + side * apart_nm / 2, rig.look)[0] for side in (-1, 1)]
         return np.mean(both, axis=0)
 

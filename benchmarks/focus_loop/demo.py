@@ -88,7 +88,7 @@ def lines_of(outcome: Outcome) -> list[str]:
     ]
     if last > first:
         lines.append(
-            f"residual {outcome.residual_nm(first, last):.1f} nm RMS over {last - first} exposures; "
+            f"residual {outcome.residual_nm(range(first, last)):.1f} nm RMS over {last - first} exposures; "
             f"linear theory expects {outcome.predicted_nm():.1f} nm"
         )
     return lines

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -31,22 +30,13 @@ FAULTS = {
 KILL_LOOP, KILL_TELESCOPE, FULL, FREE, EXCHANGE = 1200, 1500, 1800, 1860, 2400
 
 
-@dataclass(frozen=True)
-class Event:
-    """Something that happens: its name, and the last exposure that it lasts."""
-
-    name: str
-    first: int
-    last: int
-
-
-EVENTS = [
-    *(Event(name, first, last) for name, spans in FAULTS.items() for first, last in spans),
-    Event("kill -9 of the loop", KILL_LOOP, KILL_LOOP),
-    Event("kill -9 of the telescope", KILL_TELESCOPE, KILL_TELESCOPE),
-    Event("full disk", FULL, FREE),
-    Event("calibration replaced", EXCHANGE, EXCHANGE),
-]
+# All that happens, with the first and last exposure of each.
+EVENTS = {name: spans[0] for name, spans in FAULTS.items()} | {
+    "kill -9 of the loop": (KILL_LOOP, KILL_LOOP),
+    "kill -9 of the telescope": (KILL_TELESCOPE, KILL_TELESCOPE),
+    "full disk": (FULL, FREE),
+    "calibration replaced": (EXCHANGE, EXCHANGE),
+}
 
 
 @click.command()
@@ -107,7 +97,7 @@ def summary_of(outcome: Outcome) -> dict:
         "exposures": exposures,
         "records": len(outcome.records),
         "closed_after": outcome.closed_at,
-        "residual_nm": _rms_nm(outcome, _undisturbed(outcome)),
+        "residual_nm": outcome.residual_nm(_undisturbed(outcome)),
         "course": _course(outcome),
         "predicted_nm": outcome.predicted_nm(),
         "sigma_nm": float(np.median([one["sigma_photon_nm"] for one in valid])),
@@ -117,7 +107,9 @@ def summary_of(outcome: Outcome) -> dict:
         "exposures_without_record": sorted(outcome.lost()),
         "sequence_is_whole": outcome.sequence_is_whole(),
         "memory_mib": [float(np.median(part)) for part in (memory[:quarter], memory[-quarter:])],
-        "recovery": {one.name: _recovery(outcome, one) for one in EVENTS if one.last < exposures - SETTLED},
+        "recovery": {
+            name: _recovery(outcome, *span) for name, span in EVENTS.items() if span[1] < exposures - SETTLED
+        },
         "events": outcome.events,
     }
 
@@ -125,15 +117,9 @@ def summary_of(outcome: Outcome) -> dict:
 def _undisturbed(outcome: Outcome) -> list[int]:
     """All exposures but those of the start, of faults and shortly after."""
     quiet = set(range(outcome.closed_at + SETTLED, outcome.night.exposures))
-    for event in EVENTS:
-        quiet -= set(range(event.first, event.last + SETTLED))
+    for first, last in EVENTS.values():
+        quiet -= set(range(first, last + SETTLED))
     return sorted(quiet)
-
-
-def _rms_nm(outcome: Outcome, exposures: list[int]) -> float:
-    """RMS residual of some exposures, what wanders within one included."""
-    squares = [outcome.truth[i]["residual_nm"] ** 2 for i in exposures]
-    return float(np.sqrt(np.mean(squares) + outcome.night.drift.wander_within_nm2(1.0)))
 
 
 def _course(outcome: Outcome) -> list[dict]:
@@ -151,15 +137,15 @@ def _course(outcome: Outcome) -> list[dict]:
                 "first_min": first / 60,
                 "ncpa_changed_nm": float(np.linalg.norm(list(changed_nm.values()))),
                 "mean_nm": float(np.mean([outcome.truth[i]["residual_nm"] for i in inside])),
-                "rms_nm": _rms_nm(outcome, inside),
+                "rms_nm": outcome.residual_nm(inside),
             }
         )
     return rows
 
 
-def _recovery(outcome: Outcome, event: Event) -> dict:
-    during = [abs(outcome.truth[i]["residual_nm"]) for i in range(event.first, event.last + 10)]
-    return {"largest_nm": max(during), "exposures": outcome.recovery(event.last)}
+def _recovery(outcome: Outcome, first: int, last: int) -> dict:
+    during = [abs(outcome.truth[i]["residual_nm"]) for i in range(first, last + 10)]
+    return {"largest_nm": max(during), "exposures": outcome.recovery(last)}
 
 
 if __name__ == "__main__":

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -98,12 +97,8 @@ class Trial:
     def page_url(self) -> str:
         """Return where the page of the loop is, once it says so; empty before."""
         log = self.folder / "loop.log"
-        told = (
-            [line for line in log.read_text().splitlines() if line.startswith("page: ")]
-            if log.exists()
-            else []
-        )
-        return told[-1].removeprefix("page: ") if told else ""
+        lines = log.read_text().splitlines() if log.exists() else []
+        return next((line[len("page: ") :] for line in reversed(lines) if line.startswith("page: ")), "")
 
     def _reached(self) -> int:
         return self.truth.read_bytes().count(b"\n") if self.truth.exists() else 0
@@ -148,15 +143,13 @@ class Trial:
 
     def outcome(self) -> Outcome:
         """Compare record and truth."""
-        lines = _lines(self.output / "focus.jsonl")
-        truth = _lines(self.truth)
+        lines, truth = (
+            [json.loads(line) for line in path.read_text().splitlines()]
+            for path in (self.output / "focus.jsonl", self.truth)
+        )
         records = [line for line in lines if "sequence" in line]
         events = [line["event"] for line in lines if "event" in line]
         return Outcome(self.night, records, events, {one["exposure"]: one for one in truth}, self.peak_mib)
-
-    def clean(self) -> None:
-        """Remove what the trial has left."""
-        shutil.rmtree(self.folder)
 
 
 @dataclass(frozen=True)
@@ -174,9 +167,9 @@ class Outcome:
         """First exposure whose residual is within 100 nm."""
         return next(i for i, one in sorted(self.truth.items()) if abs(one["residual_nm"]) < 100)
 
-    def residual_nm(self, first: int, last: int) -> float:
-        """RMS residual of exposures `first` to `last`, what wanders within one included."""
-        squares = [self.truth[i]["residual_nm"] ** 2 for i in range(first, last) if i in self.truth]
+    def residual_nm(self, exposures: Iterable[int]) -> float:
+        """RMS residual of some exposures, what wanders within one included."""
+        squares = [self.truth[i]["residual_nm"] ** 2 for i in exposures if i in self.truth]
         return float(np.sqrt(np.mean(squares) + self.night.drift.wander_within_nm2(1.0)))
 
     def predicted_nm(self) -> float:
@@ -206,10 +199,6 @@ class Outcome:
     def sequence_is_whole(self) -> bool:
         """Whether every number of a record is there once."""
         return [one["sequence"] for one in self.records] == list(range(1, len(self.records) + 1))
-
-
-def _lines(path: Path) -> list[dict]:
-    return [json.loads(line) for line in path.read_text().splitlines()]
 
 
 def _process(arguments: list, log: Path) -> subprocess.Popen:

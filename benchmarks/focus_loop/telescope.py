@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -100,11 +101,12 @@ class Telescope:
     def __init__(self, night: Night, folder: Path):
         self.night = night
         scene = scene_of(night)
-        self._calm = [_table(scene, folder / "calm.npz"), *_later_tables(night, scene, folder)]
+        calm = kept_table(folder / "calm.npz", lambda: scene, REACH_NM, NODES)
+        self._calm = [calm, *_later_tables(night, scene, folder)]
         self._scene, self._burst = scene, None
         if night.faults.get("burst"):
             stormy = replace(scene, frames=BURST_READS, sky=Sky(night.burst_arcsec))
-            self._burst = _table(stormy, folder / "burst.npz")
+            self._burst = kept_table(folder / "burst.npz", lambda: stormy, REACH_NM, NODES)
         rng = np.random.default_rng([night.seed, DRIFT_STREAM])
         steps_nm = night.drift.draw_nm(rng, night.exposures * DRIFT_STEPS, 1 / DRIFT_STEPS)
         self._drift_nm = night.start_nm + steps_nm.reshape(night.exposures, DRIFT_STEPS)
@@ -137,9 +139,9 @@ def _later_tables(night: Night, scene: Scene, folder: Path) -> list[FrameTable]:
         return []
     step_s = night.ageing.step_s
     return [
-        _table(
-            night.ageing.aged(scene, (step + 0.5) * step_s / 3600, night.seed),
+        kept_table(
             folder / f"calm_{step}.npz",
+            lambda step=step: night.ageing.aged(scene, (step + 0.5) * step_s / 3600, night.seed),
             CLOSED_REACH_NM,
             CLOSED_NODES,
         )
@@ -147,10 +149,10 @@ def _later_tables(night: Night, scene: Scene, folder: Path) -> list[FrameTable]:
     ]
 
 
-def _table(scene: Scene, kept: Path, reach_nm: float = REACH_NM, nodes: int = NODES) -> FrameTable:
-    """Reads of a scene at any defocus; they take a while to simulate."""
+def kept_table(kept: Path, scene: Callable[[], Scene], reach_nm: float, nodes: int) -> FrameTable:
+    """Return the reads of a scene at any defocus; they take a while to simulate, and are `kept` in a file."""
     if not kept.exists():
-        table = frame_table(scene, reach_nm, nodes)
+        table = frame_table(scene(), reach_nm, nodes)
         with atomic_file(kept) as stream:
             np.savez(stream, series_e=table.series_e, sky_focus_nm=table.sky_focus_nm)
     with np.load(kept) as found:

@@ -11,8 +11,7 @@ import numpy as np
 import yaml
 from astropy.io import fits
 
-from benchmarks.misled.cases import RAMP, SKY, Case
-from benchmarks.misled.families import Change, Taken
+from benchmarks.misled.cases import RAMP, SKY, Case, Change, Taken
 from irlos_pipe.conventions.bands import NARROW_H
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.atmosphere import Sky
@@ -82,12 +81,12 @@ class Made:
 
 def make_case(case: Case, folder: Path) -> Made:
     """Write the recordings of a `case` into a `folder`, which must exist."""
-    wrong = Taken(0, case.told, case.hidden, case.seen)
+    wrong = case.taken
     if case.kind != RAMP:
         cube = make_cube(case, wrong, folder / "cube", case.usual)
         return Made({"calibration": [cube], "cube": [cube]}, ncpa_of(case, wrong))
-    foreign = Taken(0, foreign=case.family == "calibration of another instrument")
-    calibrated = Taken(0, case.told, {}, case.seen) if case.both else foreign
+    foreign = Taken(foreign=case.family == "calibration of another instrument")
+    calibrated = replace(wrong, hidden={}) if case.both else foreign
     seeing = {key: case.usual[key] for key in ("seeing_arcsec",) if key in case.usual}
     cube = make_cube(case, calibrated, folder / "cube", seeing)
     ramp, introduced = make_ramp(case, wrong, folder, case.usual)
@@ -111,19 +110,8 @@ def make_cube(
 ) -> Path:
     """Write a calibration cube; returns its folder, which must not exist.
 
-    Parameters
-    ----------
-    case : Case
-        Gives setting and seed.
-    taken : Taken
-        What is wrong with it.
-    folder : Path
-    usual : mapping
-        Changes of the usual recording.
-    stream : int
-        Of the random numbers.
-    begin_s : int, optional
-        Start since 1970; a plain FITS cube without times if None.
+    The `case` gives setting and seed, `taken` what is wrong, `stream` the random numbers. It begins at
+    `begin_s` since 1970; a plain FITS cube without times if None.
     """
     images = _images(case, taken, usual, stream)
     return _written(folder, images, _sidecar(case, usual, taken.told), begin_s)
@@ -132,13 +120,7 @@ def make_cube(
 def make_ramp(
     case: Case, taken: Taken, folder: Path, usual: Change, begin_s: int | None = None
 ) -> tuple[list[Path], dict[str, float]]:
-    """Write the recordings of a ramp into a `folder`; returns theirs, and the true defocus by name.
-
-    Parameters
-    ----------
-    case, taken, folder, usual, begin_s
-        See `make_cube`.
-    """
+    """Write the recordings of a ramp, see `make_cube`; returns their folders and true defocus by name."""
     usual = RAMP_USUAL | dict(usual)
     as_told = [OFFSETS_NM[index] for index in taken.told.get("order", range(len(OFFSETS_NM)))]
     recordings = []
@@ -193,7 +175,7 @@ def _spoilt(case: Case, taken: Taken, usual: Change, images: np.ndarray) -> np.n
     rows, columns = images.shape[1:]
     half = len(images) // 2
     if taken.seen in SECOND:
-        change = SECOND[taken.seen](_scene(case, Taken(0), usual, 9, 0.0))
+        change = SECOND[taken.seen](_scene(case, Taken(), usual, 9, 0.0))
         second = _frames(change)
         if taken.seen == "half of another star":
             return np.concatenate([images[::2], second[1::2]])

@@ -1,13 +1,17 @@
-"""The simulated telescope of the focus loop, what goes wrong in it, and how a night is scored.
+"""The simulated telescope of the focus loop, what goes wrong in it, and how nights and faults are scored.
 
-Truth: nights written down by hand.
+Truth: nights written down by hand, counts made by hand; right and frozen exposures.
 """
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers import focus_loop as made_loop
 
+from benchmarks.focus_faults import rig as faults
+from benchmarks.focus_faults.spoiling import PIXELS
 from benchmarks.focus_loop import telescope as telescopes
 from benchmarks.focus_loop.ageing import Ageing
 from benchmarks.focus_loop.process import Feed
@@ -31,28 +35,14 @@ class _Ring:
             self.damaged.append(read.counter)
 
 
-class _Mailbox:
-    def read(self) -> None:
-        return None
-
-
-class _Stars:
-    """Exposures of three reads, numbered from 0."""
-
-    def __init__(self, night: Night):
-        self.night = night
-
-    def exposure(self, index: int) -> Exposed:
-        reads = [Read(READS * index + one, 0.0, np.ones((2, 2))) for one in range(READS)]
-        return Exposed(reads, 0.0, 0.0)
-
-
 def delivered(fault: str) -> _Ring:
-    """Two exposures, of which the first has a `fault`."""
-    ring, stars = _Ring(), _Stars(Night(reads=READS, exposures=2, faults={fault: [(0, 0)]}))
-    feed = Feed(stars, ring, _Mailbox(), Path("truth"), 0.0)
+    """Two exposures of three reads, of which the first has a `fault`."""
+    ring, night = _Ring(), Night(reads=READS, exposures=2, faults={fault: [(0, 0)]})
+    silent = SimpleNamespace(read=lambda: None)
+    feed = Feed(SimpleNamespace(night=night), ring, silent, Path("truth"), 0.0)
     for index in range(2):
-        feed._deliver(index, stars.exposure(index))
+        reads = [Read(READS * index + one, 0.0, np.ones((2, 2))) for one in range(READS)]
+        feed._deliver(index, Exposed(reads, 0.0, 0.0))
     return ring
 
 
@@ -101,13 +91,6 @@ def test_a_lost_star_leaves_the_noise_alone_and_counters_go_on(telescope):
     assert [read.counter - FIRST_COUNTER for read in (*kept.reads, *lost.reads)] == [2, 3, 4, 5]
 
 
-def test_the_same_night_again_is_the_same(telescope, tmp_path):
-    again = Telescope(telescope.night, tmp_path)
-    first, second = telescope.expose(3), again.expose(3)
-    assert first.residual_nm == second.residual_nm
-    assert np.array_equal(first.reads[0].image_e, second.reads[0].image_e)
-
-
 def outcome(records: list[dict], residuals_nm: list[float]) -> Outcome:
     truth = {i: {"exposure": i, "drift_nm": 0.0, "residual_nm": one} for i, one in enumerate(residuals_nm)}
     return Outcome(Night(reads=1, exposures=len(residuals_nm)), records, [], truth, [])
@@ -151,13 +134,7 @@ def test_residuals_hold_what_wanders_within_an_exposure():
     found = outcome([], [3.0, 4.0])
     wander = found.night.drift.wander_within_nm2(1.0)
     assert wander > 0
-    assert found.residual_nm(0, 2) == pytest.approx(np.sqrt(12.5 + wander))
-
-
-def test_the_night_is_one_that_the_simulator_knows():
-    night = Night(exposures=1)
-    scene = telescopes.scene_of(night)
-    assert (scene.mag_j, scene.exposure_s, scene.frames) == (12.0, 0.25, telescopes.SKY_READS)
+    assert found.residual_nm(range(2)) == pytest.approx(np.sqrt(12.5 + wander))
 
 
 def test_an_ageing_instrument_keeps_its_focus_and_the_size_of_what_turns():
@@ -177,21 +154,14 @@ def test_an_ageing_instrument_keeps_its_focus_and_the_size_of_what_turns():
     assert min(after[1]) == 5
 
 
-def test_nothing_changes_without_ageing():
-    scene = telescopes.scene_of(Night(exposures=1))
-    assert Ageing().none
-    assert Ageing().aged(scene, 1.0, seed=1).ncpa_nm == pytest.approx(dict(scene.ncpa_nm))
-    assert not Ageing(drift_nm=1.0).none
-
-
 def test_light_of_a_later_step_has_the_ncpas_of_its_middle(monkeypatch, tmp_path):
     made: dict[str, dict[int, float]] = {}
 
-    def table(scene, kept, *size):
-        made[kept.stem] = dict(scene.ncpa_nm)
+    def table(kept, scene, *size):
+        made[kept.stem] = dict(scene().ncpa_nm)
         return kept.stem
 
-    monkeypatch.setattr(telescopes, "_table", table)
+    monkeypatch.setattr(telescopes, "kept_table", table)
     night = Night(reads=1, exposures=700, ageing=Ageing(drift_nm=36.0, step_s=300.0))
     telescope = Telescope(night, tmp_path)
     assert telescope._calm == ["calm", "calm_1", "calm_2"]
@@ -203,3 +173,37 @@ def test_light_of_a_later_step_has_the_ncpas_of_its_middle(monkeypatch, tmp_path
     for index in (0, 299, 300, 699):
         telescope.expose(index)
     assert used == ["calm", "calm", "calm_1", "calm_2"]
+
+
+# -- bad exposures -----------------------------------------------------------------------------
+
+
+def measured(counter: int, defocus_nm: float, valid: bool = True) -> dict:
+    return {"counter": counter, "defocus_nm": defocus_nm, "sigma_nm": 4.0, "valid": valid, "reasons": []}
+
+
+def test_counts_are_those_of_the_exposures():
+    """Right: used, refused, without a record. Bad: used and right, used and wrong, refused."""
+    shots = [faults.Shot(number, 0.0, number <= 3) for number in range(1, 7)]
+    records = [measured(1, 3.0), measured(2, 0.0, False), measured(4, -11.0), measured(5, 13.0)]
+    found = faults.judged(faults.Outcome([*records, measured(6, 99.0, False)], [], shots))
+    assert (found["bad"], found["right"], found["refused"]) == (3, 3, 2)
+    assert (found["commanded_right"], found["commanded_wrongly"], found["wrong_right"]) == (1, 1, 0)
+
+
+class FewSkies(faults.Skies):
+    """Images of the loop's own model in place of the sky."""
+
+    def exposure_e(self, look, mag_j, defocus_nm, rng):
+        return made_loop.image_e(defocus_nm, int(rng.integers(1 << 30)), flux_e=1e6).clip(0), defocus_nm
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("spoil", "used"), [(None, 30), (PIXELS["frozen"], 24)], ids=["right", "frozen"])
+def test_the_rig_closes_the_loop_and_a_spell_of_bad_exposures_is_not_used(tmp_path, spoil, used):
+    spell = 0 if spoil is None else 6
+    skies = FewSkies(tmp_path, 1)
+    rig = faults.Rig(skies, 8.0, 3, before=20, spell=spell, after=10 - spell, spoil=spoil)
+    found = faults.run(rig, made_loop.calibration(), tmp_path / "loop")
+    assert sum(one["valid"] for one in found.records) == used
+    assert abs(found.shots[-1].defocus_nm) < 40.0

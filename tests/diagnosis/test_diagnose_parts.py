@@ -33,29 +33,22 @@ from irlos_pipe.diagnosis.fitting import most_plausible
 from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnosis.search.scores import (
     Family,
-    Score,
     brightest_copies,
-    families,
     score_family,
-    scores,
     whitened_shapes,
 )
 from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import Screened
-from irlos_pipe.effects import CATALOGUE, FixedEffect, Parameter, TipTiltJitter
+from irlos_pipe.effects import Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.motion import Vibration
-from irlos_pipe.effects.public_values import measured, public_sigma
+from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.effects.pupil_places import PhaseBump
 from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
-from irlos_pipe.effects.wavefront import AmplitudeAberration, HighOrderNcpa
 from irlos_pipe.frames.noise import NoiseModel
-
-STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
-
 
 # -- frames ------------------------------------------------------------------------------------
 
@@ -140,13 +133,6 @@ def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
     assert np.abs(deviates).max() < 4
 
 
-@pytest.mark.slow
-def test_scores_of_clean_frames_stay_below_the_threshold_and_inflate_nothing():
-    present, _ = families(CONDITIONS, ["pupil_misregistration", "phase_bump"])  # the slow ones left out
-    found = scores(optimum(cube(image(), 5).training), present)
-    assert max(score.significance for score in found) < 5
-
-
 @pytest.mark.parametrize(("lower_by", "chosen"), [(20.0, 0), (20_000.0, 1)])
 def test_rounding_of_a_large_chi2_decides_nothing_between_twins_but_a_better_fit_does(lower_by, chosen):
     unit = 100.0  # χ²/ν of the better
@@ -177,18 +163,6 @@ def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_th
         columns = ImageModel(part.model.psf, [*held, one]).predict_and_jacobian(*at, null)[1]
         alone = columns[0, -3].flatten() * at_rest.root  # before flux and background
         assert shape[:, 0].numpy() == pytest.approx(alone.numpy(), abs=1e-9 * float(alone.norm()))
-
-
-@pytest.mark.parametrize(
-    ("effect", "at", "estimate", "begun"),
-    [(PhaseBump(), [0.0, 1.0, -1.0, 0.5], 950.0, 150.0), (Companion(), [0.0, 120.0, 40.0], 0.6, 0.6)],
-)
-def test_a_fit_begins_within_half_the_prior_if_there_is_one(effect, at, estimate, begun):
-    first = effect.parameters[0].name
-    candidate, nothing = FixedEffect(effect, at, free=[first]), np.zeros(1)
-    score = Score(candidate, np.array([estimate]), 1.0, 1.0, 1.0, 9.0, nothing, usable=(first,))
-    assert score.start().values == pytest.approx([begun, *at[1:]])
-    assert len(score.start().parameters) == len(at)
 
 
 # -- single effects ----------------------------------------------------------------------------
@@ -226,13 +200,6 @@ def test_a_hot_pixel_stands_out_and_nothing_else():
     mean[5, 22] += 60
     assert outstanding_pixels(optimum(cube(mean).training)) == [(5, 22)]
     assert outstanding_pixels(optimum(cube(image()).training)) == []
-
-
-def test_a_stop_that_is_off_is_fitted_with_its_turn_although_either_is_searched_for_alone():
-    score = score_family(optimum(cube(image()).training), Family((STOP,)))
-    assert {p.name for p in score.start().parameters} == {"distance_m", "direction_rad", "rotation_deg"}
-    sizes = [detectable(one).keys() for one in (score, *score.besides)]
-    assert sorted(key for keys in sizes for key in keys) == ["dx_m", "dy_m", "rotation_deg"]
 
 
 def test_a_masked_pixel_is_named_if_it_showed_something_else_than_the_star():
@@ -335,24 +302,3 @@ def test_petals_are_told_as_differences_with_the_errors_of_these():
         scatter = np.std([one[key] for one in drawn], axis=0)
         assert sigma[key] == pytest.approx(scatter, rel=0.03), key
         assert np.all(scatter < 4)
-
-
-def test_a_size_is_said_with_its_error():
-    effect, values = Companion(), np.array([0.03, 60.0, -45.0])
-    public = measured(effect.describe(values), public_sigma(effect, values, np.diag([1e-7, 0.04, 0.04])))
-    assert effect.phrase(public) == (
-        "a second source of 3.000 ± 0.032 % at 75.00 ± 0.20 mas, PA 323.13 ± 0.15°"
-    )
-
-
-@pytest.mark.parametrize(
-    ("effect", "values", "words"),
-    [
-        (LowWindEffect(), [30, -30, 30, -30, 6, 6, 6, 6, 8, -8, 8, -8], "30 nm RMS in piston and 8 nm"),
-        (HighOrderNcpa((31, 32)), [3.0, -4.0], "5 nm RMS of modes"),
-        (AmplitudeAberration((4, 5)), [0.03, 0.04], "5.0% RMS"),
-    ],
-)
-def test_a_table_of_numbers_is_said_as_one_size_in_its_unit(effect, values, words):
-    public = effect.describe(np.array(values, float))
-    assert words in effect.phrase(public)

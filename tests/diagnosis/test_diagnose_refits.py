@@ -27,16 +27,14 @@ from helpers.optics_cases import vector
 from scipy import stats
 
 from irlos_pipe.diagnosis.acceptance import Accepted, by_plausibility, narrowed
-from irlos_pipe.diagnosis.checks.noise import judge_all
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import Refit, is_rival, other_forms, quick_refits, refits
+from irlos_pipe.diagnosis.refit import Refit, other_forms, quick_refits, refits
 from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import CATALOGUE, FixedEffect, in_form, narrower_kinds
 from irlos_pipe.effects.colour import PlateScale
@@ -102,17 +100,6 @@ def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64
     assert one[0].fitted.problem.model.psf.dtype == torch.float64
 
 
-@pytest.mark.slow
-def test_rivals_of_the_best_have_converged_in_float64_too():
-    """What the images hardly tell apart may be exchanged for each other."""
-    at_rest = optimum(cube(image(effect=PlateScale(9.7), values=[-0.02])).training)
-    present = only("plate_scale", "spectrum", "companion")
-    best, *others = refits(fitter_of(at_rest.stack), at_rest, scores(at_rest, present))
-    rivals = [one for one in others if is_rival(best, one)]
-    assert rivals
-    assert all(one.fitted.exact and one.fitted.converged for one in (best, *rivals))
-
-
 def test_priors_cost_what_they_cost_however_soon_a_fit_was_ended():
     stack = cube(image()).training
     ended = fitter_of(stack).explored([], iterations=2)
@@ -162,30 +149,6 @@ def test_what_a_direction_without_size_does_not_determine_has_no_error_and_spoil
     found = determined(stop.parameters, covariance)
     assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(known)
     assert (found[1] == 0).all() and (found[:, 1] == 0).all()
-
-
-def test_one_recording_with_speckles_makes_the_noise_that_of_speckles():
-    quiet = cube(image()).training.parts[0]
-    tilts = np.random.default_rng(3).normal(0, 12, len(quiet.frames.images_e))
-    moving = np.array([image({**TRUE_NM, 5: TRUE_NM[5] + 4 * tilt}) for tilt in tilts])
-    still = quiet.mean_e.view(WINDOW, WINDOW).expand_as(quiet.frames.images_e)
-    calm = replace(quiet, frames=replace(quiet.frames, images_e=still))
-    loud = replace(quiet, frames=replace(quiet.frames, images_e=torch.as_tensor(moving)))
-    assert judge_all([calm, loud]).kind == "speckle-limited"
-
-
-def test_a_few_frames_are_held_out_however_small_the_share():
-    frames = cube(image()).training.parts[0].frames
-    parts = HeldOutFrames().split(replace(frames, images_e=frames.images_e[:16]), 0.06)
-    assert len(parts.held_out) >= 1 and len(parts.training) >= 8
-
-
-def test_of_what_a_model_may_have_several_times_a_further_one_is_looked_for():
-    def names(*present: str) -> set[str]:
-        return {family.effect.name for family in families(CONDITIONS, present)[0]}
-
-    assert names() - names("companion", "phase_bump", "vibration") == {"vibration"}
-    assert "ghost" not in names()  # looked for where a companion is found
 
 
 @pytest.mark.parametrize(("fraction", "names"), [(0.0, {"companion"}), (0.02, {"companion", "ghost"})])

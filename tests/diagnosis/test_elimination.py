@@ -6,7 +6,7 @@ import torch
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.diagnosis.checks.fine_structure import flat_rms
-from irlos_pipe.diagnosis.cube import Errors, Stack
+from irlos_pipe.diagnosis.cube import Stack
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.without import needed
 from irlos_pipe.estimate.cube import Frames
@@ -67,13 +67,3 @@ def test_the_error_of_the_flat_is_measured_beside_a_smooth_misfit(flat):
 
 def test_a_perfect_flat_shows_no_error():
     assert [flat_rms(*cube(0.0, seed), SETTINGS) for seed in range(4)] == [0.0] * 4
-
-
-def test_errors_enter_the_variances_and_leave_them_again():
-    stack, _ = cube(0.0, 0)
-    allowed = stack.with_errors(Errors(misfit=3.0, alike_px=10.0, flat_rms=0.01))
-    assert torch.allclose(
-        allowed.without_model_error().variance_e2, stack.variance_e2 + allowed.flat_error_e2
-    )
-    assert torch.allclose(allowed.variance_e2, 3 * (stack.variance_e2 + allowed.flat_error_e2))
-    assert torch.allclose(allowed.with_errors(Errors()).variance_e2, stack.variance_e2)

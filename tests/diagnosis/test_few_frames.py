@@ -12,22 +12,15 @@ import torch
 from helpers import diagnose_cases as cases
 from helpers.diagnose_frames import READ_NOISE, frames, image
 
-from irlos_pipe.diagnosis.splitting import HeldOutFrames, HeldOutPixels, PixelStacks, averaged, hold_out_of
+from irlos_pipe.diagnosis.splitting import HeldOutPixels, PixelStacks, averaged
 from irlos_pipe.diagnosis.verdict import Diagnosis, sentence
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
-from irlos_pipe.estimate.cube import FRAMES_OF_SCATTER, Frames
+from irlos_pipe.estimate.cube import Frames
 
 
 def few(many: Frames, count: int) -> Frames:
     return replace(many, images_e=many.images_e[:count])
-
-
-def test_the_number_of_frames_decides_what_is_held_out():
-    enough, too_few = (few(frames(image()), n) for n in (FRAMES_OF_SCATTER, FRAMES_OF_SCATTER - 1))
-    assert isinstance(hold_out_of([Exposures(enough, cases.CONDITIONS)]), HeldOutFrames)
-    both = [Exposures(one, cases.CONDITIONS) for one in (enough, too_few)]
-    assert hold_out_of(both) == HeldOutPixels(4)  # 1600 nm / 8 m in pixels of 9.7 mas: 4.25
 
 
 def test_pixels_are_held_out_in_squares_spread_over_bright_and_faint_parts():
@@ -47,15 +40,6 @@ def test_pixels_are_held_out_in_squares_spread_over_bright_and_faint_parts():
     assert cube.held_out.parts[0].independent == 16
     again = HeldOutPixels(4).split(replace(one, good=good))
     assert torch.equal(again.held_out.root, cube.held_out.root)
-
-
-def test_losses_of_patches_sum_to_half_of_chi_square():
-    stack = HeldOutPixels(4).split(few(frames(image()), 1)).held_out
-    losses = stack.parts[0].losses(
-        stack.mean_e + 2 / stack.root.clamp_min(1e-9), torch.zeros(1024, 0).double()
-    )
-    assert len(losses) == 16
-    assert losses.sum() == pytest.approx(0.5 * 4 * int((stack.root > 0).sum()))
 
 
 def test_variances_grow_with_the_misfit():

@@ -5,8 +5,6 @@ Truth: HCIPy's images, what was put into the frames, Monte Carlo, and D/λ by ha
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -99,9 +97,3 @@ def test_masked_pixels_do_not_pass_for_structure():
     mask[WINDOW // 2, WINDOW // 2 + 3], mask[10, 12] = False, False
     images[:, ~mask] = 0.0
     assert abs(found(images, mask, expected).significance) < 4.5
-
-
-def test_pixels_that_are_too_coarse_tell_nothing():
-    coarse = replace(CASE, pixel_scale_mas=30.0)
-    expected = plain() * FLUX_E
-    assert found(*drawn(expected, 5), expected, coarse) == FineStructure(1.0, 0.0)

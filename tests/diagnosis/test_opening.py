@@ -16,15 +16,12 @@ from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cu
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitted import begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import Task
-from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.naming import NamingTask
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
-from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.search.scores import Family, score_family
 from irlos_pipe.diagnosis.significance import SURELY, gaussian_sigma, surely_exceeding, threshold
-from irlos_pipe.diagnosis.starts import on_other_sides, other_sides, other_wavefronts, with_wavefront
+from irlos_pipe.diagnosis.starts import on_other_sides, other_sides
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -139,15 +136,6 @@ def test_errors_of_modes_know_of_those_beyond(alone):
     assert pulls[1] > 1.5 * pulls[0]
 
 
-def test_modes_found_once_are_where_the_next_fit_begins_and_ends(alone):
-    _, fitter, opening = alone
-    again = Opening.of(fitter, [], opening.fitted, opening.beyond_nm)
-    assert again is not None
-    assert again.deviance() == pytest.approx(opening.deviance(), abs=5.0)
-    change = [again.beyond_nm[noll] - nm for noll, nm in opening.beyond_nm.items()]
-    assert np.abs(change).max() < 0.5
-
-
 def test_known_modes_have_the_image_of_free_ones(alone):
     training, fitter, opening = alone
     known = opening.with_known_modes()
@@ -168,14 +156,6 @@ def test_a_stop_that_came_to_rest_begins_where_the_fit_falls():
     assert np.cos(best.values_of(STOP.name)[1] - direction_rad) > 0.9
 
 
-def test_a_stop_in_its_place_begins_nowhere_else():
-    training = cube(image()).training
-    fitter = Fitter([View(model(), CONDITIONS)], training)
-    resting = fitter.fit([begun_at(STOP, np.array([0.0, 0.9, 0.0]))])
-    assert resting.values_of(STOP.name)[0] < 1e-3
-    assert other_sides(resting, STOP.name) == []
-
-
 def test_a_stop_that_rests_beside_all_modes_is_found_on_its_side_by_all_of_them():
     distance_m, direction_rad = 0.06, 0.9
     training = cube(with_tail([FixedEffect(STOP, (distance_m, direction_rad, 0.0))])).training
@@ -190,16 +170,6 @@ def test_a_stop_that_rests_beside_all_modes_is_found_on_its_side_by_all_of_them(
     assert best.deviance() < resting.deviance() - 25
     assert distances[1] == pytest.approx(distance_m, abs=0.015)
     assert np.cos(directions[1] - direction_rad) > 0.9
-
-
-def test_what_has_a_distance_begins_on_the_opposite_side_and_what_has_none_nowhere():
-    training = cube(image(effect=STOP, values=(0.06, 0.9, 0.0))).training
-    scale = CATALOGUE["plate_scale"].under(CONDITIONS)
-    full = fitted(training, [FixedEffect(STOP, (0.06, 0.9, 0.0), ("distance_m", "direction_rad")), scale])
-    (other,) = other_sides(full, STOP.name)
-    values = full.values_of(STOP.name)
-    assert other == pytest.approx([values[0], values[1] + np.pi])
-    assert other_sides(full, scale.name) == []
 
 
 @pytest.mark.parametrize("frames", [1.0, 1.5, 3.0])
@@ -231,32 +201,3 @@ def test_what_variances_allow_for_an_earlier_model_does_not_hide_how_much_better
         chi2, scales = share * freedom, np.geomspace(1 / misfit, 10, 100_000)
         least = float((freedom * np.log(scales) + chi2 / scales).min()) + penalty
         assert with_chi2(chi2).deviance(misfit) == pytest.approx(least, rel=1e-6)
-
-
-def test_a_fit_begins_as_well_near_a_wavefront_found_elsewhere(monkeypatch):
-    """Fits from nothing are made to end in a false minimum, as strong aberrations do."""
-    training = cube(image()).training
-    right = fitted(training)
-    false = replace(with_wavefront(right, {}), chi2=100.0 * right.chi2)
-    starts = []
-
-    def fit(effects, near=None):
-        starts.append(near)
-        return false if near is None else right
-
-    fitter = Fitter([View(model(), CONDITIONS)], training)
-    monkeypatch.setattr(fitter, "fit", fit)
-    monkeypatch.setattr(fitter, "twin", lambda one: one)
-    options = Options(NOLLS[-1], 0.25, 4, 5.0, begin_near_nm={4: 30.0, 200: 1.0})
-    task = Task(cube(image()), fitter, Moments({}), options, lambda count: None)
-    assert task._null([]) is right
-    begun = dict(zip(NOLLS, starts[-1].modes_nm, strict=True))
-    assert begun == {noll: {4: 30.0}.get(noll, right.modes_nm[noll - 2] * (noll < 4)) for noll in NOLLS}
-
-
-def test_other_starts_are_a_known_wavefront_none_and_one_at_random(alone):
-    near = alone[2].fitted
-    found = other_wavefronts(near, {5: 12.0})
-    assert [float(np.linalg.norm(one.modes_nm[2:])) for one in found[:2]] == [12.0, 0.0]
-    assert np.linalg.norm(found[2].modes_nm[2:]) > 60.0
-    assert len(other_wavefronts(near, {})) == 2

@@ -17,7 +17,7 @@ from irlos_pipe.diagnosis.forward import placed_families
 from irlos_pipe.diagnosis.moments import Moments, placed
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import sharing
-from irlos_pipe.diagnosis.verdict import Diagnosis, sentence
+from irlos_pipe.diagnosis.verdict import Diagnosis
 from irlos_pipe.diagnosis.view import Exposures, View
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import TipTiltJitter
@@ -167,16 +167,6 @@ def test_a_ghost_common_to_two_stars_and_a_companion_of_one_have_their_names(of_
     assert steps["ghost"].public["flux_ratio"] == pytest.approx(0.01, rel=0.05)
     assert steps["ghost"].public["defocus_nm"] == pytest.approx(80.0, abs=15.0)
     assert steps["companion"].public["flux_ratio"] == pytest.approx(0.02, rel=0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_the_sentence_says_what_they_share(of_two_stars):
-    findings = {one.labels[0]: one.finding for one in of_two_stars.together.sharing}
-    assert findings == {"ghost": "common", "companion": "differs"}
-    text = sentence(of_two_stars)
-    assert "(in all 2 recordings, one value for all)" in text
-    assert "(in night 1, not in the others)" in text
 
 
 @pytest.mark.slow

@@ -1,7 +1,10 @@
-"""Parts of the tolerant search, on frames drawn from the model itself (same code).
+"""Parts of the tolerant search, and facts that a diagnosis leaves free.
 
-Truth: fits from elsewhere, what was put into the frames, and the order in which names were found.
+Frames are drawn from the model itself (same code). Truth: fits from elsewhere, what was put into the frames,
+and the order in which names were found.
 """
+
+from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,21 +13,21 @@ import numpy as np
 import pytest
 from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, cube, fitted, image
 
-from irlos_pipe.diagnosis.acceptance import Options, accepted, labels_in
-from irlos_pipe.diagnosis.conclude import _adjusted, _before_ordinary, _nearest
+from irlos_pipe.diagnosis.acceptance import Options, accepted
+from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.naming import added, errors_of
+from irlos_pipe.diagnosis.naming import errors_of
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.opposite import opposite_side
+from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
-from irlos_pipe.diagnosis.tolerant import SCALES, as_wide_as_told, everyday
-from irlos_pipe.diagnosis.verdict import PARTIAL, Adjusted, _left
+from irlos_pipe.diagnosis.tolerant import SCALES, everyday
+from irlos_pipe.diagnosis.verdict import Adjusted
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
-from irlos_pipe.effects.detector import BadPixels
 from irlos_pipe.optics.psf_settings import KnownWavefront
+from irlos_pipe.stages.diagnose.output import model_entries
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 SCALE = CATALOGUE["plate_scale"].under(CONDITIONS)
@@ -94,12 +97,6 @@ def test_a_wrong_model_never_makes_the_flat_worse_than_a_better_one_left_it(off_
     assert errors_of(training, wrong, settings).misfit > errors_of(training, full, settings).misfit
 
 
-def test_what_a_model_was_told_is_not_added_to_it(off_centre):
-    _, full = off_centre
-    assert added(full, [STOP]) == [SCALE.name]
-    assert not {STOP.name, SCALE.name} & {effect.name for effect in everyday([CONDITIONS], [STOP, SCALE])}
-
-
 def test_of_two_effects_that_scale_the_image_one_is_free():
     colour = CATALOGUE["spectrum"].under(CONDITIONS)
     assert [one.name for one in everyday([CONDITIONS], []) if one.name in SCALES] == ["plate_scale"]
@@ -111,36 +108,6 @@ def test_a_diversity_error_is_free_only_beside_a_recording_with_another_diversit
     other = replace(CONDITIONS, settings=settings)
     names = [{one.name for one in everyday(some, [])} for some in ([CONDITIONS] * 2, [CONDITIONS, other])]
     assert ["diversity_error" in some for some in names] == [False, True]
-
-
-def test_where_pixels_and_wavelengths_are_free_the_band_is_as_wide_as_told():
-    colour = CATALOGUE["spectrum"].under(CONDITIONS)
-    wider = FixedEffect(colour, (4.0, 0.1, 0.02), [parameter.name for parameter in colour.parameters])
-    pixels, held = as_wide_as_told([SCALE, wider])
-    assert pixels is SCALE
-    assert [parameter.name for parameter in held.parameters] == ["shift_nm", "slope_per_um"]
-    assert held.all_values([4.0, 0.1]).tolist() == [4.0, 0.1, 0.0]
-    assert as_wide_as_told([wider]) == [wider]
-    known = FixedEffect(SCALE, (0.01,))
-    assert as_wide_as_told([known, wider]) == [known, wider]
-
-
-def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():
-    copies = [FixedEffect(COMPANION, (0.01, 10.0 * n, 50.0)) for n in (1, 2)]
-    model = SimpleNamespace(effects=[STOP, *copies])
-
-    def one(name, label):
-        return SimpleNamespace(name=name, label="", refit=SimpleNamespace(label=label))
-
-    found = [one("companion", "companion_3"), one(STOP.name, STOP.name), one("companion", "companion_2")]
-    assert labels_in(model, found) == ["companion_2", STOP.name, "companion"]
-    assert np.unique(labels_in(model, found)).size == 3
-
-
-def test_a_name_keeps_its_label_beside_others_of_its_kind_that_have_no_name():
-    copies = [FixedEffect(COMPANION, (0.01, 10.0 * n, 50.0)) for n in (1, 2)]
-    one = SimpleNamespace(name="companion", label="companion", refit=SimpleNamespace(label="companion"))
-    assert labels_in(SimpleNamespace(effects=copies), [one]) == ["companion"]
 
 
 def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind():
@@ -156,26 +123,6 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
     assert one.phrase.startswith("a second source of ")
 
 
-def test_bad_pixels_come_before_facts_that_any_instrument_has_and_after_what_is_unusual():
-    scaled = [SimpleNamespace(effect=FixedEffect(SCALE, (fraction,))) for fraction in (0.005, 0.1)]
-    pixels = SimpleNamespace(effect=FixedEffect(BadPixels([(3, 4)]), (0.0,)))
-    assert [SCALE.ordinary(one.effect.values) for one in scaled] == [True, False]
-    assert _before_ordinary(scaled[::-1], pixels) == [scaled[1], pixels, scaled[0]]
-    assert _before_ordinary(scaled[1:], pixels) == [scaled[1], pixels]
-    assert _before_ordinary([], pixels) == [pixels]
-
-
-def test_a_fact_that_is_clearly_off_is_said_where_it_is_not_named(off_centre):
-    training, model = off_centre
-    search = SimpleNamespace(final=Optimum(training, model), adjusted=[STOP.name, SCALE.name])
-    adjusted = _adjusted(search, Covariances(training, [model]))
-    rest = SimpleNamespace(text="1 % of the light is misplaced")
-    told = _left(SimpleNamespace(grade=PARTIAL, rest=rest, adjusted=adjusted))
-    assert told.startswith("something else is missing as well: 1 % of the light is misplaced; not named")
-    assert adjusted[0].phrase in told
-    assert "mas instead of" not in told  # the pixels are as told
-
-
 def test_where_nothing_is_named_the_nearest_is_said_with_its_size():
     data = cube(image(effect=COMPANION, values=(0.02, 150.0, 40.0)))
     origin = Optimum(data.training, fitted(data.training))
@@ -187,3 +134,35 @@ def test_where_nothing_is_named_the_nearest_is_said_with_its_size():
     assert step.public["flux_ratio"] == pytest.approx(0.02, abs=5 * step.sigma["flux_ratio"])
     assert step.share > 0.9
     assert _nearest(SimpleNamespace(nearest=None)) is None
+
+
+# -- facts that are left free --------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def behind_a_stop():
+    """Frames behind a stop that is off, and a fit that takes all facts for exact."""
+    training = cube(image(effect=STOP, values=TRUE)).training
+    model = fitted(training, [])
+    return Fitter(model.views, training), Optimum(training, model)
+
+
+@pytest.fixture(scope="module")
+def found(behind_a_stop) -> dict[str, FixedEffect]:
+    return {effect.name: effect for effect in open_facts(*behind_a_stop, [])}
+
+
+def test_facts_that_the_model_takes_for_exact_are_left_free_where_they_fit_best(found):
+    true, stop = STOP.describe(np.array(TRUE)), found[STOP.name]
+    values = stop.base.describe(stop.values)
+    assert values["dx_m"] == pytest.approx(true["dx_m"], abs=0.01)
+    assert values["dy_m"] == pytest.approx(true["dy_m"], abs=0.01)
+    assert values["rotation_deg"] == pytest.approx(true["rotation_deg"], abs=0.5)
+    assert "plate_scale" not in found  # which is as told
+
+
+def test_the_model_of_a_recipe_has_them_free_from_there():
+    result = SimpleNamespace(steps=[], adjusted=[], open_facts=[FixedEffect(STOP, TRUE)])
+    (entry,) = model_entries(result)
+    assert entry[STOP.name]["fit"] is True
+    assert entry[STOP.name]["rotation_deg"] == pytest.approx(1.0)

@@ -65,23 +65,6 @@ def test_a_diversity_without_astigmatism_is_refused():
         diversity_angle_deg({4: 100.0})
 
 
-def law_of(diversity: dict[int, float], spectrum=J_AND_H[1::3]) -> ElongationLaw:
-    return calibrate_law(PsfModel(settings(48, spectrum, diversity), (4,)))
-
-
-@pytest.mark.parametrize("noll", [5, 6])
-def test_the_opposite_diversity_has_the_opposite_law(noll):
-    positive, negative = law_of({noll: 170.0}), law_of({noll: -170.0})
-    at = {name: law.A * 0.2 + law.B for name, law in (("+", positive), ("-", negative))}
-    assert np.sign(at["+"]) == -np.sign(at["-"])
-    assert positive.A * negative.A < 0
-
-
-def test_the_sign_of_the_law_is_that_of_the_sharper_axis():
-    """Positive Noll 6 and positive defocus curve the wavefront alike along x: the image is longer there."""
-    assert law_of({6: 170.0}).A > 0
-
-
 @pytest.mark.parametrize(
     "diversity", [{6: -170.0}, {6: 170.0}, {5: -170.0}, {5: 170.0}, {5: 120.0, 6: 120.0}], ids=str
 )

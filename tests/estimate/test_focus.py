@@ -93,11 +93,6 @@ def test_defocus_up_to_900_nm_is_found_without_a_start(focus):
     assert np.abs([one.defocus_nm - x[2] for one, x in zip(found, truth, strict=True)]).max() < 5.0
 
 
-def test_the_short_form_is_defocus_error_and_verdict(focus):
-    image = drawn([0.0, 0.0, 50.0])[0]
-    assert focus.measure(image) == focus.measurement(image)[:3]
-
-
 def test_the_order_of_images_does_not_matter_to_the_bit(focus):
     images = drawn(anywhere(6, 800.0))
     forwards = [focus.measurement(image) for image in images]

@@ -70,15 +70,6 @@ def test_with_diversity_the_twin_is_excluded_and_lies_where_a_direct_search_find
     assert found.evidence > 100
 
 
-def test_the_curve_passes_through_the_best_fit_and_the_twin():
-    of = model(-30.0)
-    found = curve(of, image(of, 150.0, seed=4), 150.0)
-    best, twin = (np.abs(CURVE_NM - value).argmin() for value in (found.best_nm, found.twin_nm))
-    assert found.chi2_nu[best] == found.chi2_nu.min() and CURVE_NM[twin] == -150.0
-    assert found.chi2_nu[best] == pytest.approx(found.best_chi2_nu, abs=0.1)
-    assert found.chi2_nu[twin] == pytest.approx(found.twin_chi2_nu, rel=0.1)
-
-
 def test_misfit_counts_as_noise_and_without_a_twin_there_is_no_evidence():
     one = FocusCurve(CURVE_NM, CURVE_NM**2, 0.0, best_chi2_nu=4.0, twin_nm=300.0, delta_chi2=20.0)
     assert one.evidence == 5.0 and replace(one, best_chi2_nu=0.6).evidence == 20.0

@@ -82,13 +82,6 @@ def test_results_are_the_same_to_the_bit_for_any_number_of_workers(solved):
     assert again.status == found.status
 
 
-def test_progress_counts_every_frame(solved):
-    fit, true, found = solved
-    counts = []
-    fit_frames(fit, start(fit, true), max_iterations=60, report=counts.append)
-    assert sum(counts) == found.status.count(CONVERGED) == FRAMES
-
-
 def test_a_frame_that_is_not_finite_is_flagged_and_harms_no_other(solved):
     fit, true, found = solved
     spoilt, _ = problem()
@@ -97,13 +90,6 @@ def test_a_frame_that_is_not_finite_is_flagged_and_harms_no_other(solved):
     assert [k for k, status in enumerate(other.status) if status == INVALID] == [3]
     rest = [k for k in range(FRAMES) if k != 3]
     assert (other.objective[rest] / found.objective[rest]).max() < 1.005
-
-
-def test_members_are_fits_of_their_own_images(solved):
-    fit, _, found = solved
-    which = torch.tensor([4, 9])
-    alone = fit.members(which).objective(found.values[which], torch.arange(2))
-    assert torch.equal(alone, fit.objective(found.values[which], which))
 
 
 def test_the_gradient_is_that_of_finite_differences():

@@ -19,7 +19,6 @@ from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.open_fit import (
-    MOST_ORDERS,
     OpenFit,
     TailLaw,
     fit_tail_law,
@@ -47,10 +46,6 @@ def test_the_maximum_of_the_last_visible_order_lies_in_the_window(window):
     reach = np.pi * 8.0 / 1600e-9 * window / 2 * cases.SCALE_MAS * cases.MAS_RAD
     assert order + 1 <= reach < order + 2
     assert jnp_zeros(order + 1, 1)[0] == pytest.approx(order + 1, rel=0.25)
-
-
-def test_a_wide_window_shows_no_more_than_the_budget():
-    assert visible_order(cases.settings(150)) == MOST_ORDERS
 
 
 def tail_problem(seed: int, law: TailLaw, noise_nm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,5 +1,9 @@
-"""Other minima of the fit of all modes. Truth: images by the simulator, which shares no optics with the
-model, with a tail of 20 nm in every mode; weights and priors as they are defined; images of known modes."""
+"""Other minima of the fit of all modes, the other side of a stop, and effects that a diagnosis found.
+
+Truth: images by the simulator, which shares no optics with the model, with a tail of 20 nm in every mode;
+weights and priors as they are defined; images of known modes; the side on which a stop was when images were
+made by the model itself (same code: what is tested is where the fit goes).
+"""
 
 from __future__ import annotations
 
@@ -11,14 +15,20 @@ import torch
 from helpers import optics_cases as cases
 from helpers.simulated_scenes import image
 
+from irlos_pipe.effects import FixedEffect, TipTiltJitter
+from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate import calibration, open_minima
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.cube_fit import CubeFit
 from irlos_pipe.estimate.image_fit import Layout
-from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, last_noll_of, visible_order
+from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, last_noll_of, open_basis, visible_order
 from irlos_pipe.estimate.open_minima import Softening, by_curvature, by_prior, likelier_minimum
+from irlos_pipe.estimate.open_sides import likelier_side
+from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
 WINDOW, TAIL_NM, FLUX_E, FRAMES, SEED = 40, 20.0, 4e6, 20, 3
@@ -96,80 +106,12 @@ def closed(problem: OpenFit, chi2_nu: float) -> tuple[SimpleNamespace, SimpleNam
     return fit, SimpleNamespace(values=place())
 
 
-@pytest.mark.parametrize(("chi2_nu", "before"), [(0.9, 100.0), (3.0, 5.0)])
-def test_a_nominal_fit_and_one_that_no_modes_improve_are_left_as_they_are(
-    problem, monkeypatch, chi2_nu, before
-):
-    monkeypatch.setattr(OpenFit, "reduced_chi2", lambda fit, x: torch.tensor([chi2_nu]))
-    opened = ended(problem, place())
-    assert likelier_minimum(None, closed(problem, before), opened, 1.0) is opened
-
-
 def test_a_wrong_minimum_gives_way_to_the_right_one(problem):
     wrong = place()
     wrong[0, 5:9] += 150.0
     found = likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, wrong), 1.4)
     assert float(found.problem.reduced_chi2(found.solution.values)[0]) < 1.4
     assert (found.solution.values - place())[0, :27].norm() < 5
-
-
-@pytest.mark.slow
-def test_the_fit_stays_where_no_likelier_minimum_is_found(problem, monkeypatch):
-    monkeypatch.setattr(open_minima, "SHAKES", 1)
-    wrong = place()
-    wrong[0, 5:9] += 150.0
-    right = likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, wrong), 0.0)
-    best = ended(problem, right.solution.values)
-    assert likelier_minimum(task(place() + 400), closed(problem, 1e6), best, 0.0).solution.objective <= (
-        best.solution.objective
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("off_nm", "shaken"), [(0.0, 0), (150.0, 2)])
-def test_minima_are_disturbed_only_if_there_are_others_than_the_known_one(
-    problem, monkeypatch, off_nm, shaken
-):
-    """Softened weights lead from the truth back to it, also where χ²/ν cannot fall below the limit."""
-    tried = []
-    monkeypatch.setattr(open_minima._Search, "_shaken", lambda search, best: tried.append(best) or best)
-    known = place()
-    known[0, 5:9] += off_nm
-    likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, known), 0.0)
-    assert len(tried) == shaken
-
-
-@pytest.mark.slow
-def test_shakes_end_after_a_count_of_iterations_in_proportion(problem, monkeypatch):
-    """Of three starts in vain, a search without a limit takes some hundred iterations for shakes."""
-    spent = []
-    lacks = SimpleNamespace(part=0.0)
-    monkeypatch.setattr(open_minima, "lacking", lambda *_: lacks)
-    monkeypatch.setattr(open_minima, "SHAKEN_TIMES", 0.5)
-
-    class Counted(open_minima._Search):
-        def _shaken(self, best):
-            spent.append((self.spent, self.allowed))
-            return super()._shaken(best)
-
-    monkeypatch.setattr(open_minima, "_Search", Counted)
-    known = place()
-    known[0, 5:9] += 150.0
-    likelier_minimum(task(place(), place() + 60), closed(problem, 1e6), ended(problem, known), 0.0)
-    (first, allowed), (last, _) = spent[0], spent[-1]
-    assert allowed == 1.5 * first
-    assert first < last < allowed + 3 * open_minima.ITERATIONS
-
-
-@pytest.mark.slow
-def test_where_one_fact_explains_the_misfit_nothing_is_shaken(problem, monkeypatch):
-    shaken = []
-    monkeypatch.setattr(open_minima, "lacking", lambda *_: SimpleNamespace(part=0.6))
-    monkeypatch.setattr(open_minima._Search, "_shaken", lambda search, best: shaken.append(best) or best)
-    known = place()
-    known[0, 5:9] += 150.0
-    likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, known), 0.0)
-    assert not shaken
 
 
 @pytest.mark.slow
@@ -227,10 +169,88 @@ def test_shakes_by_the_curvature_follow_the_softened_likelihood(problem):
     assert float(((moves @ hessian) * moves).sum(1).mean()) == pytest.approx(27, rel=0.2)
 
 
-def test_modes_without_curvature_are_shaken_by_the_prior(problem, monkeypatch):
-    def none(fit, x, which):
-        return None, None, torch.zeros(1, 29, 29, dtype=torch.float64)
+# -- the other side of a displaced stop ----------------------------------------------------------
 
-    monkeypatch.setattr(OpenFit, "normal_equations", none)
-    moved = by_curvature(problem, place(), np.random.default_rng(4))
-    assert torch.equal(moved, by_prior(problem, place(), np.random.default_rng(4)))
+
+NOLLS = tuple(range(2, 12))
+STOP = PupilMisregistration()
+FREE = [parameter.name for parameter in STOP.parameters]
+DISTANCE_M, DIRECTION_RAD = 0.06, -0.6
+
+
+def opened_from(direction_rad: float) -> Opened:
+    """Fit all modes to the image behind a stop, which begins in a direction; a fit of few iterations."""
+    psf = PsfModel(cases.settings(), NOLLS, dtype=torch.float64)
+    modes_nm = cases.vector(cases.ncpa_nm(4, highest_noll=11, total_nm=60.0), NOLLS)
+    made = ImageModel(psf, [FixedEffect(STOP, [DISTANCE_M, DIRECTION_RAD, 0.0])])
+    images = cases.draw_frames(psf.images(modes_nm, made.optics)[0].double().numpy() * 3e6, 4, seed=5)
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    task = CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)
+    closed = task.fit([FixedEffect(STOP, [DISTANCE_M, direction_rad, 0.0], FREE)])
+    opened = open_basis(*closed[:1], closed[1].values, max_iterations=30)
+    assert opened is not None
+    return opened
+
+
+def stop_of(opened: Opened) -> np.ndarray:
+    values = opened.solution.values[0, opened.problem.layout.effect_values]
+    distance_m, direction_rad, _ = values.tolist()
+    return distance_m * np.array([np.cos(direction_rad), np.sin(direction_rad)])
+
+
+@pytest.fixture(scope="module")
+def wrong() -> Opened:
+    return opened_from(DIRECTION_RAD + np.pi)
+
+
+TRUE_M = DISTANCE_M * np.array([np.cos(DIRECTION_RAD), np.sin(DIRECTION_RAD)])
+
+
+def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
+    assert stop_of(wrong) @ TRUE_M <= 0  # on the other side, or at rest
+    found = likelier_side(wrong, max_iterations=30)
+    assert found.solution.objective[0] < wrong.solution.objective[0]
+    assert stop_of(found) == pytest.approx(TRUE_M, abs=0.01)
+
+
+def test_a_fit_on_the_right_side_stays_there():
+    right = opened_from(DIRECTION_RAD)
+    assert stop_of(likelier_side(right, max_iterations=30)) == pytest.approx(TRUE_M, abs=0.01)
+
+
+def test_a_model_without_a_direction_is_left_as_it_is(wrong):
+    held = [
+        FixedEffect(effect.base, effect.all_values([0.0] * 3))
+        for effect in wrong.problem.model.effects.effects
+    ]
+    model = ImageModel(wrong.problem.model.psf, held)
+    bare = Opened(wrong.problem.with_model(model), wrong.solution, wrong.law)
+    assert likelier_side(bare, max_iterations=30) is bare
+
+
+# -- effects that a diagnosis found --------------------------------------------------------------
+
+
+PLACE = [0.01, 90.0, -70.0]  # flux ratio, x and y [mas]
+NAMES = [parameter.name for parameter in Companion().parameters]
+
+
+@pytest.fixture(scope="module")
+def cube_fit() -> CubeFit:
+    psf = PsfModel(cases.settings(), NOLLS, dtype=torch.float64)
+    modes_nm = cases.vector(cases.ncpa_nm(4, highest_noll=11, total_nm=60.0), NOLLS)
+    images = cases.draw_frames(psf.images(modes_nm)[0].double().numpy() * 3e6, 4, seed=5)
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    return CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)
+
+
+def test_releasing_an_effect_changes_no_image(cube_fit):
+    told, jitter = FixedEffect(Companion(), PLACE, NAMES), TipTiltJitter()
+    held = cube_fit.fit([told.expected(), jitter])
+    problem, values = cube_fit.released([told, jitter], held)
+    assert problem.layout.size == held[0].layout.size + len(NAMES)
+    before, after = held[0].predict(held[1].values), problem.predict(values)
+    assert torch.allclose(after, before, rtol=1e-12, atol=1e-9)
+    assert np.allclose(
+        problem.model.effects.split(values[0, problem.layout.effect_values])["companion"], PLACE
+    )

@@ -1,11 +1,19 @@
-"""Summary of a focus ramp. Truth: analysis on made-up estimates."""
+"""Summary of a focus ramp, and errors of its frames. Truth: analysis on made-up estimates, drawn noise."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
+from irlos_pipe.estimate.lift_errors import (
+    FrameErrors,
+    excess_scatter_nm,
+    instant_error_nm,
+    nominal_frame_chi2,
+)
 from irlos_pipe.estimate.ramp import summarise, travel_direction
+from irlos_pipe.frames.noise import NoiseModel
 
 OFFSETS_NM = np.array([-300.0, 300, -200, 200, -100, 100, 0])  # every move reverses the travel
 
@@ -30,11 +38,6 @@ def test_hysteresis_is_told_from_slope_and_offset(hysteresis_nm):
     bias = travel_direction(introduced) * hysteresis_nm / 2
     summary = summarise(introduced, 0.98 * introduced + 5.0 + bias)
     assert summary.saw_tooth_nm == pytest.approx(hysteresis_nm)
-
-
-def test_a_ramp_without_hysteresis_has_no_saw_tooth():
-    introduced = repeated(OFFSETS_NM)
-    assert summarise(introduced, 1.02 * introduced - 3.0).saw_tooth_nm == pytest.approx(0, abs=1e-9)
 
 
 def test_the_direction_of_travel_is_kept_until_the_next_move():
@@ -68,11 +71,6 @@ def test_a_bias_is_found_in_a_ramp_of_one_direction_too():
     summary = summarise(introduced, introduced + 30.0 * second, second)
     assert summary.part_bias_nm == pytest.approx(30.0)
     assert np.isnan(summary.saw_tooth_nm)
-
-
-def test_a_ramp_of_one_part_has_no_bias_of_a_part():
-    introduced = repeated(OFFSETS_NM)
-    assert np.isnan(summarise(introduced, 1.1 * introduced).part_bias_nm)
 
 
 def test_what_looks_the_same_is_not_told_apart():
@@ -125,3 +123,58 @@ def test_failed_estimates_are_left_out_and_keep_the_direction_of_the_others():
 def test_too_little_for_a_line_is_refused(estimated):
     with pytest.raises(ValueError, match="at least three estimates"):
         summarise(repeated([-100.0, 100.0]), np.array(estimated))
+
+
+# -- errors of frames ----------------------------------------------------------------------------
+
+
+OFFSETS = np.repeat(np.arange(-300.0, 301.0, 100.0), 40)
+
+
+def test_scatter_at_one_offset_is_the_defocus_of_the_ao_residual():
+    rng = np.random.default_rng(1)
+    estimated = 1.1 * OFFSETS + 30 + rng.normal(0, 4.0, OFFSETS.size) + rng.normal(0, 1.0, OFFSETS.size)
+    found = excess_scatter_nm(OFFSETS, estimated, np.ones(OFFSETS.size))
+    assert found == pytest.approx(4.0, rel=0.15)  # 273 degrees of freedom: 4 %
+
+
+def test_photon_noise_alone_leaves_no_excess_beyond_chance():
+    rng = np.random.default_rng(2)
+    found = excess_scatter_nm(OFFSETS, OFFSETS + rng.normal(0, 1.0, OFFSETS.size), np.ones(OFFSETS.size))
+    assert found < 0.5
+
+
+def test_one_frame_per_offset_is_judged_by_the_scatter_about_the_line():
+    rng = np.random.default_rng(3)
+    offsets = np.linspace(-300, 300, 200)
+    found = excess_scatter_nm(offsets, offsets + rng.normal(0, 5.0, 200), np.full(200, 3.0))
+    assert found == pytest.approx(4.0, rel=0.25)
+
+
+def test_errors_that_last_for_an_offset_are_errors_of_frames_all_the_same():
+    rng = np.random.default_rng(5)
+    lasting = np.repeat(rng.normal(0, 6.0, 400), 3)
+    offsets = np.repeat(np.linspace(-300, 300, 400), 3)
+    estimated = offsets + lasting + rng.normal(0, 2.5, 1200) + 20
+    photon = np.full(1200, 1.5)
+    assert instant_error_nm(offsets, estimated, photon) == pytest.approx(np.sqrt(36 + 4), rel=0.1)
+    assert excess_scatter_nm(offsets, estimated, photon) == pytest.approx(2.0, rel=0.15)
+
+
+def test_errors_add_noise_grown_by_the_misfit_residual_and_calibration():
+    errors = FrameErrors(instant_nm=4.0, chi2_nu=8.0, nominal_chi2_nu=2.0)
+    assert errors.sigma_nm(np.array([1.5]), 12.0)[0] == pytest.approx(np.sqrt(3**2 + 4**2 + 12**2))
+    assert FrameErrors(0.0, 0.5, 1.0).growth == FrameErrors(0.0, 5.0, float("nan")).growth == 1.0
+
+
+def test_what_frames_have_in_common_is_no_part_of_the_nominal_chi2():
+    rng = np.random.default_rng(4)
+    model = torch.full((60, 20, 20), 100.0)
+    misfit = 30 * rng.normal(size=(20, 20))
+    images = torch.as_tensor(rng.poisson(100.0, (60, 20, 20)) + misfit)
+    good = torch.ones(20, 20, dtype=torch.bool)
+    noise = NoiseModel(1.0, 0.0)
+    introduced = np.repeat([0.0, 100.0, 200.0], 20)
+    assert nominal_frame_chi2(images, model, good, noise, introduced, 0) == pytest.approx(1.0, abs=0.05)
+    alone = nominal_frame_chi2(images[:3], model[:3], good, noise, np.array([0.0, 1.0, 2.0]), 0)
+    assert np.isnan(alone)

@@ -10,13 +10,11 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import LowWindEffect
 from irlos_pipe.estimate import cube_fit
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_errors import NominalChi2
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
-from irlos_pipe.estimate.starts import FEW_FRAMES, a_wave_off, better, median_of_frames_nm
-from irlos_pipe.numerics.solution import CONVERGED, INVALID, Solution
+from irlos_pipe.estimate.starts import FEW_FRAMES, median_of_frames_nm
+from irlos_pipe.numerics.solution import CONVERGED, Solution
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS, WINDOW, FLUX_E = tuple(range(2, 16)), 40, 1e6
@@ -73,38 +71,6 @@ def test_a_fit_that_ended_wrong_is_tried_again(frames, truth_nm, monkeypatch):
     assert once.chi2_nu > 10
 
 
-def test_a_fit_worse_than_nominal_is_tried_again(frames, truth_nm, monkeypatch):
-    """Nothing is wrong with it, but for a nominal χ²/ν far below its own; both starts end alike."""
-    starts = []
-
-    def counted(*arguments):
-        starts.append(median_of_frames_nm(*arguments))
-        return starts[-1]
-
-    monkeypatch.setattr(cube_fit, "median_of_frames_nm", counted)
-    monkeypatch.setattr(cube_fit, "nominal_of", lambda *fit: NominalChi2(0.3, 0.03))
-    options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR)
-    found = calibrate(frames, cases.settings(WINDOW), options)
-    assert len(starts) == 1
-    assert np.linalg.norm(found.zernike_nm - truth_nm[0].numpy()) < 2
-
-
-def test_a_good_fit_is_left_alone(frames, monkeypatch):
-    def refuse(*arguments):
-        raise AssertionError("a second start was made")
-
-    monkeypatch.setattr(cube_fit, "median_of_frames_nm", refuse)
-    calibrate(frames, cases.settings(WINDOW), CalibrationOptions(highest_noll=15, prior=cases.PRIOR))
-
-
-def test_the_lower_objective_wins_and_an_invalid_fit_loses():
-    low, high, invalid = solution(1.0), solution(2.0), solution(float("nan"), INVALID)
-    assert better(high, low) is low
-    assert better(low, high) is low
-    assert better(low, invalid) is low
-    assert better(invalid, high) is high
-
-
 PISTONS_NM = np.array([515.0, -585.0, 154.0, -84.0])
 BROAD = tuple((wavelength_nm, 1.0) for wavelength_nm in (1150.0, 1300.0, 1500.0, 1600.0, 1750.0))
 
@@ -133,9 +99,3 @@ def test_a_petal_that_a_fit_left_a_wave_off_is_brought_back(frames_of_petals, mo
     assert np.abs(petals_nm(frames_of_petals) - expected).max() < 3
     monkeypatch.setattr(cube_fit, "a_wave_off", lambda *_: [])
     assert np.abs(petals_nm(frames_of_petals) - expected).max() > 500
-
-
-def test_a_pupil_without_parts_has_nothing_a_wave_off():
-    model = ImageModel(PsfModel(cases.settings(WINDOW), NOLLS))
-    problem = ImageFit(model, Layout(NOLLS, ()), *torch.ones(2, 1, 1, WINDOW**2))
-    assert a_wave_off(problem, torch.zeros(1, len(NOLLS) + 2)) == []

@@ -60,9 +60,3 @@ def test_the_strehl_ratio_is_that_of_hcipys_images():
     images = [imager.image(opd, WAVELENGTH_NM, WINDOW, SCALE_MAS) for opd in (imager.opd_nm(modes), 0.0)]
     true = images[0].max() / images[1].max()
     assert budget(modes=modes)[ALL].alone == pytest.approx(true, abs=1e-3)
-
-
-def test_correction_leaves_what_the_budget_has_without_it():
-    found = budget(low={5: 60.0}, high={14: 40.0})
-    assert found["low"].without == found["high"].alone
-    assert found[ALL].without == 1.0

@@ -1,7 +1,8 @@
-"""LIFT on the four images of a 2x2 mode, and what they determine.
+"""LIFT on the four images of a 2x2 mode, what they determine, and defocus from their centroids.
 
 Truth: wavefronts put into the model itself with Gaussian noise, so these tests share all assumptions of the
-model; `tests/simulate/test_simulate_lenslets.py` compares its images with those of the simulator.
+model; `tests/simulate/test_simulate_lenslets.py` compares its images with those of the simulator. Of
+centroids: mean slopes by numerical integration, and images of known wavefronts.
 """
 
 import numpy as np
@@ -9,14 +10,18 @@ import pytest
 import torch
 from helpers.lenslet_cases import lenslet_settings
 
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.lenslet_images import SIGMA_MAS, LensletImages
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.lenslets import gradient_matrix, identified
+from irlos_pipe.estimate.lenslets import NOLLS, SIDES, gradient_matrix, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import LensletArray
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.optics.zernike import zernike_basis
 
 SETTINGS = lenslet_settings(24)
 NOISE, GOOD = NoiseModel(1.25, 4.0), torch.ones(24, 24, dtype=torch.bool)
@@ -69,3 +74,43 @@ def test_a_dark_image_determines_nothing_and_a_bright_one_everything(model):
     found = identified(model, {4: 30.0}, nothing, bright, prior)
     assert found.combinations == 5 and found.determined() == (2, 3, 4, 5, 6)
     assert np.all(found.left < 0.01)
+
+
+# -- centroids -----------------------------------------------------------------------------------
+
+
+MAS_RAD = np.pi / 180 / 3600e3
+UT4 = load_instrument("irlos").pupil
+
+
+def test_the_gradient_matrix_is_the_mean_slope_of_every_quarter_of_an_annulus():
+    geometry = PupilGeometry(8.0, 1.116)
+    u = (np.arange(1200) - 599.5) / 150
+    x, y = np.meshgrid(u, u)
+    radius = np.hypot(x, y)
+    clear = (radius < 4) & (radius > 0.558)
+    step = 1e-4
+    for column, noll in enumerate(NOLLS):
+        along_x, along_y = (
+            (
+                zernike_basis((noll,), (x + a) / 4, (y + b) / 4)[0]
+                - zernike_basis((noll,), (x - a) / 4, (y - b) / 4)[0]
+            )
+            * 1e-9
+            / (2 * step)
+            for a, b in ((step, 0), (0, step))
+        )
+        for lenslet, (right, up) in enumerate(SIDES):
+            part = clear & (x * right > 0) & (y * up > 0)
+            expected_mas = np.array([along_x[part].mean(), along_y[part].mean()]) / MAS_RAD
+            found = gradient_matrix(geometry)[2 * lenslet : 2 * lenslet + 2, column]
+            assert found == pytest.approx(expected_mas, abs=2e-4 * np.abs(gradient_matrix(geometry)).max())
+
+
+def test_modes_of_noise_free_images_come_back_within_the_gain_of_the_threshold():
+    settings = PsfSettings(UT4, (36, 36), 78.0, ((1600.0, 1.0),), KnownWavefront(), 80, lenslets=2)
+    model = LensletArray(settings.for_broad_images(), NOLLS, dtype=torch.float64)
+    modes = torch.tensor([[50.0, -40.0, 60.0, 30.0, -35.0]], dtype=torch.float64)
+    images = 1e6 * model.images(modes).numpy()
+    found = modes_of_centroids_nm(images, UT4, 78.0, noise_e=1.0)[0]
+    assert found == pytest.approx(modes[0].numpy(), rel=0.25, abs=3)

@@ -16,6 +16,8 @@ ODD = (
     "a\nb", "a\tb", "a'b\"c", "%s%n", "{x}", "<script>alert(1)</script>", "\x1b[31mred", "\u202egnp", "ł€😀",
     "n" * 250, "NUL", "COM1", "a=b", "results.json", "..\\..\\x", "arrays", "*", "a\0b", "\udcff\udcfe", "",
 )  # fmt: skip
+RECORDING = {"role": "ncpa_calibration", "mag_j": 7.0, "frames": 1, "exposure_s": 0.01, "frame_rate_hz": 10}
+RECORDING |= {"window": [8, 8], "bands": "narrow_h"}
 PRINTABLE = [name for name in ODD if "\0" not in name]
 
 
@@ -60,17 +62,7 @@ def simulated_name(folder: Path, rng: np.random.Generator) -> Case:
     content = {
         "simulation": pick(rng, ["x", name]),
         "diversity": {"source": "lens", "zernike": {6: -170.0}},
-        "recordings": {
-            name: {
-                "role": "ncpa_calibration",
-                "mag_j": 7.0,
-                "frames": 1,
-                "exposure_s": 0.01,
-                "frame_rate_hz": 10,
-                "window": [8, 8],
-                "bands": "narrow_h",
-            }
-        },
+        "recordings": {name: RECORDING},
     }
     (folder / "spec.yaml").write_text(yaml.safe_dump(content))
     return Case(
@@ -82,27 +74,11 @@ def simulated_name(folder: Path, rng: np.random.Generator) -> Case:
 @kind
 def argument(folder: Path, rng: np.random.Generator) -> Case:
     """Give odd paths where a command expects a file or a folder."""
-    place = pick(
-        rng,
-        [
-            "/dev/null",
-            "/dev/zero",
-            "/proc/self/mem",
-            "/",
-            str(folder),
-            str(folder / ("n" * 300)),
-            "",
-            str(folder / "no such"),
-            "\udcff",
-            *PRINTABLE,
-        ],
-    )
+    inside = [str(folder), str(folder / ("n" * 300)), "", str(folder / "no such")]
+    places = ["/dev/null", "/dev/zero", "/proc/self/mem", "/", *inside, "\udcff", *PRINTABLE]
+    place = pick(rng, places)
     commands = [
-        ("show", place),
-        ("status", place),
-        ("report", place),
-        ("validate", place),
-        ("export", place),
+        *((command, place) for command in ("show", "status", "report", "validate", "export")),
         ("score", place, "--truth", place),
         ("simulate", place, "--output", str(folder / "out")),
         ("run", place, "--output", str(folder / "out")),

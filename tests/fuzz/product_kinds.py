@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -38,7 +40,10 @@ def product_links(folder: Path, rng: np.random.Generator) -> Case:
     (folder / "secret.txt").write_text("secret" * 100)
     how = pick(rng, list(LINKS))
     with h5py.File(run / PRODUCT, "r+") as file:
-        LINKS[how](file, pick(rng, ["results", "provenance", "arrays/extra", "log", "arrays"]), folder)
+        name = pick(rng, ["results", "provenance", "arrays/extra", "log", "arrays"])
+        if name in file and how != MANY:
+            del file[name]
+        LINKS[how](file, name, folder)
     return _looked_at(run, folder, how, rng)
 
 
@@ -84,40 +89,17 @@ def truth(folder: Path, rng: np.random.Generator) -> Case:
 
 
 def _external_link(file: h5py.File, name: str, folder: Path) -> None:
-    _place(file, name)
     with h5py.File(folder / "other.h5", "w") as other:
         other["x"] = "{}"
     file[name] = h5py.ExternalLink(str(folder / "other.h5"), "/x")
 
 
-def _link_to_no_hdf5(file: h5py.File, name: str, folder: Path) -> None:
-    _place(file, name)
-    file[name] = h5py.ExternalLink("/etc/passwd", "/x")
-
-
-def _link_to_device(file: h5py.File, name: str, folder: Path) -> None:
-    _place(file, name)
-    file[name] = h5py.ExternalLink("/dev/zero", "/x")
-
-
-def _soft_loop(file: h5py.File, name: str, folder: Path) -> None:
-    _place(file, name)
-    file[name] = h5py.SoftLink(f"/{name}")
-
-
-def _hard_loop(file: h5py.File, name: str, folder: Path) -> None:
-    _place(file, name)
-    file[name] = file["/"]
-
-
 def _outside_storage(file: h5py.File, name: str, folder: Path) -> None:
     """Data in another file, as HDF5 allows."""
-    _place(file, name)
     file.create_dataset(name, (600,), "u1", external=[(str(folder / "secret.txt"), 0, 600)])
 
 
 def _virtual(file: h5py.File, name: str, folder: Path) -> None:
-    _place(file, name)
     layout = h5py.VirtualLayout((600,), "u1")
     layout[:] = h5py.VirtualSource(str(folder / "other.h5"), "x", (600,))
     file.create_virtual_dataset(name, layout)
@@ -125,41 +107,28 @@ def _virtual(file: h5py.File, name: str, folder: Path) -> None:
 
 def _huge(file: h5py.File, name: str, folder: Path) -> None:
     """An array of terabytes of which nothing is stored."""
-    _place(file, name)
     file.create_dataset(name, (10**6, 10**6), "f8", chunks=(1000, 1000)).attrs.update(unit="", description="")
 
 
-def _many(file: h5py.File, name: str, folder: Path) -> None:
-    """Thousands of names for one array."""
-    for number in range(3000):
-        file[f"arrays/copy{number}"] = file["log"]
+def _linked(link: Callable[[h5py.File, str], Any]) -> Callable[[h5py.File, str, Path], None]:
+    return lambda file, name, folder: file.__setitem__(name, link(file, name))
 
 
-def _other_type(file: h5py.File, name: str, folder: Path) -> None:
-    _place(file, name)
-    file[name] = np.zeros(3, [("a", "f4"), ("b", "S5")])
-
-
-LINKS = {
-    made.__name__.strip("_").replace("_", " "): made
-    for made in (
-        _external_link,
-        _link_to_no_hdf5,
-        _link_to_device,
-        _soft_loop,
-        _hard_loop,
-        _outside_storage,
-        _virtual,
-        _huge,
-        _many,
-        _other_type,
-    )
+MANY = "many"  # names for one array, thousands of them; nothing is replaced
+LINKS: dict[str, Callable[[h5py.File, str, Path], None]] = {
+    "external link": _external_link,
+    "link to no hdf5": _linked(lambda file, name: h5py.ExternalLink("/etc/passwd", "/x")),
+    "link to device": _linked(lambda file, name: h5py.ExternalLink("/dev/zero", "/x")),
+    "soft loop": _linked(lambda file, name: h5py.SoftLink(f"/{name}")),
+    "hard loop": _linked(lambda file, name: file["/"]),
+    "outside storage": _outside_storage,
+    "virtual": _virtual,
+    "huge": _huge,
+    MANY: lambda file, name, folder: file["arrays"].update(
+        {f"copy{number}": file["log"] for number in range(3000)}
+    ),
+    "other type": _linked(lambda file, name: np.zeros(3, [("a", "f4"), ("b", "S5")])),
 }
-
-
-def _place(file: h5py.File, name: str) -> None:
-    if name in file:
-        del file[name]
 
 
 def _unseal(product: Path) -> None:
@@ -170,14 +139,8 @@ def _unseal(product: Path) -> None:
 
 def _looked_at(run: Path, folder: Path, summary: str, rng: np.random.Generator) -> Case:
     """Look at the run with one of the commands that read products."""
-    export = (
-        "export",
-        str(run / PRODUCT),
-        "--array",
-        "recordings/cube/sky/images_e",
-        "--output",
-        str(run / "out.fits"),
-    )
+    array = ("--array", "recordings/cube/sky/images_e")
+    export = ("export", str(run / PRODUCT), *array, "--output", str(run / "out.fits"))
     again = ("run", str(folder / "recipe.yaml"), "--output", str(run), "--jobs", "1", "--device", "cpu")
     commands = [("show", str(run / PRODUCT)), ("status", str(run)), ("report", str(run)), export, again]
     command = pick(rng, commands)

@@ -6,7 +6,9 @@ import gzip
 import os
 import shutil
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from astropy.io import fits
@@ -70,10 +72,10 @@ def output_entries(folder: Path, rng: np.random.Generator) -> Case:
              "report.html", "qc.json", "recipe.resolved.yaml", "earlier", "thesis.tex"]  # fmt: skip
     done = []
     for name in rng.choice(names, 2, replace=False):
-        how = pick(rng, [_link_to_file, _link_to_folder, _pipe, _folder, _noise])
+        how = pick(rng, list(IN_OUTPUT))
         _remove(out / str(name))
-        how(out / str(name), folder / "mine")
-        done.append(f"{name}:{how.__name__}")
+        IN_OUTPUT[how](out / str(name), folder / "mine")
+        done.append(f"{name}:{how}")
     return Case(", ".join(done), _run(folder), place=True)
 
 
@@ -103,54 +105,12 @@ def _clutter(path: Path, rng: np.random.Generator) -> str:
     )
     target = path.with_name(name)
     if not target.exists() and not target.is_symlink():
-        how(target, path)
-    return f"{name!r}:{how.__name__}"
-
-
-def _pipe(target: Path, _: Path) -> None:
-    os.mkfifo(target)
-
-
-def _device(target: Path, _: Path) -> None:
-    target.symlink_to(pick(np.random.default_rng(0), ["/dev/zero", "/dev/full", "/dev/tty"]))
-
-
-def _loop(target: Path, _: Path) -> None:
-    target.symlink_to(".")
-
-
-def _upwards(target: Path, _: Path) -> None:
-    target.symlink_to("../..")
-
-
-def _nowhere(target: Path, _: Path) -> None:
-    target.symlink_to("gone.fits")
-
-
-def _itself(target: Path, _: Path) -> None:
-    target.symlink_to(target.name)
-
-
-def _second_name(target: Path, path: Path) -> None:
-    target.symlink_to(path.name)
-
-
-def _copy(target: Path, path: Path) -> None:
-    shutil.copy(path, target)
-
-
-def _packed_copy(target: Path, path: Path) -> None:
-    target.with_name("sky.fits.gz").write_bytes(gzip.compress(path.read_bytes()))
-
-
-def _header_only(target: Path, path: Path) -> None:
-    target.write_bytes(path.read_bytes()[:2880])
+        CLUTTER[how](target, path)
+    return f"{name!r}:{how}"
 
 
 def _deep(target: Path, path: Path) -> None:
-    folder = target.with_name("deep")
-    for _ in range(60):
-        folder = folder / "d"
+    folder = target.with_name("deep").joinpath(*["d"] * 60)
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copy(path, folder / path.name)
 
@@ -160,22 +120,6 @@ def _two_tables(_: Path, path: Path) -> None:
     fits.HDUList([fits.PrimaryHDU(), table, table.copy()]).writeto(path, overwrite=True)
 
 
-def _folder(target: Path, _: Path) -> None:
-    target.mkdir()
-
-
-def _noise(target: Path, _: Path) -> None:
-    target.write_bytes(bytes(range(256)) * 20)
-
-
-def _link_to_file(target: Path, mine: Path) -> None:
-    target.symlink_to(mine / "notes")
-
-
-def _link_to_folder(target: Path, mine: Path) -> None:
-    target.symlink_to(mine)
-
-
 def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
@@ -183,10 +127,37 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-CLUTTER = (
-    _pipe, _device, _loop, _upwards, _nowhere, _itself, _second_name, _copy, _packed_copy, _header_only,
-    _deep, _two_tables, _folder, _noise,
-)  # fmt: skip
+Change = Callable[[Path, Path], Any]  # of a place, and the recording beside it or a folder of somebody else's
+PLAIN: dict[str, Change] = {
+    "_pipe": lambda target, _: os.mkfifo(target),
+    "_folder": lambda target, _: target.mkdir(),
+    "_noise": lambda target, _: target.write_bytes(bytes(range(256)) * 20),
+}
+CLUTTER: dict[str, Change] = {
+    "_pipe": PLAIN["_pipe"],
+    "_device": lambda target, _: target.symlink_to(
+        pick(np.random.default_rng(0), ["/dev/zero", "/dev/full", "/dev/tty"])
+    ),
+    "_loop": lambda target, _: target.symlink_to("."),
+    "_upwards": lambda target, _: target.symlink_to("../.."),
+    "_nowhere": lambda target, _: target.symlink_to("gone.fits"),
+    "_itself": lambda target, _: target.symlink_to(target.name),
+    "_second_name": lambda target, path: target.symlink_to(path.name),
+    "_copy": lambda target, path: shutil.copy(path, target),
+    "_packed_copy": lambda target, path: target.with_name("sky.fits.gz").write_bytes(
+        gzip.compress(path.read_bytes())
+    ),
+    "_header_only": lambda target, path: target.write_bytes(path.read_bytes()[:2880]),
+    "_deep": _deep,
+    "_two_tables": _two_tables,
+    "_folder": PLAIN["_folder"],
+    "_noise": PLAIN["_noise"],
+}
+IN_OUTPUT: dict[str, Change] = {
+    "_link_to_file": lambda target, mine: target.symlink_to(mine / "notes"),
+    "_link_to_folder": lambda target, mine: target.symlink_to(mine),
+    **PLAIN,
+}
 
 
 def _run(folder: Path) -> tuple[str, ...]:

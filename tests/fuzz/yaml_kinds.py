@@ -25,6 +25,10 @@ ABSURD = (
     "? [1, 2]", "- x", "%TAG", "---", "...", "@", "`", "|", "../../../../etc/passwd", "/dev/zero",
     "/dev/stdin", "a" * 5000, "null: null", "#", "\t", "=",
 )  # fmt: skip
+SETTINGS = [
+    "ingest.flux_sigma", "ingest.acquisition", "ingest.acquisition.spectrum", "model.effects", "seed",
+    "stages", "ingest", "", ".", "a.b.c", "stages.0", "inputs.cube", "ingest.0.0",
+]  # fmt: skip
 
 
 @kind
@@ -53,22 +57,7 @@ def recipe(folder: Path, rng: np.random.Generator) -> Case:
 def setting(folder: Path, rng: np.random.Generator) -> Case:
     """Give options of the command line odd keys and values."""
     pristine.write("cube", folder / "in")
-    keys = [
-        "ingest.flux_sigma",
-        "ingest.acquisition",
-        "ingest.acquisition.spectrum",
-        "model.effects",
-        "seed",
-        "stages",
-        "ingest",
-        "",
-        ".",
-        "a.b.c",
-        "stages.0",
-        "inputs.cube",
-        "ingest.0.0",
-    ]
-    text = f"{pick(rng, keys)}{pick(rng, ['=', '=', '=', ''])}{pick(rng, list(ABSURD))}"
+    text = f"{pick(rng, SETTINGS)}{pick(rng, ['=', '=', '=', ''])}{pick(rng, list(ABSURD))}"
     option = pick(rng, ["--set", "--set", "--input", "--from", "--seed"])
     return Case(f"{option} {text[:60]}", _run(pristine.write_recipe(folder), folder, f"{option}={text}"))
 

@@ -43,15 +43,6 @@ def test_what_is_linear_or_constant_is_differentiated_as_well(function, slope):
     assert Directional(function, VALUES).by(0).tolist() == pytest.approx([slope, 0.0, 0.0])
 
 
-def test_neither_the_argument_nor_the_callers_mode_changes():
-    values = VALUES.clone()
-    with torch.no_grad():
-        change = Directional(squares, values).by(0)
-        assert not torch.is_grad_enabled()
-    assert torch.equal(values, VALUES)
-    assert not (values.requires_grad or change.requires_grad)
-
-
 @pytest.mark.slow
 def test_threads_do_not_meet_in_their_derivatives():
     def all_of_them(scale: float) -> torch.Tensor:

@@ -41,11 +41,6 @@ def test_derivatives_by_torch_func_survive_the_workers(count):
     assert torch.allclose(automatic.permute(2, 0, 1), jacobian[0], rtol=1e-8, atol=1e-14)
 
 
-def test_results_come_in_the_order_of_the_items():
-    with workers(3), torch.no_grad():
-        assert ordered_map(lambda n: n * n, range(50)) == [n * n for n in range(50)]
-
-
 def test_an_error_in_a_worker_reaches_the_caller():
     with workers(2), torch.no_grad(), pytest.raises(ZeroDivisionError):
         ordered_map(lambda n: 1 / n, [1, 0])

@@ -1,1 +1,0 @@
-"""Whether quoted errors hold: pulls of calibrations and ramps over many simulated cubes."""
