@@ -14,11 +14,10 @@ import yaml
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.conventions.text import aligned, printable, rounded_by_error
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.compared import Comparison, ModesPair, NumberPair, ValuePair
+from irlos_pipe.product.compared import Comparison, NumberPair, ValuePair
 from irlos_pipe.product.printed import (
     ArrayRow,
     CheckRow,
-    HeldProduct,
     ProductRow,
     RunStatus,
     ShownProduct,
@@ -54,8 +53,18 @@ def _printable(text: str) -> str:
 
 def product_text(product: ShownProduct) -> str:
     """Return what a `product` contains: provenance, arrays, results, configuration, QC and log."""
+    made = product.provenance
+    origin = [
+        ("product", f"{product.product}, stage '{product.stage}'"),
+        ("made", made.finished),
+        ("took", f"{made.seconds} s on {made.machine.host}"),
+        ("command", made.command),
+        ("software", ", ".join(f"{name} {version}" for name, version in made.software.items())),
+        ("inputs", f"{len(made.inputs)} files"),
+        ("seed", str(made.seed)),
+    ]
     parts = {
-        "": _origin(product),
+        "": aligned(origin),
         "arrays": aligned([_array_row(one) for one in product.arrays]) if product.arrays else "none",
         "results": _yaml(product.results),
         "configuration": _yaml(product.configuration),
@@ -70,19 +79,14 @@ def run_text(run: ShownRun) -> str:
     head = ": ".join(filter(None, (run.run, ", ".join(filter(None, (run.recipe, run.status))))))
     rows: list[tuple[str, ...]] = [("product", "arrays", "QC", "")]
     for one in run.products:
-        rows += _held_rows(one)
+        if one.problem:
+            rows.append((one.product, "-", "-", one.problem))
+            continue
+        first, *more = one.summary or [""]
+        rows.append((one.product, str(one.arrays), f"{one.passed}/{one.checks}", first))
+        rows += [("", "", "", line) for line in more]
     files = f"other files: {', '.join(run.files)}"
     return _printable("\n".join(filter(None, (head, run.notice, aligned(rows), files))))
-
-
-def _held_rows(one: HeldProduct) -> list[tuple[str, ...]]:
-    if one.problem:
-        return [(one.product, "-", "-", one.problem)]
-    first, *more = one.summary or [""]
-    return [
-        (one.product, str(one.arrays), f"{one.passed}/{one.checks}", first),
-        *(("", "", "", line) for line in more),
-    ]
 
 
 def run_status(folder: Path) -> RunStatus:
@@ -137,7 +141,11 @@ def _row(path: Path, state: str, reason: str) -> ProductRow:
 def status_text(status: RunStatus) -> str:
     """Return one line per product of a run: whether it is up to date, its QC and when it was made."""
     rows = [("product", "state", "QC", "finished")]
-    return aligned([*rows, *map(_status_row, status.products)])
+    for one in status.products:
+        quality = "-" if one.checks is None else f"{one.passed}/{one.checks}"
+        state = f"{one.state}: {one.reason}" if one.reason else one.state
+        rows.append((one.product, state, quality, one.finished or "-"))
+    return aligned(rows)
 
 
 def versions_text(found: Versions) -> str:
@@ -147,27 +155,6 @@ def versions_text(found: Versions) -> str:
         latest = "latest" if one.latest else ""
         told = (one.version, one.recipe or "-", one.status, one.finished or "-", one.software or "-")
         rows.append((*told, latest, ", ".join(one.changed)))
-    return aligned(rows)
-
-
-def _status_row(row: ProductRow) -> tuple[str, ...]:
-    quality = "-" if row.checks is None else f"{row.passed}/{row.checks}"
-    state = f"{row.state}: {row.reason}" if row.reason else row.state
-    return row.product, state, quality, row.finished or "-"
-
-
-def _origin(product: ShownProduct) -> str:
-    made = product.provenance
-    software = ", ".join(f"{name} {version}" for name, version in made.software.items())
-    rows = [
-        ("product", f"{product.product}, stage '{product.stage}'"),
-        ("made", made.finished),
-        ("took", f"{made.seconds} s on {made.machine.host}"),
-        ("command", made.command),
-        ("software", software),
-        ("inputs", f"{len(made.inputs)} files"),
-        ("seed", str(made.seed)),
-    ]
     return aligned(rows)
 
 
@@ -192,14 +179,22 @@ def comparison_text(found: Comparison, everything: bool) -> str:
     """Return what was `found` to differ between two runs: `everything`, or the numbers that matter most."""
     differ = [one for one in found.numbers if one.difference != 0]
     most = sorted(differ, key=_rank, reverse=True)
+    files = [f"{one.name}: {_change(one)}" for one in found.files]
+    wavefronts = [
+        (
+            f"{one.stage} {one.name}",
+            f"{one.modes} modes",
+            f"{one.difference_nm:.1f} nm RMS between them",
+            f"{one.expected_nm:.1f} nm RMS from both errors",
+        )
+        for one in found.modes
+    ]
     parts = {
         "runs": aligned([("first", found.first), ("second", found.second), *_rows(found.told)]),
         "settings": _table(found.settings),
-        "input files": _files_text(found),
-        "wavefronts": aligned([_modes_row(one) for one in found.modes]) if found.modes else "",
-        f"numbers ({len(differ)} of {len(found.numbers)} differ)": _numbers_text(
-            most if everything else most[:SHOWN], len(differ)
-        ),
+        "input files": SAME_FILES if found.same_files else "\n".join(files),
+        "wavefronts": aligned(wavefronts) if wavefronts else "",
+        f"numbers ({len(differ)} of {len(found.numbers)} differ)": _numbers_text(most, everything),
         "words": _table(found.words),
         f"only in {found.first}": _gathered(found.only_first),
         f"only in {found.second}": _gathered(found.only_second),
@@ -216,11 +211,12 @@ def _rank(one: NumberPair) -> tuple[float, float]:
     return -1.0, abs(one.difference) / size if size > 0 else 0.0
 
 
-def _numbers_text(shown: Sequence[NumberPair], differ: int) -> str:
-    if not shown:
+def _numbers_text(differ: Sequence[NumberPair], everything: bool) -> str:
+    if not differ:
         return SAME
+    shown = differ if everything else differ[:SHOWN]
     head = ("stage", "number", "first", "second", "difference", "")
-    more = [f"… and {differ - len(shown)} more: --all shows them"] if differ > len(shown) else []
+    more = [f"… and {len(differ) - SHOWN} more: --all shows them"] if len(differ) > len(shown) else []
     return "\n".join([aligned([head, *map(_number_row, shown)]), *more])
 
 
@@ -233,21 +229,6 @@ def _number_row(one: NumberPair) -> tuple[str, ...]:
         f"{one.difference:+.3g} {one.unit}".rstrip(),
         f"{one.sigmas:+.1f} σ" if math.isfinite(one.sigmas) else "",
     )
-
-
-def _modes_row(one: ModesPair) -> tuple[str, ...]:
-    return (
-        f"{one.stage} {one.name}",
-        f"{one.modes} modes",
-        f"{one.difference_nm:.1f} nm RMS between them",
-        f"{one.expected_nm:.1f} nm RMS from both errors",
-    )
-
-
-def _files_text(found: Comparison) -> str:
-    if found.same_files:
-        return SAME_FILES
-    return "\n".join(f"{one.name}: {_change(one)}" for one in found.files)
 
 
 def _gathered(names: Sequence[str]) -> str:
