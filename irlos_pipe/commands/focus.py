@@ -17,6 +17,7 @@ import click
 from irlos_pipe.commands import options
 from irlos_pipe.commands.exits import EXIT_CODES, terminated_like_interrupted
 from irlos_pipe.commands.options import FROM_0, FROM_1, argument, command, option
+from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode
 
 if TYPE_CHECKING:
@@ -78,12 +79,19 @@ class FocusOptions:
     counter_step: int = option(
         "--counter-step", "Counts of the recorder from read to read.", type=FROM_1, default=1
     )
-    gain: float = number("--gain", "Of the controller, per exposure.", default=0.4)
-    leak: float = number("--leak", "Of the controller, per exposure.", default=0.0)
-    delay: int = option("--delay", "Exposures from the end of one to its effect.", type=FROM_0, default=1)
-    limit_nm: float = positive("--limit-nm", "Largest offset.", default=1500.0)
+    gain: float = number("--gain", "Of the controller, per exposure.", default=ControllerSettings.gain)
+    leak: float = number("--leak", "Of the controller, per exposure.", default=ControllerSettings.leak)
+    delay: int = option(
+        "--delay",
+        "Exposures from the end of one to its effect.",
+        type=FROM_0,
+        default=ControllerSettings.delay,
+    )
+    limit_nm: float = positive("--limit-nm", "Largest offset.", default=ControllerSettings.limit_nm)
     jump_nm: float = positive(
-        "--jump-nm", "Largest change at once while the loop is being closed.", default=400.0
+        "--jump-nm",
+        "Largest change at once while the loop is being closed.",
+        default=ControllerSettings.jump_nm,
     )
     max_misfit: float = positive(
         "--max-misfit", "Part of the light that the model may leave unexplained, beyond noise.", default=0.3
@@ -143,7 +151,6 @@ class FocusOptions:
         ConfigurationError
             The controller cannot work with them.
         """
-        from irlos_pipe.control.controller import ControllerSettings
         from irlos_pipe.focus.loop import LoopSettings
 
         try:

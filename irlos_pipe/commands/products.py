@@ -37,8 +37,7 @@ def status(folder: Path = argument("DIR"), as_json: bool = options.JSON) -> None
       irlos status demo
       irlos status demo --json
     """
-    from irlos_pipe.commands.standing import run_status
-    from irlos_pipe.commands.text import status_text, versions_text
+    from irlos_pipe.commands.text import run_status, status_text, versions_text
     from irlos_pipe.product.versions import version_folders, versions_in
 
     with readable(folder):

@@ -113,8 +113,8 @@ def paper(
     from irlos_pipe.paper.run.recipes import find_experiments
     from irlos_pipe.paper.run.run import run_paper
 
-    experiments = find_experiments(recipes or shipped_folder(PAPER), quick=quick, only=only, seed=seed)
     with at_work(verbose, quiet):
+        experiments = find_experiments(recipes or shipped_folder(PAPER), quick=quick, only=only, seed=seed)
         ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
     if not quiet:
         click.echo(ran.summary())

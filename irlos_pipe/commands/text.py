@@ -1,4 +1,4 @@
-"""What commands print of runs and products, as text."""
+"""What commands say of runs and products: where they stand, what they hold, how they differ; and its text."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import yaml
 
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.conventions.text import aligned, printable, rounded_by_error
 from irlos_pipe.product.printed import (
     ArrayRow,
@@ -18,6 +20,8 @@ from irlos_pipe.product.printed import (
     HeldProduct,
     ModesPair,
     NumberPair,
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.product.compared import Comparison, NumberPair, ValuePair
     ProductRow,
     RunStatus,
     ShownProduct,
@@ -25,6 +29,14 @@ from irlos_pipe.product.printed import (
     ValuePair,
     Versions,
 )
+from irlos_pipe.product.results import provenance_of
+from irlos_pipe.product.runfolder import RunFolder, existing_run
+from irlos_pipe.product.standing import is_standing
+from irlos_pipe.product.storage import read_product
+
+CURRENT, OUTDATED = "up to date", "outdated"
+FOREIGN, UNKNOWN = "not of this recipe", "cannot be checked"
+State = tuple[str, str]  # and why
 
 SHOWN = 20  # numbers of a comparison, unless all are asked for
 LONGEST = 60
@@ -46,8 +58,18 @@ def _printable(text: str) -> str:
 
 def product_text(product: ShownProduct) -> str:
     """Return what a `product` contains: provenance, arrays, results, configuration, QC and log."""
+    made = product.provenance
+    origin = [
+        ("product", f"{product.product}, stage '{product.stage}'"),
+        ("made", made.finished),
+        ("took", f"{made.seconds} s on {made.machine.host}"),
+        ("command", made.command),
+        ("software", ", ".join(f"{name} {version}" for name, version in made.software.items())),
+        ("inputs", f"{len(made.inputs)} files"),
+        ("seed", str(made.seed)),
+    ]
     parts = {
-        "": _origin(product),
+        "": aligned(origin),
         "arrays": aligned([_array_row(one) for one in product.arrays]) if product.arrays else "none",
         "results": _yaml(product.results),
         "configuration": _yaml(product.configuration),
@@ -62,25 +84,73 @@ def run_text(run: ShownRun) -> str:
     head = ": ".join(filter(None, (run.run, ", ".join(filter(None, (run.recipe, run.status))))))
     rows: list[tuple[str, ...]] = [("product", "arrays", "QC", "")]
     for one in run.products:
-        rows += _held_rows(one)
+        if one.problem:
+            rows.append((one.product, "-", "-", one.problem))
+            continue
+        first, *more = one.summary or [""]
+        rows.append((one.product, str(one.arrays), f"{one.passed}/{one.checks}", first))
+        rows += [("", "", "", line) for line in more]
     files = f"other files: {', '.join(run.files)}"
     return _printable("\n".join(filter(None, (head, run.notice, aligned(rows), files))))
 
 
-def _held_rows(one: HeldProduct) -> list[tuple[str, ...]]:
-    if one.problem:
-        return [(one.product, "-", "-", one.problem)]
-    first, *more = one.summary or [""]
-    return [
-        (one.product, str(one.arrays), f"{one.passed}/{one.checks}", first),
-        *(("", "", "", line) for line in more),
-    ]
+def run_status(folder: Path) -> RunStatus:
+    """Return where each product of the run in `folder` stands.
+
+    Raises
+    ------
+    InputDataError
+        When `folder` holds no run.
+    """
+    run = existing_run(folder)
+    states = _states(run)
+    current = all(state == CURRENT for state, _ in states.values())
+    there = [path.name for path in run.product_files]
+    rows = [_row(run.path / name, *states.pop(name, (FOREIGN, ""))) for name in there]
+    rows += [ProductRow(product=name, state=state, reason=why) for name, (state, why) in states.items()]
+    return RunStatus(run=str(folder), current=current, products=rows)
+
+
+def _states(run: RunFolder) -> dict[str, State]:
+    """State of each product of the run's recipe by file name."""
+    if is_standing(run):
+        stages = load_yaml(run.recipe)[0]["stages"]
+        return {run.product(position, stage).name: (CURRENT, "") for position, stage in enumerate(stages, 1)}
+    # late: a plan needs the modules of all stages
+    from irlos_pipe.pipeline.plan import Selection
+    from irlos_pipe.pipeline.run import plan_run
+    from irlos_pipe.recipe import load_recipe
+
+    try:
+        _, steps = plan_run(load_recipe(run.recipe), run.path, Selection())
+    except IrlosError as error:
+        reason = str(error).splitlines()[0]
+        return {path.name: (UNKNOWN, reason) for path in run.product_files}
+    return {step.path.name: (CURRENT, "") if step.current else (OUTDATED, step.reason) for step in steps}
+
+
+def _row(path: Path, state: str, reason: str) -> ProductRow:
+    told = {"product": path.name, "state": state, "reason": reason}
+    try:
+        product = read_product(path, arrays=False)
+    except InputDataError:
+        return ProductRow(**told)
+    return ProductRow(
+        **told,
+        checks=len(product.checks),
+        passed=sum(check.passed for check in product.checks),
+        finished=provenance_of(product).finished,
+    )
 
 
 def status_text(status: RunStatus) -> str:
     """Return one line per product of a run: whether it is up to date, its QC and when it was made."""
     rows = [("product", "state", "QC", "finished")]
-    return aligned([*rows, *map(_status_row, status.products)])
+    for one in status.products:
+        quality = "-" if one.checks is None else f"{one.passed}/{one.checks}"
+        state = f"{one.state}: {one.reason}" if one.reason else one.state
+        rows.append((one.product, state, quality, one.finished or "-"))
+    return aligned(rows)
 
 
 def versions_text(found: Versions) -> str:
@@ -90,27 +160,6 @@ def versions_text(found: Versions) -> str:
         latest = "latest" if one.latest else ""
         told = (one.version, one.recipe or "-", one.status, one.finished or "-", one.software or "-")
         rows.append((*told, latest, ", ".join(one.changed)))
-    return aligned(rows)
-
-
-def _status_row(row: ProductRow) -> tuple[str, ...]:
-    quality = "-" if row.checks is None else f"{row.passed}/{row.checks}"
-    state = f"{row.state}: {row.reason}" if row.reason else row.state
-    return row.product, state, quality, row.finished or "-"
-
-
-def _origin(product: ShownProduct) -> str:
-    made = product.provenance
-    software = ", ".join(f"{name} {version}" for name, version in made.software.items())
-    rows = [
-        ("product", f"{product.product}, stage '{product.stage}'"),
-        ("made", made.finished),
-        ("took", f"{made.seconds} s on {made.machine.host}"),
-        ("command", made.command),
-        ("software", software),
-        ("inputs", f"{len(made.inputs)} files"),
-        ("seed", str(made.seed)),
-    ]
     return aligned(rows)
 
 
@@ -135,14 +184,22 @@ def comparison_text(found: Comparison, everything: bool) -> str:
     """Return what was `found` to differ between two runs: `everything`, or the numbers that matter most."""
     differ = [one for one in found.numbers if one.difference != 0]
     most = sorted(differ, key=_rank, reverse=True)
+    files = [f"{one.name}: {_change(one)}" for one in found.files]
+    wavefronts = [
+        (
+            f"{one.stage} {one.name}",
+            f"{one.modes} modes",
+            f"{one.difference_nm:.1f} nm RMS between them",
+            f"{one.expected_nm:.1f} nm RMS from both errors",
+        )
+        for one in found.modes
+    ]
     parts = {
         "runs": aligned([("first", found.first), ("second", found.second), *_rows(found.told)]),
         "settings": _table(found.settings),
-        "input files": _files_text(found),
-        "wavefronts": aligned([_modes_row(one) for one in found.modes]) if found.modes else "",
-        f"numbers ({len(differ)} of {len(found.numbers)} differ)": _numbers_text(
-            most if everything else most[:SHOWN], len(differ)
-        ),
+        "input files": SAME_FILES if found.same_files else "\n".join(files),
+        "wavefronts": aligned(wavefronts) if wavefronts else "",
+        f"numbers ({len(differ)} of {len(found.numbers)} differ)": _numbers_text(most, everything),
         "words": _table(found.words),
         f"only in {found.first}": _gathered(found.only_first),
         f"only in {found.second}": _gathered(found.only_second),
@@ -159,11 +216,12 @@ def _rank(one: NumberPair) -> tuple[float, float]:
     return -1.0, abs(one.difference) / size if size > 0 else 0.0
 
 
-def _numbers_text(shown: Sequence[NumberPair], differ: int) -> str:
-    if not shown:
+def _numbers_text(differ: Sequence[NumberPair], everything: bool) -> str:
+    if not differ:
         return SAME
+    shown = differ if everything else differ[:SHOWN]
     head = ("stage", "number", "first", "second", "difference", "")
-    more = [f"… and {differ - len(shown)} more: --all shows them"] if differ > len(shown) else []
+    more = [f"… and {len(differ) - SHOWN} more: --all shows them"] if len(differ) > len(shown) else []
     return "\n".join([aligned([head, *map(_number_row, shown)]), *more])
 
 
@@ -176,21 +234,6 @@ def _number_row(one: NumberPair) -> tuple[str, ...]:
         f"{one.difference:+.3g} {one.unit}".rstrip(),
         f"{one.sigmas:+.1f} σ" if math.isfinite(one.sigmas) else "",
     )
-
-
-def _modes_row(one: ModesPair) -> tuple[str, ...]:
-    return (
-        f"{one.stage} {one.name}",
-        f"{one.modes} modes",
-        f"{one.difference_nm:.1f} nm RMS between them",
-        f"{one.expected_nm:.1f} nm RMS from both errors",
-    )
-
-
-def _files_text(found: Comparison) -> str:
-    if found.same_files:
-        return SAME_FILES
-    return "\n".join(f"{one.name}: {_change(one)}" for one in found.files)
 
 
 def _gathered(names: Sequence[str]) -> str:

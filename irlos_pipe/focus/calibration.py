@@ -262,14 +262,6 @@ def _of_diversity(here: dict[int, float], there: dict[int, float]) -> Iterator[s
 # -- another calibration while the loop runs -----------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class News:
-    """A calibration that is ready, or the `problem` with one that is not used."""
-
-    calibration: Calibration | None
-    problem: str = ""
-
-
 @dataclass
 class CalibrationWatch:
     """Looks whether a run folder, or the link to one, has a new calibration; a thread makes it ready."""
@@ -278,18 +270,18 @@ class CalibrationWatch:
     current: Calibration  # in use
     _looked_s: float = field(default_factory=time.monotonic)
     _worker: threading.Thread | None = None
-    _news: News | None = None
+    _found: Calibration | str | None = None
 
     def __post_init__(self) -> None:
         self._stamp = self._present_stamp()
 
-    def news(self) -> News | None:
-        """Return what has come since the last call."""
+    def news(self) -> Calibration | str | None:
+        """Return what has come since the last call: a calibration, or what is wrong with one."""
         if self._worker is not None and not self._worker.is_alive():
             self._worker = None
-            found, self._news = self._news, None
-            if found is not None and found.calibration is not None:
-                self.current = found.calibration
+            found, self._found = self._found, None
+            if isinstance(found, Calibration):
+                self.current = found
             return found
         if self._worker is None and time.monotonic() - self._looked_s > LOOK_S:
             self._looked_s, stamp = time.monotonic(), self._present_stamp()
@@ -312,12 +304,12 @@ class CalibrationWatch:
             new = self.request.load()
             require_exchangeable(self.current, new)
         except IrlosError as error:
-            self._news = News(None, " ".join(str(error).split()))
+            self._found = " ".join(str(error).split())
         except Exception as error:  # the loop goes on with what it has, whatever is wrong with the other
             LOG.debug("calibration", exc_info=True)
-            self._news = News(None, f"{self.request.run}: cannot be used: {type(error).__name__}: {error}")
+            self._found = f"{self.request.run}: cannot be used: {type(error).__name__}: {error}"
         else:
-            self._news = News(new) if new.name != self.current.name else None
+            self._found = new if new.name != self.current.name else None
 
 
 def require_exchangeable(old: Calibration, new: Calibration) -> None:

@@ -304,12 +304,12 @@ class _Running:
             self.note(f"the clock was set by {clock_s - self._clock_s:+.1f} s")
         self._clock_s = clock_s
         news = self.watch.news()
-        if news is not None and news.calibration is not None:
-            self.loop.calibration = news.calibration
-            self.note(f"calibration {news.calibration.name}")
-            self.note_calibration(news.calibration)
+        if isinstance(news, Calibration):
+            self.loop.calibration = news
+            self.note(f"calibration {news.name}")
+            self.note_calibration(news)
         elif news is not None:
-            self.note(f"calibration kept: {news.problem}")
+            self.note(f"calibration kept: {news}")
 
     def finish(self) -> None:
         """Close what is open; an exposure that was cut short does not count."""
