@@ -12,8 +12,8 @@ from irlos_pipe.effects.base import Effect, FixedEffect, Values
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
 from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
+from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.phasor import phasor
 
 STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
 FAINT = 0.005  # flux of a second image that any camera makes

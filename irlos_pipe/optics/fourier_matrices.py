@@ -16,8 +16,12 @@ import scipy
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.optics.phasor import phasor
 from irlos_pipe.optics.pupil import CLEAN_BAND, grid_centres
+
+
+def phasor(phase: torch.Tensor) -> torch.Tensor:
+    """``exp(iφ)`` of phases φ [rad]; cosine and sine are computed by vector instructions, it is not."""
+    return torch.complex(phase.cos(), phase.sin())
 
 
 @dataclass(frozen=True)

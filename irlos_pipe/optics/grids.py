@@ -16,8 +16,7 @@ import numpy as np
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.optics.fourier_matrices import FocalGrid
-from irlos_pipe.optics.phasor import phasor
+from irlos_pipe.optics.fourier_matrices import FocalGrid, phasor
 from irlos_pipe.optics.pupil import band_limited_pupil, transmitted_cells
 from irlos_pipe.optics.zernike import zernike_basis
 

@@ -24,9 +24,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.optics.fourier_matrices import FocalGrid, half_plane_counts, quick_fft_length, require_field
+from irlos_pipe.optics.fourier_matrices import (
+    FocalGrid,
+    half_plane_counts,
+    phasor,
+    quick_fft_length,
+    require_field,
+)
 from irlos_pipe.optics.grids import Sampling
-from irlos_pipe.optics.phasor import phasor
 from irlos_pipe.optics.pupil import grid_centres
 
 SYMMETRIC = torch.tensor([[[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]], dtype=torch.float64)
