@@ -81,18 +81,14 @@ class Vibration(MotionEffect):
         """See `MotionEffect.blur`."""
         angle = np.deg2rad(self.angle_deg)
         direction = self.sigma_mas * np.array([np.cos(angle), np.sin(angle)])
-        cycles = (self.frequency_hz or _strongest_hz(lines)) * exposure_s
+        fast = [line for line in lines if line[0] > FAST_HZ]
+        if not fast and not self.frequency_hz:
+            raise SceneError("effects.vibration: the instrument states no vibration line; give frequency_hz")
+        cycles = (self.frequency_hz or max(fast, key=lambda line: line[1] + line[2])[0]) * exposure_s
         mean_mas = np.sqrt(2) * direction * np.sinc(cycles) * np.cos(2 * np.pi * rng.random())
         if self.shape == "gaussian":
             return MotionBlur(mean_mas, np.outer(direction, direction), np.zeros(2))
         return MotionBlur(mean_mas, np.zeros((2, 2)), np.sqrt(2) * direction)
-
-
-def _strongest_hz(lines: Sequence[VibrationLine]) -> float:
-    fast = [line for line in lines if line[0] > FAST_HZ]
-    if not fast:
-        raise SceneError("effects.vibration: the instrument states no vibration line; give frequency_hz")
-    return max(fast, key=lambda line: line[1] + line[2])[0]
 
 
 @dataclass(frozen=True)

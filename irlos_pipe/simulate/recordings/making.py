@@ -37,24 +37,12 @@ LOOK_S = 0.3  # between looks at the progress of the worker processes
 
 @dataclass(frozen=True)
 class Made:
-    """A recording that was made.
+    """A recording that was made."""
 
-    Attributes
-    ----------
-    truth : dict
-        Content of its truth file.
-    wavefront_fits : bytes
-        Its mean wavefront.
-    brightest_adu : int
-        Highest value of all frames [ADU].
-    saturated : int
-        Values on the end of the converter.
-    """
-
-    truth: dict[str, Any]
+    truth: dict[str, Any]  # content of its truth file
     wavefront_fits: bytes
-    brightest_adu: int
-    saturated: int
+    brightest_adu: int  # highest value of all frames
+    saturated: int  # values on the end of the converter
 
 
 def record(planned: Planned, folder: Path, spool: Path, report: Callable[[int], None]) -> Made:

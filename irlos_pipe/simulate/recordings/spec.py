@@ -35,6 +35,7 @@ from irlos_pipe.simulate.recordings.keys import (
     Shared,
 )
 from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.telescope import sum_nm
 
 BANDS = {
     "narrow_h": (Band.of(NARROW_H),),
@@ -127,8 +128,7 @@ def _aberrations(
         modes_nm = draw_ncpa_nm(rng, instrument.facility.ncpa_law, keys.total_nm, keys.modes)
     if keys.tail_nm:
         rng = np.random.default_rng([seed, number(f"{what} tail")])
-        for noll, value_nm in draw_tail_nm(rng, keys.tail_nm, *keys.tail_nolls).items():
-            modes_nm[noll] = modes_nm.get(noll, 0.0) + value_nm
+        modes_nm = sum_nm([modes_nm, draw_tail_nm(rng, keys.tail_nm, *keys.tail_nolls)])
     return modes_nm
 
 
