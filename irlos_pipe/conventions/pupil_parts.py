@@ -210,24 +210,16 @@ class Hexagon(Part):
 
 @dataclass(frozen=True)
 class Hexagons(Part):
-    """Hexagonal segments in rings about a central one.
-
-    Attributes
-    ----------
-    flat_to_flat_m, gap_m : float
-        Width of a segment between opposite sides, and of the gap between neighbours; segments have a side
-        at the top.
-    rings : int
-        Round the central segment.
-    missing : tuple of int
-        Segments that are not there. The central one is 0; every ring is counted on from the one inside it,
-        anticlockwise from the segment nearest to the +45° diagonal of the pupil as drawn.
-    """
+    """Hexagonal segments in rings about a central one."""
 
     title = "hexagons"
+    # flat_to_flat_m, gap_m: width of a segment between opposite sides, and of the gap between neighbours;
+    # segments have a side at the top
     flat_to_flat_m: float
     gap_m: float
-    rings: int
+    rings: int  # round the central segment
+    # segments that are not there. The central one is 0; every ring is counted on from the one inside it,
+    # anticlockwise from the segment nearest to the +45° diagonal of the pupil as drawn.
     missing: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:

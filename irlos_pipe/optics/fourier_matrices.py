@@ -26,25 +26,14 @@ def phasor(phase: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class FocalGrid:
-    """Nyquist-sampled square focal grid of ``samples`` points per axis.
+    """Nyquist-sampled square focal grid of ``samples`` points per axis."""
 
-    Attributes
-    ----------
-    samples : int
-        Computed field.
-    width_m : float
-        Width D' of the pupil grid [m]; the pitch is ``λ / (2 D')``.
-    padded : int
-        Samples per axis with the zeros that are appended before OTF factors are applied: the
-        period with which a blur wraps around. Halo that wraps is the first thing to go wrong.
-    longest_m : float
-        No two points of the pupil are further apart [m].
-    """
-
-    samples: int
-    width_m: float
+    samples: int  # computed field
+    width_m: float  # width D' of the pupil grid [m]; the pitch is ``λ / (2 D')``
+    # samples per axis with the zeros that are appended before OTF factors are applied: the period with
+    # which a blur wraps around. Halo that wraps is the first thing to go wrong.
     padded: int
-    longest_m: float
+    longest_m: float  # no two points of the pupil are further apart [m]
 
     @property
     def frequency_per_m(self) -> np.ndarray:

@@ -156,33 +156,20 @@ class InBandResidual:
 
 
 class Residual(NamedTuple):
-    """What the OTF needs to know of a residual, or its derivatives, parameters first.
+    """What the OTF needs to know of a residual, or its derivatives, parameters first."""
 
-    Attributes
-    ----------
-    structure : tensor, (..., baselines)
-        Structure function but for its last term [nm²].
-    tilt_with_coma : tensor, (..., 3)
-        Covariance of tilt, as a slope, with coma, of Noll 7 or 8 [nm²/m]: both along x, one along y, both
-        along y.
-    """
-
-    structure: torch.Tensor
+    structure: torch.Tensor  # (..., baselines): structure function but for its last term [nm²]
+    # (..., 3): covariance of tilt, as a slope, with coma, of Noll 7 or 8 [nm²/m]: both along x, one along
+    # y, both along y
     tilt_with_coma: torch.Tensor
 
 
 class _ByRing(NamedTuple):
-    """What waves of one frequency, and of unit variance, have over the pupil, (frequencies,) each.
+    """What waves of one frequency, and of unit variance, have over the pupil, (frequencies,) each."""
 
-    Attributes
-    ----------
-    kept : tensor
-        Part of the variance that is not piston, tip or tilt.
-    tilt, tilt_with_coma : tensor
-        Variance of the tilt along the wave vector [1/m²], and its covariance with the coma [1/m].
-    """
-
-    kept: torch.Tensor
+    kept: torch.Tensor  # part of the variance that is not piston, tip or tilt
+    # tilt, tilt_with_coma: variance of the tilt along the wave vector [1/m²], and its covariance with the
+    # coma [1/m]
     tilt: torch.Tensor
     tilt_with_coma: torch.Tensor
 

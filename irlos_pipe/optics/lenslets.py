@@ -37,20 +37,11 @@ BEYOND = 0.5  # by which the band-limited parts of a faint amplitude may ring ov
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Quarter(PupilGrid):
-    """Samples of a quarter of the pupil, about its middle.
+    """Samples of a quarter of the pupil, about its middle."""
 
-    Attributes
-    ----------
-    place : (slice, slice)
-        Rows and columns of the pupil's grid.
-    clear : ndarray, (n, n)
-        Amplitude of the quarter before its light is counted.
-    weights : tensor, (n, n)
-        By what to multiply the amplitude of the pupil there to get that of the quarter.
-    """
-
-    place: tuple[slice, slice]
-    clear: np.ndarray
+    place: tuple[slice, slice]  # rows and columns of the pupil's grid
+    clear: np.ndarray  # (n, n): amplitude of the quarter before its light is counted
+    # (n, n): by what to multiply the amplitude of the pupil there to get that of the quarter
     weights: torch.Tensor
 
     @property

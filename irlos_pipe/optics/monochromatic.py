@@ -23,49 +23,28 @@ from irlos_pipe.optics.strained import Strained, pixel_map_slope
 
 
 class ByMode(NamedTuple):
-    """A mode of `Optics.by_mode` at one wavelength.
+    """A mode of `Optics.by_mode` at one wavelength."""
 
-    Attributes
-    ----------
-    map : tensor, (n, n)
-        In mirrored order, see `matrix_dft`: phase [rad/nm], or logarithm of the amplitude.
-    of_amplitude : bool
-    factor : tensor, (p, p//2 + 1)
-        Of the OTF.
-    """
-
+    # (n, n): in mirrored order, see `matrix_dft`: phase [rad/nm], or logarithm of the amplitude
     map: torch.Tensor
     of_amplitude: bool
-    factor: torch.Tensor
+    factor: torch.Tensor  # (p, p//2 + 1): of the OTF
 
 
 class Colour(NamedTuple):
-    """What light of one wavelength meets.
-
-    Attributes
-    ----------
-    wavelength_m : float or scalar tensor
-    pupil : tensor, (n, n), real or complex
-        In mirrored order, see `matrix_dft`.
-    transfer : tensor, (p, p//2 + 1), or None
-    to_rows, to_columns : tensor
-        Pixel matrices, from the focal intensity without a `transfer`, from its real FFT with one.
-        The photon weight of the wavelength is in the first.
-    padded, samples : int
-        p, samples per axis of that FFT, and m of the focal grid.
-    strained : Strained or None
-        Of a strained image, instead of the pixel matrices.
-    by_mode : tuple of ByMode
-    """
+    """What light of one wavelength meets."""
 
     wavelength_m: float | torch.Tensor
-    pupil: torch.Tensor
-    transfer: torch.Tensor | None
+    pupil: torch.Tensor  # (n, n), real or complex: in mirrored order, see `matrix_dft`
+    transfer: torch.Tensor | None  # (p, p//2 + 1), or None
+    # to_rows, to_columns: pixel matrices, from the focal intensity without a `transfer`, from its real FFT
+    # with one. The photon weight of the wavelength is in the first.
     to_rows: torch.Tensor
     to_columns: torch.Tensor
+    # padded, samples: p, samples per axis of that FFT, and m of the focal grid
     padded: int
     samples: int
-    strained: Strained | None = None
+    strained: Strained | None = None  # of a strained image, instead of the pixel matrices
     by_mode: tuple[ByMode, ...] = ()
 
     def field(self, opd_nm: torch.Tensor) -> torch.Tensor:
@@ -243,22 +222,14 @@ def beat_of(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]
 
 
 class Rates(NamedTuple):
-    """How fast one parameter changes what light of one colour meets.
+    """How fast one parameter changes what light of one colour meets."""
 
-    Attributes
-    ----------
-    weight, wavelength, scale : float
-        Relative to the photon weight, the wavelength and the pixel scale.
-    strain : tensor, (2,)
-        Of the image, see `Sampling`.
-    pupil, transfer : tensor or None
-        As of `Colour`.
-    """
-
+    # weight, wavelength, scale: relative to the photon weight, the wavelength and the pixel scale
     weight: float
     wavelength: float
     scale: float
-    strain: torch.Tensor
+    strain: torch.Tensor  # (2,): of the image, see `Sampling`
+    # pupil, transfer: as of `Colour`, or None
     pupil: torch.Tensor | None
     transfer: torch.Tensor | None
 

@@ -404,22 +404,14 @@ def pupil_grid(settings: PsfSettings) -> PupilGrid:
 
 
 class _Path(NamedTuple):
-    """Light of the star, or of a copy of it, at the wavelength with the index `colour`.
-
-    Attributes
-    ----------
-    optics, tangents
-    alike : tensor, (wavelengths, p, p//2 + 1), or None
-        OTF factor of star and faint copies, whose derivatives in the pupil are taken together.
-    follows : bool
-        Whether this is one of these copies.
-    colour : int
-    """
+    """Light of the star, or of a copy of it, at the wavelength with the index `colour`."""
 
     optics: Optics
     tangents: Tangents
+    # (wavelengths, p, p//2 + 1), or None: OTF factor of star and faint copies, whose derivatives in the
+    # pupil are taken together
     alike: torch.Tensor | None
-    follows: bool
+    follows: bool  # whether this is one of these copies
     colour: int
 
 

@@ -24,20 +24,11 @@ CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by 
 
 @dataclass(frozen=True)
 class Division:
-    """Parts of a pupil.
+    """Parts of a pupil."""
 
-    Attributes
-    ----------
-    index : callable
-        Number of the part at, or nearest to, points; arrays that broadcast.
-    count : int
-    shared : callable, optional
-        See `shares`; without it a cell belongs to the part at its middle.
-    """
-
-    index: Index
+    index: Index  # number of the part at, or nearest to, points; arrays that broadcast
     count: int
-    shared: Shares | None = None
+    shared: Shares | None = None  # see `shares`; without it a cell belongs to the part at its middle
 
     def shares(
         self, x_m: np.ndarray, y_m: np.ndarray, step_m: float

@@ -62,18 +62,10 @@ COMA = 7, 8  # Noll, along y and along x
 
 
 class MeanFactor(NamedTuple):
-    """OTF factor of the residual with the mean motion that goes with coma, or a derivative of it.
+    """OTF factor of the residual with the mean motion that goes with coma, or a derivative of it."""
 
-    Attributes
-    ----------
-    log : tensor, (wavelengths, p, p//2 + 1)
-        Logarithm of the factor: ``m + v/2 - ½ (2π/λ)² D``.
-    mean : tensor, (wavelengths, p, p//2 + 1)
-        The m in it.
-    """
-
-    log: torch.Tensor
-    mean: torch.Tensor
+    log: torch.Tensor  # (wavelengths, p, p//2 + 1): logarithm of the factor: ``m + v/2 - ½ (2π/λ)² D``
+    mean: torch.Tensor  # (wavelengths, p, p//2 + 1): the m in it
 
 
 class ResidualOtf:

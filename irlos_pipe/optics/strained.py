@@ -66,31 +66,15 @@ def _matrix(strain: torch.Tensor) -> torch.Tensor:
 
 
 class Strained(NamedTuple):
-    """Matrices of one colour, from the real FFT of the focal intensity to pixel-integrated flux.
+    """Matrices of one colour, from the real FFT of the focal intensity to pixel-integrated flux."""
 
-    Attributes
-    ----------
-    to_rows : tensor, (rows, q//2 + 1)
-        With the photon weight.
-    to_columns : tensor, (columns, p//2 + 1)
-    along_lines : tensor, (q, p//2 + 1)
-        Phase that shears the lines, of which there are q in a period.
-    along_columns : tensor, (q//2 + 1, columns)
-        Phase that shears the columns of pixels.
-    footprint : tensor, (p, p//2 + 1)
-    counts : tensor, (q//2 + 1, 1)
-        See `half_plane_counts`.
-    pixels : Pixels
-        From which these are made.
-    """
-
-    to_rows: torch.Tensor
-    to_columns: torch.Tensor
-    along_lines: torch.Tensor
-    along_columns: torch.Tensor
-    footprint: torch.Tensor
-    counts: torch.Tensor
-    pixels: Pixels
+    to_rows: torch.Tensor  # (rows, q//2 + 1): with the photon weight
+    to_columns: torch.Tensor  # (columns, p//2 + 1)
+    along_lines: torch.Tensor  # (q, p//2 + 1): phase that shears the lines, of which there are q in a period
+    along_columns: torch.Tensor  # (q//2 + 1, columns): phase that shears the columns of pixels
+    footprint: torch.Tensor  # (p, p//2 + 1)
+    counts: torch.Tensor  # (q//2 + 1, 1): see `half_plane_counts`
+    pixels: Pixels  # from which these are made
 
     @classmethod
     def of(

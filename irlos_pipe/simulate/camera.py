@@ -35,22 +35,13 @@ MIRROR_PX = 8  # border beyond the margin that keeps opposite edges apart
 
 @dataclass(frozen=True)
 class PixelGrid:
-    """Pixels about the optical axis, which lies at (N - 1) / 2 of rows and columns.
+    """Pixels about the optical axis, which lies at (N - 1) / 2 of rows and columns."""
 
-    Attributes
-    ----------
-    window : (int, int)
-        Rows and columns [px].
-    scale_mas : float
-        Edge of a pixel.
-    nodes : int
-        Of the Gauss–Legendre rule that integrates a pixel, per axis. The image holds no frequency
-        above D/λ, a third of a cycle per pixel of 9.7 mas, for which four nodes err by 1e-7; one is the
-        value at the centre.
-    """
-
-    window: tuple[int, int]
-    scale_mas: float
+    window: tuple[int, int]  # rows and columns [px]
+    scale_mas: float  # edge of a pixel
+    # of the Gauss–Legendre rule that integrates a pixel, per axis. The image holds no frequency above D/λ,
+    # a third of a cycle per pixel of 9.7 mas, for which four nodes err by 1e-7; one is the value at the
+    # centre.
     nodes: int = 4
 
     def node_angles_mas(self) -> tuple[np.ndarray, np.ndarray]:

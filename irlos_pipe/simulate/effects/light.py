@@ -41,21 +41,14 @@ class LightEffect(SimulatedEffect):
 
 @dataclass(frozen=True)
 class Spectrum(LightEffect):
-    """The true spectrum differs from the declared one.
-
-    Attributes
-    ----------
-    wavelength_nm : float, optional
-        True centre, the photon-weighted mean of the bands' centres; all bands are shifted alike.
-    slope : float
-        Relative change of the photons per µm about the mean wavelength.
-    weights : sequence of float, optional
-        Factor on the photons of each band.
-    """
+    """The true spectrum differs from the declared one."""
 
     name = "spectrum"
+    # true centre, the photon-weighted mean of the bands' centres; all bands are shifted alike
     wavelength_nm: float | None = key(None, ge=500.0, le=5000.0)
+    # relative change of the photons per µm about the mean wavelength
     slope: float = key(0.0, ge=-20.0, le=20.0)
+    # factor on the photons of each band
     weights: Sequence[float] | None = key(None, "factor on the photons of each band", ge=0.0, le=1000.0)
 
     def misfit(self, setup: RecordingSetup) -> str:

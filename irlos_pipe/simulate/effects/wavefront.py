@@ -169,21 +169,13 @@ class FocusStageScale(FocusStageEffect):
 
 @dataclass(frozen=True)
 class FocusStageHysteresis(FocusStageEffect):
-    """Bias by the direction of travel.
-
-    Attributes
-    ----------
-    nm : float
-        Bias after moving towards larger positions, its opposite otherwise.
-    scatter_nm : float
-        RMS of a part that is drawn for every move.
-    direction : float, optional
-        +1 or -1: direction of the move that led to the first position, if it was not from 0.
-    """
+    """Bias by the direction of travel."""
 
     name = "focus_stage_hysteresis"
-    nm: float = key(ge=-1e4, le=1e4)
+    nm: float = key(ge=-1e4, le=1e4)  # bias after moving towards larger positions, its opposite otherwise
+    # RMS of a part that is drawn for every move
     scatter_nm: float = key(0.0, "nm RMS, drawn for every move", ge=0.0, le=5000.0)
+    # +1 or -1: direction of the move that led to the first position, if it was not from 0
     direction: float | None = key(None, "+1 or -1, of the move to the first position", ge=-1.0, le=1.0)
 
     def reached_nm(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -153,7 +153,7 @@ class Job:
 
 def make_all(
     planned: Sequence[Planned], parent: Path, jobs: int, progress: Callable[..., Any] | None
-) -> Iterator[tuple[Job, Made]]:
+) -> Generator[tuple[Job, Made], None, None]:
     """Make recordings in a hidden folder below `parent`, on the same disk; yield them as they are finished.
 
     Parameters

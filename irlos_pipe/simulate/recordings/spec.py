@@ -203,21 +203,12 @@ class SpecKeys(Shared):
 
 @dataclass(frozen=True)
 class Spec:
-    """A valid spec.
+    """A valid spec."""
 
-    Attributes
-    ----------
-    head : dict
-        Name, title, instrument (its name, or the absolute path of its file) and seed, by their keys.
-    recordings : dict of str to RecordingKeys
-        By name, the shared sections filled in.
-    scenes : dict of str to Scene
-        What all recordings of such a section have in common.
-    """
-
+    # name, title, instrument (its name, or the absolute path of its file) and seed, by their keys
     head: dict[str, Any]
-    recordings: dict[str, RecordingKeys]
-    scenes: dict[str, Scene]
+    recordings: dict[str, RecordingKeys]  # by name, the shared sections filled in
+    scenes: dict[str, Scene]  # what all recordings of such a section have in common
 
     @property
     def seed(self) -> int:
