@@ -76,13 +76,9 @@ class Colour(NamedTuple):
         return self._seen(self.waves(intensity))
 
     def whole_image(self, intensity: torch.Tensor, changes: Sequence[torch.Tensor]) -> torch.Tensor:
-        """Return the same of an `intensity` with what modes add.
+        """Return the same of an `intensity` (..., m, m) with what modes add.
 
-        Parameters
-        ----------
-        intensity : tensor, (..., m, m)
-        changes : sequence of tensor, (..., m, m)
-            Derivatives of the intensity by the modes of `by_mode`.
+        The `changes` are its derivatives by the modes of `by_mode`, (..., m, m) each.
         """
         if not changes:
             return self.image(intensity)
@@ -95,13 +91,9 @@ class Colour(NamedTuple):
     def images_through(
         self, intensities: Sequence[torch.Tensor], transfers: Sequence[Sequence[torch.Tensor | None]]
     ) -> list[torch.Tensor]:
-        """Return sums of the images of some intensities.
+        """Return sums of the images of some `intensities`, (..., m, m) each.
 
-        Parameters
-        ----------
-        intensities : sequence of tensor, (..., m, m)
-        transfers : sequence of sequence of tensor or None
-            Their factors of the OTF in every sum; None of a factor that is zero.
+        The `transfers` are their factors of the OTF in every sum; None of a factor that is zero.
         """
         if not transfers:
             return []
@@ -167,11 +159,7 @@ def intensity_of(amplitude: torch.Tensor) -> torch.Tensor:
 def change_of(amplitude: torch.Tensor, by: torch.Tensor) -> torch.Tensor:
     """Return the change ``2 Re(U* ∂U)`` of the intensity, (..., frames, m, m).
 
-    Parameters
-    ----------
-    amplitude : tensor, (frames, 2, m, m)
-    by : tensor, (..., frames, 2, m, m)
-        Its change.
+    The `amplitude` is (frames, 2, m, m); it changes `by` (..., frames, 2, m, m).
     """
     return 2 * (amplitude * by).sum(-3)
 
@@ -179,12 +167,7 @@ def change_of(amplitude: torch.Tensor, by: torch.Tensor) -> torch.Tensor:
 def amplitudes_of(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[torch.Tensor]:
     """Return the focal amplitude, (frames, 2, m, m), and its derivatives by modes of `Optics.by_mode`.
 
-    Parameters
-    ----------
-    colour : Colour
-        Has these modes.
-    dft : MatrixDft
-    field : tensor, (frames, 2, n, n)
+    The `colour` has these modes; `dft` leads to the focal plane from the `field`, (frames, 2, n, n).
     """
     return amplitudes(dft, [field, *turned_fields(colour, field)])
 
@@ -256,14 +239,7 @@ class PixelSlopes(Protocol):
 
 
 class SquarePixels:
-    """Derivatives while pixels stay squares.
-
-    Parameters
-    ----------
-    colour : Colour
-    rows, columns : tensor
-        See `FocalPlane.pixel_slopes`.
-    """
+    """Derivatives while the pixels of a `colour` stay squares, see `FocalPlane.pixel_slopes`."""
 
     def __init__(self, colour: Colour, rows: torch.Tensor, columns: torch.Tensor):
         self._along = colour._replace(to_rows=rows), colour._replace(to_columns=columns)
@@ -277,15 +253,7 @@ class SquarePixels:
 
 
 class SkewPixels:
-    """Derivatives while pixels become parallelograms.
-
-    Parameters
-    ----------
-    colour : Colour
-    strained : Strained
-    strain : tensor, (2,)
-        At which they are.
-    """
+    """Derivatives while pixels become parallelograms: those of a `colour`, `strained` by `strain`, (2,)."""
 
     def __init__(self, colour: Colour, strained: Strained, strain: torch.Tensor):
         self._colour, self._strained, self._strain = colour, strained, strain.detach()
@@ -308,15 +276,8 @@ def resampled(
 ) -> torch.Tensor:
     """Return derivatives of weighted images at one wavelength, (parameters, frames, rows, columns).
 
-    Parameters
-    ----------
-    colour : Colour
-    dft : MatrixDft
-        To its focal plane.
-    by_pixels : PixelSlopes
-    opd_nm : tensor, (frames, n, n)
-    every : sequence of Rates
-        One per parameter.
+    Light of the `colour` with the wavefronts `opd_nm` (frames, n, n) reaches its focal plane by `dft` and
+    changes with pixels as `by_pixels` says, at the rates `every`, one per parameter.
     """
     phasor = colour.phasor(opd_nm)
     field = behind(colour.pupil, phasor)

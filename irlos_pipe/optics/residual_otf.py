@@ -69,16 +69,10 @@ class MeanFactor(NamedTuple):
 
 
 class ResidualOtf:
-    """The residual on one set of baselines.
+    """The residual in a `band`, on the baselines of a `focal` grid, of a Fried parameter `r0_m`.
 
     Its parameters are the arguments of `InBandResidual.at`, and beside them how much turbulence is beyond the
     cut-off, as a share of what the Fried parameter gives.
-
-    Parameters
-    ----------
-    band : ResidualBand
-    r0_m : float
-    focal : FocalGrid
     """
 
     def __init__(self, band: ResidualBand, r0_m: float, focal: FocalGrid):
@@ -101,23 +95,15 @@ class ResidualOtf:
     def structure_nm2(self, values: torch.Tensor, beyond) -> torch.Tensor:
         """Return the structure function D, (p, p//2 + 1) [nm²].
 
-        Parameters
-        ----------
-        values : tensor, (7,)
-        beyond : tensor or float
-            The share of the turbulence beyond the cut-off.
+        The `values`, (7,), are the arguments of `InBandResidual.at`; `beyond` is the share of the turbulence
+        beyond the cut-off.
         """
         return (self._residual(values).structure + beyond * self._fitting_nm2)[self._place]
 
     def exponent(self, values: torch.Tensor, beyond, grid: OtfGrid) -> torch.Tensor:
-        """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1).
+        """Return ``½ (2π/λ)² D`` at the wavelengths of a `grid`, (wavelengths, p, p//2 + 1).
 
-        Parameters
-        ----------
-        values, beyond
-            As of `structure_nm2`.
-        grid : OtfGrid
-            Of the wavelengths; the baselines are those of the object.
+        `values` and `beyond` are as of `structure_nm2`; the baselines are those of the object.
         """
         return 0.5 * per_nm2(grid) * self.structure_nm2(values, beyond)
 
@@ -133,14 +119,10 @@ class ResidualOtf:
         return MeanFactor(log - self.exponent(values, beyond, grid), mean)
 
     def rates(self, values: torch.Tensor, by_beyond: Mapping[int, float], grid: OtfGrid) -> list[MeanFactor]:
-        """Return derivatives of `mean_factor`.
+        """Return derivatives of `mean_factor`; `values` and `grid` are as of `exponent`.
 
-        Parameters
-        ----------
-        values, grid
-            As of `exponent`.
-        by_beyond : mapping of int to float
-            Derivatives of the share of the turbulence beyond the cut-off, by the parameters that are wanted.
+        The derivatives of the share of the turbulence beyond the cut-off are `by_beyond`, by the parameters
+        that are wanted.
         """
         residual, slopes = self._with_slopes(values)
         mean, along, across = self._coma
@@ -157,12 +139,7 @@ class ResidualOtf:
     def moving(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
         """Return ``i (2π/λ) b·<a c>``, phase per coma that goes with it, (wavelengths, p, p//2 + 1) [1/nm].
 
-        Parameters
-        ----------
-        values, grid
-            As of `exponent`.
-        noll : int
-            Of the coma c, see `COMA`.
+        The coma c is `noll`, see `COMA`; `values` and `grid` are as of `exponent`.
         """
         return _moving(self._residual(values).tilt_with_coma, noll, grid)
 

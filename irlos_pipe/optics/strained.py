@@ -38,19 +38,10 @@ SYMMETRIC = torch.tensor([[[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]], 
 
 
 def pixel_map(strain: torch.Tensor) -> torch.Tensor:
-    """Return the matrix A from pixels to the sky, the inverse of the stretch ``(1 + E) / √(1 − ε²)``.
+    """Return the matrix A (2, 2) from pixels to the sky, the inverse of the stretch ``(1 + E) / √(1 − ε²)``.
 
-    E is the symmetric matrix without a trace whose first row are the components of the `strain`, ε their
-    norm. The determinant is one: the mean scale stays, and the light of a pixel.
-
-    Parameters
-    ----------
-    strain : tensor, (2,)
-        See `Sampling`.
-
-    Returns
-    -------
-    tensor, (2, 2)
+    E is the symmetric matrix without a trace whose first row are the components of the `strain`, (2,) as in
+    `Sampling`, ε their norm. The determinant is one: the mean scale stays, and the light of a pixel.
     """
     return (torch.eye(2).double() - _matrix(strain)) / (1 - strain.square().sum()).sqrt()
 
@@ -80,22 +71,14 @@ class Strained(NamedTuple):
     def of(
         cls, window: tuple[int, int], sampling: Sampling, index: int, grid: FocalGrid, like: torch.Tensor
     ) -> Strained:
-        """Return those of a `window` at the wavelength `index` of a `sampling`.
+        """Return those of a `window` (rows, columns) at the wavelength `index` of a `sampling`.
 
-        Parameters
-        ----------
-        window : (int, int)
-            Rows and columns [px].
-        sampling : Sampling
-        index : int
-        grid : FocalGrid
-        like : tensor
-            Complex, of the precision and on the device that the matrices are to have.
+        They are complex, of the precision and on the device of `like`.
 
         Raises
         ------
         ValueError
-            If the window is wider than the focal grid, which would alias silently.
+            If the window is wider than the focal `grid`, which would alias silently.
         """
         pixels = Pixels(window, sampling, index, grid)
         made = pixels.rows, pixels.columns, pixels.along_lines, pixels.along_columns
@@ -154,13 +137,7 @@ class Strained(NamedTuple):
 
 
 class Pixels:
-    """Where the pixels of a window lie on the sky, in one colour; float64, differentiable.
-
-    Parameters
-    ----------
-    window, sampling, index, grid
-        See `Strained.of`.
-    """
+    """Where the pixels of a window lie on the sky in one colour, see `Strained.of`; differentiable."""
 
     def __init__(self, window: tuple[int, int], sampling: Sampling, index: int, grid: FocalGrid):
         self.map, self._grid = pixel_map(sampling.strain), grid
