@@ -22,41 +22,19 @@ class VibrationLine(NamedTuple):
 
 @dataclass(frozen=True)
 class Facility:
-    """What the model and the simulator know about telescope, adaptive optics and site.
-
-    Attributes
-    ----------
-    pupil : PupilGeometry
-    photons_per_s_m15 : float
-        Photons per second through the whole aperture and sensor band at m_J = 15 [1/s].
-    cutoff_per_m : float
-        End of the AO correction band, 1 / (2 actuator pitch) [1/m].
-    outer_scale_m : float
-        Outer scale of the turbulence [m].
-    residual_law : ResidualLaw
-        AO residual against seeing.
-    ncpa_law : NcpaLaw
-        Standard deviation of the NCPAs against mode number. The simulator draws from it and the
-        estimators take it as their prior.
-    typical_seeing_arcsec : float
-        Seeing that is assumed where none was measured.
-    vibration_lines : tuple of (hz, share_x, share_y)
-        Vibrations of the telescope; the slow wander has the rest of the variance.
-    sky_mag_per_arcsec2 : tuple of (wavelength_nm, mag)
-        Surface brightness of the sky in each band, by the band's wavelength.
-    numerical_aperture : float
-        NA / n of the beam in which the focus stage moves; 0 where it is not known.
-    """
+    """What the model and the simulator know about telescope, adaptive optics and site."""
 
     pupil: PupilGeometry
-    photons_per_s_m15: float
-    cutoff_per_m: float
-    outer_scale_m: float
-    residual_law: ResidualLaw
+    photons_per_s_m15: float  # through the whole aperture and sensor band at m_J = 15
+    cutoff_per_m: float  # end of the AO correction band, 1 / (2 actuator pitch)
+    outer_scale_m: float  # of the turbulence
+    residual_law: ResidualLaw  # AO residual against seeing
+    # standard deviation of the NCPAs: the simulator draws from it and the estimators take it as their prior
     ncpa_law: NcpaLaw
-    typical_seeing_arcsec: float
-    vibration_lines: tuple[VibrationLine, ...] = ()
-    numerical_aperture: float = 0.0
+    typical_seeing_arcsec: float  # assumed where none was measured
+    vibration_lines: tuple[VibrationLine, ...] = ()  # the slow wander has the rest of the variance
+    numerical_aperture: float = 0.0  # NA / n of the beam in which the focus stage moves; 0 if not known
+    # surface brightness of the sky in each band: wavelength [nm] of the band, mag
     sky_mag_per_arcsec2: tuple[tuple[float, float], ...] = ()
 
     def sky_photons_per_s(
@@ -64,15 +42,9 @@ class Facility:
     ) -> float:
         """Return the photons of the sky in a pixel [1/s]; 0 where its brightness is not known.
 
-        Every wavelength has the brightness of the nearest band.
-
-        Parameters
-        ----------
-        spectrum : iterable of (wavelength_nm, weight)
-            Photon weights, any scale.
-        photons_per_s_m0 : float
-            Of a star of magnitude 0 through the same optics [1/s].
-        pixel_scale_mas : float
+        Every wavelength has the brightness of the nearest band. The `spectrum` has (wavelength [nm], photon
+        weight, any scale); `photons_per_s_m0` are those of a star of magnitude 0 through the same optics, for
+        pixels of `pixel_scale_mas`.
         """
         if not self.sky_mag_per_arcsec2:
             return 0.0

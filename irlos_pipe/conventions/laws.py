@@ -12,48 +12,25 @@ from irlos_pipe.conventions.seeing import Seeing
 
 @dataclass(frozen=True)
 class NcpaLaw:
-    """Standard deviation of the NCPAs, ``A exp(−B i) + C``, i = 0 for Noll 2.
-
-    Attributes
-    ----------
-    amplitude_nm, decay, plateau_nm : float
-        A and C [nm RMS], and B per mode.
-    """
+    """Standard deviation of the NCPAs [nm RMS], ``A exp(−B i) + C``, i = 0 for Noll 2."""
 
     amplitude_nm: float
-    decay: float
+    decay: float  # B, per mode
     plateau_nm: float
 
     def sigma_nm(self, nolls: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Return the standard deviation of modes [nm RMS].
-
-        Parameters
-        ----------
-        nolls : sequence of int, (modes,)
-        """
+        """Return the standard deviation of modes `nolls` [nm RMS]."""
         index = np.asarray(nolls, float) - 2
         return self.amplitude_nm * np.exp(-self.decay * index) + self.plateau_nm
 
 
 @dataclass(frozen=True)
 class ResidualLaw:
-    """RMS of the AO residual without piston, tip and tilt: proportional to the seeing, and a floor.
-
-    Attributes
-    ----------
-    nm_per_arcsec, floor_nm : float
-        Slope and floor [nm RMS].
-    """
+    """RMS of the AO residual without piston, tip and tilt: proportional to the seeing, and a floor."""
 
     nm_per_arcsec: float
     floor_nm: float
 
     def wfe_nm(self, seeing_arcsec: Seeing) -> Seeing:
-        """Return the residual at a seeing on the scale of the law [nm RMS].
-
-        Parameters
-        ----------
-        seeing_arcsec : float or ndarray
-            At 500 nm.
-        """
+        """Return the residual [nm RMS] at a seeing at 500 nm, on the scale of the law."""
         return self.nm_per_arcsec * seeing_arcsec + self.floor_nm

@@ -34,29 +34,17 @@ class Vane:
 class PupilGeometry:
     """The pupil: an aperture, less a central hole, obstructions and vanes.
 
-    Attributes
-    ----------
-    diameter_m : float
-        Of the disc that contains it, on which Zernike polynomials have unit RMS.
-    obscuration_m : float
-        Diameter of a round hole about the axis.
-    vanes : tuple of Vane
-    aperture : tuple of Part
-        What light passes; parts do not overlap. Empty: the disc of `diameter_m`.
-    obstructions : tuple of Part
-        What else stands in the way.
-
     Raises
     ------
     ValueError
         If these contradict each other.
     """
 
-    diameter_m: float
-    obscuration_m: float = 0.0
+    diameter_m: float  # of the disc that contains it, on which Zernike polynomials have unit RMS
+    obscuration_m: float = 0.0  # diameter of a round hole about the axis
     vanes: tuple[Vane, ...] = ()
-    aperture: tuple[Part, ...] = ()
-    obstructions: tuple[Part, ...] = ()
+    aperture: tuple[Part, ...] = ()  # what light passes, without overlaps; empty: the disc of the diameter
+    obstructions: tuple[Part, ...] = ()  # what else stands in the way
 
     def __post_init__(self) -> None:
         rim_m = self.diameter_m / 2
@@ -133,14 +121,9 @@ def turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
 def with_sizes(
     geometry: PupilGeometry, *, obscuration_m: float | None = None, vane_width_m: float | None = None
 ) -> PupilGeometry:
-    """Return the pupil `geometry` with a hole and vanes of other sizes, as far as they are given.
+    """Return the pupil `geometry` with a hole of `obscuration_m` and vanes `vane_width_m` wide on average.
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    obscuration_m : float, optional
-    vane_width_m : float, optional
-        Mean width; all vanes are wider in the same ratio.
+    What is not given stays; all vanes are wider in the same ratio.
     """
     wider = 1.0 if vane_width_m is None else vane_width_m / geometry.vane_width_m
     return replace(

@@ -22,15 +22,7 @@ CLOSED_GAPS = 0.03  # of the width of a map: narrower gaps between its parts bel
 
 @dataclass(frozen=True)
 class Placement:
-    """Mirrored up and down (or not), then turned anticlockwise about the axis, then moved.
-
-    Attributes
-    ----------
-    rotation_deg : float
-    mirrored : bool
-        Whether y changes its sign first.
-    shift_m : (float, float)
-    """
+    """Mirrored (y changes its sign) or not, then turned anticlockwise about the axis, then moved."""
 
     rotation_deg: float = 0.0
     mirrored: bool = False
@@ -83,12 +75,7 @@ UNMOVED = Placement()
 
 @dataclass(frozen=True)
 class Part:
-    """A shape in the pupil.
-
-    Attributes
-    ----------
-    placement : Placement
-    """
+    """A shape in the pupil."""
 
     placement: Placement = field(default=UNMOVED, kw_only=True)
 
@@ -223,24 +210,16 @@ class Hexagon(Part):
 
 @dataclass(frozen=True)
 class Hexagons(Part):
-    """Hexagonal segments in rings about a central one.
-
-    Attributes
-    ----------
-    flat_to_flat_m, gap_m : float
-        Width of a segment between opposite sides, and of the gap between neighbours; segments have a side
-        at the top.
-    rings : int
-        Round the central segment.
-    missing : tuple of int
-        Segments that are not there. The central one is 0; every ring is counted on from the one inside it,
-        anticlockwise from the segment nearest to the +45° diagonal of the pupil as drawn.
-    """
+    """Hexagonal segments in rings about a central one."""
 
     title = "hexagons"
+    # flat_to_flat_m, gap_m: width of a segment between opposite sides, and of the gap between neighbours;
+    # segments have a side at the top
     flat_to_flat_m: float
     gap_m: float
-    rings: int
+    rings: int  # round the central segment
+    # segments that are not there. The central one is 0; every ring is counted on from the one inside it,
+    # anticlockwise from the segment nearest to the +45° diagonal of the pupil as drawn.
     missing: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -278,17 +257,10 @@ class Hexagons(Part):
 
 @dataclass(frozen=True)
 class Samples:
-    """A read-only array that is compared and hashed by its content.
+    """A read-only array that is compared and hashed by its content."""
 
-    Attributes
-    ----------
-    sha256 : str
-        Of shape and values.
-    values : ndarray, (rows, columns), float64
-    """
-
-    sha256: str
-    values: np.ndarray = field(compare=False)
+    sha256: str  # of shape and values
+    values: np.ndarray = field(compare=False)  # (rows, columns), float64
 
     @classmethod
     def of(cls, values: np.ndarray) -> Samples:
@@ -305,12 +277,8 @@ class AmplitudeMap(Part):
     Between samples it is interpolated with cubic splines, so that its spectrum is that of the samples as
     far as they resolve it; beyond the map it is dark.
 
-    Attributes
-    ----------
-    samples : Samples
-        Row index is y, column index is x; the middle of the array is the origin.
-    step_m : float
-        Distance between samples [m].
+    Row index of the `samples` is y, column index is x; the middle of the array is the origin, and `step_m` is
+    the distance between samples.
     """
 
     title = "map"

@@ -18,14 +18,7 @@ SPARTA = "sparta"
 
 @dataclass(frozen=True)
 class SeeingScale:
-    """How the seeing of a monitor translates: ``SPARTA = ratio · monitor + offset``.
-
-    Attributes
-    ----------
-    ratio : float
-        Positive.
-    offset_arcsec : float
-    """
+    """How the seeing of a monitor translates: ``SPARTA = ratio · monitor + offset``, the ratio positive."""
 
     ratio: float = 1.0
     offset_arcsec: float = 0.0

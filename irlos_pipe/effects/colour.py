@@ -19,8 +19,8 @@ from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Refraction, direction, number
 from irlos_pipe.effects.planes import OtfEffect, SamplingEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
+from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid, Sampling
-from irlos_pipe.optics.phasor import phasor
 
 LARGEST_STRAIN = (
     0.1  # fraction along either component; a detector tilted by 25° foreshortens one axis by as much

@@ -13,8 +13,8 @@ from irlos_pipe.effects.declaration import Conditions, Parameter, direction, num
 from irlos_pipe.effects.motion import damping
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
+from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.phasor import phasor
 
 STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
 FAINT = 0.005  # flux of a second image that any camera makes

@@ -11,8 +11,8 @@ from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import OtfEffect
+from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.phasor import phasor
 
 LENSLETS = 4
 SIGMA_MAS, SIGMA_FLUX = 1.0, 0.1  # priors: how well images lie where they should, and how evenly light falls

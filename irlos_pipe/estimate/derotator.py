@@ -1,7 +1,7 @@
 """What of the NCPAs turns with the derotator, and what does not.
 
 A cube at derotator angle α shows ``z(α) = f + M(sα) r``: f arises behind the derotator, r before it
-and is turned by `optics.rotation.rotation_matrix`, s = ±1 is the sense. This is linear in f and r,
+and is turned by `optics.zernike.rotation_matrix`, s = ±1 is the sense. This is linear in f and r,
 and each (n, |m|) is a problem of its own. Rotationally symmetric modes show f + r at every angle,
 so only their sum is measured; tip and tilt are where the star lies, and left out.
 """
@@ -17,8 +17,7 @@ import numpy as np
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.conventions.numbers import Number
-from irlos_pipe.optics.rotation import partner, rotation_matrix
-from irlos_pipe.optics.zernike import noll_to_nm
+from irlos_pipe.optics.zernike import noll_to_nm, partner, rotation_matrix
 
 MIN_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exceed tenfold that of the sum
 

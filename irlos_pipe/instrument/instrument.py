@@ -40,31 +40,15 @@ class Mode:
 
 @dataclass(frozen=True)
 class Instrument:
-    """An instrument as it was on one day.
-
-    Attributes
-    ----------
-    facility : Facility
-        Telescope, adaptive optics and site.
-    defaults : dict of str to float
-        Side-car keys that may be left out (``detector.`` keys dotted), and what stands in for them.
-    modes : dict of str to Mode
-        By the mode string of the header.
-    seeing_scales : dict of str to SeeingScale
-        By the seeing monitor; ``sparta`` is always among them.
-    profile : Profile
-        The file, with unit, source and status of every value.
-    folder : Path
-        Of the file, from which the paths of maps count.
-    """
+    """An instrument as it was on one day."""
 
     name: str
     facility: Facility
-    defaults: dict[str, float]
-    modes: dict[str, Mode]
-    seeing_scales: dict[str, SeeingScale]
-    profile: Profile
-    folder: Path = field(default=PROFILES, compare=False)
+    defaults: dict[str, float]  # by keys of the side-car that may be left out (``detector.`` keys dotted)
+    modes: dict[str, Mode]  # by the mode string of the header
+    seeing_scales: dict[str, SeeingScale]  # by the seeing monitor; ``sparta`` is always among them
+    profile: Profile  # the file, with unit, source and status of every value
+    folder: Path = field(default=PROFILES, compare=False)  # of the file, from which the paths of maps count
 
     @property
     def pupil(self) -> PupilGeometry:

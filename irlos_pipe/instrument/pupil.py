@@ -252,7 +252,7 @@ def _aperture(geometry: PupilGeometry, axis_m: np.ndarray, step_m: float) -> tup
         x_m, y_m = axis_m[None, columns], axis_m[rows, None]
         cover[box] += piece.cover(x_m, y_m, step_m)
         pieces[box] += piece.distance_m(*piece.placement.back(x_m, y_m)) > 1e-6 * step_m
-    return np.minimum(cover, 1), float(np.sum(pieces > 1) / max(np.sum(pieces > 0), 1))
+    return np.minimum(cover, 1), int(np.sum(pieces > 1)) / max(int(np.sum(pieces > 0)), 1)
 
 
 def _left(geometry: PupilGeometry, axis_m: np.ndarray, step_m: float) -> np.ndarray:

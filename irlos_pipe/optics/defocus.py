@@ -32,10 +32,7 @@ NODES, ORDERS = 200, 40  # of the quadrature, and radial orders that are looked 
 def defocus_series(sine: float) -> dict[int, float]:
     """Return what accompanies one nm of Noll 4 when the focus moves: Noll index to nm RMS, Noll 4 included.
 
-    Parameters
-    ----------
-    sine : float
-        NA / n at the side where the focus moves, 0 to `HIGHEST_SINE`; 0 is the parabola.
+    The `sine` is NA / n at the side where the focus moves, 0 to `HIGHEST_SINE`; 0 is the parabola.
     """
     if not 0 <= sine <= HIGHEST_SINE:
         raise ValueError(
@@ -47,27 +44,17 @@ def defocus_series(sine: float) -> dict[int, float]:
 
 
 def defocus_nm_per_um(sine: float, index: float = 1.0) -> float:
-    """Return Noll 4 [nm RMS] per µm by which the focus moves.
+    """Return Noll 4 [nm RMS] per µm by which the focus moves where the refractive index is `index`.
 
-    Parameters
-    ----------
-    sine : float
-        See `defocus_series`; above 0.
-    index : float
-        Refractive index where the focus moves.
+    The `sine`, above 0, is as of `defocus_series`.
     """
     return 1e3 * index * _radial_parts(sine)[DEFOCUS]
 
 
 def shaped_modes(grid: PupilGrid, nolls: Sequence[int], sine: float) -> np.ndarray:
-    """Return the Zernike polynomials, Noll 4 with its companions, (modes, n, n).
+    """Return the Zernike polynomials `nolls` on a `grid`, Noll 4 with its companions, (modes, n, n).
 
-    Parameters
-    ----------
-    grid : PupilGrid
-    nolls : sequence of int
-    sine : float
-        See `defocus_series`.
+    The `sine` is as of `defocus_series`.
     """
     modes = grid.modes(nolls).copy()
     if DEFOCUS in nolls and sine > 0:

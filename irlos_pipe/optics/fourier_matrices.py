@@ -16,31 +16,24 @@ import scipy
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.optics.phasor import phasor
 from irlos_pipe.optics.pupil import CLEAN_BAND, grid_centres
+
+
+def phasor(phase: torch.Tensor) -> torch.Tensor:
+    """``exp(iφ)`` of phases φ [rad]; cosine and sine are computed by vector instructions, it is not."""
+    return torch.complex(phase.cos(), phase.sin())
 
 
 @dataclass(frozen=True)
 class FocalGrid:
-    """Nyquist-sampled square focal grid of ``samples`` points per axis.
+    """Nyquist-sampled square focal grid of ``samples`` points per axis."""
 
-    Attributes
-    ----------
-    samples : int
-        Computed field.
-    width_m : float
-        Width D' of the pupil grid [m]; the pitch is ``λ / (2 D')``.
-    padded : int
-        Samples per axis with the zeros that are appended before OTF factors are applied: the
-        period with which a blur wraps around. Halo that wraps is the first thing to go wrong.
-    longest_m : float
-        No two points of the pupil are further apart [m].
-    """
-
-    samples: int
-    width_m: float
+    samples: int  # computed field
+    width_m: float  # width D' of the pupil grid [m]; the pitch is ``λ / (2 D')``
+    # samples per axis with the zeros that are appended before OTF factors are applied: the period with
+    # which a blur wraps around. Halo that wraps is the first thing to go wrong.
     padded: int
-    longest_m: float
+    longest_m: float  # no two points of the pupil are further apart [m]
 
     @property
     def frequency_per_m(self) -> np.ndarray:
@@ -63,11 +56,8 @@ def focal_samples_for(
 ) -> int:
     """Return the samples of a focal grid that cover a window and a margin on each side.
 
-    Parameters
-    ----------
-    window_px, pixel_scale_mas, margin_mas : int, float, float
-    wavelength_m, width_m : float
-        Wavelength, and width of the pupil grid [m].
+    The window has `window_px` of `pixel_scale_mas`, the margin is `margin_mas`; the grid is that of a pupil
+    grid of `width_m` at `wavelength_m`.
     """
     field_rad = (window_px * pixel_scale_mas + 2 * margin_mas) * MAS
     samples = int(np.ceil(field_rad * 2 * width_m / wavelength_m))
@@ -83,30 +73,18 @@ def quick_fft_length(samples: int) -> int:
 
 
 def pupil_samples_for(window_px: int, pixel_scale_mas: float, wavelength_m: float, diameter_m: float) -> int:
-    """Return the fewest samples across the pupil that `require_resolved` accepts.
+    """Return the fewest samples across a pupil of `diameter_m` that `require_resolved` accepts.
 
-    Parameters
-    ----------
-    window_px, pixel_scale_mas : int, float
-    wavelength_m, diameter_m : float
-        Shortest wavelength, and diameter of the pupil [m].
+    The window has `window_px` of `pixel_scale_mas`; `wavelength_m` is the shortest one.
     """
     return int(np.ceil(window_px * pixel_scale_mas * MAS * diameter_m / (CLEAN_BAND * wavelength_m)))
 
 
 def require_resolved(window_px: int, pixel_scale_mas: float, wavelength_m: float, step_m: float) -> None:
-    """Refuse a window wider than what the sampled pupil's spectrum is good for.
+    """Raise a ValueError for a window wider than what the sampled pupil's spectrum is good for.
 
-    Parameters
-    ----------
-    window_px, pixel_scale_mas : int, float
-    wavelength_m, step_m : float
-        Shortest wavelength, and step of the pupil grid [m].
-
-    Raises
-    ------
-    ValueError
-        Beyond it the low-pass of the pupil, and then its periodic replicas, falsify the image.
+    Beyond it the low-pass of the pupil, and then its periodic replicas, falsify the image. The window has
+    `window_px` of `pixel_scale_mas`; `wavelength_m` is the shortest one, `step_m` that of the pupil grid.
     """
     reach_mas = CLEAN_BAND * wavelength_m / (2 * step_m) / MAS
     if window_px * pixel_scale_mas > 2 * reach_mas:
@@ -202,14 +180,8 @@ def focal_to_pixels(
 ) -> torch.Tensor:
     """Return the matrix from focal intensity to pixel-integrated flux along one axis, without OTF factors.
 
-    Parameters
-    ----------
-    pixels, pixel_scale_mas, wavelength_m, grid, slope
-        As of `baseline_to_pixels`.
-
-    Returns
-    -------
-    tensor, (pixels, grid.samples), float64
+    It is (pixels, grid.samples), float64; `pixels`, `pixel_scale_mas`, `wavelength_m`, `grid` and `slope` are
+    as of `baseline_to_pixels`.
     """
     to_pixels = baseline_to_pixels(
         grid.baseline_y_m, pixels, pixel_scale_mas, wavelength_m, grid, half=False, slope=slope

@@ -16,8 +16,7 @@ import numpy as np
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.optics.fourier_matrices import FocalGrid
-from irlos_pipe.optics.phasor import phasor
+from irlos_pipe.optics.fourier_matrices import FocalGrid, phasor
 from irlos_pipe.optics.pupil import band_limited_pupil, transmitted_cells
 from irlos_pipe.optics.zernike import zernike_basis
 
@@ -26,24 +25,13 @@ DARK_BEYOND = 12  # samples outside the rim: the filter's ringing has died out, 
 
 @dataclass(frozen=True)
 class PupilGrid:
-    """Samples of the pupil.
-
-    Attributes
-    ----------
-    geometry : PupilGeometry
-    samples : int
-        Across the diameter.
-    u_m : ndarray, (n,)
-        Coordinates along either axis [m].
-    wavelengths_m : tensor, (wavelengths, 1, 1)
-    middle_m : (float, float)
-        From which the coordinates count, along x and y [m]: the pupil's, unless it is a part of that.
-    """
+    """Samples of the pupil."""
 
     geometry: PupilGeometry
-    samples: int
-    u_m: np.ndarray
-    wavelengths_m: torch.Tensor
+    samples: int  # across the diameter
+    u_m: np.ndarray  # (n,): coordinates along either axis [m]
+    wavelengths_m: torch.Tensor  # (wavelengths, 1, 1)
+    # from which the coordinates count, along x and y [m]: the pupil's, unless it is a part of that
     middle_m: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
@@ -106,23 +94,13 @@ class PupilGrid:
 
 
 class Sampling(NamedTuple):
-    """Colours and pixels.
+    """Colours and pixels."""
 
-    Attributes
-    ----------
-    wavelengths_m : tensor, (wavelengths,)
-    weights : tensor, (wavelengths,)
-        Of the photons; their sum is 1.
-    pixel_scale_mas : tensor, scalar
-        Geometric mean of the scales along two orthogonal axes.
-    strain : tensor, (2,)
-        How much more the image is stretched than its mean, along x rather than y and along the diagonal y = x
-        rather than the other one, see `strained.pixel_map`.
-    """
-
-    wavelengths_m: torch.Tensor
-    weights: torch.Tensor
-    pixel_scale_mas: torch.Tensor
+    wavelengths_m: torch.Tensor  # (wavelengths,)
+    weights: torch.Tensor  # (wavelengths,): of the photons; their sum is 1
+    pixel_scale_mas: torch.Tensor  # scalar: geometric mean of the scales along two orthogonal axes
+    # (2,): how much more the image is stretched than its mean, along x rather than y and along the diagonal
+    # y = x rather than the other one, see `strained.pixel_map`
     strain: torch.Tensor
 
     @property
@@ -133,19 +111,11 @@ class Sampling(NamedTuple):
 
 @dataclass(frozen=True)
 class OtfGrid:
-    """Baselines and wavelengths on which OTF factors are evaluated.
-
-    Attributes
-    ----------
-    focal : FocalGrid
-    wavelengths_m : tensor, (wavelengths, 1, 1)
-    mean_m : tensor, scalar
-        Mean wavelength of the photons.
-    """
+    """Baselines and wavelengths on which OTF factors are evaluated."""
 
     focal: FocalGrid
-    wavelengths_m: torch.Tensor
-    mean_m: torch.Tensor
+    wavelengths_m: torch.Tensor  # (wavelengths, 1, 1)
+    mean_m: torch.Tensor  # scalar: mean wavelength of the photons
 
     @classmethod
     def of(cls, focal: FocalGrid, sampling: Sampling) -> OtfGrid:
@@ -182,26 +152,16 @@ class PupilMode(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """What effects make of the light path; None where they leave it as it is.
+    """What effects make of the light path; None where they leave it as it is."""
 
-    Attributes
-    ----------
-    pupil : tensor, (wavelengths, n, n), complex
-        Amplitude of the pupil, instead of the clear one.
-    transfer : tensor, (wavelengths, p, p//2 + 1)
-        Factor of the OTF.
-    sampling : Sampling
-    copies : tuple of Optics
-        Further images of the star with a wavefront of their own, without further copies; all add.
-    by_mode : tuple of (PupilMode, tensor)
-        Modes whose derivative of the focal intensity [1/nm or 1] adds to it, behind OTF factors
-        (wavelengths, p, p//2 + 1) of their own [nm or 1].
-    """
-
+    # (wavelengths, n, n), complex: amplitude of the pupil, instead of the clear one
     pupil: torch.Tensor | None = None
-    transfer: torch.Tensor | None = None
+    transfer: torch.Tensor | None = None  # (wavelengths, p, p//2 + 1): factor of the OTF
     sampling: Sampling | None = None
+    # further images of the star with a wavefront of their own, without further copies; all add
     copies: tuple[Optics, ...] = ()
+    # modes whose derivative of the focal intensity [1/nm or 1] adds to it, behind OTF factors (wavelengths,
+    # p, p//2 + 1) of their own [nm or 1]
     by_mode: tuple[tuple[PupilMode, torch.Tensor], ...] = ()
 
 
@@ -209,27 +169,16 @@ Change: TypeAlias = "tuple[torch.Tensor | None, torch.Tensor | None, Sampling]"
 
 
 class Tangents(NamedTuple):
-    """Derivatives of `Optics` with respect to effect parameters, parameters first.
+    """Derivatives of `Optics` with respect to effect parameters, parameters first."""
 
-    Attributes
-    ----------
-    pupil : tensor, (parameters, wavelengths, n, n), or empty
-    transfer : sequence of tensor, (wavelengths, p, p//2 + 1) each, or None of what does not change
-    pupil_too : sequence of (int, tensor)
-        Of the pupil with respect to parameters of the OTF: positions among these, (wavelengths, n, n).
-    sampling : sequence of (tensor or None, tensor or None, Sampling)
-        With respect to parameters of the sampling: of pupil and OTF, None without a change, and of it.
-    copies : tuple of Tangents
-        Of each of the copies, with respect to the same parameters.
-    by_mode : sequence of sequence of tensor
-        Of every factor in `Optics.by_mode`, with respect to the parameters of `transfer`.
-    """
-
-    pupil: Sequence[torch.Tensor] = ()
+    pupil: Sequence[torch.Tensor] = ()  # (parameters, wavelengths, n, n), or empty
     transfer: Sequence[torch.Tensor | None] = ()
+    # of the pupil with respect to parameters of the OTF: positions among these, (wavelengths, n, n)
     pupil_too: Sequence[tuple[int, torch.Tensor]] = ()
+    # with respect to parameters of the sampling: of pupil and OTF, None without a change, and of it
     sampling: Sequence[Change] = ()
-    copies: tuple[Tangents, ...] = ()
+    copies: tuple[Tangents, ...] = ()  # of each of the copies, with respect to the same parameters
+    # of every factor in `Optics.by_mode`, with respect to the parameters of `transfer`
     by_mode: Sequence[Sequence[torch.Tensor]] = ()
 
 

@@ -46,11 +46,7 @@ class InBandResidual:
     ``Σ_k a_k cos(2kφ) R_k(b)``, φ being the direction of the baseline and R_k the mean of
     ``(-1)^k J_2k(2πfb)`` over the frequencies. Everything is linear in frequencies and in g.
 
-    Parameters
-    ----------
-    bx_m, by_m : ndarray, (baselines,)
-        Baselines [m].
-    band : ResidualBand
+    The baselines (`bx_m`, `by_m`), (baselines,) each, are in metres.
     """
 
     def __init__(self, bx_m: np.ndarray, by_m: np.ndarray, band: ResidualBand):
@@ -156,33 +152,20 @@ class InBandResidual:
 
 
 class Residual(NamedTuple):
-    """What the OTF needs to know of a residual, or its derivatives, parameters first.
+    """What the OTF needs to know of a residual, or its derivatives, parameters first."""
 
-    Attributes
-    ----------
-    structure : tensor, (..., baselines)
-        Structure function but for its last term [nm²].
-    tilt_with_coma : tensor, (..., 3)
-        Covariance of tilt, as a slope, with coma, of Noll 7 or 8 [nm²/m]: both along x, one along y, both
-        along y.
-    """
-
-    structure: torch.Tensor
+    structure: torch.Tensor  # (..., baselines): structure function but for its last term [nm²]
+    # (..., 3): covariance of tilt, as a slope, with coma, of Noll 7 or 8 [nm²/m]: both along x, one along
+    # y, both along y
     tilt_with_coma: torch.Tensor
 
 
 class _ByRing(NamedTuple):
-    """What waves of one frequency, and of unit variance, have over the pupil, (frequencies,) each.
+    """What waves of one frequency, and of unit variance, have over the pupil, (frequencies,) each."""
 
-    Attributes
-    ----------
-    kept : tensor
-        Part of the variance that is not piston, tip or tilt.
-    tilt, tilt_with_coma : tensor
-        Variance of the tilt along the wave vector [1/m²], and its covariance with the coma [1/m].
-    """
-
-    kept: torch.Tensor
+    kept: torch.Tensor  # part of the variance that is not piston, tip or tilt
+    # tilt, tilt_with_coma: variance of the tilt along the wave vector [1/m²], and its covariance with the
+    # coma [1/m]
     tilt: torch.Tensor
     tilt_with_coma: torch.Tensor
 
@@ -204,12 +187,8 @@ def aliased_turbulence(fx_per_m: np.ndarray, fy_per_m: np.ndarray, cutoff_per_m:
     ``g = f + k/d`` appear at f, where the least-squares reconstructor divides them by its own: the residual
     has ``Σ_k (f·g / f²)² [sinc(d g) / sinc(d f)]² |g|^(-11/3)``, k ≠ 0.
 
-    Parameters
-    ----------
-    fx_per_m, fy_per_m : ndarray
-        Frequencies along the axes of the sensor's grid [1/m].
-    cutoff_per_m : float
-        1/(2d).
+    The frequencies (`fx_per_m`, `fy_per_m`) are along the axes of the sensor's grid; `cutoff_per_m` is
+    1/(2d).
     """
     pitch_m, folds = 0.5 / cutoff_per_m, range(-ALIASES, ALIASES + 1)
     psd = np.zeros(np.broadcast(fx_per_m, fy_per_m).shape)

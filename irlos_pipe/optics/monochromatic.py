@@ -1,63 +1,50 @@
-"""One wavelength of the light path: phase in the pupil, OTF factor, pixels."""
+"""One wavelength of the light path: phase in the pupil, OTF factor, intensity in the focal plane, pixels.
+
+Fields and amplitudes are real arrays, (frames, 2, rows, columns), see `matrix_dft`. A wavelength acts on the
+phase, on the size of a pixel in λ/D', and on whatever depends on it in the pupil and in the OTF; a photon
+weight scales the image, and the pixel scale is the size of a pixel again. A strain gives pixels another
+shape.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import half_plane_counts
-from irlos_pipe.optics.strained import Strained
+from irlos_pipe.optics.grids import Sampling
+from irlos_pipe.optics.matrix_dft import MatrixDft
+from irlos_pipe.optics.strained import Strained, pixel_map_slope
 
 
 class ByMode(NamedTuple):
-    """A mode of `Optics.by_mode` at one wavelength.
+    """A mode of `Optics.by_mode` at one wavelength."""
 
-    Attributes
-    ----------
-    map : tensor, (n, n)
-        In mirrored order, see `matrix_dft`: phase [rad/nm], or logarithm of the amplitude.
-    of_amplitude : bool
-    factor : tensor, (p, p//2 + 1)
-        Of the OTF.
-    """
-
+    # (n, n): in mirrored order, see `matrix_dft`: phase [rad/nm], or logarithm of the amplitude
     map: torch.Tensor
     of_amplitude: bool
-    factor: torch.Tensor
+    factor: torch.Tensor  # (p, p//2 + 1): of the OTF
 
 
 class Colour(NamedTuple):
-    """What light of one wavelength meets.
-
-    Attributes
-    ----------
-    wavelength_m : float or scalar tensor
-    pupil : tensor, (n, n), real or complex
-        In mirrored order, see `matrix_dft`.
-    transfer : tensor, (p, p//2 + 1), or None
-    to_rows, to_columns : tensor
-        Pixel matrices, from the focal intensity without a `transfer`, from its real FFT with one.
-        The photon weight of the wavelength is in the first.
-    padded, samples : int
-        p, samples per axis of that FFT, and m of the focal grid.
-    strained : Strained or None
-        Of a strained image, instead of the pixel matrices.
-    by_mode : tuple of ByMode
-    """
+    """What light of one wavelength meets."""
 
     wavelength_m: float | torch.Tensor
-    pupil: torch.Tensor
-    transfer: torch.Tensor | None
+    pupil: torch.Tensor  # (n, n), real or complex: in mirrored order, see `matrix_dft`
+    transfer: torch.Tensor | None  # (p, p//2 + 1), or None
+    # to_rows, to_columns: pixel matrices, from the focal intensity without a `transfer`, from its real FFT
+    # with one. The photon weight of the wavelength is in the first.
     to_rows: torch.Tensor
     to_columns: torch.Tensor
+    # padded, samples: p, samples per axis of that FFT, and m of the focal grid
     padded: int
     samples: int
-    strained: Strained | None = None
+    strained: Strained | None = None  # of a strained image, instead of the pixel matrices
     by_mode: tuple[ByMode, ...] = ()
 
     def field(self, opd_nm: torch.Tensor) -> torch.Tensor:
@@ -89,13 +76,9 @@ class Colour(NamedTuple):
         return self._seen(self.waves(intensity))
 
     def whole_image(self, intensity: torch.Tensor, changes: Sequence[torch.Tensor]) -> torch.Tensor:
-        """Return the same of an `intensity` with what modes add.
+        """Return the same of an `intensity` (..., m, m) with what modes add.
 
-        Parameters
-        ----------
-        intensity : tensor, (..., m, m)
-        changes : sequence of tensor, (..., m, m)
-            Derivatives of the intensity by the modes of `by_mode`.
+        The `changes` are its derivatives by the modes of `by_mode`, (..., m, m) each.
         """
         if not changes:
             return self.image(intensity)
@@ -108,13 +91,9 @@ class Colour(NamedTuple):
     def images_through(
         self, intensities: Sequence[torch.Tensor], transfers: Sequence[Sequence[torch.Tensor | None]]
     ) -> list[torch.Tensor]:
-        """Return sums of the images of some intensities.
+        """Return sums of the images of some `intensities`, (..., m, m) each.
 
-        Parameters
-        ----------
-        intensities : sequence of tensor, (..., m, m)
-        transfers : sequence of sequence of tensor or None
-            Their factors of the OTF in every sum; None of a factor that is zero.
+        The `transfers` are their factors of the OTF in every sum; None of a factor that is zero.
         """
         if not transfers:
             return []
@@ -170,3 +149,152 @@ def behind(pupil: torch.Tensor, phasor: tuple[torch.Tensor, torch.Tensor]) -> to
         return torch.stack([pupil * cosine, pupil * sine], dim=-3)
     real, imag = pupil.real, pupil.imag
     return torch.stack([real * cosine - imag * sine, real * sine + imag * cosine], dim=-3)
+
+
+def intensity_of(amplitude: torch.Tensor) -> torch.Tensor:
+    """Return ``|U|²``, (frames, m, m)."""
+    return amplitude.square().sum(1)
+
+
+def change_of(amplitude: torch.Tensor, by: torch.Tensor) -> torch.Tensor:
+    """Return the change ``2 Re(U* ∂U)`` of the intensity, (..., frames, m, m).
+
+    The `amplitude` is (frames, 2, m, m); it changes `by` (..., frames, 2, m, m).
+    """
+    return 2 * (amplitude * by).sum(-3)
+
+
+def amplitudes_of(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[torch.Tensor]:
+    """Return the focal amplitude, (frames, 2, m, m), and its derivatives by modes of `Optics.by_mode`.
+
+    The `colour` has these modes; `dft` leads to the focal plane from the `field`, (frames, 2, n, n).
+    """
+    return amplitudes(dft, [field, *turned_fields(colour, field)])
+
+
+def amplitudes(dft: MatrixDft, fields: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+    """Return the focal amplitudes of some `fields`, each (frames, 2, n, n), transformed at once."""
+    return list(dft.amplitude(torch.cat(list(fields))).split(len(fields[0]))) if fields else []
+
+
+def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
+    """Return the derivatives of a `field` E by the modes of `Optics.by_mode` in a `colour`.
+
+    They are ``i φ_k E`` for a mode of the phase, and ``φ_k E`` for one of the amplitude's logarithm.
+    """
+    return [one.map * (field if one.of_amplitude else times_i(field)) for one in colour.by_mode]
+
+
+def times_i(field: torch.Tensor) -> torch.Tensor:
+    """Return ``i E`` of a field E, (frames, 2, n, n)."""
+    return torch.stack([-field[:, 1], field[:, 0]], dim=1)
+
+
+def by_phase(field: torch.Tensor, change: torch.Tensor) -> torch.Tensor:
+    """Return ``Re(A* i E)``, (frames, n, n), of a `field` E and the adjoint A of what it makes."""
+    return field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]
+
+
+def beat_of(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+    """Return ``Im(U* F[T_a T_b E])``, (products, frames, m, m), of U and of `MatrixDft.products` of E."""
+    (even, odd), real, imag = products, amplitude[:, 0], amplitude[:, 1]
+    beat = torch.cat([even[:, :, 1], odd[:, :, 0]]) * real
+    beat[: len(even)].addcmul_(even[:, :, 0], imag, value=-1)
+    beat[len(even) :].addcmul_(odd[:, :, 1], imag)
+    return beat
+
+
+class Rates(NamedTuple):
+    """How fast one parameter changes what light of one colour meets."""
+
+    # weight, wavelength, scale: relative to the photon weight, the wavelength and the pixel scale
+    weight: float
+    wavelength: float
+    scale: float
+    strain: torch.Tensor  # (2,): of the image, see `Sampling`
+    # pupil, transfer: as of `Colour`, or None
+    pupil: torch.Tensor | None
+    transfer: torch.Tensor | None
+
+    @classmethod
+    def of(cls, sampling: Sampling, change: Sampling, index: int, *factors: torch.Tensor | None) -> Rates:
+        """Return those of a `sampling` with a `change` at the wavelength `index`; `factors`: the others."""
+        weight, slope = float(sampling.weights[index]), float(change.weights[index])
+        return cls(
+            slope / weight if weight else 0.0,  # a colour without light stays without
+            float(change.wavelengths_m[index] / sampling.wavelengths_m[index]),
+            float(change.pixel_scale_mas / sampling.pixel_scale_mas),
+            change.strain,
+            *factors,
+        )
+
+
+class PixelSlopes(Protocol):
+    """Derivatives of weighted images while pixels change."""
+
+    def __call__(
+        self, intensity: torch.Tensor, image: torch.Tensor, every: Sequence[Rates]
+    ) -> list[torch.Tensor]:
+        """Return those of the `image` of a focal `intensity`, (frames, rows, columns) for each of `every`."""
+
+
+class SquarePixels:
+    """Derivatives while the pixels of a `colour` stay squares, see `FocalPlane.pixel_slopes`."""
+
+    def __init__(self, colour: Colour, rows: torch.Tensor, columns: torch.Tensor):
+        self._along = colour._replace(to_rows=rows), colour._replace(to_columns=columns)
+
+    def __call__(
+        self, intensity: torch.Tensor, image: torch.Tensor, every: Sequence[Rates]
+    ) -> list[torch.Tensor]:
+        """See `PixelSlopes`."""
+        wider = self._along[0].image(intensity) + self._along[1].image(intensity)
+        return [(rates.scale - rates.wavelength) * wider for rates in every]
+
+
+class SkewPixels:
+    """Derivatives while pixels become parallelograms: those of a `colour`, `strained` by `strain`, (2,)."""
+
+    def __init__(self, colour: Colour, strained: Strained, strain: torch.Tensor):
+        self._colour, self._strained, self._strain = colour, strained, strain.detach()
+
+    def __call__(
+        self, intensity: torch.Tensor, image: torch.Tensor, every: Sequence[Rates]
+    ) -> list[torch.Tensor]:
+        """See `PixelSlopes`; a pixel that is larger by a factor shows its square times the light."""
+        larger = [rates.scale - rates.wavelength for rates in every]
+        changes = [
+            factor * self._strained.pixels.map + pixel_map_slope(self._strain, rates.strain)
+            for factor, rates in zip(larger, every, strict=True)
+        ]
+        slopes = self._strained.slopes(self._colour.waves(intensity), changes)
+        return [2 * factor * image + slope for factor, slope in zip(larger, slopes, strict=True)]
+
+
+def resampled(
+    colour: Colour, dft: MatrixDft, by_pixels: PixelSlopes, opd_nm: torch.Tensor, every: Sequence[Rates]
+) -> torch.Tensor:
+    """Return derivatives of weighted images at one wavelength, (parameters, frames, rows, columns).
+
+    Light of the `colour` with the wavefronts `opd_nm` (frames, n, n) reaches its focal plane by `dft` and
+    changes with pixels as `by_pixels` says, at the rates `every`, one per parameter.
+    """
+    phasor = colour.phasor(opd_nm)
+    field = behind(colour.pupil, phasor)
+    amplitude = dft.amplitude(field)
+    intensity = intensity_of(amplitude)
+    image = colour.image(intensity)
+    turned = times_i(field)
+    phase = (opd_nm * (2 * np.pi * NM / colour.wavelength_m))[:, None]
+    found = []
+    for rates, pixels in zip(every, by_pixels(intensity, image, every), strict=True):
+        slope = rates.weight * image + pixels
+        moved = -rates.wavelength * phase * turned
+        if rates.pupil is not None:
+            moved = moved + behind(rates.pupil, phasor)
+        if rates.wavelength or rates.pupil is not None:
+            slope = slope + colour.image(change_of(amplitude, dft.amplitude(moved)))
+        if rates.transfer is not None:
+            slope = slope + colour.images_through([intensity], [[rates.transfer]])[0]
+        found.append(slope)
+    return torch.stack(found)

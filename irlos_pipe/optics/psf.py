@@ -35,22 +35,28 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.defocus import defocus_series, shaped_modes
-from irlos_pipe.optics.focal_intensity import (
-    amplitudes,
-    amplitudes_of,
-    beat_of,
-    by_phase,
-    change_of,
-    intensity_of,
-    turned_fields,
-)
 from irlos_pipe.optics.focal_plane import COMPLEX, FocalPlane
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, PupilMode, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
-from irlos_pipe.optics.monochromatic import ByMode, Colour, behind
+from irlos_pipe.optics.monochromatic import (
+    ByMode,
+    Colour,
+    PixelSlopes,
+    Rates,
+    SkewPixels,
+    SquarePixels,
+    amplitudes,
+    amplitudes_of,
+    beat_of,
+    behind,
+    by_phase,
+    change_of,
+    intensity_of,
+    resampled,
+    turned_fields,
+)
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.resampled import PixelSlopes, Rates, SkewPixels, SquarePixels, resampled
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 FAINT = 0.1  # part of the light, of a copy whose derivatives may be rough
@@ -398,22 +404,14 @@ def pupil_grid(settings: PsfSettings) -> PupilGrid:
 
 
 class _Path(NamedTuple):
-    """Light of the star, or of a copy of it, at the wavelength with the index `colour`.
-
-    Attributes
-    ----------
-    optics, tangents
-    alike : tensor, (wavelengths, p, p//2 + 1), or None
-        OTF factor of star and faint copies, whose derivatives in the pupil are taken together.
-    follows : bool
-        Whether this is one of these copies.
-    colour : int
-    """
+    """Light of the star, or of a copy of it, at the wavelength with the index `colour`."""
 
     optics: Optics
     tangents: Tangents
+    # (wavelengths, p, p//2 + 1), or None: OTF factor of star and faint copies, whose derivatives in the
+    # pupil are taken together
     alike: torch.Tensor | None
-    follows: bool
+    follows: bool  # whether this is one of these copies
     colour: int
 
 

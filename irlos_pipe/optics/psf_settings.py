@@ -18,21 +18,13 @@ FRAME_MARGIN_MAS, FRAME_HALO_MARGIN_MAS = 100.0, 320.0
 
 @dataclass(frozen=True)
 class KnownWavefront:
-    """What is known of the wavefront before anything is estimated: Noll index to nm RMS.
+    """What is known of the wavefront before anything is estimated: Noll index to nm RMS."""
 
-    Attributes
-    ----------
-    diversity_nm : mapping of int to float
-        The astigmatism introduced for phase diversity.
-    introduced_nm : mapping of int to float
-        What was introduced on purpose beside it: the defocus commanded of the focus stage.
-    ncpa_nm : mapping of int to float
-        NCPAs estimated before and held here.
-    """
-
+    # the astigmatism introduced for phase diversity
     diversity_nm: Mapping[int, float] = field(default_factory=dict)
+    # what was introduced on purpose beside it: the defocus commanded of the focus stage
     introduced_nm: Mapping[int, float] = field(default_factory=dict)
-    ncpa_nm: Mapping[int, float] = field(default_factory=dict)
+    ncpa_nm: Mapping[int, float] = field(default_factory=dict)  # NCPAs estimated before and held here
 
     @property
     def total_nm(self) -> dict[int, float]:
@@ -46,44 +38,27 @@ class KnownWavefront:
 
 @dataclass(frozen=True)
 class PsfSettings:
-    """Everything about the instrument and its sampling that a `PsfModel` needs.
-
-    Attributes
-    ----------
-    geometry : PupilGeometry
-    window : (int, int)
-        Rows and columns of the detector window [px].
-    pixel_scale_mas : float
-    spectrum : sequence of (wavelength_nm, weight)
-        Photon weights, any positive scale.
-    known : KnownWavefront
-        Present in every image, beside the coefficients that the model is given.
-    pupil_samples : int
-        Samples across the pupil diameter; 128 keeps the error below 1e-4 of the peak for
-        wavefronts up to 600 nm RMS (tests/test_psf_accuracy.py).
-    margin_mas : float
-        Field computed beyond the window on each side. The end of the field rings into the
-        window when the intensity is interpolated to the pixels: with 100 mas by 1e-5 of a compact
-        peak and 2e-4 of one spread to the window's edge, with 200 mas by 2e-6 and 5e-5.
-    halo_margin_mas : float
-        The same for the period of the OTF factors, whose wings are wider.
-    focus_sine : float
-        NA / n of the beam in which the focus moves; above 0, Noll 4 stands for the shape of
-        `optics.defocus` everywhere.
-    lenslets : int
-        Per side of the pupil: 1, or 2 where the window is that of the images of four quarters, see
-        `optics.lenslets`.
-    """
+    """Everything about the instrument and its sampling that a `PsfModel` needs."""
 
     geometry: PupilGeometry
-    window: tuple[int, int]
+    window: tuple[int, int]  # rows and columns of the detector window [px]
     pixel_scale_mas: float
-    spectrum: tuple[tuple[float, float], ...]
-    known: KnownWavefront
+    spectrum: tuple[tuple[float, float], ...]  # photon weights, any positive scale
+    known: KnownWavefront  # present in every image, beside the coefficients that the model is given
+    # samples across the pupil diameter; 128 keeps the error below 1e-4 of the peak for wavefronts up to 600
+    # nm RMS (tests/test_psf_accuracy.py)
     pupil_samples: int = 128
+    # field computed beyond the window on each side. The end of the field rings into the window when the
+    # intensity is interpolated to the pixels: with 100 mas by 1e-5 of a compact peak and 2e-4 of one spread
+    # to the window's edge, with 200 mas by 2e-6 and 5e-5.
     margin_mas: float = MARGIN_MAS
+    # the same for the period of the OTF factors, whose wings are wider
     halo_margin_mas: float = HALO_MARGIN_MAS
+    # NA / n of the beam in which the focus moves; above 0, Noll 4 stands for the shape of `optics.defocus`
+    # everywhere
     focus_sine: float = 0.0
+    # per side of the pupil: 1, or 2 where the window is that of the images of four quarters, see
+    # `optics.lenslets`
     lenslets: int = 1
 
     @property

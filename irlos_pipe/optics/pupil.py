@@ -24,20 +24,11 @@ CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by 
 
 @dataclass(frozen=True)
 class Division:
-    """Parts of a pupil.
+    """Parts of a pupil."""
 
-    Attributes
-    ----------
-    index : callable
-        Number of the part at, or nearest to, points; arrays that broadcast.
-    count : int
-    shared : callable, optional
-        See `shares`; without it a cell belongs to the part at its middle.
-    """
-
-    index: Index
+    index: Index  # number of the part at, or nearest to, points; arrays that broadcast
     count: int
-    shared: Shares | None = None
+    shared: Shares | None = None  # see `shares`; without it a cell belongs to the part at its middle
 
     def shares(
         self, x_m: np.ndarray, y_m: np.ndarray, step_m: float
@@ -170,10 +161,8 @@ def band_limited_parts(
 ) -> np.ndarray:
     """Return the amplitudes of the parts of a pupil, (parts, n, n); their sum is that of the pupil.
 
-    Parameters
-    ----------
-    geometry, samples, stop_m, subsamples : see `band_limited`
-    division : Division
+    The `division` says which parts; `geometry`, `samples`, `stop_m` and `subsamples` are as of
+    `band_limited`.
     """
     fine = fine_centres(geometry, samples, subsamples)
     filtering, step = filter_matrix(samples + 2 * PAD, subsamples), float(fine[1] - fine[0])
@@ -301,13 +290,8 @@ def outline_cover(
 ) -> np.ndarray:
     """Return the fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    x, y, step : ndarray, ndarray, float
-        Centres of the sub-cells and their side [m]; where an aperture is drawn, a row and a column.
-    stop_m : (float, float)
-        See `band_limited`.
+    The sub-cells of the pupil `geometry` have their centres at `x`, `y`, a row and a column where an aperture
+    is drawn, and a side of `step` [m]; `stop_m` is as of `band_limited`.
     """
     largest = smallest = np.sqrt(x**2 + y**2)
     if stop_m != ON_AXIS:
@@ -328,13 +312,7 @@ def outline_cover(
 def parts_cover(parts: Sequence[Part], x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
     """Return the fraction of each sub-cell that `parts`, which do not overlap, cover, (rows, columns).
 
-    Parameters
-    ----------
-    parts : sequence of Part
-    x, y : ndarray, (1, columns) and (rows, 1)
-        Centres of the sub-cells [m].
-    step : float
-        Their side [m].
+    The centres are at `x` (1, columns) and `y` (rows, 1), the side is `step` [m].
     """
     covered = np.zeros(np.broadcast_shapes(x.shape, y.shape))
     for piece in (piece for part in parts for piece in part.pieces):

@@ -10,41 +10,69 @@ import numpy as np
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.optics.coma_between import coma_between
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.in_band_residual import InBandResidual, Residual
 from irlos_pipe.optics.structure_function import ResidualBand, fitting_structure_nm2
 
+NODES = 16  # per axis: the squared differences are polynomials of degree 4 in both
+
+
+def coma_between(lengths_m: np.ndarray, diameter_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return moments of ``ψ(x + b) - ψ(x)`` over a clear circle.
+
+    They are over the points x for which x + b is inside, too. ψ is Noll 8 for a baseline b along x; turned,
+    the moments hold for every baseline.
+
+    Parameters
+    ----------
+    lengths_m : ndarray, (n,)
+        Of the baselines; those beyond the diameter are taken for it.
+    diameter_m : float
+
+    Returns
+    -------
+    mean : ndarray, (n,)
+        Of the coma along the baseline; that of the coma across it is 0.
+    along, across : ndarray, (n,)
+        Variance of the coma along the baseline, and across it.
+    """
+    lengths, inverse = np.unique(np.round(lengths_m, 9), return_inverse=True)
+    b = np.minimum(2 * lengths / diameter_m, 2 - 1e-9)[:, None, None]
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    angle = np.pi / 2 * nodes[:, None]
+    y = np.sqrt(1 - b**2 / 4) * np.sin(angle)
+    reach = np.sqrt(1 - y**2) - b / 2  # either way from the middle of the two points
+    middle = reach * nodes
+    weight = np.cos(angle) * weights[:, None] * reach * weights
+    along, across = _coma(middle + b / 2, y) - _coma(middle - b / 2, y)
+    weight = weight / weight.sum((1, 2), keepdims=True)
+    mean = np.sum(weight * along, (1, 2))
+    variances = np.sum(weight * along**2, (1, 2)) - mean**2, np.sum(weight * across**2, (1, 2))
+    return mean[inverse], variances[0][inverse], variances[1][inverse]
+
+
+def _coma(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Noll 8 and 7 on the unit disc, (2, ...)."""
+    radial = np.sqrt(8) * (3 * (x**2 + y**2) - 2)
+    return np.stack([radial * x, radial * y])
+
+
 COMA = 7, 8  # Noll, along y and along x
 
 
 class MeanFactor(NamedTuple):
-    """OTF factor of the residual with the mean motion that goes with coma, or a derivative of it.
+    """OTF factor of the residual with the mean motion that goes with coma, or a derivative of it."""
 
-    Attributes
-    ----------
-    log : tensor, (wavelengths, p, p//2 + 1)
-        Logarithm of the factor: ``m + v/2 - ½ (2π/λ)² D``.
-    mean : tensor, (wavelengths, p, p//2 + 1)
-        The m in it.
-    """
-
-    log: torch.Tensor
-    mean: torch.Tensor
+    log: torch.Tensor  # (wavelengths, p, p//2 + 1): logarithm of the factor: ``m + v/2 - ½ (2π/λ)² D``
+    mean: torch.Tensor  # (wavelengths, p, p//2 + 1): the m in it
 
 
 class ResidualOtf:
-    """The residual on one set of baselines.
+    """The residual in a `band`, on the baselines of a `focal` grid, of a Fried parameter `r0_m`.
 
     Its parameters are the arguments of `InBandResidual.at`, and beside them how much turbulence is beyond the
     cut-off, as a share of what the Fried parameter gives.
-
-    Parameters
-    ----------
-    band : ResidualBand
-    r0_m : float
-    focal : FocalGrid
     """
 
     def __init__(self, band: ResidualBand, r0_m: float, focal: FocalGrid):
@@ -67,23 +95,15 @@ class ResidualOtf:
     def structure_nm2(self, values: torch.Tensor, beyond) -> torch.Tensor:
         """Return the structure function D, (p, p//2 + 1) [nm²].
 
-        Parameters
-        ----------
-        values : tensor, (7,)
-        beyond : tensor or float
-            The share of the turbulence beyond the cut-off.
+        The `values`, (7,), are the arguments of `InBandResidual.at`; `beyond` is the share of the turbulence
+        beyond the cut-off.
         """
         return (self._residual(values).structure + beyond * self._fitting_nm2)[self._place]
 
     def exponent(self, values: torch.Tensor, beyond, grid: OtfGrid) -> torch.Tensor:
-        """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1).
+        """Return ``½ (2π/λ)² D`` at the wavelengths of a `grid`, (wavelengths, p, p//2 + 1).
 
-        Parameters
-        ----------
-        values, beyond
-            As of `structure_nm2`.
-        grid : OtfGrid
-            Of the wavelengths; the baselines are those of the object.
+        `values` and `beyond` are as of `structure_nm2`; the baselines are those of the object.
         """
         return 0.5 * per_nm2(grid) * self.structure_nm2(values, beyond)
 
@@ -99,14 +119,10 @@ class ResidualOtf:
         return MeanFactor(log - self.exponent(values, beyond, grid), mean)
 
     def rates(self, values: torch.Tensor, by_beyond: Mapping[int, float], grid: OtfGrid) -> list[MeanFactor]:
-        """Return derivatives of `mean_factor`.
+        """Return derivatives of `mean_factor`; `values` and `grid` are as of `exponent`.
 
-        Parameters
-        ----------
-        values, grid
-            As of `exponent`.
-        by_beyond : mapping of int to float
-            Derivatives of the share of the turbulence beyond the cut-off, by the parameters that are wanted.
+        The derivatives of the share of the turbulence beyond the cut-off are `by_beyond`, by the parameters
+        that are wanted.
         """
         residual, slopes = self._with_slopes(values)
         mean, along, across = self._coma
@@ -123,12 +139,7 @@ class ResidualOtf:
     def moving(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
         """Return ``i (2π/λ) b·<a c>``, phase per coma that goes with it, (wavelengths, p, p//2 + 1) [1/nm].
 
-        Parameters
-        ----------
-        values, grid
-            As of `exponent`.
-        noll : int
-            Of the coma c, see `COMA`.
+        The coma c is `noll`, see `COMA`; `values` and `grid` are as of `exponent`.
         """
         return _moving(self._residual(values).tilt_with_coma, noll, grid)
 

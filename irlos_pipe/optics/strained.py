@@ -24,28 +24,24 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.optics.fourier_matrices import FocalGrid, half_plane_counts, quick_fft_length, require_field
+from irlos_pipe.optics.fourier_matrices import (
+    FocalGrid,
+    half_plane_counts,
+    phasor,
+    quick_fft_length,
+    require_field,
+)
 from irlos_pipe.optics.grids import Sampling
-from irlos_pipe.optics.phasor import phasor
 from irlos_pipe.optics.pupil import grid_centres
 
 SYMMETRIC = torch.tensor([[[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]], dtype=torch.float64)
 
 
 def pixel_map(strain: torch.Tensor) -> torch.Tensor:
-    """Return the matrix A from pixels to the sky, the inverse of the stretch ``(1 + E) / √(1 − ε²)``.
+    """Return the matrix A (2, 2) from pixels to the sky, the inverse of the stretch ``(1 + E) / √(1 − ε²)``.
 
-    E is the symmetric matrix without a trace whose first row are the components of the `strain`, ε their
-    norm. The determinant is one: the mean scale stays, and the light of a pixel.
-
-    Parameters
-    ----------
-    strain : tensor, (2,)
-        See `Sampling`.
-
-    Returns
-    -------
-    tensor, (2, 2)
+    E is the symmetric matrix without a trace whose first row are the components of the `strain`, (2,) as in
+    `Sampling`, ε their norm. The determinant is one: the mean scale stays, and the light of a pixel.
     """
     return (torch.eye(2).double() - _matrix(strain)) / (1 - strain.square().sum()).sqrt()
 
@@ -61,52 +57,28 @@ def _matrix(strain: torch.Tensor) -> torch.Tensor:
 
 
 class Strained(NamedTuple):
-    """Matrices of one colour, from the real FFT of the focal intensity to pixel-integrated flux.
+    """Matrices of one colour, from the real FFT of the focal intensity to pixel-integrated flux."""
 
-    Attributes
-    ----------
-    to_rows : tensor, (rows, q//2 + 1)
-        With the photon weight.
-    to_columns : tensor, (columns, p//2 + 1)
-    along_lines : tensor, (q, p//2 + 1)
-        Phase that shears the lines, of which there are q in a period.
-    along_columns : tensor, (q//2 + 1, columns)
-        Phase that shears the columns of pixels.
-    footprint : tensor, (p, p//2 + 1)
-    counts : tensor, (q//2 + 1, 1)
-        See `half_plane_counts`.
-    pixels : Pixels
-        From which these are made.
-    """
-
-    to_rows: torch.Tensor
-    to_columns: torch.Tensor
-    along_lines: torch.Tensor
-    along_columns: torch.Tensor
-    footprint: torch.Tensor
-    counts: torch.Tensor
-    pixels: Pixels
+    to_rows: torch.Tensor  # (rows, q//2 + 1): with the photon weight
+    to_columns: torch.Tensor  # (columns, p//2 + 1)
+    along_lines: torch.Tensor  # (q, p//2 + 1): phase that shears the lines, of which there are q in a period
+    along_columns: torch.Tensor  # (q//2 + 1, columns): phase that shears the columns of pixels
+    footprint: torch.Tensor  # (p, p//2 + 1)
+    counts: torch.Tensor  # (q//2 + 1, 1): see `half_plane_counts`
+    pixels: Pixels  # from which these are made
 
     @classmethod
     def of(
         cls, window: tuple[int, int], sampling: Sampling, index: int, grid: FocalGrid, like: torch.Tensor
     ) -> Strained:
-        """Return those of a `window` at the wavelength `index` of a `sampling`.
+        """Return those of a `window` (rows, columns) at the wavelength `index` of a `sampling`.
 
-        Parameters
-        ----------
-        window : (int, int)
-            Rows and columns [px].
-        sampling : Sampling
-        index : int
-        grid : FocalGrid
-        like : tensor
-            Complex, of the precision and on the device that the matrices are to have.
+        They are complex, of the precision and on the device of `like`.
 
         Raises
         ------
         ValueError
-            If the window is wider than the focal grid, which would alias silently.
+            If the window is wider than the focal `grid`, which would alias silently.
         """
         pixels = Pixels(window, sampling, index, grid)
         made = pixels.rows, pixels.columns, pixels.along_lines, pixels.along_columns
@@ -165,13 +137,7 @@ class Strained(NamedTuple):
 
 
 class Pixels:
-    """Where the pixels of a window lie on the sky, in one colour; float64, differentiable.
-
-    Parameters
-    ----------
-    window, sampling, index, grid
-        See `Strained.of`.
-    """
+    """Where the pixels of a window lie on the sky in one colour, see `Strained.of`; differentiable."""
 
     def __init__(self, window: tuple[int, int], sampling: Sampling, index: int, grid: FocalGrid):
         self.map, self._grid = pixel_map(sampling.strain), grid

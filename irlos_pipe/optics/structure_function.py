@@ -16,20 +16,13 @@ VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3), e.g. Roddier 1981
 
 @dataclass(frozen=True)
 class ResidualBand:
-    """Where the AO corrects.
+    """Where the AO corrects."""
 
-    Attributes
-    ----------
-    low_per_m, cutoff_per_m : float
-        One over the diameter of the pupil that has neither tip nor tilt, and the cut-off
-        1/(2 actuator pitch) [1/m].
-    outer_scale_m : float
-        L0 of the uncorrected turbulence [m].
-    """
-
+    # low_per_m, cutoff_per_m: one over the diameter of the pupil that has neither tip nor tilt, and the
+    # cut-off 1/(2 actuator pitch) [1/m]
     low_per_m: float
     cutoff_per_m: float
-    outer_scale_m: float
+    outer_scale_m: float  # L0 of the uncorrected turbulence [m]
 
 
 def seeing_to_r0_m(seeing_arcsec: float, wavelength_nm: float = 500.0) -> float:

@@ -16,7 +16,7 @@ from pydantic import Field
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.estimate.derotator import Series, Split, try_both_senses, usable_modes
-from irlos_pipe.optics.rotation import partner, rotation_matrix
+from irlos_pipe.optics.zernike import partner, rotation_matrix
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import (
     DEFAULT,

@@ -176,16 +176,12 @@ class ResidualScreens:
     def next_nm(self, step_s: float) -> np.ndarray:
         """Return the wavefront after one step of `step_s`, (n, n) float32 [nm]."""
         self.skip(step_s)
-        screen = self._screen_nm().ravel()
-        flat = screen - (self._projector @ screen) @ self._basis
+        screen = self._on_pupil(self._modes)
+        if self._sky.variance_zernike:
+            inside = np.where(self._in_band, self._modes, 0)
+            screen = self._on_pupil(self._modes - inside) + self._local * self._on_pupil(inside)
+        flat = screen.ravel() - (self._projector @ screen.ravel()) @ self._basis
         return flat.reshape(self._n, self._n) * np.float32(self._strength.factor)
-
-    def _screen_nm(self) -> np.ndarray:
-        """The wavefront with piston, tip and tilt, (n, n)."""
-        if not self._sky.variance_zernike:
-            return self._on_pupil(self._modes)
-        inside = np.where(self._in_band, self._modes, 0)
-        return self._on_pupil(self._modes - inside) + self._local * self._on_pupil(inside)
 
     def _on_pupil(self, modes: np.ndarray) -> np.ndarray:
         periodic = scipy.fft.irfft2(modes, s=(self._size, self._size), norm="forward")
@@ -216,8 +212,15 @@ class ResidualScreens:
         """Variance of the real part of every kept mode [nm²]; in-band scaled to the total residual."""
         inside, beyond = residual_psd(self._fx, self._fy, self._sky, self._facility)
         beyond_nm2 = beyond / (self._size * step_m) ** 2
-        stands_for = self._stands_for()
-        seen = stands_for * self._seen_by_pupil()
+        # how many modes of the whole plane a kept mode stands for; those at Nyquist's fx are left out
+        stands_for = np.full(beyond.shape, 2.0)
+        stands_for[:, 0] = 1.0
+        if self._size % 2 == 0:
+            stands_for[:, -1] = 0.0
+        # part of every mode's variance over the pupil that is not piston, tip or tilt
+        weighted = self._projector.reshape(3, self._n, self._n)
+        spectra = scipy.fft.rfft2(weighted, s=(self._size, self._size))
+        seen = stands_for * (1 - np.sum(np.abs(spectra) ** 2, axis=0))
         total_nm = self._sky.total_nm(self._facility.residual_law)
         inside_nm2 = total_nm**2 - np.sum(seen * beyond_nm2)
         if inside_nm2 <= 0:
@@ -228,20 +231,6 @@ class ResidualScreens:
         power_nm2 = beyond_nm2 + inside * inside_nm2 / np.sum(seen * inside)
         # Twice the real part of a mode is added where it stands for its mirror image too.
         return np.divide(power_nm2, stands_for, out=np.zeros_like(power_nm2), where=stands_for > 0)
-
-    def _stands_for(self) -> np.ndarray:
-        """How many modes of the whole plane a kept mode stands for; those at Nyquist's fx are left out."""
-        count = np.full(self._fx.shape, 2.0)
-        count[0, 0] = 1.0
-        if self._size % 2 == 0:
-            count[0, -1] = 0.0
-        return np.broadcast_to(count, (self._size, self._fx.size))
-
-    def _seen_by_pupil(self) -> np.ndarray:
-        """Part of every mode's variance over the pupil that is not piston, tip or tilt."""
-        weighted = self._projector.reshape(3, self._n, self._n)
-        spectra = scipy.fft.rfft2(weighted, s=(self._size, self._size))
-        return 1 - np.sum(np.abs(spectra) ** 2, axis=0)
 
 
 class _Strength:

@@ -35,22 +35,13 @@ MIRROR_PX = 8  # border beyond the margin that keeps opposite edges apart
 
 @dataclass(frozen=True)
 class PixelGrid:
-    """Pixels about the optical axis, which lies at (N - 1) / 2 of rows and columns.
+    """Pixels about the optical axis, which lies at (N - 1) / 2 of rows and columns."""
 
-    Attributes
-    ----------
-    window : (int, int)
-        Rows and columns [px].
-    scale_mas : float
-        Edge of a pixel.
-    nodes : int
-        Of the Gauss–Legendre rule that integrates a pixel, per axis. The image holds no frequency
-        above D/λ, a third of a cycle per pixel of 9.7 mas, for which four nodes err by 1e-7; one is the
-        value at the centre.
-    """
-
-    window: tuple[int, int]
-    scale_mas: float
+    window: tuple[int, int]  # rows and columns [px]
+    scale_mas: float  # edge of a pixel
+    # of the Gauss–Legendre rule that integrates a pixel, per axis. The image holds no frequency above D/λ,
+    # a third of a cycle per pixel of 9.7 mas, for which four nodes err by 1e-7; one is the value at the
+    # centre.
     nodes: int = 4
 
     def node_angles_mas(self) -> tuple[np.ndarray, np.ndarray]:
@@ -188,9 +179,11 @@ class Camera:
     """
 
     def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
-        scale_mas, rays = true_pixel_scale_mas(scene), rays_of(scene)
-        matrix, pixels = stretch_of(scene), PixelGrid(scene.window, scale_mas, STATIC_NODES)
-        self._distortion = None if np.array_equal(matrix, np.eye(2)) else Distortion(matrix, pixels)
+        scale_mas, stretch, rays = scene.pixel_scale_mas, np.eye(2), rays_of(scene)
+        for effect in scene.acting(LightEffect):
+            scale_mas, stretch = effect.pixel_scale_mas(scale_mas), effect.stretch() @ stretch
+        pixels = PixelGrid(scene.window, scale_mas, STATIC_NODES)
+        self._distortion = None if np.array_equal(stretch, np.eye(2)) else Distortion(stretch, pixels)
         shortest_m = min(ray.wavelength_nm for ray in rays) * NM
         cycles_per_px = cutoff_per_px(shortest_m, scene.geometry.diameter_m, scale_mas)
         finest = FINEST_DISTORTED if self._distortion else FINEST_CYCLES_PER_PX
@@ -266,22 +259,6 @@ def rays_of(scene: Scene) -> list[Ray]:
     for effect in effects:
         rays = effect.rays(rays)
     return rays
-
-
-def true_pixel_scale_mas(scene: Scene) -> float:
-    """Return the pixel scale of a `scene` with its effects."""
-    scale_mas = scene.pixel_scale_mas
-    for effect in scene.acting(LightEffect):
-        scale_mas = effect.pixel_scale_mas(scale_mas)
-    return scale_mas
-
-
-def stretch_of(scene: Scene) -> np.ndarray:
-    """Return the matrix by which the image of a `scene` is stretched, in (x, y)."""
-    matrix = np.eye(2)
-    for effect in scene.acting(LightEffect):
-        matrix = effect.stretch() @ matrix
-    return matrix
 
 
 def transfer(positions_mas: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:

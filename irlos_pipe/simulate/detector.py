@@ -156,46 +156,21 @@ def _pink(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Pixels:
-    """The pixels of one recording; all charges are those of one read.
-
-    Attributes
-    ----------
-    detector : DetectorModel
-    response : ndarray, (rows, columns)
-        Mean gain, 1 on average; 0 in dead pixels.
-    dark_e : ndarray, (rows, columns)
-        Mean dark charge per read, as the dark image shows it [e-].
-    diffusion : float
-        Charge that leaves a pixel for its four neighbours, fraction.
-    nonlinearity_per_e : float
-        k of the response ``s (1 - k s)`` [1/e-].
-    hot_e, background_e : ndarray, (rows, columns)
-        Mean charge of hot pixels per read, and what is left of pedestal or background, neither of which
-        the dark image shows [e-].
-    alive : ndarray, (rows, columns)
-        0 in pixels that died after the map of dead pixels was made.
-    stuck_e : ndarray, (rows, columns)
-        Constant reading above the pedestal; NaN where the pixel works [e-].
-    reads : int
-        That are added up to a frame.
-    sky_e : float
-        Mean light of the sky per read [e-].
-    pattern : Pattern or None
-        Noise that pixels of a row or column share.
-    """
+    """The pixels of one recording; maps are (rows, columns), and all charges are those of one read."""
 
     detector: DetectorModel
-    response: np.ndarray
-    dark_e: np.ndarray
-    diffusion: float
-    nonlinearity_per_e: float
+    response: np.ndarray  # mean gain, 1 on average; 0 in dead pixels
+    dark_e: np.ndarray  # mean dark charge, as the dark image shows it
+    diffusion: float  # charge that leaves a pixel for its four neighbours, fraction
+    nonlinearity_per_e: float  # k of the response s (1 - k s)
+    # mean charge of hot pixels, and what is left of pedestal or background: the dark image shows neither
     hot_e: np.ndarray
     background_e: np.ndarray
-    alive: np.ndarray
-    stuck_e: np.ndarray
-    reads: int = 1
-    sky_e: float = 0.0
-    pattern: Pattern | None = None
+    alive: np.ndarray  # 0 in pixels that died after the map of dead pixels was made
+    stuck_e: np.ndarray  # constant reading above the pedestal; NaN where the pixel works
+    reads: int = 1  # that are added up to a frame
+    sky_e: float = 0.0  # mean light of the sky
+    pattern: Pattern | None = None  # noise that pixels of a row or column share
 
     def signal_e(self, mean_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
         """Return the signal of one read at the converter [e-].

@@ -7,7 +7,7 @@ finds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,28 +20,18 @@ from irlos_pipe.simulate.effects.wavefront import FocusStageEffect, LensEffect, 
 from irlos_pipe.simulate.motion import SHORTEST_STEP_S, STILL, MotionSeries
 from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.telescope import Telescope, rotated_nm
+from irlos_pipe.simulate.telescope import Telescope, rotated_nm, sum_nm
 
 LAST_NOLL = 31  # of the coefficients kept per frame
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One frame.
+    """One frame."""
 
-    Attributes
-    ----------
-    mean_e : ndarray, (rows, columns), float64
-        Mean photo-electrons.
-    opd_nm : ndarray, (n, n)
-        Time-mean wavefront, the declared diversity and introduced defocus excluded [nm].
-    stated_nm : dict of int to float
-        Modes of the wavefront that the scene states as such, Noll: nm RMS.
-    """
-
-    mean_e: np.ndarray
-    opd_nm: np.ndarray
-    stated_nm: dict[int, float]
+    mean_e: np.ndarray  # mean photo-electrons, (rows, columns), float64
+    opd_nm: np.ndarray  # time-mean wavefront, (n, n), the declared diversity and introduced defocus excluded
+    stated_nm: dict[int, float]  # modes of the wavefront that the scene states as such, Noll: nm RMS
 
 
 class Wavefronts:
@@ -74,23 +64,11 @@ class Wavefronts:
 
 @dataclass(frozen=True, eq=False)
 class Exposed:
-    """All frames of a scene.
+    """All frames of a scene; wavefronts are without the declared diversity and introduced defocus."""
 
-    Attributes
-    ----------
-    mean_e : ndarray, (frames, rows, columns), float32
-        Mean photo-electrons.
-    mean_opd_nm : ndarray, (n, n)
-        Wavefront averaged over all frames, the declared diversity and introduced defocus excluded [nm].
-    zernike_nm : ndarray, (frames, 30)
-        Noll 2..31 of every frame's wavefront: modes that the scene states as such, and a least-squares
-        fit of the rest [nm RMS].
-    telescope : Telescope
-    """
-
-    mean_e: np.ndarray
-    mean_opd_nm: np.ndarray
-    zernike_nm: np.ndarray
+    mean_e: np.ndarray  # mean photo-electrons, (frames, rows, columns), float32
+    mean_opd_nm: np.ndarray  # averaged over all frames, (n, n)
+    zernike_nm: np.ndarray  # (frames, 30), see `Wavefronts.zernike_nm`
     telescope: Telescope
 
     @property
@@ -246,7 +224,7 @@ class StaticWavefront:
             self._static_nm = self._static_nm + effect.static_opd_nm(telescope)
         if scene.mirror:
             self._static_nm = self._static_nm + scene.mirror.opd_nm(telescope)
-        self._drift_zernike_nm = _sum_nm(effect.drift_zernike_nm() for effect in effects)
+        self._drift_zernike_nm = sum_nm(effect.drift_zernike_nm() for effect in effects)
         self._drift_nm = telescope.opd_nm(self._drift_zernike_nm)
         self._elapsed = np.linspace(0, 1 if self._drift_zernike_nm else 0, scene.frames)
 
@@ -260,7 +238,7 @@ class StaticWavefront:
         """Return the modes of `truth_nm` that the scene states as such, Noll: nm RMS; it may have more."""
         elapsed = self._elapsed[frame]
         drift_nm = {noll: elapsed * value_nm for noll, value_nm in self._drift_zernike_nm.items()}
-        return _sum_nm([self._static_zernike_nm, drift_nm])
+        return sum_nm([self._static_zernike_nm, drift_nm])
 
     def total_nm(self, frame: int) -> np.ndarray:
         """Return the whole wavefront of a `frame`, (n, n) [nm]."""
@@ -277,12 +255,4 @@ def static_zernike_nm(scene: Scene) -> dict[int, float]:
     """Return NCPAs before and after the derotator, and static modes of the effects, Noll: nm RMS."""
     rotated = rotated_nm(scene.rotating_nm, scene.derotator_angle_deg)
     of_effects = (effect.static_zernike_nm(scene.diversity_nm) for effect in scene.acting(WavefrontEffect))
-    return _sum_nm([scene.ncpa_nm, rotated, *of_effects])
-
-
-def _sum_nm(parts: Iterable[Mapping[int, float]]) -> dict[int, float]:
-    total: dict[int, float] = {}
-    for part in parts:
-        for noll, value_nm in part.items():
-            total[noll] = total.get(noll, 0.0) + value_nm
-    return total
+    return sum_nm([scene.ncpa_nm, rotated, *of_effects])

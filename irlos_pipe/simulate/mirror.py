@@ -52,25 +52,12 @@ class Actuators:
 
 @dataclass(frozen=True)
 class Mirror:
-    """A mirror and what it has been sent.
-
-    Attributes
-    ----------
-    actuators : Actuators
-    gain : float
-        Stroke over the stroke that was asked for.
-    shift_m : (float, float)
-        By which the actuators lie off the pupil, (x, y).
-    turn_deg : float
-        By which they are turned about the optical axis, anticlockwise, before they are shifted.
-    offsets_nm : mapping of int to float
-        Modal offsets, Noll 2 to 30: nm RMS.
-    """
+    """A mirror and what it has been sent: modal offsets, Noll 2 to 30 [nm RMS]."""
 
     actuators: Actuators
-    gain: float = 1.0
-    shift_m: tuple[float, float] = (0.0, 0.0)
-    turn_deg: float = 0.0
+    gain: float = 1.0  # stroke over the stroke that was asked for
+    shift_m: tuple[float, float] = (0.0, 0.0)  # by which the actuators lie off the pupil, (x, y)
+    turn_deg: float = 0.0  # by which they are turned about the axis, anticlockwise, before they are shifted
     offsets_nm: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -85,16 +72,13 @@ class Mirror:
             (value_nm * strokes[noll - REPORTED_NOLLS[0]] for noll, value_nm in self.offsets_nm.items()),
             np.zeros_like(strokes[0]),
         )
-        x_m, y_m = (one.ravel() for one in self._on_mirror_m(telescope.u_m[None, :], telescope.u_m[:, None]))
-        along_x, along_y = self.actuators.along(x_m), self.actuators.along(y_m)
+        # points of the pupil in the coordinates of the actuators
+        x_m, y_m = telescope.u_m[None, :] - self.shift_m[0], telescope.u_m[:, None] - self.shift_m[1]
+        cosine, sine = np.cos(np.deg2rad(self.turn_deg)), np.sin(np.deg2rad(self.turn_deg))
+        along_x = self.actuators.along((cosine * x_m + sine * y_m).ravel())
+        along_y = self.actuators.along((cosine * y_m - sine * x_m).ravel())
         shape_nm = np.einsum("px,px->p", along_y @ total_nm, along_x)
         return self.gain * shape_nm.reshape(telescope.transmission.shape)
-
-    def _on_mirror_m(self, x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points of the pupil in the coordinates of the actuators."""
-        x_m, y_m = x_m - self.shift_m[0], y_m - self.shift_m[1]
-        cosine, sine = np.cos(np.deg2rad(self.turn_deg)), np.sin(np.deg2rad(self.turn_deg))
-        return cosine * x_m + sine * y_m, cosine * y_m - sine * x_m
 
 
 @cache

@@ -76,21 +76,11 @@ class MotionSeries:
 
 @dataclass(frozen=True)
 class MotionBlur:
-    """Motion within one frame.
+    """Motion within one frame."""
 
-    Attributes
-    ----------
-    mean_mas : ndarray, (2,)
-        Mean displacement of the image (x, y).
-    covariance_mas2 : ndarray, (2, 2)
-        Of its Gaussian part.
-    sinusoid_mas : ndarray, (2,)
-        Amplitude vector of its sinusoidal part.
-    """
-
-    mean_mas: np.ndarray
-    covariance_mas2: np.ndarray
-    sinusoid_mas: np.ndarray
+    mean_mas: np.ndarray  # (2,): mean displacement of the image (x, y)
+    covariance_mas2: np.ndarray  # (2, 2): of its Gaussian part
+    sinusoid_mas: np.ndarray  # (2,): amplitude vector of its sinusoidal part
 
     def __add__(self, other: MotionBlur) -> MotionBlur:
         """Two independent motions together; at most one of them is sinusoidal."""

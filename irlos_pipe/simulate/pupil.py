@@ -15,7 +15,7 @@ from irlos_pipe.simulate.effects.pupil import PupilEffect
 from irlos_pipe.simulate.effects.wavefront import WavefrontEffect
 from irlos_pipe.simulate.light import mean_centre_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.telescope import Telescope
+from irlos_pipe.simulate.telescope import Telescope, sum_nm
 
 FINE = 4  # drawn cells per sample and axis
 PAD = 4  # samples beyond the diameter on each side, where the low-pass rings
@@ -95,7 +95,9 @@ def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float, defocus_nm: floa
     than to the smooth wavefront that multiplies the samples.
     """
     transparency: np.ndarray | float = 1.0
-    own_nm = _own_zernike_nm(scene, wavelength_nm, defocus_nm)
+    mean_nm, effects = mean_centre_nm(scene.bands), scene.acting(WavefrontEffect)
+    chromatic = (effect.chromatic_zernike_nm(wavelength_nm, mean_nm) for effect in effects)
+    own_nm = sum_nm([{DEFOCUS: defocus_nm} if defocus_nm else {}, *chromatic])
     if own_nm:
         transparency = np.exp(2j * np.pi / wavelength_nm * pupil.opd_nm(own_nm))
     for effect in scene.acting(PupilEffect):
@@ -104,15 +106,6 @@ def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float, defocus_nm: floa
     if steps is None:
         return transparency * pupil.sampled(pupil.drawn)
     return transparency * pupil.sampled(pupil.drawn * np.exp(2j * np.pi / wavelength_nm * steps))
-
-
-def _own_zernike_nm(scene: Scene, wavelength_nm: float, defocus_nm: float) -> dict[int, float]:
-    """Coefficients of light of one wavelength and focus beyond those of all light, Noll: nm RMS."""
-    own = {DEFOCUS: defocus_nm} if defocus_nm else {}
-    for effect in scene.acting(WavefrontEffect):
-        for noll, nm in effect.chromatic_zernike_nm(wavelength_nm, mean_centre_nm(scene.bands)).items():
-            own[noll] = own.get(noll, 0.0) + nm
-    return own
 
 
 def steps_nm(scene: Scene, pupil: Pupil, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray | None:

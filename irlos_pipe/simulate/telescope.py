@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -36,17 +36,26 @@ def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.sqrt((n + 1) * (1 if m == 0 else 2)) * radial * azimuthal
 
 
+def sum_nm(parts: Iterable[Mapping[int, float]]) -> dict[int, float]:
+    """Return the sum of the coefficients `parts`, Noll: nm RMS."""
+    total: dict[int, float] = {}
+    for part in parts:
+        for noll, value_nm in part.items():
+            total[noll] = total.get(noll, 0.0) + value_nm
+    return total
+
+
 def rotated_nm(zernike_nm: Mapping[int, float], angle_deg: float) -> dict[int, float]:
     """Return the coefficients `zernike_nm` of a wavefront turned anticlockwise by `angle_deg`."""
-    turned: dict[int, float] = {}
+    parts: list[dict[int, float]] = []
     for noll, value_nm in zernike_nm.items():
         n, m = noll_orders(noll)
         angle = np.deg2rad(m * angle_deg)
-        # the same mode turned by a quarter of its period
-        partner = noll + 1 if noll_orders(noll + 1) == (n, -m) else noll - 1
-        for own, share in ((noll, np.cos(angle)), (partner, np.sin(angle))) if m else ((noll, 1.0),):
-            turned[own] = turned.get(own, 0.0) + value_nm * float(share)
-    return turned
+        parts.append({noll: value_nm * float(np.cos(angle))})
+        if m != 0:  # the same mode turned by a quarter of its period
+            partner = noll + 1 if noll_orders(noll + 1) == (n, -m) else noll - 1
+            parts.append({partner: value_nm * float(np.sin(angle))})
+    return sum_nm(parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from helpers.ensemble_cases import silent_progress
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.rotation import rotation_matrix
+from irlos_pipe.optics.zernike import rotation_matrix
 from irlos_pipe.product.product import Product
 from irlos_pipe.stages.base import Stage, StageContext, StageOutput
 from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording

@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 from irlos_pipe.files.yaml import yaml_text
+from irlos_pipe.simulate.recordings.files import Planned
 from irlos_pipe.simulate.recordings.run import simulate
+from irlos_pipe.simulate.recordings.series import plan_recordings
 from irlos_pipe.simulate.recordings.spec import load_spec
 
 COARSE = {"pupil_samples": 32, "points_per_band": 1, "step_s": 0.1}
@@ -32,6 +34,12 @@ def written(path: Path, spec: dict) -> Path:
     """Write a spec as YAML."""
     path.write_text(yaml_text(spec))
     return path
+
+
+def planned(folder: Path, recordings: dict, *settings: str, **top) -> dict[str, Planned]:
+    """Recordings of a spec, by name."""
+    spec = load_spec(written(folder / "spec.yaml", spec_of(recordings, **top)), settings)
+    return {one.name: one for one in plan_recordings(spec)}
 
 
 def simulated(folder: Path, spec: dict, **options):

@@ -17,9 +17,9 @@ from scipy.integrate import quad
 from scipy.special import j0, jv
 
 from irlos_pipe.effects import EffectSet, SeeingHalo
-from irlos_pipe.optics.coma_between import coma_between
 from irlos_pipe.optics.in_band_residual import LOWEST, InBandResidual, Residual, aliased_turbulence
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.residual_otf import coma_between
 
 LENGTHS_M = np.array([0.05, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.5, 7.0, 8.0])
 VARIANCE_NM2 = 100.0**2

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.optics.rotation import partner, rotation_matrix
-from irlos_pipe.optics.zernike import noll_to_nm, zernike_basis
+from irlos_pipe.optics.zernike import noll_to_nm, partner, rotation_matrix, zernike_basis
 
 NOLLS = tuple(range(2, 67))  # complete radial orders 1 to 10
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.optics.shift import ShiftMatrices
+from irlos_pipe.optics.focus_table import ShiftMatrices
 
 BAND, BEYOND = 0.32, 16
 LIKE = torch.empty(0, dtype=torch.float64)

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.simulate.detector import Axis, Pattern, Pixel, Pixels, marked, outside_window, shared
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, own, wider
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 
 Kind = Literal["hot", "dead", "stuck"]
 
@@ -39,7 +40,7 @@ class DetectorNonlinearity(DetectorEffect):
     """A further bend of the response, stated as the `fraction_at_peak` that the mean image's peak loses."""
 
     name = "detector_nonlinearity"
-    fraction_at_peak: float = wider(-0.4, 0.5)
+    fraction_at_peak: float = key(ge=-0.4, le=0.5)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
         """See `DetectorEffect.on`."""
@@ -53,9 +54,9 @@ class BackgroundGradient(DetectorEffect):
     """A plane left of pedestal or background: `level_e`, rising by `e_per_pixel` towards `angle_deg`."""
 
     name = "background_gradient"
-    e_per_pixel: float = wider(-1e5, 1e6, 0.0)
+    e_per_pixel: float = key(0.0, ge=-1e5, le=1e6)
     angle_deg: float = 0.0
-    level_e: float = own("e- per frame, at the centre", -1e6, 1e6, 0.0)
+    level_e: float = key(0.0, "e- per frame, at the centre", ge=-1e6, le=1e6)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
         """See `DetectorEffect.on`."""
@@ -91,7 +92,7 @@ class BadPixels(DetectorEffect):
     name = "bad_pixels"
     pixels: Sequence[Pixel]
     kind: Kind = "hot"
-    level_e: float = own("e- per frame, of hot and stuck pixels", 0.0, 1e6, 1000.0)
+    level_e: float = key(1000.0, "e- per frame, of hot and stuck pixels", ge=0.0, le=1e6)
 
     def misfit(self, setup: RecordingSetup) -> str:
         """See `SimulatedEffect.misfit`."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, own, wider
+from irlos_pipe.conventions.keys import key
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
 
 GHOST_NODES = 6  # per axis of the Gauss-Hermite rule of the blur
@@ -40,22 +41,15 @@ class LightEffect(SimulatedEffect):
 
 @dataclass(frozen=True)
 class Spectrum(LightEffect):
-    """The true spectrum differs from the declared one.
-
-    Attributes
-    ----------
-    wavelength_nm : float, optional
-        True centre, the photon-weighted mean of the bands' centres; all bands are shifted alike.
-    slope : float
-        Relative change of the photons per µm about the mean wavelength.
-    weights : sequence of float, optional
-        Factor on the photons of each band.
-    """
+    """The true spectrum differs from the declared one."""
 
     name = "spectrum"
-    wavelength_nm: float | None = wider(500.0, 5000.0, None)
-    slope: float = wider(-20.0, 20.0, 0.0)
-    weights: Sequence[float] | None = own("factor on the photons of each band", 0.0, 1000.0)
+    # true centre, the photon-weighted mean of the bands' centres; all bands are shifted alike
+    wavelength_nm: float | None = key(None, ge=500.0, le=5000.0)
+    # relative change of the photons per µm about the mean wavelength
+    slope: float = key(0.0, ge=-20.0, le=20.0)
+    # factor on the photons of each band
+    weights: Sequence[float] | None = key(None, "factor on the photons of each band", ge=0.0, le=1000.0)
 
     def misfit(self, setup: RecordingSetup) -> str:
         """See `SimulatedEffect.misfit`."""
@@ -80,7 +74,7 @@ class AtmosphericDispersion(LightEffect):
     """Refraction displaces colours, by `mas_per_um` at the mean wavelength, towards `angle_deg`."""
 
     name = "atmospheric_dispersion"
-    mas_per_um: float = wider(-5000.0, 5000.0)
+    mas_per_um: float = key(ge=-5000.0, le=5000.0)
     angle_deg: float = 0.0
 
     def rays(self, rays: list[Ray]) -> list[Ray]:
@@ -106,7 +100,7 @@ class PlateScale(LightEffect):
     """The pixels are larger on the sky than declared, by a `fraction`."""
 
     name = "plate_scale"
-    fraction: float = wider(-1.0, 1.0)
+    fraction: float = key(ge=-1.0, le=1.0)
 
     def pixel_scale_mas(self, assumed_mas: float) -> float:
         """See `LightEffect.pixel_scale_mas`."""
@@ -118,7 +112,7 @@ class Anamorphism(LightEffect):
     """The image is larger along `angle_deg` than across, by a `fraction` of the mean; its area stays."""
 
     name = "anamorphism"
-    fraction: float = wider(0.0, 0.5)
+    fraction: float = key(ge=0.0, le=0.5)
     angle_deg: float = 0.0
 
     def stretch(self) -> np.ndarray:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.simulate.aperture import petal_count, petal_index, segment_count, segment_index
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, wider
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.telescope import Telescope
 
 
@@ -42,9 +43,9 @@ class PupilMisregistration(PupilEffect):
     """An internal stop displaced by (`dx_m`, `dy_m`), and the vanes turned by `rotation_deg`."""
 
     name = "pupil_misregistration"
-    dx_m: float = wider(-2.0, 2.0, 0.0)
-    dy_m: float = wider(-2.0, 2.0, 0.0)
-    rotation_deg: float = wider(-720.0, 720.0, 0.0)
+    dx_m: float = key(0.0, ge=-2.0, le=2.0)
+    dy_m: float = key(0.0, ge=-2.0, le=2.0)
+    rotation_deg: float = key(0.0, ge=-720.0, le=720.0)
 
     @property
     def stop_m(self) -> tuple[float, float] | None:
@@ -89,10 +90,10 @@ class PupilSpot(PupilEffect):
     """
 
     name = "pupil_spot"
-    opacity: float = wider(0.0, 1.0)
-    x_m: float = wider(-10.0, 10.0)
-    y_m: float = wider(-10.0, 10.0)
-    radius_m: float = wider(1e-3, 10.0)
+    opacity: float = key(ge=0.0, le=1.0)
+    x_m: float = key(ge=-10.0, le=10.0)
+    y_m: float = key(ge=-10.0, le=10.0)
+    radius_m: float = key(ge=1e-3, le=10.0)
 
     def transparency(self, pupil: Telescope) -> np.ndarray:
         """See `PupilEffect.transparency`."""

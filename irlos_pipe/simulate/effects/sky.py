@@ -13,9 +13,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility, VibrationLine
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.simulate import SceneError, require_known
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.effects.base import SimulatedEffect, own, wider
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.motion import MotionBlur
 
 JITTER_CORRELATION_S = 0.010
@@ -49,8 +50,10 @@ class TipTiltJitter(MotionEffect):
     """Isotropic Gaussian motion; the mean of a frame is that of its independent positions."""
 
     name = "tip_tilt_jitter"
-    sigma_mas: float = wider(0.0, 200.0)
-    correlation_s: float = own("s, time after which the image has moved on", 1e-6, 10.0, JITTER_CORRELATION_S)
+    sigma_mas: float = key(ge=0.0, le=200.0)
+    correlation_s: float = key(
+        JITTER_CORRELATION_S, "s, time after which the image has moved on", ge=1e-6, le=10.0
+    )
 
     def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
         """See `MotionEffect.blur`."""
@@ -67,10 +70,10 @@ class Vibration(MotionEffect):
     """
 
     name = "vibration"
-    sigma_mas: float = wider(0.0, 200.0)
+    sigma_mas: float = key(ge=0.0, le=200.0)
     angle_deg: float = 0.0
-    frequency_hz: float | None = own(
-        "Hz; the telescope's strongest line above 20 Hz if left out", 1e-3, 1000.0
+    frequency_hz: float | None = key(
+        None, "Hz; the telescope's strongest line above 20 Hz if left out", ge=1e-3, le=1000.0
     )
     shape: Shape = field(default="sinusoidal", metadata={"formerly": "distribution"})
 
@@ -81,18 +84,14 @@ class Vibration(MotionEffect):
         """See `MotionEffect.blur`."""
         angle = np.deg2rad(self.angle_deg)
         direction = self.sigma_mas * np.array([np.cos(angle), np.sin(angle)])
-        cycles = (self.frequency_hz or _strongest_hz(lines)) * exposure_s
+        fast = [line for line in lines if line[0] > FAST_HZ]
+        if not fast and not self.frequency_hz:
+            raise SceneError("effects.vibration: the instrument states no vibration line; give frequency_hz")
+        cycles = (self.frequency_hz or max(fast, key=lambda line: line[1] + line[2])[0]) * exposure_s
         mean_mas = np.sqrt(2) * direction * np.sinc(cycles) * np.cos(2 * np.pi * rng.random())
         if self.shape == "gaussian":
             return MotionBlur(mean_mas, np.outer(direction, direction), np.zeros(2))
         return MotionBlur(mean_mas, np.zeros((2, 2)), np.sqrt(2) * direction)
-
-
-def _strongest_hz(lines: Sequence[VibrationLine]) -> float:
-    fast = [line for line in lines if line[0] > FAST_HZ]
-    if not fast:
-        raise SceneError("effects.vibration: the instrument states no vibration line; give frequency_hz")
-    return max(fast, key=lambda line: line[1] + line[2])[0]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect, own, wider
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.telescope import Telescope
 
 REST_NM = 0.0  # where the focus stage stands before the first move
@@ -75,7 +76,7 @@ class HighOrderNcpa(StaticModes):
     """Further static modes `zernike_nm`, Noll: nm RMS."""
 
     name = "high_order_ncpa"
-    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
+    zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class DiversityError(WavefrontEffect):
     """The amplitude of the diversity is larger than declared by `nm`."""
 
     name = "diversity_error"
-    nm: float = wider(-1e4, 1e4)
+    nm: float = key(ge=-1e4, le=1e4)
 
     def misfit(self, setup: RecordingSetup) -> str:
         """See `SimulatedEffect.misfit`."""
@@ -104,10 +105,10 @@ class PhaseBump(WavefrontEffect):
     """A Gaussian of height `nm` and standard deviation `width_m` at (`x_m`, `y_m`)."""
 
     name = "phase_bump"
-    nm: float = wider(-1e4, 1e4)
-    x_m: float = wider(-10.0, 10.0)
-    y_m: float = wider(-10.0, 10.0)
-    width_m: float = wider(1e-3, 10.0)
+    nm: float = key(ge=-1e4, le=1e4)
+    x_m: float = key(ge=-10.0, le=10.0)
+    y_m: float = key(ge=-10.0, le=10.0)
+    width_m: float = key(ge=1e-3, le=10.0)
 
     def static_opd_nm(self, telescope: Telescope) -> np.ndarray:
         """See `WavefrontEffect.static_opd_nm`."""
@@ -120,7 +121,7 @@ class NcpaDrift(WavefrontEffect):
     """Modes that grow linearly from nothing to `zernike_nm`, Noll: nm RMS, over the recording."""
 
     name = "ncpa_drift"
-    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
+    zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
 
     def drift_zernike_nm(self) -> Mapping[int, float]:
         """See `WavefrontEffect.drift_zernike_nm`."""
@@ -135,8 +136,8 @@ class ChromaticNcpa(WavefrontEffect):
     """
 
     name = "chromatic_ncpa"
-    zernike_nm_per_um: Mapping[int, float] = wider(-1e4, 1e4)
-    reference_nm: float | None = own("nm, where they vanish", 300.0, 5000.0)
+    zernike_nm_per_um: Mapping[int, float] = key(ge=-1e4, le=1e4)
+    reference_nm: float | None = key(None, "nm, where they vanish", ge=300.0, le=5000.0)
 
     def chromatic_zernike_nm(self, wavelength_nm: float, mean_nm: float) -> Mapping[int, float]:
         """See `WavefrontEffect.chromatic_zernike_nm`."""
@@ -149,7 +150,7 @@ class FilterNcpa(StaticModes):
     """The wavefront `zernike_nm` of the filter or lens of this recording, Noll: nm RMS."""
 
     name = "filter_ncpa"
-    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
+    zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ class FocusStageScale(FocusStageEffect):
     """The introduced defocus is larger than commanded by a `fraction`."""
 
     name = "focus_stage_scale"
-    fraction: float = wider(-1.0, 10.0)
+    fraction: float = key(ge=-1.0, le=10.0)
 
     def reached_nm(
         self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
@@ -168,22 +169,14 @@ class FocusStageScale(FocusStageEffect):
 
 @dataclass(frozen=True)
 class FocusStageHysteresis(FocusStageEffect):
-    """Bias by the direction of travel.
-
-    Attributes
-    ----------
-    nm : float
-        Bias after moving towards larger positions, its opposite otherwise.
-    scatter_nm : float
-        RMS of a part that is drawn for every move.
-    direction : float, optional
-        +1 or -1: direction of the move that led to the first position, if it was not from 0.
-    """
+    """Bias by the direction of travel."""
 
     name = "focus_stage_hysteresis"
-    nm: float = wider(-1e4, 1e4)
-    scatter_nm: float = own("nm RMS, drawn for every move", 0.0, 5000.0, 0.0)
-    direction: float | None = own("+1 or -1, of the move to the first position", -1.0, 1.0)
+    nm: float = key(ge=-1e4, le=1e4)  # bias after moving towards larger positions, its opposite otherwise
+    # RMS of a part that is drawn for every move
+    scatter_nm: float = key(0.0, "nm RMS, drawn for every move", ge=0.0, le=5000.0)
+    # +1 or -1: direction of the move that led to the first position, if it was not from 0
+    direction: float | None = key(None, "+1 or -1, of the move to the first position", ge=-1.0, le=1.0)
 
     def reached_nm(
         self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
@@ -199,7 +192,7 @@ class FocusStageOffset(FocusStageEffect):
     """Bias `nm` of the commanded positions larger than `above_nm` and smaller than `below_nm`."""
 
     name = "focus_stage_offset"
-    nm: float = wider(-1e4, 1e4)
+    nm: float = key(ge=-1e4, le=1e4)
     above_nm: float | None = None
     below_nm: float | None = None
 

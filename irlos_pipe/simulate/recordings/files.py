@@ -29,31 +29,15 @@ Defocus = float | tuple[float, ...]  # of all frames, or of every frame [nm RMS]
 
 @dataclass(frozen=True)
 class Planned:
-    """A recording to be made.
+    """A recording to be made."""
 
-    Attributes
-    ----------
-    name : str
-        ``calibration``, or ``ramp/offset_03`` in a series.
-    scene : Scene
-        What happens; the defocus is what the focus stage reaches.
-    commanded_nm : float or tuple of float
-        Introduced defocus as commanded, which the side-car states [nm RMS].
-    hidden : mapping
-        Effects that the side-car does not state, those of the focus stage included.
-    layout, mode : str
-        Of the files; mode string of a MUSE file.
-    side_car : bool
-        Whether one is written; a MUSE file may do without.
-    """
-
-    name: str
-    scene: Scene
-    commanded_nm: Defocus
-    hidden: Mapping[str, Mapping[str, Any]]
+    name: str  # calibration, or ramp/offset_03 in a series
+    scene: Scene  # what happens; the defocus is what the focus stage reaches
+    commanded_nm: Defocus  # introduced defocus as commanded, which the side-car states
+    hidden: Mapping[str, Mapping[str, Any]]  # effects that it does not, those of the focus stage included
     layout: str
-    mode: str
-    side_car: bool = True
+    mode: str  # mode string of a MUSE file
+    side_car: bool = True  # whether one is written; a MUSE file may do without
 
     @property
     def size_bytes(self) -> int:

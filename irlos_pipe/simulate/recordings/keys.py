@@ -31,12 +31,11 @@ from pydantic import (
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.effects.declaration import Public
 from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel, Pixel, outside_window
 from irlos_pipe.simulate.effects import EFFECTS, effects_of
-from irlos_pipe.simulate.effects.base import Own, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling
@@ -82,38 +81,37 @@ def _section(effect: type[SimulatedEffect]) -> type[EffectSection]:
     hints = get_type_hints(effect)
     keys: dict[str, Any] = {}
     for field in fields(effect):
-        declared: Public | Own = field.metadata.get("own") or public.get(field.name) or Own("")
-        if limits := field.metadata.get("wider"):
-            declared = replace(declared, lower=limits[0], upper=limits[1])
-        names = [field.name, *filter(None, [field.metadata.get("formerly")])]
+        known, own = public.get(field.name), field.metadata
+        limits = (own.get("ge", known and known.lower), own.get("le", known and known.upper))
+        kind = known.kind if known and not own.get("description") else "number"
+        names = [field.name, *filter(None, [own.get("formerly")])]
         keys[field.name] = (
-            _type(hints[field.name], declared),
+            _type(hints[field.name], kind, *limits),
             Field(
                 ... if field.default is MISSING else field.default,
-                description=declared.unit,
+                description=own.get("description") or (known.unit if known else ""),
                 validation_alias=AliasChoices(*names) if len(names) > 1 else None,
             ),
         )
     return create_model(effect.name, __base__=EffectSection, __doc__=effect.__doc__, **keys)
 
 
-def _type(hint: Any, declared: Public | Own) -> Any:
-    """Return the type of a key for the `hint` of the simulator's field and the `declared` limits."""
+def _type(hint: Any, kind: str, *limits: float | None) -> Any:
+    """Return the type of a key of a `kind` for the `hint` of its field, with `limits` of numbers."""
     optional = NoneType in get_args(hint)
     hint = next(one for one in get_args(hint) if one is not NoneType) if optional else hint
-    lowest, highest = (limit if isfinite(limit) else None for limit in (declared.lower, declared.upper))
+    lowest, highest = (limit if limit is not None and isfinite(limit) else None for limit in limits)
     number = Annotated[float, Field(ge=lowest, le=highest)]
-    kind = declared.kind if isinstance(declared, Public) else "number"
     if get_origin(hint) is Literal:
         key = hint
     elif kind == "parts":
-        key = Annotated[list[number], Field(min_length=1)]  # type: ignore[valid-type]
+        key = Annotated[list[number], Field(min_length=1)]
     elif kind == "zernike":
-        key = Annotated[dict[int, number], AfterValidator(require_nolls)]  # type: ignore[valid-type]
+        key = Annotated[dict[int, number], AfterValidator(require_nolls)]
     elif kind == "pixels":
         key = Annotated[list[Pixel], Field(min_length=1)]
     else:
-        key = list[number] if get_origin(hint) is Sequence else number  # type: ignore[valid-type]
+        key = list[number] if get_origin(hint) is Sequence else number
     return key | None if optional else key
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -37,24 +37,12 @@ LOOK_S = 0.3  # between looks at the progress of the worker processes
 
 @dataclass(frozen=True)
 class Made:
-    """A recording that was made.
+    """A recording that was made."""
 
-    Attributes
-    ----------
-    truth : dict
-        Content of its truth file.
-    wavefront_fits : bytes
-        Its mean wavefront.
-    brightest_adu : int
-        Highest value of all frames [ADU].
-    saturated : int
-        Values on the end of the converter.
-    """
-
-    truth: dict[str, Any]
+    truth: dict[str, Any]  # content of its truth file
     wavefront_fits: bytes
-    brightest_adu: int
-    saturated: int
+    brightest_adu: int  # highest value of all frames
+    saturated: int  # values on the end of the converter
 
 
 def record(planned: Planned, folder: Path, spool: Path, report: Callable[[int], None]) -> Made:
@@ -165,7 +153,7 @@ class Job:
 
 def make_all(
     planned: Sequence[Planned], parent: Path, jobs: int, progress: Callable[..., Any] | None
-) -> Iterator[tuple[Job, Made]]:
+) -> Generator[tuple[Job, Made], None, None]:
     """Make recordings in a hidden folder below `parent`, on the same disk; yield them as they are finished.
 
     Parameters

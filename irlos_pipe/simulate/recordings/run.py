@@ -222,7 +222,7 @@ def _reported_in_one_line(folder: Path) -> Iterator[None]:
 
 def plan_rows(steps: Sequence[Step]) -> list[tuple[str, ...]]:
     """Return one row of text for each of `steps`: name, what is recorded, photons, size, what is done."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for step in steps:
         scene = step.planned.scene
         what = (

@@ -62,6 +62,7 @@ def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Gen
     if keys.offsets_nm:
         return _ramp(name, keys, keys.offsets_nm, hidden, rng)
     commanded_nm: Defocus
+    true_nm: Defocus
     reached = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects_of(hidden), rng)
     if isinstance(keys.introduced_nm, list):
         commanded_nm, true_nm = tuple(keys.introduced_nm), tuple(reached.tolist())

@@ -35,6 +35,7 @@ from irlos_pipe.simulate.recordings.keys import (
     Shared,
 )
 from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.telescope import sum_nm
 
 BANDS = {
     "narrow_h": (Band.of(NARROW_H),),
@@ -127,8 +128,7 @@ def _aberrations(
         modes_nm = draw_ncpa_nm(rng, instrument.facility.ncpa_law, keys.total_nm, keys.modes)
     if keys.tail_nm:
         rng = np.random.default_rng([seed, number(f"{what} tail")])
-        for noll, value_nm in draw_tail_nm(rng, keys.tail_nm, *keys.tail_nolls).items():
-            modes_nm[noll] = modes_nm.get(noll, 0.0) + value_nm
+        modes_nm = sum_nm([modes_nm, draw_tail_nm(rng, keys.tail_nm, *keys.tail_nolls)])
     return modes_nm
 
 
@@ -203,21 +203,12 @@ class SpecKeys(Shared):
 
 @dataclass(frozen=True)
 class Spec:
-    """A valid spec.
+    """A valid spec."""
 
-    Attributes
-    ----------
-    head : dict
-        Name, title, instrument (its name, or the absolute path of its file) and seed, by their keys.
-    recordings : dict of str to RecordingKeys
-        By name, the shared sections filled in.
-    scenes : dict of str to Scene
-        What all recordings of such a section have in common.
-    """
-
+    # name, title, instrument (its name, or the absolute path of its file) and seed, by their keys
     head: dict[str, Any]
-    recordings: dict[str, RecordingKeys]
-    scenes: dict[str, Scene]
+    recordings: dict[str, RecordingKeys]  # by name, the shared sections filled in
+    scenes: dict[str, Scene]  # what all recordings of such a section have in common
 
     @property
     def seed(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from astropy.io import fits
-from helpers.simulation_specs import CUBE, spec_of, written
+from helpers.simulation_specs import CUBE, planned
 
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
@@ -20,15 +20,10 @@ from irlos_pipe.readers.find import read_recordings, recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.recordings.files import Planned, write_files
-from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.spec import load_spec
-
-SKY = {"sky": {"seeing_arcsec": 0.7}}
 
 
-def planned(folder: Path, **recording) -> Planned:
-    spec = spec_of({"night": CUBE | recording}, **SKY)
-    return plan_recordings(load_spec(written(folder / "spec.yaml", spec)))[0]
+def night(folder: Path, **recording) -> Planned:
+    return planned(folder, {"night": CUBE | recording}, sky={"seeing_arcsec": 0.7})["night"]
 
 
 def frames_of(one: Planned, frames: int | None = None):
@@ -48,7 +43,7 @@ def write(one: Planned, folder: Path) -> Path:
 
 @pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
 def test_the_files_are_valid_and_ingest_reads_the_frames_back(tmp_path, layout):
-    one = planned(tmp_path, layout=layout, window=[24, 30], frames=5)
+    one = night(tmp_path, layout=layout, window=[24, 30], frames=5)
     files = recording_files([write(one, tmp_path / "night")])
     for path in (tmp_path / "night").glob("*.fits"):
         assert path.stat().st_size % 2880 == 0
@@ -61,7 +56,7 @@ def test_the_files_are_valid_and_ingest_reads_the_frames_back(tmp_path, layout):
 
 
 def test_counters_and_times_of_the_recorder_run_with_the_loop(tmp_path):
-    one = planned(tmp_path, frames=25, exposure_s=0.05, frame_rate_hz=10)
+    one = night(tmp_path, frames=25, exposure_s=0.05, frame_rate_hz=10)
     table = fits.getdata(write(one, tmp_path / "night") / "night.fits", "IRPixelFrame")
     assert np.array_equal(np.diff(table["FrameCounter"]), [20] * 24)  # 200 Hz loop
     times = table["Seconds"] - one.scene.start_unix_s + table["USeconds"] * 1e-6
@@ -73,7 +68,7 @@ def test_counters_and_times_of_the_recorder_run_with_the_loop(tmp_path):
 
 @pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
 def test_the_side_car_tells_everything_that_ingest_needs(tmp_path, layout):
-    one = planned(tmp_path, layout=layout, introduced_nm=[0, 10, 20], detector={"excess_noise_factor": 1.25})
+    one = night(tmp_path, layout=layout, introduced_nm=[0, 10, 20], detector={"excess_noise_factor": 1.25})
     files = recording_files([write(one, tmp_path / "night")])
     (raw,) = read_recordings(files[0], load_instrument("irlos"))
     known = resolve(raw, AcquisitionKeys(), load_instrument("irlos"))
@@ -92,7 +87,7 @@ def test_the_side_car_tells_nothing_of_the_truth(tmp_path):
         "focus_stage_offset": {"nm": 37.7},
         "diversity_error": {"nm": 11.1},
     }
-    one = planned(tmp_path, effects=effects, ncpa={"zernike_nm": {5: 77.7}})
+    one = night(tmp_path, effects=effects, ncpa={"zernike_nm": {5: 77.7}})
     side_car = yaml.safe_load((write(one, tmp_path / "night") / "acquisition.yaml").read_text())
     known = "role target mag_j exposure_s frame_rate_hz pixel_scale_mas seeing_arcsec spectrum diversity"
     assert set(side_car) == {*known.split(), "introduced_defocus_nm", "derotator_angle_deg", "detector"}
@@ -101,14 +96,14 @@ def test_the_side_car_tells_nothing_of_the_truth(tmp_path):
 
 
 def test_a_spectrum_without_width_is_told_as_one_wavelength(tmp_path):
-    one = planned(tmp_path, bands=[{"centre_nm": 1600, "half_width_nm": 0}])
+    one = night(tmp_path, bands=[{"centre_nm": 1600, "half_width_nm": 0}])
     side_car = yaml.safe_load((write(one, tmp_path / "night") / "acquisition.yaml").read_text())
     assert side_car["spectrum"] == [{"wavelength_nm": 1600.0, "weight": 1.0}]
 
 
 def test_calibration_images_lie_beside_the_frames_where_the_detector_needs_them(tmp_path):
-    plain = write(planned(tmp_path), tmp_path / "plain")
-    worn = write(planned(tmp_path, detector={"flat_rms": 0.02, "dead": [[3, 4]]}), tmp_path / "worn")
+    plain = write(night(tmp_path), tmp_path / "plain")
+    worn = write(night(tmp_path, detector={"flat_rms": 0.02, "dead": [[3, 4]]}), tmp_path / "worn")
     assert sorted(path.name for path in plain.glob("IRAcq*")) == [
         "IRAcq.DET1.DARK.fits",
         "IRAcq.DET1.DEAD.fits",
@@ -120,7 +115,7 @@ def test_calibration_images_lie_beside_the_frames_where_the_detector_needs_them(
 
 
 def test_a_muse_file_has_the_header_and_tables_of_the_instrument(tmp_path):
-    one = planned(tmp_path, layout="muse_raw", derotator_angle_deg=33.0, target="HD 1")
+    one = night(tmp_path, layout="muse_raw", derotator_angle_deg=33.0, target="HD 1")
     (path,) = write(one, tmp_path / "night").glob("*.fits")
     assert path.name == "MUSE.2024-02-11T02:20:00.000.fits" and path.with_suffix(".yaml").is_file()
     with fits.open(path) as hdus:
@@ -134,7 +129,7 @@ def test_a_muse_file_has_the_header_and_tables_of_the_instrument(tmp_path):
 @pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
 def test_writing_needs_memory_for_a_few_frames_only(tmp_path, layout):
     def peak_bytes(frames: int) -> int:
-        one = planned(tmp_path, layout=layout, window=[64, 64], frames=frames)
+        one = night(tmp_path, layout=layout, window=[64, 64], frames=frames)
         tracemalloc.start()
         write(one, tmp_path / f"{frames}")
         peak = tracemalloc.get_traced_memory()[1]

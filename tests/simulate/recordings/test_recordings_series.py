@@ -6,18 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.simulation_specs import CUBE, RAMP, spec_of, written
+from helpers.simulation_specs import CUBE, RAMP, planned
 
-from irlos_pipe.simulate.recordings.files import Planned
-from irlos_pipe.simulate.recordings.series import plan_recordings, visiting_order
-from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.recordings.series import visiting_order
 
 FIVE = [-200, -100, 0, 100, 200]
-
-
-def planned(folder: Path, recordings: dict, **top) -> dict[str, Planned]:
-    spec = load_spec(written(folder / "spec.yaml", spec_of(recordings, **top)))
-    return {one.name: one for one in plan_recordings(spec)}
 
 
 def reached_nm(folder: Path, effects: dict, **ramp) -> list[float]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from helpers.paths import PACKAGE, RECIPES
-from helpers.simulation_specs import CUBE, RAMP, spec_of, written
+from helpers.simulation_specs import CUBE, RAMP, planned, spec_of, written
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
@@ -51,7 +51,7 @@ def test_the_examples_show_every_effect_of_the_catalogue_with_values_that_load()
 
 def test_a_vibration_may_have_its_former_spelling(tmp_path):
     effects = {"vibration": {"sigma_mas": 5, "distribution": "gaussian"}}
-    (one,) = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE | {"effects": effects}})))
+    one = planned(tmp_path, {"one": CUBE | {"effects": effects}})["one"]
     assert one.hidden["vibration"]["shape"] == "gaussian" and "distribution" not in one.hidden["vibration"]
 
 
@@ -77,7 +77,7 @@ def test_the_resolved_spec_holds_what_the_profile_gives(tmp_path):
 
 def test_more_can_be_simulated_than_a_model_accepts(tmp_path):
     effects = {"plate_scale": {"fraction": 0.1}, "atmospheric_dispersion": {"mas_per_um": -100}}
-    (one,) = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE | {"effects": effects}})))
+    one = planned(tmp_path, {"one": CUBE | {"effects": effects}})["one"]
     assert one.hidden["plate_scale"]["fraction"] == 0.1
     assert one.hidden["atmospheric_dispersion"]["mas_per_um"] == -100
 
@@ -187,9 +187,7 @@ def test_a_recording_changes_shared_sections_key_by_key_for_itself_alone(tmp_pat
         "detector": {"read_noise_e": 3.0},
         "effects": {"plate_scale": {"fraction": 0.01}},
     }
-    plain, own, bench, same = (
-        one.scene for one in plan_recordings(loaded(tmp_path, spec_of(recordings, **shared)))
-    )
+    plain, own, bench, same = (one.scene for one in planned(tmp_path, recordings, **shared).values())
     assert (plain.sky.seeing_arcsec, plain.sky.slope, plain.detector.e_per_adu) == (0.8, 2.0, 0.5)
     assert (own.sky.seeing_arcsec, own.sky.slope) == (0.8, 1.5)
     assert (own.detector.e_per_adu, own.detector.read_noise_e) == (2.0, 3.0)
@@ -217,8 +215,8 @@ def test_an_instrument_profile_of_ones_own_gives_pupil_scale_and_photons(tmp_pat
     profile = PACKAGE / "instrument" / "irlos.yaml"
     text = profile.read_text().replace("value: 8.0", "value: 7.0").replace("{value: 9.7,", "{value: 12.5,")
     (tmp_path / "mine.yaml").write_text(text.replace("value: 150000", "value: 300000"))
-    own = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE}, instrument="./mine.yaml")))[0].scene
-    usual = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE})))[0].scene
+    own = planned(tmp_path, {"one": CUBE}, instrument="./mine.yaml")["one"].scene
+    usual = planned(tmp_path, {"one": CUBE})["one"].scene
     assert (own.geometry.diameter_m, own.pixel_scale_mas) == (7.0, 12.5)
     assert own.photons == pytest.approx(2 * usual.photons)
     assert (
@@ -232,8 +230,7 @@ def test_a_tail_of_fine_modes_is_added_to_the_draw_and_leaves_it_as_it_is(tmp_pa
     drawn = {"total_nm": 100.0, "modes": 50}
     with_tail = drawn | {"tail_nm": 2.0, "tail_nolls": [52, 200]}
     plain, fine = (
-        plan_recordings(loaded(tmp_path, spec_of({"one": CUBE | {"ncpa": ncpa}})))[0].scene.ncpa_nm
-        for ncpa in (drawn, with_tail)
+        planned(tmp_path, {"one": CUBE | {"ncpa": ncpa}})["one"].scene.ncpa_nm for ncpa in (drawn, with_tail)
     )
     tail = [fine[noll] for noll in range(52, 201)]
     assert {noll: fine[noll] for noll in plain} == plain and len(fine) == 199
@@ -241,8 +238,7 @@ def test_a_tail_of_fine_modes_is_added_to_the_draw_and_leaves_it_as_it_is(tmp_pa
 
 
 def test_a_pupil_may_differ_from_the_profile_in_its_hole(tmp_path):
-    spec = spec_of({"one": CUBE}, pupil={"obscuration_m": 1.2})
-    (one,) = plan_recordings(loaded(tmp_path, spec))
+    one = planned(tmp_path, {"one": CUBE}, pupil={"obscuration_m": 1.2})["one"]
     nominal = load_instrument("irlos").pupil
     assert one.scene.geometry.obscuration_m == 1.2
     assert one.scene.geometry.vanes == nominal.vanes and nominal.obscuration_m != 1.2
