@@ -137,10 +137,10 @@ def _plain(value: Any) -> Any:
 class Experiment:
     """An experiment as a stage of a recipe; `docs/extending.md` says what its parts state.
 
-    Samples are what workers compute, as many `unit`; `rows` are computed there. `tables` come from a frame
-    of the rows of all samples, checks from the tables, and quantities for the product, beside the numbers and
-    texts of the rows, from `arrays`. The report has `lead`, a pattern for the first row of the first table,
-    the figures, and the listings, of which the first is shown on the terminal as well.
+    Samples are what the workers compute, as many `unit`; `rows` are computed there. `tables` come from a
+    frame of the rows of all samples, checks from the tables, and quantities for the product, beside the
+    numbers and texts of the rows, from `arrays`. The report has `lead`, a pattern for the first row of the
+    first table, the figures, and the listings, of which the first is shown on the terminal as well.
     """
 
     NAME: str

@@ -124,9 +124,8 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """The loops, their wavefront after every correction, the causes of what is left, and mirrors alone."""
     kinds, loop = dict(list(rows.groupby("what", sort=False))), ["method", "diversity", "bias_nm"]
     states, stars = kinds["state"], kinds["star"].set_index([*loop, "sample"])
-    places = {pair: place for place, pair in enumerate(LOOPS)}
-    states["loop"] = [places[pair] for pair in zip(states.method, states.diversity, strict=True)]
-    states = states.sort_values("loop", kind="stable")
+    places = [LOOPS.index(pair) for pair in zip(states.method, states.diversity, strict=True)]
+    states = states.assign(loop=places).sort_values("loop", kind="stable")
     causes = ex.grouped(kinds["cause"], [*loop, "cause"], lambda group, *_: {
         name: float(np.median(group[name])) for name in ("modes_nm", "beyond_nm")
     })  # fmt: skip
@@ -140,7 +139,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
             "corrections": done, "end_nm": last.modes_nm, "beyond_nm": last.beyond_nm, "all_nm": last.all_nm,
             "strehl_end": last.strehl, "strehl_ideal": star.ideal, "strehl_predicted": star.predicted,
         }  # fmt: skip
-        own = causes[(causes[loop] == key).all(axis=1)]
+        own = causes[(causes[loop] == list(key)).all(axis=1)]
         return {
             "samples": len(first),
             **dict(item for name, values in numbers.items() for item in ex.spread(name, values).items()),
