@@ -124,7 +124,7 @@ def test_the_catalogue_has_the_names_that_others_read():
 
 @pytest.mark.parametrize("kind", CATALOGUE.values(), ids=CATALOGUE)
 def test_every_effect_says_what_it_is_what_it_looks_like_and_where_that_is_written(kind):
-    assert kind.__doc__ and kind.look_alike and kind.reference
+    assert kind.__doc__ and kind.look_alike and kind.reference and kind.formula
     assert all(public.unit or public.name == "fraction" for public in kind.public)
 
 

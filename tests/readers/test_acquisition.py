@@ -332,8 +332,6 @@ def test_the_header_of_muse_has_the_monitors_seeing_and_its_table_that_of_sparta
     (monitor,) = read_recordings(write_muse(tmp_path / "a.fits", cube, header=header), IRLOS)
     seen = [0.4, 0.5, 0.6, -1.0]
     (sparta,) = read_recordings(write_muse(tmp_path / "b.fits", cube, header=header, seeing=seen), IRLOS)
-        write_muse(tmp_path / "b.fits", cube, header=header, seeing=[0.4, 0.5, 0.6, -1.0]), IRLOS
-    )
     (neither,) = read_recordings(write_muse(tmp_path / "c.fits", cube), IRLOS)
     assert (monitor.header["seeing_arcsec"], monitor.header["seeing_scale"]) == (0.7, "mass_dimm")
     assert (sparta.header["seeing_arcsec"], sparta.header["seeing_scale"]) == (pytest.approx(0.5), "sparta")

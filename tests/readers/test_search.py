@@ -35,7 +35,7 @@ CUBE = counts(star(12, 12), 3)
 
 @pytest.fixture(autouse=True)
 def patient():
-    with within(10):
+    with within(60):
         yield
 
 
