@@ -222,11 +222,12 @@ class Effect(Declared):
         return [p.start if p.null is None else p.null for p in self.parameters]
 
 
-def _of_all(method: str) -> Any:
+def _of_all(method: str, as_array: bool = False) -> Any:
     """A method of a `FixedEffect`: that of its base, for the values of all parameters."""
 
     def ours(self: FixedEffect, values: Tensor, *light: Any, **more: Any) -> Any:
-        return getattr(self.base, method)(self.all_values(values), *light, **more)
+        every = self.all_values(values)
+        return getattr(self.base, method)(every.numpy() if as_array else every, *light, **more)
 
     return ours
 
@@ -285,35 +286,32 @@ class FixedEffect(Effect):
 
     apply, pushed, opd_nm = _of_all("apply"), _of_all("pushed"), _of_all("opd_nm")
     defocus_nm = _of_all("defocus_nm")
+    describe, shown = _of_all("describe", as_array=True), _of_all("shown", as_array=True)
 
     def slopes(self, values: Tensor, light: Tensor, grid: Any, wanted: Sequence[int]) -> Sequence[Tensor]:
         return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
 
+    def _of_other(self, base: Effect) -> FixedEffect:
+        """Another effect with the same parameters held."""
+        return FixedEffect(base, self.values, [self.base.parameters[i].name for i in self.free])
+
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
         """See `Effect.further_paths`: with the same parameters held."""
-        names = [self.base.parameters[i].name for i in self.free]
-        return [(mode, FixedEffect(one, self.values, names)) for mode, one in self.base.further_paths]
-
-    def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
-        return self.base.good_pixels(window)
+        return [(mode, self._of_other(one)) for mode, one in self.base.further_paths]
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
-        free = [self.base.parameters[i].name for i in self.free]
-        return FixedEffect(self.base.seen_in(here, first), self.values, free)
+        return self._of_other(self.base.seen_in(here, first))
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
         """See `Effect.shown_by`; what is held needs no showing."""
         return not self.free or self.base.shown_by(recordings)
 
+    def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
+        return self.base.good_pixels(window)
+
     def phrase(self, public: Mapping[str, Any]) -> str:
         return self.base.phrase(public)
-
-    def describe(self, values: np.ndarray) -> dict[str, Any]:
-        return self.base.describe(self.all_values(values).numpy())
-
-    def shown(self, values: np.ndarray) -> dict[str, Any]:
-        return self.base.shown(self.all_values(values).numpy())
 
 
 def expected(effects: Sequence[Effect]) -> list[Effect]:

@@ -77,29 +77,27 @@ CATALOGUE: dict[str, type[Effect]] = {
 }
 
 
-def wider_kinds(name: str) -> list[type[Effect]]:
-    """Return the kinds of effect that are a wider form of the one called `name`."""
-    return [kind for kind in CATALOGUE.values() if kind.widens == name]
-
-
-def narrower_kinds(name: str) -> list[type[Effect]]:
-    """Return the kind of effect of which the one called `name` is a wider form, or nothing."""
-    return [kind for kind in CATALOGUE.values() if kind.name == CATALOGUE[name].widens]
-
-
-def in_form(kind: type[Effect], conditions: Conditions, values: Sequence[float] | np.ndarray) -> FixedEffect:
-    """Return an effect, all free, where another form of it acts at `values`.
+def in_other_forms(
+    name: str, conditions: Conditions, values: Sequence[float] | np.ndarray, *, wider: bool
+) -> list[FixedEffect]:
+    """Return the wider forms of an effect, or that of which it is one, all free, where it acts at `values`.
 
     Parameters
     ----------
-    kind : type of Effect
-        A wider form begins with its further parameters at zero; a narrower one leaves them out.
+    name : str
     conditions : Conditions
-    values : sequence of float, (parameters of the other form,)
+    values : sequence of float, (parameters,)
+        A wider form begins with its further parameters at zero; a narrower one leaves them out.
+    wider : bool
     """
-    base = kind.under(conditions)
-    count = len(base.parameters)
-    return FixedEffect(base, [*values, *[0.0] * count][:count], free=[one.name for one in base.parameters])
+    kinds = CATALOGUE.values()
+    forms = [one for one in kinds if (one.widens == name if wider else CATALOGUE[name].widens == one.name)]
+    found = []
+    for base in (kind.under(conditions) for kind in forms):
+        count = len(base.parameters)
+        every = [one.name for one in base.parameters]
+        found.append(FixedEffect(base, [*values, *[0.0] * count][:count], free=every))
+    return found
 
 
 HEAD = """# Effects
