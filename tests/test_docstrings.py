@@ -50,7 +50,7 @@ def asked(package: str) -> list[tuple[str, bool]]:
     """Names of the functions with two or more parameters, and whether they document them."""
     paths = sorted((PACKAGE / package).rglob("*.py"))
     functions = [(path, *one) for path in paths for one in public_functions(ast.parse(path.read_text()))]
-    documented = {function.name for _, function, docstring in functions if "Parameters\n" in docstring}
+    documented = {function.name for _, function, docstring in functions if docstring}
     found = []
     for path, function, docstring in functions:
         override = is_override(function.name, docstring, documented)
@@ -67,14 +67,12 @@ def test_nine_in_ten_public_functions_document_their_parameters(package):
     assert len(missing) <= (1 - MIN_DOCUMENTED) * len(functions), "\n".join(missing)
 
 
-def test_every_public_function_has_a_docstring():
-    undocumented = [
-        f"{path.relative_to(PACKAGE)}:{function.lineno} {function.name}"
-        for path in PACKAGE.rglob("*.py")
-        for function, docstring in public_functions(ast.parse(path.read_text()))
-        if not docstring
-    ]
-    assert undocumented == []
+@pytest.mark.parametrize("package", [*PACKAGES, "paper"])
+def test_every_public_function_or_what_it_overrides_has_a_docstring(package):
+    paths = sorted((PACKAGE / package).rglob("*.py"))
+    functions = [one for path in paths for one in public_functions(ast.parse(path.read_text()))]
+    documented = {function.name for function, docstring in functions if docstring}
+    assert {function.name for function, docstring in functions} - documented == set()
 
 
 def test_the_check_distinguishes_documented_from_undocumented():

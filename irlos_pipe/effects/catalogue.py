@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 import textwrap
 from collections.abc import Sequence
 
@@ -173,7 +172,10 @@ def _value(one: Public) -> str:
 
 def _summary(kind: type[Effect]) -> str:
     """The docstring of an effect up to its first section."""
-    text = re.split(r"\n\w+\n---", inspect.cleandoc(kind.__doc__ or ""))[0].strip().replace("``", "`")
+    text = inspect.cleandoc(kind.__doc__ or "")
+    for section in ("Parameters", "Raises", "Class attributes"):
+        text = text.split(f"\n{section}\n---")[0]
+    text = text.strip().replace("``", "`")
     return "\n\n".join(_filled(paragraph) for paragraph in text.split("\n\n"))
 
 
