@@ -65,13 +65,8 @@ class Effect(Declared):
         """Effects whose derivative at the null values is to be looked at when searching for this one.
 
         Where position, direction or size mean nothing in the absence of the effect, one per value tried:
-        `FixedEffect` at its null values with the size left free.
-
-        Parameters
-        ----------
-        window : (int, int)
-            Rows and columns [px].
-        pixel_scale_mas : float
+        `FixedEffect` at its null values with the size left free. The `window` has rows and columns of pixels
+        of `pixel_scale_mas`.
         """
         return [self]
 
@@ -88,25 +83,16 @@ class Effect(Declared):
         raise NotImplementedError
 
     def slopes(self, values: Tensor, light: Tensor, grid: Any, wanted: Sequence[int]) -> Sequence[Tensor]:
-        """Derivatives of `apply`, in the pupil and of the OTF.
+        """Derivatives of `apply`, in the pupil and of the OTF, by the `wanted` parameters.
 
-        Parameters
-        ----------
-        values, light, grid
-            As those of `apply`.
-        wanted : sequence of int
-            Parameters with respect to which they are.
+        `values`, `light` and `grid` are those of `apply`.
         """
         raise NotImplementedError
 
     def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
-        """What small changes of images become behind the detector.
+        """What small `changes` (images, changes, rows, columns) of `images_e` become behind the detector.
 
-        Parameters
-        ----------
-        values, images_e
-            As those of `apply`; (images, rows, columns).
-        changes : tensor, (images, changes, rows, columns)
+        `values` and `images_e` (images, rows, columns) are those of `apply`.
         """
         raise NotImplementedError
 
@@ -346,12 +332,7 @@ def kind_of(label: str) -> str:
 
 
 def label_after(label: str, gone: str) -> str:
-    """Label of an effect when the one labelled `gone` has left the model: later ones of its kind move up.
-
-    Parameters
-    ----------
-    label, gone : str
-    """
+    """Return a `label` when the effect labelled `gone` has left the model: later ones of its kind move up."""
     (name, number), (other, place) = _label_parts(label), _label_parts(gone)
     return label_of(name, number - 1) if name == other and number > place else label
 
@@ -363,12 +344,10 @@ def _label_parts(label: str) -> tuple[str, int]:
 
 
 def direction_among(parameters: Sequence[Parameter]) -> int | None:
-    """Return which of the free parameters of an effect is its direction; None without distance and direction.
+    """Return which of the free `parameters` of an effect is its direction; None without distance and
+    direction.
 
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-        The first is the distance, where there is one.
+    The distance is the first, where there is one.
     """
     angles = [i for i, one in enumerate(parameters) if one.null is None and one.unit == "rad"]
     if not angles or parameters[0].null is None or parameters[0].null > parameters[0].lower:
@@ -377,12 +356,7 @@ def direction_among(parameters: Sequence[Parameter]) -> int | None:
 
 
 def on_every_side(effect: Effect) -> list[np.ndarray]:
-    """Return values of the free parameters, at their starts but for the direction; none without one.
-
-    Parameters
-    ----------
-    effect : Effect
-    """
+    """Values of the free parameters of an `effect`, at their starts but for the direction, if it has one."""
     angle = direction_among(effect.parameters)
     if angle is None:
         return []

@@ -79,15 +79,10 @@ CATALOGUE: dict[str, type[Effect]] = {
 def in_other_forms(
     name: str, conditions: Conditions, values: Sequence[float] | np.ndarray, *, wider: bool
 ) -> list[FixedEffect]:
-    """Return the wider forms of an effect, or that of which it is one, all free, where it acts at `values`.
+    """Return the wider forms of the effect `name`, or that of which it is one, all free, where it acts at
+    `values`.
 
-    Parameters
-    ----------
-    name : str
-    conditions : Conditions
-    values : sequence of float, (parameters,)
-        A wider form begins with its further parameters at zero; a narrower one leaves them out.
-    wider : bool
+    A `wider` form begins with its further parameters at zero; a narrower one leaves them out.
     """
     kinds = CATALOGUE.values()
     forms = [one for one in kinds if (one.widens == name if wider else CATALOGUE[name].widens == one.name)]
