@@ -19,7 +19,6 @@ from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit, other_forms
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.effects import narrower_kinds
 from irlos_pipe.effects.base import label_of, occurrences
 
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
@@ -309,7 +308,7 @@ def narrowed(
         if not one.refit.base.widens:
             continue
         wider = _beside_all(fitter, current, one.refit, labels_in(current.fitted, names)[place])
-        for narrower in other_forms(fitter, [wider], narrower_kinds):
+        for narrower in other_forms(fitter, [wider], wider=False):
             chosen = _preferred([wider, replace(narrower, fitted=fitter.finished(narrower.fitted))], cube)
             if chosen is not None and chosen.name == narrower.name:
                 names[place], current = chosen, chosen.refit.optimum

@@ -39,7 +39,7 @@ from irlos_pipe.diagnosis.verdict import (
     Tried,
 )
 from irlos_pipe.diagnosis.view import Screened
-from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect, wider_kinds
+from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
@@ -145,7 +145,8 @@ def _flat_rms(final: Optimum) -> float:
 
 def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:
     """`smallest` detectable sizes, and those of wider forms of the same effects, which act alike at best."""
-    return smallest | {kind.name: smallest[name] for name in smallest for kind in wider_kinds(name)}
+    wider = {name: kind.widens for name, kind in CATALOGUE.items() if kind.widens in smallest}
+    return smallest | {name: smallest[narrower] for name, narrower in wider.items()}
 
 
 def _elsewhere(search: Search, options: Options) -> dict[str, dict]:

@@ -30,7 +30,7 @@ from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.refit import Refit, other_forms, quick_refits
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
 from irlos_pipe.diagnosis.without import imitated, without_linearly
-from irlos_pipe.effects import CATALOGUE, Effect, narrower_kinds, wider_kinds
+from irlos_pipe.effects import CATALOGUE, Effect
 from irlos_pipe.effects.base import label_after
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.numerics.parallel import ordered_map
@@ -198,7 +198,7 @@ class NamingTask(AllowingTask):
                 continue
             right = task._explains_its_own(present)
             rivals = (
-                task._rivals(present, dropped) if right else other_forms(task.fitter, [present], wider_kinds)
+                task._rivals(present, dropped) if right else other_forms(task.fitter, [present], wider=True)
             )
             plausible = [one for one in (present, *rivals) if task._explains_its_own(one)]
             one = task._wanted(sorted(plausible, key=lambda one: -one.merit))
@@ -239,9 +239,7 @@ class NamingTask(AllowingTask):
         others = quick_refits(
             self.fitter, refit.origin, likely
         )  # among them wider forms: of `refit`'s own name
-        forms = [
-            one for kinds in (wider_kinds, narrower_kinds) for one in other_forms(self.fitter, [refit], kinds)
-        ]
+        forms = [one for wider in (True, False) for one in other_forms(self.fitter, [refit], wider=wider)]
         return [*forms, *(one for one in others if one.name not in {refit.name, refit.base.widens})]
 
     def _against_without(self, current: Optimum, label: str) -> Refit:

@@ -13,7 +13,7 @@ from irlos_pipe.diagnosis.fitting import EXPLORING, Fitter
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
-from irlos_pipe.effects import Effect, FixedEffect, in_form, wider_kinds
+from irlos_pipe.effects import Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -158,7 +158,7 @@ def refits(
         found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
     several = [one for one in found if one.score.elsewhere]
     found = _once_more(fitter, found, _leading(several), _from_elsewhere)
-    found = _joined(fitter, found, other_forms(fitter, _leaders(found), wider_kinds))
+    found = _joined(fitter, found, other_forms(fitter, _leaders(found), wider=True))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
 
@@ -172,7 +172,7 @@ def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> li
     near = ordered_map(partial(_near, fitter, origin, iterations=RANKING), scores)
     found = [one for one in near if np.isfinite(one.fitted.chi2)]
     seen = [one for one in found if one.beyond_chance]
-    return sorted([*found, *other_forms(fitter, _leaders(seen), wider_kinds)], key=lambda one: -one.merit)
+    return sorted([*found, *other_forms(fitter, _leaders(seen), wider=True)], key=lambda one: -one.merit)
 
 
 def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
@@ -269,9 +269,7 @@ def _leaders(found: Sequence[Refit]) -> list[Refit]:
     return [one for one in found if is_rival(_best(found), one)]
 
 
-def other_forms(
-    fitter: Fitter, found: Sequence[Refit], kinds_of: Callable[[str], Sequence[type[Effect]]]
-) -> list[Refit]:
+def other_forms(fitter: Fitter, found: Sequence[Refit], *, wider: bool) -> list[Refit]:
     """Fits of other forms of what was found, from where that is: a second image may be out of focus.
 
     Parameters
@@ -279,12 +277,14 @@ def other_forms(
     fitter : Fitter
     found : sequence of Refit
         Those that act in one moment alone have none.
-    kinds_of : callable
-        Kinds of the forms, by the name of what was found.
+    wider : bool
+        Wider forms; else that of which it is one.
     """
     conditions, every = fitter.views[0].conditions, [one for one in found if one.base.acts_in is None]
     pairs = [
-        (one, in_form(kind, conditions, one.values)) for one in every for kind in kinds_of(one.base.name)
+        (one, form)
+        for one in every
+        for form in in_other_forms(one.base.name, conditions, one.values, wider=wider)
     ]
     fits = ordered_map(lambda pair: _as_effect(fitter, *pair), pairs)
     return [one for one in fits if np.isfinite(one.fitted.chi2)]

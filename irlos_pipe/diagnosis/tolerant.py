@@ -27,7 +27,7 @@ from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import threshold
 from irlos_pipe.diagnosis.starts import off_rest, on_other_sides, other_wavefronts
 from irlos_pipe.diagnosis.without import needless
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_form, wider_kinds
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.colour import STRETCH, PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.numerics.parallel import ordered_map
@@ -235,8 +235,8 @@ class TolerantTask(NamingTask):
         others = opening.fitted.continued_by_label()
         found = [label for label, effect in others.items() if effect.name == score.name][-1]
         del others[found]
-        for kind in wider_kinds(score.name):
-            wider = in_form(kind, self.conditions, opening.fitted.values_of(found))
+        values = opening.fitted.values_of(found)
+        for wider in in_other_forms(score.name, self.conditions, values, wider=True):
             one = self.opening(opening.fitted, [*others.values(), wider])
             self.report(1)
             if one is not None and self._deviance(opening) - self._deviance(one) > least:

@@ -1,7 +1,7 @@
 """Physical effects beyond the static wavefront, each declaring where on the light path it acts."""
 
 from irlos_pipe.effects.base import Effect, FixedEffect, expected
-from irlos_pipe.effects.catalogue import CATALOGUE, in_form, narrower_kinds, wider_kinds
+from irlos_pipe.effects.catalogue import CATALOGUE, in_other_forms
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public
 from irlos_pipe.effects.effect_set import EffectSet, fixed_optics
 from irlos_pipe.effects.motion import TipTiltJitter
@@ -20,7 +20,5 @@ __all__ = [
     "TipTiltJitter",
     "expected",
     "fixed_optics",
-    "in_form",
-    "narrower_kinds",
-    "wider_kinds",
+    "in_other_forms",
 ]

@@ -65,13 +65,8 @@ class Effect(Declared):
         """Effects whose derivative at the null values is to be looked at when searching for this one.
 
         Where position, direction or size mean nothing in the absence of the effect, one per value tried:
-        `FixedEffect` at its null values with the size left free.
-
-        Parameters
-        ----------
-        window : (int, int)
-            Rows and columns [px].
-        pixel_scale_mas : float
+        `FixedEffect` at its null values with the size left free. The `window` has rows and columns of pixels
+        of `pixel_scale_mas`.
         """
         return [self]
 
@@ -88,25 +83,16 @@ class Effect(Declared):
         raise NotImplementedError
 
     def slopes(self, values: Tensor, light: Tensor, grid: Any, wanted: Sequence[int]) -> Sequence[Tensor]:
-        """Derivatives of `apply`, in the pupil and of the OTF.
+        """Derivatives of `apply`, in the pupil and of the OTF, by the `wanted` parameters.
 
-        Parameters
-        ----------
-        values, light, grid
-            As those of `apply`.
-        wanted : sequence of int
-            Parameters with respect to which they are.
+        `values`, `light` and `grid` are those of `apply`.
         """
         raise NotImplementedError
 
     def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
-        """What small changes of images become behind the detector.
+        """What small `changes` (images, changes, rows, columns) of `images_e` become behind the detector.
 
-        Parameters
-        ----------
-        values, images_e
-            As those of `apply`; (images, rows, columns).
-        changes : tensor, (images, changes, rows, columns)
+        `values` and `images_e` (images, rows, columns) are those of `apply`.
         """
         raise NotImplementedError
 
@@ -222,11 +208,12 @@ class Effect(Declared):
         return [p.start if p.null is None else p.null for p in self.parameters]
 
 
-def _of_all(method: str) -> Any:
+def _of_all(method: str, as_array: bool = False) -> Any:
     """A method of a `FixedEffect`: that of its base, for the values of all parameters."""
 
     def ours(self: FixedEffect, values: Tensor, *light: Any, **more: Any) -> Any:
-        return getattr(self.base, method)(self.all_values(values), *light, **more)
+        every = self.all_values(values)
+        return getattr(self.base, method)(every.numpy() if as_array else every, *light, **more)
 
     return ours
 
@@ -285,35 +272,32 @@ class FixedEffect(Effect):
 
     apply, pushed, opd_nm = _of_all("apply"), _of_all("pushed"), _of_all("opd_nm")
     defocus_nm = _of_all("defocus_nm")
+    describe, shown = _of_all("describe", as_array=True), _of_all("shown", as_array=True)
 
     def slopes(self, values: Tensor, light: Tensor, grid: Any, wanted: Sequence[int]) -> Sequence[Tensor]:
         return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
 
+    def _of_other(self, base: Effect) -> FixedEffect:
+        """Another effect with the same parameters held."""
+        return FixedEffect(base, self.values, [self.base.parameters[i].name for i in self.free])
+
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
         """See `Effect.further_paths`: with the same parameters held."""
-        names = [self.base.parameters[i].name for i in self.free]
-        return [(mode, FixedEffect(one, self.values, names)) for mode, one in self.base.further_paths]
-
-    def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
-        return self.base.good_pixels(window)
+        return [(mode, self._of_other(one)) for mode, one in self.base.further_paths]
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
-        free = [self.base.parameters[i].name for i in self.free]
-        return FixedEffect(self.base.seen_in(here, first), self.values, free)
+        return self._of_other(self.base.seen_in(here, first))
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
         """See `Effect.shown_by`; what is held needs no showing."""
         return not self.free or self.base.shown_by(recordings)
 
+    def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
+        return self.base.good_pixels(window)
+
     def phrase(self, public: Mapping[str, Any]) -> str:
         return self.base.phrase(public)
-
-    def describe(self, values: np.ndarray) -> dict[str, Any]:
-        return self.base.describe(self.all_values(values).numpy())
-
-    def shown(self, values: np.ndarray) -> dict[str, Any]:
-        return self.base.shown(self.all_values(values).numpy())
 
 
 def expected(effects: Sequence[Effect]) -> list[Effect]:
@@ -348,12 +332,7 @@ def kind_of(label: str) -> str:
 
 
 def label_after(label: str, gone: str) -> str:
-    """Label of an effect when the one labelled `gone` has left the model: later ones of its kind move up.
-
-    Parameters
-    ----------
-    label, gone : str
-    """
+    """Return a `label` when the effect labelled `gone` has left the model: later ones of its kind move up."""
     (name, number), (other, place) = _label_parts(label), _label_parts(gone)
     return label_of(name, number - 1) if name == other and number > place else label
 
@@ -365,12 +344,10 @@ def _label_parts(label: str) -> tuple[str, int]:
 
 
 def direction_among(parameters: Sequence[Parameter]) -> int | None:
-    """Return which of the free parameters of an effect is its direction; None without distance and direction.
+    """Return which of the free `parameters` of an effect is its direction; None without distance and
+    direction.
 
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-        The first is the distance, where there is one.
+    The distance is the first, where there is one.
     """
     angles = [i for i, one in enumerate(parameters) if one.null is None and one.unit == "rad"]
     if not angles or parameters[0].null is None or parameters[0].null > parameters[0].lower:
@@ -379,12 +356,7 @@ def direction_among(parameters: Sequence[Parameter]) -> int | None:
 
 
 def on_every_side(effect: Effect) -> list[np.ndarray]:
-    """Return values of the free parameters, at their starts but for the direction; none without one.
-
-    Parameters
-    ----------
-    effect : Effect
-    """
+    """Values of the free parameters of an `effect`, at their starts but for the direction, if it has one."""
     angle = direction_among(effect.parameters)
     if angle is None:
         return []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 import textwrap
 from collections.abc import Sequence
 
@@ -77,29 +76,22 @@ CATALOGUE: dict[str, type[Effect]] = {
 }
 
 
-def wider_kinds(name: str) -> list[type[Effect]]:
-    """Return the kinds of effect that are a wider form of the one called `name`."""
-    return [kind for kind in CATALOGUE.values() if kind.widens == name]
+def in_other_forms(
+    name: str, conditions: Conditions, values: Sequence[float] | np.ndarray, *, wider: bool
+) -> list[FixedEffect]:
+    """Return the wider forms of the effect `name`, or that of which it is one, all free, where it acts at
+    `values`.
 
-
-def narrower_kinds(name: str) -> list[type[Effect]]:
-    """Return the kind of effect of which the one called `name` is a wider form, or nothing."""
-    return [kind for kind in CATALOGUE.values() if kind.name == CATALOGUE[name].widens]
-
-
-def in_form(kind: type[Effect], conditions: Conditions, values: Sequence[float] | np.ndarray) -> FixedEffect:
-    """Return an effect, all free, where another form of it acts at `values`.
-
-    Parameters
-    ----------
-    kind : type of Effect
-        A wider form begins with its further parameters at zero; a narrower one leaves them out.
-    conditions : Conditions
-    values : sequence of float, (parameters of the other form,)
+    A `wider` form begins with its further parameters at zero; a narrower one leaves them out.
     """
-    base = kind.under(conditions)
-    count = len(base.parameters)
-    return FixedEffect(base, [*values, *[0.0] * count][:count], free=[one.name for one in base.parameters])
+    kinds = CATALOGUE.values()
+    forms = [one for one in kinds if (one.widens == name if wider else CATALOGUE[name].widens == one.name)]
+    found = []
+    for base in (kind.under(conditions) for kind in forms):
+        count = len(base.parameters)
+        every = [one.name for one in base.parameters]
+        found.append(FixedEffect(base, [*values, *[0.0] * count][:count], free=every))
+    return found
 
 
 HEAD = """# Effects
@@ -175,7 +167,10 @@ def _value(one: Public) -> str:
 
 def _summary(kind: type[Effect]) -> str:
     """The docstring of an effect up to its first section."""
-    text = re.split(r"\n\w+\n---", inspect.cleandoc(kind.__doc__ or ""))[0].strip().replace("``", "`")
+    text = inspect.cleandoc(kind.__doc__ or "")
+    for section in ("Parameters", "Raises", "Class attributes"):
+        text = text.split(f"\n{section}\n---")[0]
+    text = text.strip().replace("``", "`")
     return "\n\n".join(_filled(paragraph) for paragraph in text.split("\n\n"))
 
 

@@ -85,13 +85,7 @@ class AtmosphericDispersion(OtfEffect):
 
 
 def displacement_um(wavelengths_um, mean_um):
-    """Return how far refraction displaces light, over its slope at the mean wavelength [µm].
-
-    Parameters
-    ----------
-    wavelengths_um : tensor or ndarray
-    mean_um : tensor or float
-    """
+    """Return how far refraction displaces light of `wavelengths_um`, over its slope at `mean_um` [µm]."""
 
     def curve(um):
         return um**-2 + AIR_UM2 * um**-4

@@ -47,39 +47,21 @@ class DividedPupil(DrawnEffect):
         raise NotImplementedError
 
     def factors(self, values: Tensor, grid: PupilGrid) -> list[Tensor]:
-        """Return the complex factor of each part, (wavelengths, n, n).
-
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        grid : PupilGrid
-        """
+        """Return the complex factor of each part at `values` on `grid`, (wavelengths, n, n)."""
         raise NotImplementedError
 
     def moved(
         self, values: Tensor, amplitudes: Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> list[Tensor]:
-        """Return derivatives of the field, see `slopes`.
+        """Return derivatives of the field by the `wanted` parameters, see `slopes`.
 
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        amplitudes : tensor, (parts, n, n)
-            Of the parts.
-        grid : PupilGrid
-        wanted : sequence of int
+        `amplitudes` (parts, n, n) are those of the parts on `grid`; `values` (parameters,).
         """
         raise NotImplementedError
 
     def opd_where(self, values: Tensor, index: Tensor, grid: PupilGrid) -> Tensor:
-        """Return the OPD, (n, n) [nm].
-
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        index : tensor, (n, n)
-            Number of the part at every point.
-        grid : PupilGrid
+        """Return the OPD at `values`, (n, n) [nm]; `index` (n, n) is the number of the part at points of
+        `grid`.
         """
         raise NotImplementedError
 

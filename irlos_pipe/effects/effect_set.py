@@ -147,14 +147,7 @@ class EffectSet:
         return reduce(lambda x, e: e[0].apply(values[e[1]], x), self.at("detector"), images_e)
 
     def detect_with_changes(self, values: Tensor, images_e: Tensor, changes: Tensor) -> tuple[Tensor, Tensor]:
-        """The same, and what small changes of the images become.
-
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        images_e : tensor, (images, rows, columns)
-        changes : tensor, (images, changes, rows, columns)
-        """
+        """The same, and what small `changes` (images, changes, rows, columns) of the images become."""
         for effect, piece in self.at("detector"):
             changes = effect.pushed(values[piece], images_e, changes)
             images_e = effect.apply(values[piece], images_e)
@@ -310,13 +303,8 @@ class EffectSet:
         return EffectSet([_held(effect, values[piece]) for effect, piece in pairs], self.grids)
 
     def held_but(self, values: Tensor, index: int) -> tuple[EffectSet, slice]:
-        """The effects held at `values`, except the one that has the parameter `index`.
-
-        Returns
-        -------
-        EffectSet
-        slice
-            The part of `values` of the effect that is free.
+        """The effects held at `values` except the one that has the parameter `index`, and its part of
+        `values`.
         """
         own = next(piece for piece in self._pieces if piece.start <= index < piece.stop)
         pairs = zip(self.effects, self._pieces, strict=True)

@@ -20,7 +20,7 @@ LEAST_SINE = 0.1  # a focal ratio of 5, below which defocus is the parabola to 0
 
 
 def travel_direction(commanded_nm: np.ndarray) -> np.ndarray:
-    """+1 or -1 for values reached by a rise or fall of the introduced defocus, in order of recording.
+    """+1 or -1 where `commanded_nm` was reached by a rise or fall of it, in order of recording.
 
     Frames at an unchanged offset keep the direction in which it was reached; 0 before the first move.
     """

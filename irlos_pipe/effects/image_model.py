@@ -106,17 +106,9 @@ class ImageModel:
     def predict_and_pullback(self, modes_nm: Tensor, flux_e: Tensor, background_e: Tensor):
         """Images without free effects in the precision of the propagation, and the transposed Jacobian.
 
-        Parameters
-        ----------
-        modes_nm, flux_e, background_e
-            See `predict`.
-
-        Returns
-        -------
-        image : tensor, (images, rows, columns)
-        pullback : callable
-            From factors of all pixels, (images, rows, columns), to the derivatives of the images' sum with
-            these factors, (images, modes + 2), float64: modes, flux, background.
+        Arguments `modes_nm`, `flux_e` and `background_e` are those of `predict`. The second is a function
+        from factors of all pixels, (images, rows, columns), to the derivatives of the images' sum with these
+        factors, (images, modes + 2), float64: modes, flux, background.
 
         Raises
         ------

@@ -25,13 +25,9 @@ class PupilEffect(Effect):
     order = 1  # after those that change where light passes, which add to the field
 
     def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
-        """`field` with the effect, which must be linear in it but for what it adds.
+        """`field` (wavelengths, n, n) with the effect, which must be linear in it but for what it adds.
 
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        field : tensor, (wavelengths, n, n)
-        grid : PupilGrid
+        The `values` (parameters,) are those of the solver, `grid` is that of the pupil.
         """
         raise NotImplementedError
 
@@ -47,13 +43,8 @@ class OtfEffect(Effect):
     plane = "otf"
 
     def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
-        """`factor` times that of the effect.
-
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        factor : tensor, broadcastable to (wavelengths, p, p//2 + 1)
-        grid : OtfGrid
+        """`factor`, broadcastable to (wavelengths, p, p//2 + 1), times that of the effect at `values` on
+        `grid`.
         """
         raise NotImplementedError
 
@@ -108,13 +99,8 @@ class TimeEffect(Effect):
     def apply(self, values: Tensor, modes_nm: Tensor, nolls: tuple[int, ...], when: Tensor) -> Tensor:
         """Coefficients of the modes with the effect, (times, modes) [nm].
 
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        modes_nm : tensor, (times, modes)
-        nolls : tuple of int
-        when : tensor, (times,)
-            First frame 0, last frame 1.
+        The `values` (parameters,) are those of the solver, `modes_nm` (times, modes) have the Noll indices
+        `nolls`; `when` (times,) is 0 at the first frame and 1 at the last.
         """
         raise NotImplementedError
 
@@ -168,11 +154,7 @@ class RampEffect(Effect):
     def apply(self, values: Tensor, introduced_nm: Tensor, commanded_nm: np.ndarray) -> Tensor:
         """Introduced defocus with the effect, (frames,) [nm].
 
-        Parameters
-        ----------
-        values : tensor, (parameters,)
-        introduced_nm : tensor, (frames,)
-        commanded_nm : ndarray, (frames,)
-            In order of recording.
+        The `values` (parameters,) are those of the solver; `introduced_nm` and `commanded_nm` (frames,) stand
+        in order of recording.
         """
         raise NotImplementedError

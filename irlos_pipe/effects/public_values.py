@@ -79,14 +79,8 @@ def public_sigma(
 ) -> dict[str, Any]:
     """Return standard errors of the public values of an effect, to first order.
 
-    Parameters
-    ----------
-    base : Effect
-    values : ndarray, (parameters,)
-    covariance : ndarray, (parameters, parameters)
-        Of the values.
-    shown : bool
-        Of what a reader is told of it instead, see `Effect.shown`.
+    The `covariance` (parameters, parameters) is that of `values` (parameters,) of `base`; with `shown`,
+    errors are of what a reader is told of it instead, see `Effect.shown`.
     """
     steps, describe = np.sqrt(np.diag(covariance)) * STEP, base.shown if shown else base.describe
     slopes = [
@@ -101,13 +95,8 @@ def public_difference(
 ) -> dict[str, Any]:
     """Return the difference of public values close to each other; angles may lie on both sides of 0 or 180°.
 
-    Parameters
-    ----------
-    effect : Effect
-    one, other : ndarray, (parameters,)
-        Solver's values of it.
-    describe : callable, optional
-        Makes public values of them; by default the effect's own.
+    `one` and `other` (parameters,) are the solver's values of the `effect`; `describe` makes public values of
+    them, by default as the effect does.
     """
     public = describe or effect.describe
     change = _map(lambda a, b: float(a - b), public(one), public(other))

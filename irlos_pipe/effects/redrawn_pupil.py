@@ -58,14 +58,9 @@ class RedrawnPupil(DrawnEffect):
         raise NotImplementedError
 
     def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
-        """Derivative of the amplitude with respect to the parameter `index`, (n, n).
+        """Derivative of the amplitude at `values` with respect to the parameter `index`, (n, n).
 
-        Parameters
-        ----------
-        values : sequence of float
-        index : int
-        edges : Edges
-            Of the whole drawing, other effects included.
+        The `edges` are those of the whole drawing, other effects included.
         """
         raise NotImplementedError
 
@@ -127,14 +122,7 @@ def differentiable(
     drawn: Callable[[Tensor], Tensor],
     slopes: Callable[[Tensor], Sequence[Tensor]],
 ) -> Tensor:
-    """Return what is `drawn` at `values`, (parameters,), whose derivatives are `slopes`, one per parameter.
-
-    Parameters
-    ----------
-    values : tensor, (parameters,)
-    drawn, slopes : callable
-        Of the values.
-    """
+    """What is `drawn` at `values`, (parameters,), whose derivatives are `slopes`, one per parameter."""
     return _function().apply(values, drawn, slopes) if len(values) else drawn(values)
 
 
@@ -166,17 +154,10 @@ def slopes_of_drawing(
     wanted: Sequence[int],
     division: Division | None = None,
 ) -> list[Tensor]:
-    """Return derivatives of the amplitude of the pupil, (n, n) each, or of its parts, (parts, n, n) each.
+    """Derivatives of the amplitude of the pupil, (n, n) each, or of its parts, (parts, n, n) each.
 
-    Parameters
-    ----------
-    effect : RedrawnPupil
-    grid : PupilGrid
-    values : tensor, (parameters,)
-    wanted : sequence of int
-        Positions of the parameters.
-    division : Division, optional
-        Into parts.
+    They are those of the drawing that an `effect` makes at `values` on `grid`, by the `wanted` parameters;
+    with a `division`, of the parts.
     """
     numbers = values.tolist()
     geometry, stop_m, _ = effect.redrawn(numbers, Drawing(grid.geometry))
@@ -192,14 +173,7 @@ def _drawn(drawing: Drawing, samples: int) -> np.ndarray:
 
 
 def subsamples_of(geometry: PupilGeometry, samples: int) -> int:
-    """Return the even number of fine cells of about `CELL_M` per coarse cell.
-
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    samples : int
-        Across the diameter.
-    """
+    """Even number of fine cells of about `CELL_M` per coarse cell, `samples` across a `geometry`."""
     return 2 * int(np.ceil(geometry.diameter_m / samples / CELL_M / 2))
 
 

@@ -95,19 +95,9 @@ class Criteria:
 def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.ndarray:
     """Find pixels that scatter over time far less than the read noise lets any pixel do.
 
-    Parameters
-    ----------
-    adu : ndarray, (frames, rows, columns)
-        Counts of valid frames.
-    read_noise_adu : float
-        Declared read noise [ADU]; the quietest fifth of the window is believed if it is quieter.
-    ratio : float
-        Scatter of a stuck pixel over the read noise, see `Thresholds.stuck_ratio`.
-
-    Returns
-    -------
-    ndarray of bool, (rows, columns)
-        All False with fewer than three frames, or if digitisation hides the noise.
+    The `adu` (frames, rows, columns) are counts of valid frames; of the declared `read_noise_adu` and that of
+    the quietest fifth of the window the lower one is believed; `ratio`: see `Thresholds.stuck_ratio`. Returns
+    (rows, columns), all False with fewer than three frames, or if digitisation hides the noise.
     """
     if len(adu) < 3:
         return np.zeros(adu.shape[1:], dtype=bool)

@@ -252,18 +252,10 @@ def _dark_variance_e2(
 def find_background(
     valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarray, lenslets: int = 1
 ) -> Background:
-    """Add up dark and sky, or estimate a pedestal where there is neither.
+    """Add up dark and sky of the `maps`, or estimate a pedestal where there is neither.
 
-    Parameters
-    ----------
-    valid_adu : ndarray, (frames, rows, columns)
-        Counts of valid frames.
-    maps : CalibrationMaps
-        Dark, sky and flat, as far as there are any.
-    good : ndarray of bool, (rows, columns)
-        Pixels from which a pedestal is estimated.
-    lenslets : int
-        See `RawFrames`.
+    `valid_adu` are counts of valid frames (frames, rows, columns); a pedestal is estimated from the `good`
+    pixels (rows, columns). `lenslets`: see `RawFrames`.
     """
     window = valid_adu.shape[1:]
     flat, bad = relative_flat(maps.flat, window)

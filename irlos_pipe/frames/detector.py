@@ -18,25 +18,11 @@ CLIP_MIN_LEVELS = 100.0  # ADU between darkest and brightest; fainter images rep
 def to_electrons(
     adu: np.ndarray, background_adu: np.ndarray, flat: np.ndarray, e_per_adu: float
 ) -> np.ndarray:
-    """Convert counts to electrons above the background.
+    """Convert counts to electrons above the background: ``(adu - background) / flat * e_per_adu``.
 
-    ``electrons = (adu - background) / flat * e_per_adu``
-
-    Parameters
-    ----------
-    adu : ndarray, (frames, rows, columns)
-        Counts as recorded.
-    background_adu : ndarray, (rows, columns)
-        Dark, sky and pedestal together [ADU].
-    flat : ndarray, (rows, columns)
-        Relative response; 1 on average.
-    e_per_adu : float
-        Conversion gain [e-/ADU].
-
-    Returns
-    -------
-    ndarray, (frames, rows, columns), float32
-        Signal [e-]; values that are not finite stay so.
+    `adu` (frames, rows, columns) are counts as recorded, `background_adu` (rows, columns) is dark, sky and
+    pedestal together, `flat` (rows, columns) the relative response, 1 on average, and `e_per_adu` the gain.
+    Returns float32 [e-]; values that are not finite stay so.
     """
     electrons = adu.astype(np.float32)
     electrons -= background_adu.astype(np.float32)
@@ -45,21 +31,10 @@ def to_electrons(
 
 
 def relative_flat(flat: np.ndarray | None, window: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Normalise a flat to a median of 1.
+    """Normalise a `flat` (rows, columns) to a median of 1; None is a response of 1 all over the `window`.
 
-    Parameters
-    ----------
-    flat : ndarray, (rows, columns), or None
-        Response of each pixel on any scale; None is a response of 1.
-    window : tuple of int
-        Rows and columns.
-
-    Returns
-    -------
-    flat : ndarray, (rows, columns)
-        1 where the flat is unusable.
-    bad : ndarray of bool, (rows, columns)
-        True where it is not a positive number.
+    Returns the flat, 1 where it is unusable, and True where it is not a positive number; (rows, columns)
+    each.
     """
     if flat is None:
         return np.ones(window), np.zeros(window, dtype=bool)
@@ -70,21 +45,12 @@ def relative_flat(flat: np.ndarray | None, window: tuple[int, int]) -> tuple[np.
 
 
 def estimate_pedestal(mean_adu: np.ndarray) -> tuple[float, float]:
-    """Estimate the level on which a star stands from the outer part of its mean image.
+    """Estimate the level on which a star stands, and its error, from the outer part of its mean image [ADU].
 
-    A robust straight-line fit of ``level + slope * r^-3`` beyond `WING_START` of the window, not
-    above the darkest pixels. The AO halo, flat over a small window, cannot be distinguished from a
-    pedestal; the fits let the background of each frame free for that reason.
-
-    Parameters
-    ----------
-    mean_adu : ndarray, (rows, columns)
-        Mean image, NaN on bad pixels [ADU].
-
-    Returns
-    -------
-    level, error : float
-        Pedestal and the difference between the fit and the darkest pixels [ADU].
+    A robust straight-line fit of ``level + slope * r^-3`` beyond `WING_START` of the window, not above the
+    darkest pixels; the error is the difference between the two. The AO halo, flat over a small window, cannot
+    be distinguished from a pedestal; the fits let the background of each frame free for that reason. Bad
+    pixels of `mean_adu` (rows, columns) are NaN.
     """
     darkest = float(np.nanpercentile(mean_adu, DARKEST_PERCENTILE))
     y0, x0 = star_position(np.nan_to_num(mean_adu, nan=darkest))
@@ -122,17 +88,10 @@ def star_position(image: np.ndarray) -> tuple[float, float]:
 
 
 def saturation_level(adu: np.ndarray, detector: Detector) -> float | None:
-    """Return the raw level from which pixels count as saturated [ADU]; None if there is no sign of one.
+    """Return the raw level from which pixels of `adu` (frames, rows, columns) count as saturated [ADU].
 
-    The detector's own level if it is known; else the value on which far more pixels pile up
-    than come close to it, or the end of an integer type.
-
-    Parameters
-    ----------
-    adu : ndarray, (frames, rows, columns)
-        Counts as recorded.
-    detector : Detector
-        May declare the level.
+    The `detector`'s own level if it is known; else the value on which far more pixels pile up than come close
+    to it, or the end of an integer type; None if there is no sign of one.
     """
     if detector.saturation_adu is not None:
         return detector.saturation_adu

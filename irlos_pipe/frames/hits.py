@@ -123,25 +123,12 @@ def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, by: Criteri
 def clipped_samples(images: np.ndarray, good: np.ndarray, sigma: np.ndarray, step: float) -> np.ndarray:
     """Find values of bright pixels that recur from frame to frame more closely than noise permits.
 
-    For every value the number of others within a fraction of the noise is compared with the number in a
-    wider surrounding; normal noise alone, or any wider distribution, keeps the first to a known share.
-
-    Parameters
-    ----------
-    images : ndarray, (frames, rows, columns)
-        Finite, on any linear scale.
-    good : ndarray of bool, (rows, columns)
-        Pixels to search.
-    sigma : ndarray, (rows, columns)
-        Noise of a value, on the same scale; not more than the true one.
-    step : float
-        Step of the digitisation on the same scale, 0 if there is none; where it rivals the closeness, equal
-        values mean nothing.
-
-    Returns
-    -------
-    ndarray of bool, (frames, rows, columns)
-        All False with fewer than `MIN_FRAMES_FOR_NOISE` frames.
+    For every value the number of others within a fraction of the noise is compared with the number in a wider
+    surrounding; normal noise alone, or any wider distribution, keeps the first to a known share. The `images`
+    (frames, rows, columns) are finite, on any linear scale, and searched where pixels are `good`; `sigma`
+    (rows, columns) is the noise of a value on the same scale, not more than the true one, and `step` that of
+    the digitisation, 0 if there is none: where it rivals the closeness, equal values mean nothing. Returns
+    (frames, rows, columns), all False with fewer than `MIN_FRAMES_FOR_NOISE` frames.
     """
     clipped = np.zeros(images.shape, dtype=bool)
     if len(images) < MIN_FRAMES_FOR_NOISE or not good.any():

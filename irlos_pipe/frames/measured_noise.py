@@ -244,24 +244,12 @@ def mean_variance(stack: np.ndarray) -> float:
 
 
 def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) -> float:
-    """Measure the variance per pixel of the dark image in the frames that it was taken from.
+    """Measure the variance per pixel of the dark image in the frames that it was taken from [e-²].
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-        Signal above the dark [e-].
-    good : ndarray of bool, (rows, columns)
-        True for good pixels.
-    at_most_e2 : float
-        Variance of the dark as judged from the dark itself, the detector's pattern included [e-²]; infinite
-        if none was taken.
-
-    Returns
-    -------
-    float
-        Variance of the mean frame from pixel to pixel beyond the scatter between frames [e-²]; a star that
-        is sharper than the pixels can show raises it, up to `at_most_e2`. Where frames do not show it,
-        `at_most_e2`, or 0 if that is infinite.
+    That is the variance of the mean of `images_e` (frames, rows, columns) from `good` pixel to pixel, beyond
+    the scatter between frames; a star that is sharper than the pixels can show raises it, up to `at_most_e2`:
+    as judged from the dark itself, the detector's pattern included, infinite if none was taken. Where frames
+    do not show it, `at_most_e2`, or 0 if that is infinite.
     """
     unknown_e2 = at_most_e2 if np.isfinite(at_most_e2) else 0.0
     if at_most_e2 == 0 or len(images_e) < 2 or min(good.shape) < 2 * len(FINE):

@@ -76,19 +76,8 @@ def tally(reasons: np.ndarray) -> dict[str, int]:
 def recorder_faults(adu: np.ndarray, frame_counter: np.ndarray) -> np.ndarray:
     """Find frames that the recorder delivered twice, empty or with values that are no numbers.
 
-    A pixel that is not finite in most frames is a bad pixel and does not count.
-
-    Parameters
-    ----------
-    adu : ndarray, (frames, rows, columns)
-        Counts as recorded.
-    frame_counter : ndarray of int, (frames,)
-        Counter of the recorder.
-
-    Returns
-    -------
-    ndarray of str, (frames,)
-        Reasons; empty for frames without a fault.
+    Returns the reasons by counts `adu` (frames, rows, columns) and `frame_counter` (frames,), empty for
+    frames without a fault. A pixel that is not finite in most frames is a bad pixel and does not count.
     """
     frames = adu.reshape(len(adu), -1)
     finite = np.isfinite(frames)
@@ -153,17 +142,9 @@ def _peaks(images_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np.ndarray:
     """Add frames without the star, with the star about to leave the window, made of others, or of odd flux.
 
-    If not even the median of the frames shows a star, none of them can be used. Single frames
-    are asked for a star only where the star is normally plain to see.
-
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-        Finite [e-].
-    reasons : ndarray of str, (frames,)
-        What is known so far.
-    limits : Limits
-        What a usable frame has to keep.
+    If not even the median of the frames shows a star, none of them can be used. Single frames are asked for a
+    star only where the star is normally plain to see. The `images_e` are finite, `reasons` what is known so
+    far, (frames,), and `limits` what a usable frame has to keep.
     """
     used = np.flatnonzero(reasons == "")
     if used.size == 0:
@@ -182,16 +163,10 @@ def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np
 def combined_frames(images_e: np.ndarray, used: np.ndarray) -> np.ndarray:
     """Return which frames are the mean or the sum of others, as some recorders add one to a cube, (frames,).
 
-    Their noise is that of the others: little is left when the mean of these, as bright as the frame,
-    is subtracted, while an exposure keeps its own noise. Only what is finer than the optics make counts,
-    in the fainter half of the window, so that speckles and image motion do not.
-
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-        Finite [e-].
-    used : ndarray of bool, (frames,)
-        Frames that may be combined.
+    Their noise is that of the others: little is left when the mean of these, as bright as the frame, is
+    subtracted, while an exposure keeps its own noise. Only what is finer than the optics make counts, in the
+    fainter half of the window, so that speckles and image motion do not. The `images_e` are finite, `used`
+    (frames,) those that may be combined.
     """
     found = np.zeros(len(images_e), dtype=bool)
     numbers = np.flatnonzero(used)
@@ -213,14 +188,7 @@ def combined_frames(images_e: np.ndarray, used: np.ndarray) -> np.ndarray:
 def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.ndarray:
     """Return which frames have a flux that differs from the median by more than both `limits`, (frames,).
 
-    Parameters
-    ----------
-    flux_e : ndarray, (frames,)
-        Sum over the window [e-].
-    used : ndarray of bool, (frames,)
-        Frames that count for median and scatter.
-    limits : Limits
-        `flux_sigma` and `flux_fraction` are used.
+    `flux_e` (frames,) is the sum over the window; `used` frames (frames,) count for median and scatter.
     """
     if used.sum() < MIN_FRAMES_FOR_FLUX:
         return np.zeros(len(flux_e), dtype=bool)

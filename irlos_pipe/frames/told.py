@@ -75,16 +75,10 @@ class Told:
 
 
 def told_of(recording: Recording, noise: MeasuredNoise, facility: Facility, step_s: float) -> list[Told]:
-    """Return what can be judged of what was told of a recording.
+    """Return what can be judged of what was told of a `recording`.
 
-    Parameters
-    ----------
-    recording : Recording
-    noise : MeasuredNoise
-        Of its frames.
-    facility : Facility
-    step_s : float
-        Time from frame to frame by the clock of the recorder; NaN where it is not known.
+    `noise` is that of its frames, `step_s` the time from frame to frame by the clock of the recorder, NaN
+    where it is not known; the `facility` has pupil and zero point.
     """
     parts = (
         _flux(recording, facility),
@@ -168,23 +162,11 @@ def _keys(recording: Recording) -> Iterator[Told]:
 
 
 def cutoff_ratio(mean_e: np.ndarray, good: np.ndarray, expected_per_px: float) -> float:
-    """Return the highest spatial frequency with signal over the expected cut-off.
+    """Return the highest spatial frequency with signal in `mean_e` over `expected_per_px`, D/λ.
 
     The noise level is that of the highest frequencies of the image itself, so that hot pixels and an unequal
-    response, whose spectrum is flat, do not count as signal.
-
-    Parameters
-    ----------
-    mean_e : ndarray, (rows, columns)
-        Mean image.
-    good : ndarray of bool, (rows, columns)
-    expected_per_px : float
-        D/λ [cycles per pixel].
-
-    Returns
-    -------
-    float
-        NaN where nothing lies beyond the cut-off, or the image is too faint to tell.
+    response, whose spectrum is flat, do not count as signal; only `good` pixels are looked at. NaN where
+    nothing lies beyond the cut-off, or the image is too faint to tell.
     """
     if BEYOND * expected_per_px > 0.45 or min(mean_e.shape) < 16:
         return float("nan")
@@ -240,16 +222,8 @@ def constants(detector: Detector, sources: Mapping[str, str], noise: MeasuredNoi
     """Return gain, read noise and excess noise of a `detector`, with what the frames say of each.
 
     Frames tell only the ratio of excess noise and gain: each is measured as if the other were right. The read
-    noise includes the photon noise of dark current and sky.
-
-    Parameters
-    ----------
-    detector : Detector
-        With which the frames were converted to electrons.
-    sources : mapping of str to str
-        Where its values come from, by side-car key.
-    noise : MeasuredNoise
-        Of those frames.
+    noise includes the photon noise of dark current and sky. The `noise` is that of frames converted to
+    electrons with this detector; `sources` say where its values come from, by side-car key.
     """
     slope, slope_error = noise.excess_noise_factor, noise.excess_noise_error
     gain = detector.e_per_adu * detector.excess_noise_factor / slope if slope > 0 else np.nan
@@ -268,14 +242,10 @@ def constants(detector: Detector, sources: Mapping[str, str], noise: MeasuredNoi
 def believed(
     detector: Detector, sources: Mapping[str, str], noise: MeasuredNoise
 ) -> tuple[Detector, dict[str, str]]:
-    """Return the detector with the profile's values replaced where the frames contradict them, and sources.
+    """Return the `detector` with the profile's values replaced where the frames contradict them, and sources.
 
-    Where the gain is not told it gives way, else the excess noise does if that is not told.
-
-    Parameters
-    ----------
-    detector, sources, noise
-        See `constants`.
+    Where the gain is not told it gives way, else the excess noise does if that is not told. `sources` and
+    `noise`: see `constants`.
     """
     found = {one.name: one for one in constants(detector, sources, noise)}
     new, origin = detector, dict(sources)

@@ -88,7 +88,7 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
         A key without a safe default is missing, or there is not one defocus per frame.
     """
     path = sidecar_path(raw.path)
-    layers = {RECIPE: recipe.flat(), SIDECAR: read_sidecar(path).flat()}
+    layers: dict[str, Mapping[str, Any]] = {RECIPE: recipe.flat(), SIDECAR: read_sidecar(path).flat()}
     layers |= {
         HEADER: _of_header(raw.header, {**layers[SIDECAR], **layers[RECIPE]}),
         MODE: raw.of_mode,

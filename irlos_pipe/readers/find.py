@@ -49,16 +49,9 @@ class Reader(Protocol):
         """Return every file from which the recordings in `path` are read, but for the side-car."""
 
     def read(self, path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
-        """Read the recordings of a file.
+        """Read the recordings of the file `path`, of which the other files of the recording are known.
 
-        Parameters
-        ----------
-        path : Path
-            The file, of which the other files of the recording are known.
-        hdus : HDUList
-            The file, open and checked.
-        instrument : Instrument
-            Knows the read-out modes.
+        The `hdus` are open and checked; the `instrument` knows the read-out modes.
 
         Raises
         ------
@@ -72,19 +65,13 @@ READERS: tuple[Reader, ...] = (aot, recorder, muse_raw, cube)  # the most specif
 
 
 def recording_files(paths: Sequence[Path], refused: Refused | None = None) -> list[Path]:
-    """Find the files with recordings among the given files and folders.
+    """Find the files with recordings among the files and folders `paths`.
 
-    Folders are searched through all their depth, in the natural order of names (2 before 10); a file
-    that several names and links lead to counts once. A damaged FITS file counts as a recording, and so
-    does one without frames that a side-car describes, and a side-car without a data file: reading it will say
-    what is wrong.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Files and folders.
-    refused : callable, optional
-        Called with each folder below that may not be read, and the error; raised otherwise.
+    Folders are searched through all their depth, in the natural order of names (2 before 10); a file that
+    several names and links lead to counts once. A damaged FITS file counts as a recording, and so does one
+    without frames that a side-car describes, and a side-car without a data file: reading it will say what is
+    wrong. `refused` is called with each folder below that may not be read, and the error, which is raised
+    otherwise.
 
     Raises
     ------
@@ -210,17 +197,10 @@ def unique_name(name: str, path: Path, taken: Collection[str]) -> str:
 
 
 def files_by_folder(root: Path, refused: Refused) -> Iterator[tuple[list[Path], list[Path]]]:
-    """Yield the FITS and YAML files of a folder, then of each folder below it, in the natural order of names.
+    """Yield the FITS and YAML files of `root`, then of each folder below it, in the natural order of names.
 
     Hidden files and folders, and those of the real-time computer, are left out. What is named like a FITS
-    file is listed whatever it is; opening it says what is wrong.
-
-    Parameters
-    ----------
-    root : Path
-        The folder.
-    refused : callable
-        Called with each folder that may not be read, and the error.
+    file is listed whatever it is; opening it says what is wrong. `refused`: see `recording_files`.
     """
     for folder in sorted(_folders(root, refused), key=lambda folder: _place(folder, root)):
         files = [entry for entry in _entries(folder) if not entry.is_dir()]
@@ -304,16 +284,10 @@ def is_sidecar(path: Path) -> bool:
 
 
 def lone_sidecars(sidecars: Sequence[Path], named: Sequence[Path], with_data: Collection[Path]) -> list[Path]:
-    """Return the side-cars of a folder that describe nothing.
+    """Return those of the `sidecars` of a folder that describe nothing.
 
-    Parameters
-    ----------
-    sidecars : sequence of Path
-        YAML files of the folder.
-    named : sequence of Path
-        Its files that are named like FITS files.
-    with_data : collection of Path
-        Folders that hold a recording, in them or below.
+    `named` are its files that are named like FITS files, `with_data` the folders with a recording, in them or
+    below.
     """
     stems = {stem(file) for file in named}
     return [

@@ -136,16 +136,8 @@ def _start(hdus: fits.HDUList, header: fits.Header, path: Path) -> float:
 def without_borders(cube: np.ndarray, where: str) -> np.ndarray:
     """Return the images of the four lenslets side by side, without the border of zeros around each.
 
-    Parameters
-    ----------
-    cube : ndarray, (frames, rows, columns)
-        Both window sides even; each quadrant has a border of zeros one pixel wide.
-    where : str
-        Begins the message of an error.
-
-    Returns
-    -------
-    ndarray, (frames, rows - 4, columns - 4)
+    The `cube` (frames, rows, columns) has a border one pixel wide in each quadrant; returns (frames, rows -
+    4, columns - 4). `where` begins the message of an error.
 
     Raises
     ------

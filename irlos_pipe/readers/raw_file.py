@@ -87,24 +87,10 @@ def header_keys(header: fits.Header) -> dict[str, Any]:
 def plain_header_keys(
     path: Path, header: fits.Header, instrument: Instrument
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return what `header_keys` finds in the primary header of a file of any instrument, and remarks.
+    """Return what `header_keys` finds in the `header` of the file `path` of any instrument, and remarks.
 
     The seeing is left out where the profile of the `instrument` has no scale for its monitor: no recording
     should fail for what nobody told.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the remarks.
-    header : Header
-    instrument : Instrument
-
-    Returns
-    -------
-    keys : dict
-        As of `header_keys`.
-    notes : tuple of str
-        Remarks for the log.
     """
     found = header_keys(header)
     if "seeing_arcsec" not in found or MONITOR in instrument.seeing_scales:

@@ -93,14 +93,7 @@ def _first(header: fits.Header, names: tuple[str, ...]) -> tuple[str, float | No
 
 
 def sidecar_template(path: Path, instrument: Instrument) -> str:
-    """Return a commented side-car for the FITS file at `path`.
-
-    Parameters
-    ----------
-    path : Path
-        A recording of any layout.
-    instrument : Instrument
-        Knows the read-out modes, and what is assumed of keys that are not given.
+    """Return a commented side-car for the recording at `path`; the `instrument` has defaults.
 
     Raises
     ------
@@ -119,24 +112,10 @@ def sidecar_template(path: Path, instrument: Instrument) -> str:
 
 
 def write_template(text: str, data_file: Path, path: Path | None = None, *, replace: bool = False) -> Path:
-    """Write a side-car for a recording.
+    """Write `text` as the side-car of the recording `data_file`, and return where it is.
 
-    Parameters
-    ----------
-    text : str
-        The side-car.
-    data_file : Path
-        The recording.
-    path : Path, optional
-        The file to write; by default ``<stem>.yaml`` beside the recording, or ``acquisition.yaml`` where the
-        folder has the recording's name.
-    replace : bool
-        Whether to replace a file.
-
-    Returns
-    -------
-    Path
-        The file.
+    That is `path`, by default ``<stem>.yaml`` beside the recording, or ``acquisition.yaml`` where the folder
+    has the recording's name. A file that is there is only replaced with `replace`.
 
     Raises
     ------

@@ -23,13 +23,7 @@ Point = tuple[float, float]
 
 
 def photons(wavelengths_nm: np.ndarray, temperature_k: float) -> np.ndarray:
-    """Return the photons per wavelength of a black body, on any scale.
-
-    Parameters
-    ----------
-    wavelengths_nm : ndarray
-    temperature_k : float
-    """
+    """Return photons per wavelength of a black body of `temperature_k` at `wavelengths_nm`, on any scale."""
     return wavelengths_nm**-4.0 / np.expm1(C2_NM_K / (wavelengths_nm * temperature_k))
 
 
@@ -40,14 +34,7 @@ def colour_of(temperature_k: float) -> float:
 
 
 def temperature_of(j_minus_h: float, where: str) -> float:
-    """Return the temperature of the black body that has a colour [K].
-
-    Parameters
-    ----------
-    j_minus_h : float
-        [mag]
-    where : str
-        Begins the message of an error.
+    """Return the temperature of the black body that has a colour `j_minus_h` [K]; `where` begins an error.
 
     Raises
     ------
@@ -66,15 +53,8 @@ def temperature_of(j_minus_h: float, where: str) -> float:
 def spectrum_of(curve: Sequence[Point], temperature_k: float, where: str) -> list[Point]:
     """Return wavelengths and photon weights, three in every band of the filter.
 
-    Each third of a band's photons stands at its own mean wavelength.
-
-    Parameters
-    ----------
-    curve : sequence of (wavelength_nm, transmission)
-    temperature_k : float
-        Of the star.
-    where : str
-        Begins the message of an error.
+    Each third of a band's photons stands at its own mean wavelength. The `curve` has wavelengths [nm] and
+    transmissions, `temperature_k` is that of the star, `where` begins the message of an error.
 
     Raises
     ------

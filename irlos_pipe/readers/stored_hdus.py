@@ -81,14 +81,7 @@ class StoredHdu:
 
 
 def stored_hdus(stream: BinaryIO, path: object) -> list[StoredHdu]:
-    """Return the HDUs of a file.
-
-    Parameters
-    ----------
-    stream : file
-        Open, and unpacked.
-    path : object
-        Begins the messages.
+    """Return the HDUs of a file, an open and unpacked `stream`; `path` begins the messages.
 
     Raises
     ------

@@ -26,13 +26,10 @@ def column(table: fits.BinTableHDU, *names: str) -> np.ndarray | None:
 
 
 def unix_seconds(table: fits.BinTableHDU) -> np.ndarray | None:
-    """Return the times of the rows of a table.
+    """Return the times of the rows of a table [s since 1970], float64.
 
-    Returns
-    -------
-    ndarray of float64, (rows,), or None
-        Seconds since 1970; None if there are no time columns or they hold only zeros,
-        which is how SPARTA leaves them when the clock was not connected.
+    None if there are no time columns or they hold only zeros, which is how SPARTA leaves them when the clock
+    was not connected.
     """
     seconds = column(table, *SECONDS_COLUMNS)
     if seconds is None:
@@ -92,16 +89,10 @@ def iso_time(unix_s: float) -> str:
 
 
 def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """Look up times of frames in another table by exactly equal counters.
+    """Look up times of frames by exactly equal counters: those that are `wanted`, (frames,).
 
-    A frame whose counter the other table lacks gets NaN: the next best row belongs to another frame.
-
-    Parameters
-    ----------
-    wanted : ndarray of int, (frames,)
-        Counters whose times are asked for.
-    counter, times_s : ndarray, (rows,)
-        Counters of the other table, in any order, and their times [s].
+    `counter` and `times_s` (rows,) are of the other table, in any order. A frame whose counter it lacks gets
+    NaN: the next best row belongs to another frame.
     """
     by_counter = dict(zip(counter.tolist(), times_s.tolist(), strict=True))
     return np.array([by_counter.get(number, np.nan) for number in wanted.tolist()], dtype=np.float64)
@@ -127,17 +118,8 @@ def relative_times(
 ) -> np.ndarray:
     """Return the time of every frame since the first one [s].
 
-    Frames without a time are placed by their counter: between their neighbours where
-    others have a time, else at the frame rate.
-
-    Parameters
-    ----------
-    unix_s : ndarray, (frames,), or None
-        Times, NaN where not known [s since 1970].
-    frame_counter : ndarray of int, (frames,)
-        Counter of the recorder.
-    frame_rate_hz : float or None
-        One frame per second if it is not known.
+    Times `unix_s` (frames,) are NaN where not known. Frames without one are placed by their `frame_counter`:
+    between their neighbours where others have a time, else at `frame_rate_hz`, or one per second.
     """
     frames = (frame_counter - frame_counter[0]) / counter_step(frame_counter)
     known = np.zeros(frames.shape, dtype=bool) if unix_s is None else np.isfinite(unix_s)

@@ -36,7 +36,7 @@ from irlos_pipe.diagnosis.refit import Refit, other_forms, quick_refits, refits
 from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.view import View
-from irlos_pipe.effects import CATALOGUE, FixedEffect, in_form, narrower_kinds
+from irlos_pipe.effects import CATALOGUE, FixedEffect, in_other_forms
 from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
 from irlos_pipe.effects.public_values import public_sigma
@@ -195,16 +195,16 @@ def test_a_ghost_that_is_sharp_beside_what_was_found_later_is_a_companion(defocu
 
 
 def test_a_sharp_ghost_is_tried_as_the_companion_that_it_is_as_well():
-    companion, ghost = (CATALOGUE[name].under(CONDITIONS) for name in ("companion", "ghost"))
+    companion = CATALOGUE["companion"].under(CONDITIONS)
     training = cube(image(effect=companion, values=(0.02, 150.0, 40.0))).training
     origin = optimum(training)
     (score,) = scores(origin, only("companion"))
-    start = in_form(type(ghost), CONDITIONS, [0.02, 145.0, 45.0])
+    (start,) = in_other_forms("companion", CONDITIONS, [0.02, 145.0, 45.0], wider=True)
     refit = Refit(score, origin, fitted(training, [start]), "ghost")
-    (narrower,) = other_forms(fitter_of(training), [refit], narrower_kinds)
+    (narrower,) = other_forms(fitter_of(training), [refit], wider=False)
     assert narrower.name == "companion"
     assert narrower.public["flux_ratio"] == pytest.approx(0.02, rel=0.02)
     assert narrower.public["sep_mas"] == pytest.approx(np.hypot(150, 40), abs=1)
     assert narrower.gain == pytest.approx(refit.gain, rel=1e-3)
     assert narrower.merit > refit.merit  # fewer parameters explain as much
-    assert other_forms(fitter_of(training), [narrower], narrower_kinds) == []
+    assert other_forms(fitter_of(training), [narrower], wider=False) == []

@@ -1,4 +1,7 @@
-"""The worked example of docs/extending.md is run. Truth: finite differences, and its own image."""
+"""The worked example of docs/extending.md is run, and the page that lists all effects is that of the classes.
+
+Truth of the example: finite differences, and its own image.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,14 @@ import torch
 from helpers.optics_cases import PRIOR, READ_NOISE, draw_frames, everything, ncpa_nm, settings, vector
 from helpers.paths import REPOSITORY
 
+from irlos_pipe.effects.catalogue import catalogue_page
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf import PsfModel
 
+MAKE = "python -c 'from irlos_pipe.effects.catalogue import catalogue_page as p; print(p(), end=\"\")'"
 TEXT = (REPOSITORY / "docs" / "extending.md").read_text()
 NOLLS = tuple(range(2, 12))
 ONE, NONE = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
@@ -65,3 +70,8 @@ def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     )
     assert list(result.effect_values["dark_spot"]) == pytest.approx(SPOT.tolist(), rel=0.05)
     assert result.chi2_nu < 1.3
+
+
+def test_the_page_lists_what_the_classes_declare():
+    page = (REPOSITORY / "docs" / "effects.md").read_text()
+    assert page == catalogue_page(), f"write it again: {MAKE} > docs/effects.md"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from helpers.optics_cases import (
 )
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
+from irlos_pipe.effects.base import kind_of, label_after, labels_of
 from irlos_pipe.optics.grids import Optics, OtfGrid
 from irlos_pipe.optics.psf import PsfModel
 
@@ -183,3 +185,19 @@ def test_a_parameter_left_free_starts_at_its_value_and_acts_as_before(model):
     chosen = [effects.tangents(changed).transfer[i] for i in (1, -1)]
     for ours, theirs in zip(partly.tangents(own).transfer, chosen, strict=True):
         assert ours.numpy() == pytest.approx(theirs.numpy(), abs=1e-15)
+
+
+KINDS = ["companion", "plate_scale", "companion", "companion", "tip_tilt_jitter", "companion"]
+
+
+@pytest.mark.parametrize("gone", range(len(KINDS)))
+def test_labels_after_one_has_left_are_those_of_the_others(gone):
+    effects = [SimpleNamespace(name=name) for name in KINDS]
+    labels = labels_of(effects)
+    others = [label for position, label in enumerate(labels) if position != gone]
+    left = [effect for position, effect in enumerate(effects) if position != gone]
+    assert [label_after(label, labels[gone]) for label in others] == labels_of(left)
+
+
+def test_every_label_tells_its_kind():
+    assert [kind_of(label) for label in labels_of([SimpleNamespace(name=name) for name in KINDS])] == KINDS

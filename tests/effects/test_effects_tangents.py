@@ -48,6 +48,21 @@ def differences(effect, values: torch.Tensor, when=None) -> torch.Tensor:
     return (torch.stack(high) - torch.stack(low)) / (2 * steps[:, None, None, None])
 
 
+def assert_differences(effects, starts, every=1, step=1e-4, least=0.1, tolerance=2e-5, plane="") -> None:
+    """Compare derivatives by parameters of several effects with finite differences; starts may go by name."""
+    whole = ImageModel(psf(), effects)
+    if isinstance(starts, dict):
+        starts = torch.cat([starts[effect.name] for effect in whole.effects.effects])
+    values = starts
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
+    for index in whole.effects.free_at(plane) if plane else range(0, len(values), every):
+        move = torch.zeros_like(values)
+        move[index] = step * max(least, abs(float(values[index])))
+        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
+        theirs = ((high - low) / (2 * move[index])).numpy()
+        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=tolerance * np.abs(theirs).max())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMOOTH)
 def test_derivatives_at_a_strong_level_are_finite_differences(name):
@@ -66,16 +81,8 @@ def test_effects_in_the_pupil_are_differentiated_through_those_behind_them():
         FixedEffect(bump, place, free=("x_m", "width_m")),
         amplitude,
     ]
-    whole = ImageModel(psf(), effects)
     starts = {petals.name: steps, stop.name: turned[:0], bump.name: place[[1, 3]], amplitude.name: factors}
-    values = torch.cat([starts[effect.name] for effect in whole.effects.effects])
-    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
-    for index in range(0, len(values), 3):
-        move = torch.zeros_like(values)
-        move[index] = 1e-4 * max(0.1, abs(float(values[index])))
-        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
-        theirs = ((high - low) / (2 * move[index])).numpy()
-        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
+    assert_differences(effects, starts, every=3)
 
 
 def test_effects_are_differentiated_in_the_star_and_in_its_ghosts():
@@ -83,16 +90,8 @@ def test_effects_are_differentiated_in_the_star_and_in_its_ghosts():
     (ghost, first), (jitter, blur), (bump, place) = made("ghost"), made("tip_tilt_jitter"), made("phase_bump")
     second = FixedEffect(ghost, [0.1, -40.0, 70.0, -60.0, 0.0], free=("defocus_nm",))
     effects = [ghost, second, jitter, FixedEffect(bump, place, free=("nm",))]
-    whole = ImageModel(psf(), effects)
-    values = torch.cat([place[:1], first, torch.tensor([-60.0]), blur])
-    assert [len(one.parameters) for one in whole.effects.effects] == [1, 5, 1, 1]
-    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
-    for index in range(len(values)):
-        move = torch.zeros_like(values)
-        move[index] = 1e-4 * max(0.1, abs(float(values[index])))
-        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
-        theirs = ((high - low) / (2 * move[index])).numpy()
-        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
+    assert [len(one.parameters) for one in EffectSet(effects, psf().grids).effects] == [1, 5, 1, 1]
+    assert_differences(effects, torch.cat([place[:1], first, torch.tensor([-60.0]), blur]))
 
 
 @pytest.mark.slow
@@ -174,18 +173,10 @@ def test_colours_and_pixels_of_a_strained_image_are_differentiated_too():
 
 def differentiated(names: list[str], free: int, tolerance: float) -> None:
     """Compare derivatives by the parameters of the sampling with finite differences."""
-    (effects, starts), step = zip(*map(made, names), strict=True), 1e-5
-    whole = ImageModel(psf(), effects)
+    effects, starts = zip(*map(made, names), strict=True)
+    assert len(EffectSet(effects, psf().grids).free_at("sampling")) == free
     by_name = dict(zip(names, starts, strict=True))
-    values = torch.cat([by_name[effect.name] for effect in whole.effects.effects])
-    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
-    assert len(whole.effects.free_at("sampling")) == free
-    for index in whole.effects.free_at("sampling"):
-        move = torch.zeros_like(values)
-        move[index] = step * max(1.0, abs(float(values[index])))
-        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
-        theirs = ((high - low) / (2 * move[index])).numpy()
-        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=tolerance * np.abs(theirs).max())
+    assert_differences(effects, by_name, step=1e-5, least=1.0, tolerance=tolerance, plane="sampling")
 
 
 def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():

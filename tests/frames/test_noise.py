@@ -10,7 +10,7 @@ import torch
 from scipy import integrate
 from simulator.detector import Detector as SimulatedDetector
 
-from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 
 LEVELS_E = np.array([0.0, 3.0, 40.0, 900.0, 20_000.0])
@@ -92,3 +92,14 @@ def test_without_read_noise_the_deviance_is_that_of_poisson_s_law():
     poisson = seen * (seen / model).log() - (seen - model)
     found = half_deviance(NoiseModel(1.0, 1e-9), seen, model)
     assert found.numpy() == pytest.approx(poisson.numpy(), rel=1e-6)
+
+
+def test_reads_sky_and_dark_add_up_in_variance():
+    noise = ExposureNoise(200, 1.0, 1.25, sky_e=14.0, dark_e=2.0)
+    assert noise.floor_e2 == pytest.approx(200 + 1.25 * 16)
+
+
+def test_what_was_recorded_is_the_least():
+    noise = ExposureNoise(20, 1.0, 1.25)
+    assert noise.beyond(NoiseModel(1.0, 1.0, 0.3)) == NoiseModel(1.25, 20.0, 0.3)
+    assert noise.beyond(NoiseModel(1.47, 90.0)) == NoiseModel(1.47, 90.0)

@@ -1,18 +1,23 @@
-"""Side-cars, and which source wins."""
+"""Side-cars, and which source wins; reads and seeing as they are told. Truth: arithmetic."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.sparta_files import sidecar, write_sidecar
+from helpers.sparta_files import sidecar, write_muse, write_sidecar
+from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.seeing import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 
 IRLOS = load_instrument("irlos")
+SCALED = replace(IRLOS, seeing_scales=IRLOS.seeing_scales | {"mass_dimm": SeeingScale(0.75, 0.02)})
 NOTHING = AcquisitionKeys()
 
 
@@ -206,3 +211,128 @@ def test_a_spectrum_that_would_take_all_memory_is_refused(tmp_path, wavelengths)
 def test_a_wavelength_without_weight_does_not_widen_the_band():
     points = [{"wavelength_nm": 500.0, "weight": 0.0}, {"wavelength_nm": 1600.0}]
     assert AcquisitionKeys.model_validate(sidecar(spectrum=points)).spectrum[1].wavelength_nm == 1600
+
+
+@pytest.mark.parametrize("key", ["pixel_scale_mas", "mag_j", "exposure_s"])
+def test_a_truth_value_is_no_number(key):
+    with pytest.raises(ValidationError, match="no number"):
+        AcquisitionKeys.model_validate({key: True})
+
+
+def test_truth_values_stay_where_they_belong():
+    keys = AcquisitionKeys.model_validate({"detector": {"coadds_averaged": True}})
+    assert keys.detector.coadds_averaged is True
+
+
+def acquisition(folder, *, exposure_s: float | None = 0.1, detector: dict | None = None, **keys):
+    told = {"detector": {"e_per_adu": 0.5} | (detector or {}), **keys}
+    untold = ["exposure_s"] if exposure_s is None else []
+    given = {} if exposure_s is None else {"exposure_s": exposure_s}
+    write_sidecar(folder / "acquisition.yaml", *untold, **told, **given)
+    return resolve(recording(folder), NOTHING, IRLOS).acquisition
+
+
+def test_a_frame_has_as_many_reads_as_fill_its_exposure(tmp_path):
+    detector = acquisition(tmp_path, detector={"read_s": 0.002, "read_noise_e": 0.8}).detector
+    assert detector.reads == 50
+    assert detector.read_noise_e == pytest.approx(0.8 * np.sqrt(50))
+
+
+def test_the_read_noise_of_the_profile_is_that_of_one_of_its_reads(tmp_path):
+    detector = acquisition(tmp_path).detector  # reads of 5 ms and 1 e-
+    assert (detector.reads, detector.read_noise_e) == (20, pytest.approx(np.sqrt(20)))
+
+
+def test_a_read_noise_that_is_told_without_reads_is_that_of_a_frame(tmp_path):
+    detector = acquisition(tmp_path, detector={"read_noise_e": 2.5}).detector
+    assert (detector.reads, detector.read_noise_e) == (1, 2.5)
+
+
+def test_reads_make_the_exposure_where_none_is_told(tmp_path):
+    told = acquisition(tmp_path, exposure_s=None, detector={"read_s": 0.004, "coadds": 250})
+    assert told.exposure_s == pytest.approx(1.0)
+
+
+def test_sky_and_dark_current_collect_during_the_exposure(tmp_path):
+    told = acquisition(tmp_path, sky_e_per_s=14.0, detector={"dark_e_per_s": 3.0})
+    assert told.detector.background_e == pytest.approx(1.7)
+
+
+@pytest.mark.parametrize(
+    ("detector", "message"),
+    [
+        ({"read_s": 0.005, "coadds": 10}, "detector.coadds = 10 reads of read_s = 0.005 s do not add up"),
+        ({"read_s": 0.03}, r"reads of 0.03 s do not add up to exposure_s = 0.1 \(3.333 reads\)"),
+    ],
+)
+def test_reads_that_do_not_add_up_to_the_exposure_are_refused_in_one_line(tmp_path, detector, message):
+    with pytest.raises(InputDataError, match=message) as error:
+        acquisition(tmp_path, detector=detector)
+    assert "\n" not in str(error.value) and "acquisition.yaml" in str(error.value)
+
+
+def seeing(folder: Path, recipe: AcquisitionKeys = NOTHING, header: dict | None = None, **keys):
+    """Seeing that a recording is taken to have, and the warnings."""
+    write_sidecar(folder / "acquisition.yaml", *(["seeing_arcsec"] if header else []), **keys)
+    resolved = resolve(recording(folder, header=header), recipe, SCALED)
+    return resolved.acquisition.seeing_arcsec, resolved.warnings
+
+
+def test_translating_forth_and_back_changes_nothing_and_the_ratio_is_a_slope():
+    scale, values = SeeingScale(0.8, 0.05), np.linspace(0.3, 2, 9)
+    assert np.allclose(scale.from_sparta(scale.to_sparta(values)), values)
+    assert scale.to_sparta(1.5) - scale.to_sparta(0.5) == pytest.approx(0.8)
+
+
+def test_a_side_car_without_scale_is_on_that_of_sparta(tmp_path):
+    assert seeing(tmp_path, seeing_arcsec=0.8) == (0.8, ())
+    assert seeing(tmp_path, seeing_arcsec=0.8, seeing_scale="sparta") == (0.8, ())
+
+
+def test_a_seeing_on_another_scale_is_translated_and_that_is_reported(tmp_path):
+    value, warnings = seeing(tmp_path, seeing_arcsec=0.8, seeing_scale="mass_dimm")
+    assert value == pytest.approx(0.62)
+    assert warnings == ("rec: seeing of 0.80 arcsec by mass_dimm taken as 0.62 arcsec by SPARTA",)
+
+
+def test_the_scale_in_the_recipe_wins(tmp_path):
+    recipe = AcquisitionKeys(seeing_scale="sparta")
+    assert seeing(tmp_path, recipe, seeing_arcsec=0.8, seeing_scale="mass_dimm")[0] == 0.8
+    recipe = AcquisitionKeys(seeing_scale="mass_dimm")
+    assert seeing(tmp_path, recipe, seeing_arcsec=0.8)[0] == pytest.approx(0.62)
+
+
+def test_a_scale_holds_only_for_the_seeing_beside_it(tmp_path):
+    header = {"seeing_arcsec": 0.8, "seeing_scale": "mass_dimm"}
+    recipe = AcquisitionKeys(seeing_arcsec=0.9)
+    assert seeing(tmp_path, header=header)[0] == pytest.approx(0.62)
+    assert seeing(tmp_path, recipe, header=header)[0] == 0.9
+
+
+def test_the_seeing_of_the_profile_is_never_translated(tmp_path):
+    header = {"seeing_arcsec": -1.0, "seeing_scale": "mass_dimm"}  # not measured
+    assert seeing(tmp_path, AcquisitionKeys(seeing_scale="mass_dimm"), header=header)[0] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"seeing_scale": "mass_dim"}, "seeing_scale = 'mass_dim' is not known .*; did you mean 'mass_dimm'"),
+        ({"seeing_scale": "offset"}, r"seeing_arcsec = 0\.5 by offset would be -0\.1 by SPARTA"),
+    ],
+)
+def test_what_makes_no_sense_is_reported_in_one_line(tmp_path, monkeypatch, keys, message):
+    monkeypatch.setitem(SCALED.seeing_scales, "offset", SeeingScale(1.0, -0.6))
+    with pytest.raises(InputDataError, match=message):
+        seeing(tmp_path, seeing_arcsec=0.5, **keys)
+
+
+def test_the_header_of_muse_has_the_monitors_seeing_and_its_table_that_of_sparta(tmp_path):
+    cube, header = np.ones((2, 8, 8)), {"ESO TEL AMBI FWHM START": 0.7}
+    (monitor,) = read_recordings(write_muse(tmp_path / "a.fits", cube, header=header), IRLOS)
+    seen = [0.4, 0.5, 0.6, -1.0]
+    (sparta,) = read_recordings(write_muse(tmp_path / "b.fits", cube, header=header, seeing=seen), IRLOS)
+    (neither,) = read_recordings(write_muse(tmp_path / "c.fits", cube), IRLOS)
+    assert (monitor.header["seeing_arcsec"], monitor.header["seeing_scale"]) == (0.7, "mass_dimm")
+    assert (sparta.header["seeing_arcsec"], sparta.header["seeing_scale"]) == (pytest.approx(0.5), "sparta")
+    assert "seeing_scale" not in neither.header

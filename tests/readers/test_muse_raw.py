@@ -53,16 +53,6 @@ def test_the_header_gives_what_it_knows(tmp_path):
     assert raw.start_unix_s == 1689304870.0  # 2023-07-14T03:21:10 UTC
 
 
-def test_the_seeing_of_sparta_is_preferred_to_the_monitor(tmp_path):
-    path = write_muse(
-        tmp_path / "m.fits",
-        numbered(2, 8, 8),
-        header={"ESO TEL AMBI FWHM START": 0.7},
-        seeing=[0.4, 0.5, 0.6, -1.0],
-    )
-    assert read_recordings(path, IRLOS)[0].header["seeing_arcsec"] == pytest.approx(0.5)
-
-
 def test_an_unknown_mode_is_named(tmp_path):
     path = write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode="64x64_FullPupl_200Hz_HighGain")
     with pytest.raises(
@@ -76,18 +66,6 @@ def test_an_unknown_mode_is_named(tmp_path):
 def test_a_file_without_mode_says_which_key_is_missing(tmp_path):
     with pytest.raises(InputDataError, match="ESO AOS MAIN MODES IRLOS is missing"):
         read_recordings(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode=None), IRLOS)
-
-
-def test_values_of_before_the_upgrade_hold_for_files_of_that_time(tmp_path):
-    images = [numbered(1, 6, 6)] * 4
-    new, old = (
-        read_recordings(
-            write_muse(tmp_path / f"{day}.fits", quadrants(images), TWO_BY_TWO, {"DATE-OBS": day}), IRLOS
-        )[0]
-        for day in ("2023-01-01T00:00:00", "2020-01-01T00:00:00")
-    )
-    assert new.of_mode["pixel_scale_mas"] == 78
-    assert old.of_mode["pixel_scale_mas"] == 60
 
 
 def test_the_images_of_a_2x2_mode_lie_side_by_side_without_their_borders(tmp_path):

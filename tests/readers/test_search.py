@@ -2,10 +2,13 @@
 
 import os
 import shutil
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.io import fits
+from conftest import invoke
 from helpers.patience import within
 from helpers.sparta_files import (
     counts,
@@ -16,11 +19,13 @@ from helpers.sparta_files import (
     write_recorder,
     write_sidecar,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.unpacked import open_unpacked
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.readers.find import files_of, read_recordings, recording_files
+from irlos_pipe.readers.find import each_once, files_by_folder, files_of, read_recordings, recording_files
 from irlos_pipe.readers.fitsfile import open_fits
 from irlos_pipe.readers.stored_hdus import stored_hdus
 
@@ -30,7 +35,7 @@ CUBE = counts(star(12, 12), 3)
 
 @pytest.fixture(autouse=True)
 def patient():
-    with within(10):
+    with within(60):
         yield
 
 
@@ -216,3 +221,74 @@ def test_a_frame_counter_with_several_values_per_frame_is_refused(tmp_path):
     )
     with pytest.raises(InputDataError, match="'FrameCounter' has 2 values per row"):
         read_recordings(tmp_path / "c.fits", IRLOS)
+
+
+FOLDERS = st.sampled_from(["a", "b", "a/c", "b/d", "a/c/e"])
+LINKS = st.tuples(
+    FOLDERS, st.sampled_from("xyz"), st.sampled_from([".", "..", "../..", "a", "b/d", "gone", "x"])
+)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
+@given(files=st.sets(FOLDERS, min_size=1), links=st.lists(LINKS, max_size=8))
+def test_every_file_is_found_once_and_links_give_way(files, links):
+    with tempfile.TemporaryDirectory() as place, within(20):
+        root = Path(place).resolve()
+        for folder in ("a/c/e", "b/d"):
+            (root / folder).mkdir(parents=True)
+        for folder in files:
+            (root / folder / "r.fits").touch()
+        for where, name, target in links:
+            link = root / where / name
+            if not link.is_symlink():
+                link.symlink_to(target if target in (".", "..", "gone", "x") else os.path.join(root, target))
+        found = each_once([file for group, _ in files_by_folder(root, _refused) for file in group])
+        assert sorted(found) == sorted(root / folder / "r.fits" for folder in files)
+
+
+def _refused(folder: Path, error: Exception) -> None:
+    raise error
+
+
+STARS = counts(star(24, 24), 3)
+RECIPE = "recipe: x\ninputs: {cube: in}\nstages: [ingest]\ningest: {acquisition: {role: psf}}\n"
+
+
+@pytest.fixture
+def ramp(tmp_path):
+    for name in ("offset_0", "offset_1"):
+        write_recorder(tmp_path / "in" / name, STARS + (name == "offset_1"))
+    return tmp_path / "in"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end", [".part", ".crdownload", None])
+def test_a_recording_that_is_gone_or_unfinished_is_told_by_its_side_car(ramp, tmp_path, end):
+    data = ramp / "offset_1" / "offset_1.fits"
+    beside = "nothing lies beside it" if end is None else f"beside it: offset_1.fits{end}"
+    data.unlink() if end is None else data.rename(f"{data}{end}")
+    first, lone = recording_files([ramp])
+    assert first.name == "offset_0.fits" and lone == ramp / "offset_1" / "acquisition.yaml"
+    with pytest.raises(InputDataError, match=f"no recording that could be read belongs to it; {beside}"):
+        read_recordings(lone, IRLOS)
+    (tmp_path / "r.yaml").write_text(RECIPE)
+    assert beside in invoke("validate", str(tmp_path / "r.yaml")).stderr
+    run = invoke("run", str(tmp_path / "r.yaml"), "--output", str(tmp_path / "out"))
+    assert run.exit_code == 5 and beside in run.stdout
+    plan = invoke("night", str(ramp), "--output", str(tmp_path / "tree"), "--dry-run")
+    assert beside in plan.stdout and "offset_0" in plan.stdout
+
+
+def test_a_side_car_of_its_own_needs_a_file_of_its_name(tmp_path):
+    fits.writeto(tmp_path / "a.fits.gz", STARS)
+    write_sidecar(tmp_path / "a.yaml")
+    write_sidecar(tmp_path / "b.yaml")
+    assert [path.name for path in recording_files([tmp_path])] == ["a.fits.gz", "b.yaml"]
+
+
+def test_recipes_notes_and_a_side_car_above_the_recordings_are_left_alone(ramp):
+    (ramp / "recipe.yaml").write_text(RECIPE)
+    (ramp / "notes.yaml").write_text("seeing: 0.7\nroles: [psf]\n")
+    (ramp / "torn.yaml").write_bytes(b"\xff\xfe{")
+    shutil.copy(ramp / "offset_0" / "acquisition.yaml", ramp)
+    assert len(recording_files([ramp])) == 2
