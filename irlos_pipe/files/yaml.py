@@ -120,7 +120,9 @@ def parse_yaml(text: str, name: str, error: type[IrlosError] = ConfigurationErro
     except _Refused as exc:
         raise error(f"{name}:{exc.line}: {exc}") from None
     except (yaml.YAMLError, ValueError, OverflowError) as exc:
-        raise error(f"{name}:{_line_of_problem(exc)}: not valid YAML: {_problem(exc)}") from None
+        mark = getattr(exc, "problem_mark", None) or getattr(exc, "context_mark", None)
+        problem = " ".join(str(getattr(exc, "problem", None) or exc).split())
+        raise error(f"{name}:{mark.line + 1 if mark else 1}: not valid YAML: {problem}") from None
     if not isinstance(data, dict):
         raise error(
             f"{name}:1: expected 'key: value' pairs, found {'nothing' if data is None else 'something else'}"
@@ -169,7 +171,7 @@ def _refuse_aliases_and_tags(text: str) -> None:
             raise _Refused(line, f"nested more than {MAX_DEPTH} deep")
 
 
-def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loader: _Loader):
+def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> Any:
     if isinstance(node, yaml.MappingNode):
         return _build_mapping(node, key_path, lines, loader)
     if isinstance(node, yaml.SequenceNode):
@@ -200,12 +202,3 @@ def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, i
         lines[(*key_path, key)] = line
         data[key] = _build(value_node, (*key_path, key), lines, loader)
     return data
-
-
-def _line_of_problem(exc: Exception) -> int:
-    mark = getattr(exc, "problem_mark", None) or getattr(exc, "context_mark", None)
-    return mark.line + 1 if mark else 1
-
-
-def _problem(exc: Exception) -> str:
-    return " ".join(str(getattr(exc, "problem", None) or exc).split())

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Flip, Part, Placement, Samples
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.first_image import first_image
+from irlos_pipe.files.fits import first_image
 from irlos_pipe.instrument.status import Status
 
 PLACEMENT_KEYS = ("rotation_deg", "flip", "centre_m")

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, Locked
-from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.files.locks import has_locks
+from irlos_pipe.files.atomic import has_locks, write_bytes
 from irlos_pipe.night.bands import Point
 from irlos_pipe.night.numbers import Measurements
 
@@ -217,7 +216,10 @@ class Database:
             " AND CASE WHEN json_valid(effects) THEN json_type(effects) = 'array' END"
             " ORDER BY night, start_unix_s, run"
         )
-        found = (Verdict(*row[:4], tuple(json.loads(row[4]))) for row in rows)
+        found = [
+            Verdict(run, night, target, verdict, tuple(json.loads(effects)))
+            for run, night, target, verdict, effects in rows
+        ]
         return [one for one in found if not until or one.night <= until]
 
 

@@ -36,6 +36,8 @@ NEVER_NEGATIVE = (
     "gap_after", "gap_floor",
 )  # fmt: skip
 WAVEFRONT = "wavefront_nm"  # all modes of a run against the nights before
+UNITS = ("nm", "arcsec", "mas")
+SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
 Owner = tuple[str, str]  # recipe, configuration
 
 
@@ -248,6 +250,15 @@ def _owner(one: Point) -> Owner:
 def is_mode(name: str) -> bool:
     """Whether a number is a Zernike coefficient."""
     return name.startswith("noll_")
+
+
+def label(name: str) -> str:
+    """Return the name of a number as a label, with its unit in brackets."""
+    plain, _, unit = name.rpartition("_")
+    if unit not in UNITS:
+        return name.replace("_", " ")
+    words = [SPELLING.get(word, word) for word in plain.split("_")]
+    return f"{' '.join(words)} [{unit}]"
 
 
 def _of_wavefront(one: Point) -> bool:

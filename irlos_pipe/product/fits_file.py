@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from irlos_pipe.files.late import fits
+from irlos_pipe.files.fits import fits
 from irlos_pipe.product.header import Card, Value
 
 CARD_LETTERS = 80

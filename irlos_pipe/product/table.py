@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irlos_pipe.conventions.text import printable
-from irlos_pipe.files.late import fits
+from irlos_pipe.files.fits import fits
 from irlos_pipe.product.fits_file import ascii_text, fits_content
 from irlos_pipe.product.header import Card, Origin, header_cards
 

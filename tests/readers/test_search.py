@@ -18,7 +18,7 @@ from helpers.sparta_files import (
 )
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.files.unpacked import open_unpacked
+from irlos_pipe.files.regular import open_unpacked
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import files_of, read_recordings, recording_files
 from irlos_pipe.readers.fitsfile import open_fits

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.files.first_image import first_image
+from irlos_pipe.files.fits import first_image
 from irlos_pipe.files.regular import open_regular
 
 LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.memory import require_memory
+from irlos_pipe.files.limits import require_memory
 
 BYTES_PER_PIXEL = 40  # of every image that is estimated at once; 24 to 29 were measured with 48x48 px
 MANY = 20_000  # estimates; a processor makes some hundred per second of 64x64 px

@@ -1,15 +1,20 @@
-"""A limit on the time that something may take, also where it hangs inside a library."""
+"""Limits: on the time that something may take, also where it hangs inside a library, and on its memory."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
+from irlos_pipe.conventions.errors import IrlosError
+
 GRACE_S = 30.0  # how much later a process of our own is killed that does not even hear of it
+GB = 1e9
 
 
 class TookTooLong(BaseException):
@@ -57,3 +62,33 @@ def time_limit(seconds: float, what: str, *, kill: bool = False) -> Iterator[Non
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
         killer.cancel()
+
+
+def require_memory(needed_bytes: float, what: str, error: type[IrlosError], advice: str) -> None:
+    """Refuse work for which the memory of this machine does not suffice.
+
+    Parameters
+    ----------
+    needed_bytes : float
+        What the work takes.
+    what : str
+        Begins the message; `advice` ends it.
+    error : subclass of IrlosError
+        Raised when less is free.
+    """
+    free = available_bytes()
+    if needed_bytes > free:
+        raise error(
+            f"{what}: needs about {needed_bytes / GB:.1f} GB of memory, {free / GB:.1f} are free; {advice}"
+        )
+
+
+def available_bytes() -> float:
+    """Return the memory [bytes] that a new program can have without swapping; infinite if not known."""
+    try:
+        found = re.search(r"MemAvailable: +([0-9]+) kB", Path("/proc/meminfo").read_text())
+        if found:
+            return 1024.0 * int(found[1])
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (OSError, ValueError):
+        return float("inf")
