@@ -60,23 +60,9 @@ RECORDING_COLUMNS = (
 
 
 def write_page(tree: Path, night: Night, trend: Trend | None, running: bool = False) -> None:
-    """Write the page of a night.
+    """Write the page of a `night` into the `tree`, with the `trend` as it was after it, if it is given.
 
-    Parameters
-    ----------
-    tree : Path
-        Folder of all results.
-    night : Night
-        What was found and done.
-    trend : Trend or None
-        The trend as it was after the night; None leaves it out.
-    running : bool
-        Whether the night is being reduced; the page says so, also in case this process is killed.
-
-    Raises
-    ------
-    IrlosError
-        When it cannot be written.
+    While the night is being reduced, `running`, the page says so, also in case this process is killed.
     """
     shown, status = trend or Trend(), RUNNING if running else _status(night)
     sections = (

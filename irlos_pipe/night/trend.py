@@ -133,18 +133,10 @@ class Trend:
 
 
 def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until: str = "") -> Trend:
-    """Read the trend of a tree of nights.
+    """Read the trend of a `tree` of nights up to the night `until`, an ISO date; of all if that is empty.
 
-    Parameters
-    ----------
-    tree : Path
-        Folder of all results.
-    rule : BandSettings
-        When a number counts as out of its band.
-    names : sequence of str
-        Numbers to keep, without verdicts then; all if empty.
-    until : str
-        Last night, ISO date; all if empty.
+    The `rule` says when a number counts as out of its band. If `names` of numbers are given, only these are
+    shown, without verdicts.
 
     Raises
     ------
@@ -154,7 +146,9 @@ def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until:
         When a name is unknown.
     """
     with existing(tree) as database:
-        trend = make_trend(database.points(until), database.verdicts(until), rule)
+        trend = make_trend(database.points(), database.verdicts(), rule)
+    if until:
+        trend = trend.until(until)
     if not trend.points:
         raise NothingToDo(f"{tree}: no numbers yet" + (f" until {until}" if until else ""))
     known = sorted({one.name for one in trend.points}, key=_natural)
