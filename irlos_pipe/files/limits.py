@@ -23,25 +23,12 @@ class TookTooLong(BaseException):
 
 @contextmanager
 def time_limit(seconds: float, what: str, *, kill: bool = False) -> Iterator[None]:
-    """Stop the block after so many `seconds`.
+    """Raise TookTooLong, with a message that begins with `what`, after so many `seconds`; never if 0.
 
-    An alarm of the system interrupts it, reads and waits included. Python hears of it between two of its
-    own steps: what hangs inside a library, or in a disk that does not answer, can only be killed with its
-    process. Alarms belong to the main thread; elsewhere there is no limit.
-
-    Parameters
-    ----------
-    seconds : float
-        No limit if 0.
-    what : str
-        Begins the message.
-    kill : bool
-        Kill this process, a worker, if it has not ended half a minute later.
-
-    Raises
-    ------
-    TookTooLong
-        After that time.
+    An alarm of the system interrupts the block, reads and waits included. Python hears of it between two of
+    its own steps: what hangs inside a library, or in a disk that does not answer, can only be killed with its
+    process. With `kill` this process, a worker, is, if it has not ended half a minute later. Alarms belong to
+    the main thread; elsewhere there is no limit.
     """
     if seconds <= 0 or threading.current_thread() is not threading.main_thread():
         yield
@@ -65,17 +52,7 @@ def time_limit(seconds: float, what: str, *, kill: bool = False) -> Iterator[Non
 
 
 def require_memory(needed_bytes: float, what: str, error: type[IrlosError], advice: str) -> None:
-    """Refuse work for which the memory of this machine does not suffice.
-
-    Parameters
-    ----------
-    needed_bytes : float
-        What the work takes.
-    what : str
-        Begins the message; `advice` ends it.
-    error : subclass of IrlosError
-        Raised when less is free.
-    """
+    """Raise an `error`, from `what` to `advice`, when less memory than `needed_bytes` is free."""
     free = available_bytes()
     if needed_bytes > free:
         raise error(

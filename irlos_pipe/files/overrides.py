@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,15 +20,7 @@ EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
 
 @dataclass(frozen=True)
 class Override:
-    """One value that replaces the file's.
-
-    Attributes
-    ----------
-    key : tuple of str or int
-        Key path, for example ``("calibrate", "method")``.
-    where : str
-        What error messages name, for example ``--set calibrate.method``.
-    """
+    """A value that replaces the file's at a `key` path; `where`, ``--set a.b``, is what messages name."""
 
     key: tuple[str | int, ...]
     value: Any
@@ -131,16 +123,12 @@ def absolute(path: str | Path, folder: Path | None = None) -> Path:
 
 def overridden(data: Any, override: Override) -> dict:
     """Return `data` with the value of `override` in it; missing levels are made, `data` stays as it is."""
-    return _replaced(data, override.key, override)
-
-
-def _replaced(data: Any, key: tuple, override: Override) -> Any:
-    if not key:
-        return override.value
+    key, *below = override.key
     if data is not None and not isinstance(data, dict):
-        raise ConfigurationError(f"{override.where}: there is a plain value, no section, above '{key[0]}'")
+        raise ConfigurationError(f"{override.where}: there is a plain value, no section, above '{key}'")
     here = data or {}
-    return {**here, key[0]: _replaced(here.get(key[0]), key[1:], override)}
+    inner = replace(override, key=tuple(below))
+    return {**here, key: overridden(here.get(key), inner) if below else override.value}
 
 
 def _yaml_value(text: str, where: str) -> Any:

@@ -68,26 +68,14 @@ class ValidationErrors:
             return None
 
     def raise_if_any(self) -> None:
-        """Raise everything that was noted as one error, in the order of the file.
-
-        Raises
-        ------
-        ConfigurationError
-            One line per validation error.
-        """
+        """Raise everything that was noted as one ConfigurationError, a line each in the order of the file."""
         if self._found:
             ordered = sorted(self._found, key=lambda entry: _natural(entry[0]))
             raise ConfigurationError("\n".join(f"{where}: {message}" for where, message in ordered))
 
 
 def read_validated(path: Path, model: type[Model]) -> Model:
-    """Read the YAML file at `path` and check it against `model`.
-
-    Raises
-    ------
-    ConfigurationError
-        One line ``file:line: problem`` for everything that is wrong.
-    """
+    """Return the YAML file at `path` as a `model`; errors are those of `require_valid`."""
     data, lines = load_yaml(path)
     return require_valid(data, model, Origins(path, lines))
 

@@ -84,27 +84,11 @@ class _Refused(Exception):
 def load_yaml(
     path: str | Path, error: type[IrlosError] = ConfigurationError
 ) -> tuple[dict, dict[tuple, int]]:
-    """Read a YAML file whose top level is a mapping.
+    """Return the plain values of the YAML file at `path`, a mapping in UTF-8, and the lines they stand on.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, UTF-8.
-    error : subclass of IrlosError
-        Raised, with one line ``file:line: problem``, when the file cannot be used.
-
-    Returns
-    -------
-    data : dict
-        Plain Python values.
-    lines : dict of tuple to int
-        Line (from 1) of every key path, for example ``("diversity", "zernike", 6)``; list
-        items count from 0. The empty tuple is the top of the file.
-
-    Raises
-    ------
-    error
-        Unreadable file, bad syntax, duplicate key, alias, tag, or a top level that is no mapping.
+    Lines count from 1, by key path, for example ``("diversity", "zernike", 6)``; list items count from 0, and
+    the empty tuple is the top of the file. An `error` with one line ``file:line: problem`` is raised for an
+    unreadable file, bad syntax, duplicate key, alias, tag, or a top level that is no mapping.
     """
     path = Path(path)
     return parse_yaml(_read_text(path, error), str(path), error)

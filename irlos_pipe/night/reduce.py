@@ -36,8 +36,6 @@ class Task:
         Where the products are found when they are complete, see `PublishedRun`.
     recipe, settings, inputs :
         Arguments of `load_recipe`.
-    threads : int
-        Threads of the process that works on it; results do not depend on it.
     limit_s : float
         Longest time that it may take [s]; no limit if 0.
     """
@@ -48,7 +46,6 @@ class Task:
     settings: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     device: str = "cpu"
-    threads: int = 1
     limit_s: float = 0.0
 
     def load(self) -> Recipe:
@@ -125,7 +122,7 @@ def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device
             name = f"{group.night}/{group.name}/{recipe.stem}"
             changed, inputs = _settings(recipe, settings), _inputs(recipe, group)
             limit_s = 60 * settings.limit_min
-            jobs.append(Job(group, Task(name, tree / name, recipe, changed, inputs, device, 1, limit_s)))
+            jobs.append(Job(group, Task(name, tree / name, recipe, changed, inputs, device, limit_s)))
     for job in {job.task.recipe: job for job in jobs}.values():
         job.task.load()
     return jobs
@@ -213,7 +210,7 @@ def _reduce(task: Task, last: str | None) -> Reduced:
     if current is not None:
         return current
     run = RunFolder(published.prepare())
-    outcome = run_recipe(recipe, run.path, Selection(last=last), Resources(task.device, task.threads))
+    outcome = run_recipe(recipe, run.path, Selection(last=last), Resources(task.device))
     if last in (None, recipe.stages[-1]):
         published.publish()
         run = RunFolder(task.folder)

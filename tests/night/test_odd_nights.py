@@ -26,6 +26,7 @@ def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
 # -- names --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_longest_names_are_shortened_and_those_that_differ_at_their_end_have_different_folders(bench):
     for minute, end in enumerate("ab"):
         folder = bench.record(f"2024-02-11T03:{minute:02d}:00", end)

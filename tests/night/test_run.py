@@ -47,6 +47,7 @@ def test_a_night_is_reduced_into_a_folder_per_group_and_recipe(bench):
         assert (folder / "03_lift.h5").is_file() and f"{group}/{recipe}/report.html" in bench.page()
 
 
+@pytest.mark.slow
 def test_a_second_run_works_only_on_what_is_new_or_changed_and_changes_no_other_file(bench):
     changed = bench.record(MORNING)
     bench.record("2024-02-11T03:10:00", "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
@@ -319,6 +320,7 @@ def test_stages_run_one_by_one_leave_the_same_as_one_task(bench):
 # -- what is known, what is a copy, what hangs --------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_acknowledged_once_is_shown_and_not_reported_again_until_it_changes(bench):
     bench.record(MORNING)
     torn = bench.record("2024-02-11T03:30:00", "torn") / "torn.fits"
