@@ -1,16 +1,24 @@
-"""Files appear whole or not at all: written beside their target, flushed to disk, then renamed."""
+"""Files appear whole or not at all: written beside their target, flushed to disk, then renamed.
+
+And file systems without locks: many network disks are mounted without, and answer each in its own way.
+"""
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import BinaryIO
 
 from irlos_pipe.conventions.errors import IrlosError
 
 TEMPORARY_SUFFIX = ".part"
+ENOTSUPP = 524  # of NFS: the kernel's own, which Python has no name for
+UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, ENOTSUPP}
 
 
 @contextmanager
@@ -64,3 +72,15 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def has_locks(folder: Path) -> bool:
+    """Return whether files in a `folder` can be locked; True as well where no file can be made to try it."""
+    try:
+        with NamedTemporaryFile(dir=folder, prefix=".lock.", suffix=TEMPORARY_SUFFIX) as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_UN)  # a network disk may take the next one for the same lock
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in UNSUPPORTED
+    return True

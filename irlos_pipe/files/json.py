@@ -33,10 +33,6 @@ def jsonable(value: Any) -> Any:
         return [jsonable(item) for item in value]
     if isinstance(value, (set, frozenset)):
         return sorted(jsonable(item) for item in value)
-    return _jsonable_object(value)
-
-
-def _jsonable_object(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return jsonable(value.model_dump())
     if is_dataclass(value) and not isinstance(value, type):
@@ -58,17 +54,9 @@ def canonical_json(value: Any) -> str:
 
 
 def changed_values(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[tuple[str, ...], tuple[Any, Any]]:
-    """Return the values in which two nested mappings differ; what is absent counts as None.
+    """Return `old` and `new` value, by key path, of all in which two nested mappings differ.
 
-    Parameters
-    ----------
-    old, new : mapping
-        JSON objects, nested to any depth.
-
-    Returns
-    -------
-    dict of tuple of str to (old value, new value)
-        By key path, in the order of `new`; what `new` lacks comes last.
+    What is absent counts as None. They are in the order of `new`; what that lacks comes last.
     """
     before, after = dict(_leaves(old)), dict(_leaves(new))
     both = {name: (before.get(name), after.get(name)) for name in after | before}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,15 +20,7 @@ EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
 
 @dataclass(frozen=True)
 class Override:
-    """One value that replaces the file's.
-
-    Attributes
-    ----------
-    key : tuple of str or int
-        Key path, for example ``("calibrate", "method")``.
-    where : str
-        What error messages name, for example ``--set calibrate.method``.
-    """
+    """A value that replaces the file's at a `key` path; `where`, ``--set a.b``, is what messages name."""
 
     key: tuple[str | int, ...]
     value: Any
@@ -48,7 +40,8 @@ def parse_setting(text: str, example: str = EXAMPLE) -> Override:
     if not equals or not all(parts):
         raise ConfigurationError(f"--set {text}: expected {example}")
     where = f"--set {dotted.strip()}"
-    return Override(tuple(map(_key_part, parts)), _yaml_value(value, where), where)
+    key = tuple(int(part) if part.isdecimal() else part for part in parts)
+    return Override(key, _yaml_value(value, where), where)
 
 
 def read_overridden(
@@ -58,12 +51,13 @@ def read_overridden(
     inputs: Iterable[str] = (),
     seed: int | None = None,
 ) -> tuple[dict, ValidationErrors]:
-    """Read a settings file and replace what the command line gives.
+    """Read the settings file at `path` and replace what the command line gives.
+
+    Returns its content with the replaced values; and what was wrong with the options, with where every value
+    comes from.
 
     Parameters
     ----------
-    path : Path
-        The YAML file.
     parse : callable
         Makes an override of one of the `settings`.
     settings : iterable of str
@@ -72,19 +66,15 @@ def read_overridden(
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional
         Replaces the value of ``seed``.
-
-    Returns
-    -------
-    data : dict
-        Content of the file with the replaced values.
-    errors : ValidationErrors
-        What was wrong with the options, and where every value comes from.
     """
     written, lines = load_yaml(path)
     rejected: list[ConfigurationError] = []
     overrides = _accepted(parse, settings, rejected)
     overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
-    given = input_overrides(_accepted(parse_input, inputs, rejected))
+    paths: dict[str, list[str]] = {}
+    for name, place in _accepted(_input, inputs, rejected):
+        paths.setdefault(name, []).append(str(place))
+    given = [Override(("inputs", name), places, f"--input {name}") for name, places in paths.items()]
     origins = Origins(path, lines, [(override.key, override.where) for override in (*overrides, *given)])
     errors = ValidationErrors(origins, rejected)
     overrides += _declared(given, written.get("inputs"), errors)
@@ -115,28 +105,14 @@ def _accepted(
     return parsed
 
 
-def parse_input(text: str) -> tuple[str, Path]:
-    """Parse ``NAME=PATH``; the path counts from the current folder.
-
-    Raises
-    ------
-    ConfigurationError
-        When name or path is missing.
-    """
+def _input(text: str) -> tuple[str, Path]:
+    """Name and path of ``NAME=PATH``; the path counts from the current folder."""
     name, equals, path = text.partition("=")
     if not (equals and name.strip() and path):
         raise ConfigurationError(
             f"--input {text}: expected NAME=PATH, for example calibration=data/2023-07-14"
         )
     return name.strip(), absolute(path)
-
-
-def input_overrides(pairs: Iterable[tuple[str, Path]]) -> list[Override]:
-    """Return one override per input name; a name given more than once makes a list."""
-    collected: dict[str, list[str]] = {}
-    for name, path in pairs:
-        collected.setdefault(name, []).append(str(path))
-    return [Override(("inputs", name), paths, f"--input {name}") for name, paths in collected.items()]
 
 
 def absolute(path: str | Path, folder: Path | None = None) -> Path:
@@ -147,20 +123,12 @@ def absolute(path: str | Path, folder: Path | None = None) -> Path:
 
 def overridden(data: Any, override: Override) -> dict:
     """Return `data` with the value of `override` in it; missing levels are made, `data` stays as it is."""
-    return _replaced(data, override.key, override)
-
-
-def _replaced(data: Any, key: tuple, override: Override) -> Any:
-    if not key:
-        return override.value
+    key, *below = override.key
     if data is not None and not isinstance(data, dict):
-        raise ConfigurationError(f"{override.where}: there is a plain value, no section, above '{key[0]}'")
+        raise ConfigurationError(f"{override.where}: there is a plain value, no section, above '{key}'")
     here = data or {}
-    return {**here, key[0]: _replaced(here.get(key[0]), key[1:], override)}
-
-
-def _key_part(text: str) -> str | int:
-    return int(text) if text.isdecimal() else text
+    inner = replace(override, key=tuple(below))
+    return {**here, key: overridden(here.get(key), inner) if below else override.value}
 
 
 def _yaml_value(text: str, where: str) -> Any:

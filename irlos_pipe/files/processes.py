@@ -66,13 +66,8 @@ def _unreached_by_interrupts() -> Iterator[None]:
 def _begin() -> None:
     """What a worker does first."""
     tqdm.set_lock(threading.RLock())  # its own, one between processes, is left behind by one that is killed
-    _end_with_parent()
 
-
-def _end_with_parent() -> None:
-    """A parent that is killed cannot end its workers: they watch for it themselves."""
-
-    def watch() -> None:
+    def watch() -> None:  # a parent that is killed cannot end its workers
         parent = parent_process()
         if parent is not None:
             parent.join()

@@ -1,15 +1,57 @@
-"""Open regular files only: a pipe would block for ever, a device may never end."""
+"""Open regular files only: a pipe would block for ever, a device may never end.
+
+Files come as they were before somebody packed them; their content says how, whatever their name.
+"""
 
 from __future__ import annotations
 
+import bz2
 import errno
+import gzip
+import io
+import lzma
 import os
+import re
 import stat
-from io import BufferedReader
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.files.limits import require_memory
+
+HEAD_BYTES = 512
+PIECE_BYTES = 2**20
+MAX_LAYERS = 2  # a browser may pack what is packed already
+MAX_UNPACKED_BYTES = 2**29  # 60 000 frames of 64x64 px in 16 bit
+USUAL_COMPRESSION = 8  # what real images stay below by far; a file may unpack to so much more than it holds
+
+Opener = Callable[[BinaryIO], io.BufferedIOBase]
+PACKED: dict[bytes, Opener] = {
+    b"\x1f\x8b": lambda stream: gzip.GzipFile(fileobj=stream),
+    b"BZh": bz2.BZ2File,
+    b"\xfd7zXZ\0": lzma.LZMAFile,
+}
+# What lies under the name of a data file when something went wrong on its way, by how it begins.
+TAKEN_FOR_DATA = {
+    rb"$": "the file is empty (0 bytes)",
+    rb"\x1f\x9d": "packed by compress (.Z), which is not read; unpack it with gzip -d",
+    rb"PK\x03\x04": "a zip archive, which is not read; unpack it",
+    rb"(?i)(\xef\xbb\xbf)?\s*<(!doctype html|html)": "a web page (HTML), not the file itself; "
+    "download it again, logged in where the archive asks for it",
+    rb"(?i)(\xef\xbb\xbf)?\s*<": "XML or HTML, not the file itself; download it again",
+    rb"version https://git-lfs": "a pointer of Git LFS, not the file itself; fetch it with git lfs pull",
+    rb"(\.\./)*(\.git)?/annex/objects/": "a pointer of git-annex, not the file itself; "
+    "fetch it with git annex get",
+    rb"\x89HDF": "an HDF5 file, not a FITS file",
+    rb"(\xef\xbb\xbf|\xff\xfe|\xfe\xff)": "begins with a byte order mark: saved as text, which damages it; "
+    "get it again",
+}
 
 
-def open_regular(path: str | Path) -> BufferedReader:
+def open_regular(path: str | Path) -> io.BufferedReader:
     """Open the file at `path` for reading; links are followed.
 
     Raises
@@ -53,3 +95,63 @@ def _regular(descriptor: int, path: str) -> int:
     os.close(descriptor)
     code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
     raise OSError(code, "is a folder" if stat.S_ISDIR(mode) else "not a regular file", path)
+
+
+@contextmanager
+def open_unpacked(path: Path) -> Iterator[BinaryIO]:
+    """Open the file at `path` for reading, unpacked if its content is that of gzip, bzip2 or xz.
+
+    Raises
+    ------
+    InputDataError
+        Where the packed content is cut off or damaged, or unpacks to more than is read in memory.
+    OSError
+        As `open_regular`.
+    """
+    with open_regular(path) as file:
+        stream: BinaryIO = file
+        for _ in range(MAX_LAYERS):
+            begin = _begin(stream)
+            opener = next((one for magic, one in PACKED.items() if begin.startswith(magic)), None)
+            if opener is None:
+                break
+            stream = _unpacked(opener, stream, path)
+        yield stream
+
+
+def what_else(stream: BinaryIO) -> str:
+    """Return what a `stream` holds that is no data file, and what to do; "" if it is not known."""
+    begin = _begin(stream)
+    return next((what for how, what in TAKEN_FOR_DATA.items() if re.match(how, begin)), "")
+
+
+def _begin(stream: BinaryIO) -> bytes:
+    stream.seek(0)
+    begin = stream.read(HEAD_BYTES)
+    stream.seek(0)
+    return begin
+
+
+def _unpacked(opener: Opener, stream: BinaryIO, path: Path) -> BinaryIO:
+    """All of a packed stream; counted while it is unpacked, for few bytes can become many."""
+    packed_bytes = stream.seek(0, io.SEEK_END)
+    stream.seek(0)
+    most = max(MAX_UNPACKED_BYTES, USUAL_COMPRESSION * packed_bytes)
+    content = io.BytesIO()
+    try:
+        with opener(stream) as source:
+            while piece := source.read(PIECE_BYTES):
+                content.write(piece)
+                if content.tell() > most:
+                    raise InputDataError(
+                        f"{path}: {packed_bytes} bytes that unpack to more than {most}, which are not "
+                        "unpacked in memory; unpack the file"
+                    )
+                if content.tell() % (64 * PIECE_BYTES) == 0:
+                    require_memory(content.tell(), str(path), InputDataError, "unpack the file")
+    except (EOFError, OSError, ValueError, lzma.LZMAError, zlib.error) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise InputDataError(f"{path}: packed, and cut off or damaged: {error}") from None
+    content.seek(0)
+    return content

@@ -24,15 +24,7 @@ MAX_SHOWN = 60  # characters of a section or list in a message
 
 @dataclass(frozen=True)
 class Origins:
-    """Where each value of a settings file was given: in the file or on the command line.
-
-    Attributes
-    ----------
-    lines : dict of tuple to int
-        Line of every key path in the file.
-    overrides : sequence of (key path, str)
-        What the command line replaced, and the option that did.
-    """
+    """Where each value of a settings file was given: on a line of the file, or with an option."""
 
     path: Path
     lines: dict[KeyPath, int]
@@ -49,17 +41,10 @@ class Origins:
 
 
 class ValidationErrors:
-    """Collects what is wrong with a settings file, so that all of it can be reported at once.
-
-    Parameters
-    ----------
-    origins : Origins
-        Where the values come from.
-    rejected : iterable of ConfigurationError
-        Options that could not be parsed; their messages name the option.
-    """
+    """Collects what is wrong with a settings file, so that all of it can be reported at once."""
 
     def __init__(self, origins: Origins, rejected: Iterable[ConfigurationError] = ()) -> None:
+        """Begin with options that are `rejected`, whose messages name them; values are from `origins`."""
         self._origins = origins
         self._found = [str(error).split(": ", 1) for error in rejected]
 
@@ -83,26 +68,14 @@ class ValidationErrors:
             return None
 
     def raise_if_any(self) -> None:
-        """Raise everything that was noted as one error, in the order of the file.
-
-        Raises
-        ------
-        ConfigurationError
-            One line per validation error.
-        """
+        """Raise everything that was noted as one ConfigurationError, a line each in the order of the file."""
         if self._found:
             ordered = sorted(self._found, key=lambda entry: _natural(entry[0]))
             raise ConfigurationError("\n".join(f"{where}: {message}" for where, message in ordered))
 
 
 def read_validated(path: Path, model: type[Model]) -> Model:
-    """Read the YAML file at `path` and check it against `model`.
-
-    Raises
-    ------
-    ConfigurationError
-        One line ``file:line: problem`` for everything that is wrong.
-    """
+    """Return the YAML file at `path` as a `model`; errors are those of `require_valid`."""
     data, lines = load_yaml(path)
     return require_valid(data, model, Origins(path, lines))
 
@@ -135,17 +108,14 @@ def _explain(problem: dict, model: type[BaseModel], section: KeyPath) -> str:
         return f"unknown key '{dotted}'{suggestion(loc[-1], keys)}"
     if problem["type"] in ("missing", "missing_argument"):
         return f"key '{dotted}' is missing{_meaning(keys, loc)}"
-    text = _lower_first(problem["msg"].removeprefix("Input ").removeprefix("Value error, "))
-    text = text.replace("valid tuple", "valid list")  # as YAML calls it
+    text = problem["msg"].removeprefix("Input ").removeprefix("Value error, ")
+    text = (text[:1].lower() + text[1:]).replace("valid tuple", "valid list")  # as YAML calls it
     if problem["type"] in NO_SECTION:
         text = "should be a section of 'key: value' lines"
-    return f"{dotted}{_shown(problem['input'])}: {text}{_hint(problem)}{_meaning(keys, loc)}"
-
-
-def _shown(value: Any) -> str:
-    """The value, unless it is a long section: its keys stand in the file."""
-    text = f" = {value!r}"
-    return "" if isinstance(value, (dict, list)) and len(text) > MAX_SHOWN else text
+    shown = f" = {problem['input']!r}"
+    if isinstance(problem["input"], (dict, list)) and len(shown) > MAX_SHOWN:
+        shown = ""  # its keys stand in the file
+    return f"{dotted}{shown}: {text}{_hint(problem)}{_meaning(keys, loc)}"
 
 
 def _hint(problem: dict) -> str:
@@ -191,7 +161,3 @@ def _keys(annotation: Any) -> Keys:
         name: (hints[name], hints[name].__metadata__[0].meaning)
         for name in getattr(annotation, "_fields", ())
     }
-
-
-def _lower_first(text: str) -> str:
-    return text[:1].lower() + text[1:]

@@ -84,27 +84,11 @@ class _Refused(Exception):
 def load_yaml(
     path: str | Path, error: type[IrlosError] = ConfigurationError
 ) -> tuple[dict, dict[tuple, int]]:
-    """Read a YAML file whose top level is a mapping.
+    """Return the plain values of the YAML file at `path`, a mapping in UTF-8, and the lines they stand on.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, UTF-8.
-    error : subclass of IrlosError
-        Raised, with one line ``file:line: problem``, when the file cannot be used.
-
-    Returns
-    -------
-    data : dict
-        Plain Python values.
-    lines : dict of tuple to int
-        Line (from 1) of every key path, for example ``("diversity", "zernike", 6)``; list
-        items count from 0. The empty tuple is the top of the file.
-
-    Raises
-    ------
-    error
-        Unreadable file, bad syntax, duplicate key, alias, tag, or a top level that is no mapping.
+    Lines count from 1, by key path, for example ``("diversity", "zernike", 6)``; list items count from 0, and
+    the empty tuple is the top of the file. An `error` with one line ``file:line: problem`` is raised for an
+    unreadable file, bad syntax, duplicate key, alias, tag, or a top level that is no mapping.
     """
     path = Path(path)
     return parse_yaml(_read_text(path, error), str(path), error)
@@ -120,7 +104,9 @@ def parse_yaml(text: str, name: str, error: type[IrlosError] = ConfigurationErro
     except _Refused as exc:
         raise error(f"{name}:{exc.line}: {exc}") from None
     except (yaml.YAMLError, ValueError, OverflowError) as exc:
-        raise error(f"{name}:{_line_of_problem(exc)}: not valid YAML: {_problem(exc)}") from None
+        mark = getattr(exc, "problem_mark", None) or getattr(exc, "context_mark", None)
+        problem = " ".join(str(getattr(exc, "problem", None) or exc).split())
+        raise error(f"{name}:{mark.line + 1 if mark else 1}: not valid YAML: {problem}") from None
     if not isinstance(data, dict):
         raise error(
             f"{name}:1: expected 'key: value' pairs, found {'nothing' if data is None else 'something else'}"
@@ -169,7 +155,7 @@ def _refuse_aliases_and_tags(text: str) -> None:
             raise _Refused(line, f"nested more than {MAX_DEPTH} deep")
 
 
-def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loader: _Loader):
+def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> Any:
     if isinstance(node, yaml.MappingNode):
         return _build_mapping(node, key_path, lines, loader)
     if isinstance(node, yaml.SequenceNode):
@@ -200,12 +186,3 @@ def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, i
         lines[(*key_path, key)] = line
         data[key] = _build(value_node, (*key_path, key), lines, loader)
     return data
-
-
-def _line_of_problem(exc: Exception) -> int:
-    mark = getattr(exc, "problem_mark", None) or getattr(exc, "context_mark", None)
-    return mark.line + 1 if mark else 1
-
-
-def _problem(exc: Exception) -> str:
-    return " ".join(str(getattr(exc, "problem", None) or exc).split())

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, Locked
-from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.files.locks import has_locks
+from irlos_pipe.files.atomic import has_locks, write_bytes
 from irlos_pipe.night.bands import Point
 from irlos_pipe.night.numbers import Measurements
 
@@ -196,29 +195,28 @@ class Database:
             if recipe in wanted
         }
 
-    def points(self, until: str = "") -> list[Point]:
-        """Return the numbers of runs that passed in order of time, up to the night `until` (ISO date).
-
-        All nights if `until` is empty. Those of runs that failed their quality check stay out.
-        """
+    def points(self) -> list[Point]:
+        """Return the numbers in order of time, but of runs that failed their quality check."""
         rows = self.connection.execute(
             f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
             " configuration, value, sigma FROM numbers JOIN runs USING (run)"
             f" WHERE {SOUND} AND typeof(value) = 'real' AND typeof(sigma) IN ('real', 'null')"
             " AND status != 'qc_failed' ORDER BY 3, run, name"
         )
-        return [one for one in (Point(*row) for row in rows) if not until or one.night <= until]
+        return [Point(*row) for row in rows]
 
-    def verdicts(self, until: str = "") -> list[Verdict]:
-        """Return the verdicts of `diagnose` in order of time, up to the night `until` (all if empty)."""
+    def verdicts(self) -> list[Verdict]:
+        """Return the verdicts of `diagnose` in order of time."""
         rows = self.connection.execute(
             "SELECT run, night, target, verdict, effects FROM runs"
             f" WHERE {SOUND} AND verdict IS NOT NULL"
             " AND CASE WHEN json_valid(effects) THEN json_type(effects) = 'array' END"
             " ORDER BY night, start_unix_s, run"
         )
-        found = (Verdict(*row[:4], tuple(json.loads(row[4]))) for row in rows)
-        return [one for one in found if not until or one.night <= until]
+        return [
+            Verdict(run, night, target, verdict, tuple(json.loads(effects)))
+            for run, night, target, verdict, effects in rows
+        ]
 
 
 @contextmanager

@@ -67,16 +67,8 @@ def group_recordings(
     Cubes of a derotator series share the same properties as those of a ramp. Darks of the same night, mode
     and window are added to every input.
 
-    Parameters
-    ----------
-    found : iterable of Description
-        Recordings to group.
-    settings : NightSettings
-        The longest pause, and how many nights away a calibration may be.
-    others : iterable of Description
-        Further recordings that may calibrate ramps but are not grouped themselves.
-    failed : mapping of str to str, optional
-        Why calibrations failed, by `cube_key`.
+    The `settings` say how long a pause and how many nights away a calibration may be. What was `found` is
+    grouped; `others` may calibrate ramps; `failed` says why calibrations failed, by `cube_key`.
     """
     found = list(found)
     own = {one.path for one in found}

@@ -14,7 +14,7 @@ from irlos_pipe.night.recordings import Description, utc_time
 from irlos_pipe.night.reduce import UNCHANGED, Job, Reduced
 from irlos_pipe.night.state import Night, page_path
 from irlos_pipe.night.terminal import validity_number, validity_text
-from irlos_pipe.night.trend import Series, Trend, is_mode
+from irlos_pipe.night.trend import Series, Trend, is_mode, label
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text
 from irlos_pipe.report.render import rendered
@@ -57,28 +57,12 @@ VERDICT_COLUMNS = ("night", "group", "target", "verdict", "effects", "gap before
 RECORDING_COLUMNS = (
     "recording", "role", "begin (UTC)", "target", "frames", "window [px]", "exposure", "configuration",
 )  # fmt: skip
-UNITS = ("nm", "arcsec", "mas")
-SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
 
 
 def write_page(tree: Path, night: Night, trend: Trend | None, running: bool = False) -> None:
-    """Write the page of a night.
+    """Write the page of a `night` into the `tree`, with the `trend` as it was after it, if it is given.
 
-    Parameters
-    ----------
-    tree : Path
-        Folder of all results.
-    night : Night
-        What was found and done.
-    trend : Trend or None
-        The trend as it was after the night; None leaves it out.
-    running : bool
-        Whether the night is being reduced; the page says so, also in case this process is killed.
-
-    Raises
-    ------
-    IrlosError
-        When it cannot be written.
+    While the night is being reduced, `running`, the page says so, also in case this process is killed.
     """
     shown, status = trend or Trend(), RUNNING if running else _status(night)
     sections = (
@@ -233,15 +217,6 @@ def _numbers(trend: Trend) -> Table:
         for one in trend.series
     ]
     return Table(("number", "recipe", "value", "group"), rows, plural(len(rows), "number"), folded=True)
-
-
-def label(name: str) -> str:
-    """Return the name of a number as a label, with its unit in brackets."""
-    plain, _, unit = name.rpartition("_")
-    if unit not in UNITS:
-        return name.replace("_", " ")
-    words = [SPELLING.get(word, word) for word in plain.split("_")]
-    return f"{' '.join(words)} [{unit}]"
 
 
 def _drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:

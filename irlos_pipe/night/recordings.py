@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.json import canonical_json, json_text
-from irlos_pipe.files.time_limit import TookTooLong, time_limit
+from irlos_pipe.files.limits import TookTooLong, time_limit
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.night.database import Database
 from irlos_pipe.readers import recorder
@@ -122,27 +122,12 @@ def discover(
     database: Database,
     limit_s: float = 0.0,
 ) -> tuple[list[Description], list[LeftOut]]:
-    """Describe every recording under the folders; one that cannot be read does not stop the others.
+    """Return the recordings at any depth of the `folders`, and what is left out: copies, unusable files.
 
-    Parameters
-    ----------
-    folders : sequence of Path
-        Searched through all their depth.
-    keys : AcquisitionKeys
-        Side-car keys that override the side-cars.
-    instrument : Instrument
-        Values of the keys that no side-car has.
-    database : Database
-        Descriptions of earlier runs; new ones are added.
-    limit_s : float
-        Longest time for reading one recording [s]; no limit if 0.
-
-    Returns
-    -------
-    recordings : list of Description
-        Each once: a copy would count twice, in a ramp or as a second night's calibration.
-    left_out : list of LeftOut
-        What cannot be used, and copies.
+    One that cannot be read does not stop the others; a copy would count twice, in a ramp or as a second
+    night's calibration. Side-car `keys` override the side-cars, the `instrument` has values of those that no
+    side-car has. The `database` has descriptions of earlier runs; new ones are added. Reading one recording
+    may take `limit_s`; there is no limit if that is 0.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.files.time_limit import TookTooLong, time_limit
+from irlos_pipe.files.limits import TookTooLong, time_limit
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.published_run import PublishedRun
@@ -36,8 +36,6 @@ class Task:
         Where the products are found when they are complete, see `PublishedRun`.
     recipe, settings, inputs :
         Arguments of `load_recipe`.
-    threads : int
-        Threads of the process that works on it; results do not depend on it.
     limit_s : float
         Longest time that it may take [s]; no limit if 0.
     """
@@ -48,7 +46,6 @@ class Task:
     settings: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     device: str = "cpu"
-    threads: int = 1
     limit_s: float = 0.0
 
     def load(self) -> Recipe:
@@ -110,16 +107,8 @@ Runner = Callable[[Work, Sequence[Task]], Iterable[Reduced]]  # one outcome per 
 def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device: str = "cpu") -> list[Job]:
     """Return one job per group and recipe, whether or not its products are up to date.
 
-    Parameters
-    ----------
-    groups : iterable of Group
-        Recordings that are reduced together.
-    settings : NightSettings
-        Recipes by kind of group, and changes of their settings.
-    tree : Path
-        Products go to ``tree/<night>/<group>/<recipe>``.
-    device : str
-        ``cpu``, ``cuda`` or ``auto``.
+    The `settings` have the recipes by kind of the `groups`, and changes of their settings; products go to
+    ``tree/<night>/<group>/<recipe>`` of the `tree`; `device` is ``cpu``, ``cuda`` or ``auto``.
 
     Raises
     ------
@@ -133,7 +122,7 @@ def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device
             name = f"{group.night}/{group.name}/{recipe.stem}"
             changed, inputs = _settings(recipe, settings), _inputs(recipe, group)
             limit_s = 60 * settings.limit_min
-            jobs.append(Job(group, Task(name, tree / name, recipe, changed, inputs, device, 1, limit_s)))
+            jobs.append(Job(group, Task(name, tree / name, recipe, changed, inputs, device, limit_s)))
     for job in {job.task.recipe: job for job in jobs}.values():
         job.task.load()
     return jobs
@@ -168,22 +157,11 @@ def _settings(recipe: Path, settings: NightSettings) -> tuple[str, ...]:
 
 
 def reduce_group(task: Task, last: str | None = None, before: Reduced | None = None) -> Reduced:
-    """Bring the products of a task up to date.
+    """Bring the products of a `task` up to date; an error is an outcome, too, only interruptions are raised.
 
-    Parameters
-    ----------
-    task : Task
-        The recipe and its recordings.
-    last : str, optional
-        The stage to stop at, for engines that run stage after stage; products are published with the
-        recipe's last stage, or without `last`.
-    before : Reduced, optional
-        Outcome of the stage before; if that failed, this one is not tried.
-
-    Returns
-    -------
-    Reduced
-        For every error as well; only interruptions are raised.
+    Engines that run stage after stage give the stage to stop at, `last`, and the outcome of the stage
+    `before`; if that failed, this one is not tried. Products are published with the recipe's last stage, or
+    without `last`.
     """
     if before is not None and before.failed:
         return before
@@ -209,24 +187,12 @@ def failure(task: Task, problem: str) -> Reduced:
 
 
 def planned(task: Task, recipe: Recipe) -> list[Step] | None:
-    """Return the plan of every stage of the `recipe` of a `task`; None when there are no products at all.
-
-    Raises
-    ------
-    IrlosError
-        When the inputs cannot be read.
-    """
+    """Return the plan of every stage of the `recipe` of a `task`; None when there are no products at all."""
     return plan_run(recipe, task.folder, Selection())[1] if PublishedRun(task.folder).published else None
 
 
 def unchanged(task: Task) -> Reduced | None:
-    """Return the outcome if all products are up to date, else None; an unfinished set is removed then.
-
-    Raises
-    ------
-    IrlosError
-        When the recipe, the inputs or the products cannot be read.
-    """
+    """Return the outcome if all products are up to date, else None; an unfinished set is removed then."""
     return _unchanged(task, planned(task, task.load()))
 
 
@@ -244,7 +210,7 @@ def _reduce(task: Task, last: str | None) -> Reduced:
     if current is not None:
         return current
     run = RunFolder(published.prepare())
-    outcome = run_recipe(recipe, run.path, Selection(last=last), Resources(task.device, task.threads))
+    outcome = run_recipe(recipe, run.path, Selection(last=last), Resources(task.device))
     if last in (None, recipe.stages[-1]):
         published.publish()
         run = RunFolder(task.folder)

@@ -89,31 +89,17 @@ def run_night(request: Request, runner: Runner) -> RunState:
     return state
 
 
-def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], list[str], list[str]]:
-    """Return every job of a `request` with the plan of its stages; nothing is written.
+def plan_night(request: Request) -> tuple[RunState, list[tuple[Job, list[Step] | None]]]:
+    """Return what is found of a `request`, and every job with the plan of its stages; nothing is written.
 
-    Returns
-    -------
-    plan : list of (Job, list of Step or None)
-        None where there are no products: all stages would be run.
-    failures : list of str
-        What could not be reduced, one line each.
-    guessed : list of str
-        Recordings that state no time, and what their night was taken from.
-
-    Raises
-    ------
-    NothingToDo, IrlosError
-        As in `run_night`.
+    There is no plan where there are no products: all stages would be run. Errors are those of `run_night`.
     """
     _require_usable(request)
     state = RunState()
     with copied(request.tree) as database:
         _find(request, state, database)
-    nights = state.nights.values()
-    plan = [(job, planned(job.task, job.task.load())) for night in nights for job in night.jobs]
-    failures = [line for night in nights for line in night.failures]
-    return plan, failures, [line for night in nights for line in night.guessed]
+    jobs = [job for night in state.nights.values() for job in night.jobs]
+    return state, [(job, planned(job.task, job.task.load())) for job in jobs]
 
 
 def _require_usable(request: Request) -> None:

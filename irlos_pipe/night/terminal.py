@@ -92,28 +92,16 @@ def _night(night: Night, tree: Path) -> dict[str, Any]:
     }
 
 
-def plan_text(
-    plan: Sequence[tuple[Job, list[Step] | None]],
-    failures: Sequence[str],
-    guessed: Sequence[str],
-    as_json: bool,
-) -> str:
-    """Return what a run would do and why, one line per stage, or a list in JSON.
-
-    Parameters
-    ----------
-    plan, failures, guessed :
-        From `plan_night`.
-    as_json : bool
-        Return a JSON list instead of a table.
-    """
+def plan_text(state: RunState, plan: Sequence[tuple[Job, list[Step] | None]], as_json: bool) -> str:
+    """Return what `plan_night` found, `state` and `plan`, one line per stage; a JSON list if `as_json`."""
     rows = []
     for job, steps in plan:
         if steps is None:
             rows.append((job.task.name, "all stages", "run", "no products yet"))
         rows += [(job.task.name, step.name, step.action.value, step.reason) for step in steps or ()]
-    rows += [("left out", "", "", failure) for failure in failures]
-    rows += [("night guessed", "", "", line) for line in guessed]
+    nights = state.nights.values()
+    rows += [("left out", "", "", line) for night in nights for line in night.failures]
+    rows += [("night guessed", "", "", line) for night in nights for line in night.guessed]
     if as_json:
         return json_text([dict(zip(PLAN_KEYS, row, strict=True)) for row in rows]).rstrip()
     return aligned(rows)
@@ -125,12 +113,8 @@ def plan_text(
 def trend_text(trend: Trend, everything: bool = False) -> str:
     """Return the last value of every number with what is expected, the stability of the NCPAs, and verdicts.
 
-    Parameters
-    ----------
-    trend : Trend
-        All of it, or chosen numbers.
-    everything : bool
-        Every mode and every verdict, too; otherwise modes that are as expected are only counted.
+    Modes of the `trend` that are as expected are only counted, and old verdicts left out, unless `everything`
+    is asked for.
     """
     by_owner = sorted(trend.series, key=lambda one: one.owner)
     parts = [

@@ -36,6 +36,8 @@ NEVER_NEGATIVE = (
     "gap_after", "gap_floor",
 )  # fmt: skip
 WAVEFRONT = "wavefront_nm"  # all modes of a run against the nights before
+UNITS = ("nm", "arcsec", "mas")
+SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
 Owner = tuple[str, str]  # recipe, configuration
 
 
@@ -131,18 +133,10 @@ class Trend:
 
 
 def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until: str = "") -> Trend:
-    """Read the trend of a tree of nights.
+    """Read the trend of a `tree` of nights up to the night `until`, an ISO date; of all if that is empty.
 
-    Parameters
-    ----------
-    tree : Path
-        Folder of all results.
-    rule : BandSettings
-        When a number counts as out of its band.
-    names : sequence of str
-        Numbers to keep, without verdicts then; all if empty.
-    until : str
-        Last night, ISO date; all if empty.
+    The `rule` says when a number counts as out of its band. If `names` of numbers are given, only these are
+    shown, without verdicts.
 
     Raises
     ------
@@ -152,7 +146,9 @@ def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until:
         When a name is unknown.
     """
     with existing(tree) as database:
-        trend = make_trend(database.points(until), database.verdicts(until), rule)
+        trend = make_trend(database.points(), database.verdicts(), rule)
+    if until:
+        trend = trend.until(until)
     if not trend.points:
         raise NothingToDo(f"{tree}: no numbers yet" + (f" until {until}" if until else ""))
     known = sorted({one.name for one in trend.points}, key=_natural)
@@ -248,6 +244,15 @@ def _owner(one: Point) -> Owner:
 def is_mode(name: str) -> bool:
     """Whether a number is a Zernike coefficient."""
     return name.startswith("noll_")
+
+
+def label(name: str) -> str:
+    """Return the name of a number as a label, with its unit in brackets."""
+    plain, _, unit = name.rpartition("_")
+    if unit not in UNITS:
+        return name.replace("_", " ")
+    words = [SPELLING.get(word, word) for word in plain.split("_")]
+    return f"{' '.join(words)} [{unit}]"
 
 
 def _of_wavefront(one: Point) -> bool:

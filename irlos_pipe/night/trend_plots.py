@@ -14,9 +14,8 @@ from matplotlib.figure import Figure, SubFigure
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.atomic import atomic_file
-from irlos_pipe.night.page import label
 from irlos_pipe.night.stability import DAY_S
-from irlos_pipe.night.trend import Series, Trend
+from irlos_pipe.night.trend import Series, Trend, label
 from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, own_style, svg
 
 WIDTH_IN, PANEL_IN, STRUCTURE_IN = 5.6, 0.95, 3.2

@@ -15,8 +15,7 @@ from filelock import FileLock, SoftFileLock, Timeout
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, Locked
 from irlos_pipe.conventions.text import and_more
-from irlos_pipe.files.atomic import remove_leftovers
-from irlos_pipe.files.locks import has_locks
+from irlos_pipe.files.atomic import has_locks, remove_leftovers
 from irlos_pipe.files.regular import read_regular
 from irlos_pipe.files.yaml import load_yaml
 

@@ -7,22 +7,22 @@ import time
 
 import pytest
 
-from irlos_pipe.files import time_limit
-from irlos_pipe.files.time_limit import TookTooLong
+from irlos_pipe.files import limits
+from irlos_pipe.files.limits import TookTooLong
 
 
 def test_what_sleeps_too_long_is_stopped_with_a_line():
     start = time.monotonic()
     with (
         pytest.raises(TookTooLong, match="reading it: took longer than"),
-        time_limit.time_limit(0.1, "reading it"),
+        limits.time_limit(0.1, "reading it"),
     ):
         time.sleep(30)
     assert time.monotonic() - start < 25
 
 
 def test_what_ends_in_time_is_left_alone_afterwards():
-    with time_limit.time_limit(0.2, "x"):
+    with limits.time_limit(0.2, "x"):
         pass
     time.sleep(0.3)
 
@@ -31,7 +31,7 @@ def test_another_thread_has_no_limit():
     seen = []
 
     def work():
-        with time_limit.time_limit(0.01, "x"):
+        with limits.time_limit(0.01, "x"):
             time.sleep(0.05)
             seen.append(True)
 
@@ -44,7 +44,7 @@ def test_another_thread_has_no_limit():
 @pytest.mark.slow
 def test_a_worker_that_does_not_even_hear_of_it_is_killed():
     code = (
-        "import signal, time; from irlos_pipe.files import time_limit as t; t.GRACE_S = 0.1\n"
+        "import signal, time; from irlos_pipe.files import limits as t; t.GRACE_S = 0.1\n"
         "with t.time_limit(0.1, 'x', kill=True):\n"
         "    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM}); time.sleep(60)"
     )

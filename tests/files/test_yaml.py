@@ -1,13 +1,26 @@
-"""YAML files are read strictly, and lines are remembered."""
+"""YAML is read strictly, lines are remembered; any text is settings or refused (property-based)."""
 
 import os
 
 import pytest
 from helpers.patience import within
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.yaml import line_of, load_yaml, parse_yaml, yaml_text
 
+QUICK = settings(max_examples=100, deadline=None, derandomize=True, database=None)
+TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc", "Cn", "Co"]), max_size=20)
+WORDS = st.sampled_from(
+    ["off", "Yes", "010", "0x1F", "1:30", "1e5", "~", "null", ".5", "-", "2024-01-01", "<<", "="]
+)
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | TEXTS | WORDS,
+    lambda below: st.lists(below, max_size=3) | st.dictionaries(TEXTS | WORDS, below, max_size=3),
+    max_leaves=8,
+)
 TEXT = """\
 role: psf
 diversity:
@@ -57,14 +70,6 @@ def test_numbers_and_booleans_are_those_of_yaml_1_2(text, value):
     assert read == value and type(read) is type(value)
 
 
-@pytest.mark.parametrize(
-    "value", ["off", "010", "1:30", "0x1F", "1e5", ".5", "true", "2024-01-01", "~", 1e-7, 10]
-)
-def test_what_is_written_is_read_again_as_the_same(value):
-    read = parse_yaml(yaml_text({"a": value}), "f.yaml")[0]["a"]
-    assert read == value and type(read) is type(value)
-
-
 def test_a_pipe_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "f.yaml")
     with within(10), pytest.raises(ConfigurationError, match=r"f\.yaml: cannot be read: not a regular file"):
@@ -100,13 +105,35 @@ def test_the_kind_of_error_is_the_callers_choice(tmp_path):
         load_yaml(tmp_path / "gone.yaml", InputDataError)
 
 
-def test_a_file_that_is_no_text_is_refused(tmp_path):
-    (tmp_path / "f.yaml").write_bytes(b"a: \xff\xfe")
-    with pytest.raises(ConfigurationError, match="not a UTF-8 text file"):
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"a: \xff\xfe", "not a UTF-8 text file"), (b"#" * 5_000_000, "larger than 1 MB")],
+)
+def test_a_file_that_is_no_text_or_huge_is_refused(tmp_path, content, message):
+    (tmp_path / "f.yaml").write_bytes(content)
+    with pytest.raises(ConfigurationError, match=message):
         load_yaml(tmp_path / "f.yaml")
 
 
-def test_a_huge_file_is_not_even_read(tmp_path):
-    (tmp_path / "f.yaml").write_bytes(b"#" * 5_000_000)
-    with pytest.raises(ConfigurationError, match="larger than 1 MB"):
-        load_yaml(tmp_path / "f.yaml")
+@QUICK
+@given(st.dictionaries(TEXTS | WORDS, VALUES, max_size=4))
+def test_settings_are_read_as_they_were_written(content):
+    assert parse_yaml(yaml_text(content), "f.yaml")[0] == content
+
+
+@QUICK
+@given(st.text(max_size=60) | st.lists(WORDS | TEXTS, max_size=6).map(": ".join))
+@example("a: 9" + "9" * 5000)
+def test_any_text_is_read_or_refused_in_one_line(text):
+    try:
+        parse_yaml(text, "f.yaml")
+    except ConfigurationError as error:
+        assert "\n" not in str(error)
+
+
+@QUICK
+@given(st.text(st.characters(exclude_categories=[]), max_size=40))
+def test_a_line_for_people_holds_nothing_that_steers_a_terminal(text):
+    shown = printable(text)
+    assert shown.isprintable() and (shown == text) == text.isprintable()
+    shown.encode("utf-8")

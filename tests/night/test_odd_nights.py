@@ -9,7 +9,6 @@ from helpers.patience import within
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
 from irlos_pipe.night import database
-from irlos_pipe.night.engines import dask_runner
 from irlos_pipe.night.published_run import PublishedRun
 from irlos_pipe.night.reduce import Task, failure
 from irlos_pipe.night.settings import load_settings
@@ -27,6 +26,7 @@ def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
 # -- names --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_longest_names_are_shortened_and_those_that_differ_at_their_end_have_different_folders(bench):
     for minute, end in enumerate("ab"):
         folder = bench.record(f"2024-02-11T03:{minute:02d}:00", end)
@@ -157,20 +157,3 @@ def test_a_page_that_is_not_utf_8_is_written_again(bench):
     bench.run()
     (bench.tree / "night_2024-02-10.html").write_bytes("Nächte".encode("latin-1"))
     assert bench.run().exit_code == 0 and ">ok<" in bench.page()
-
-
-# -- clusters -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("address", "told"),
-    [
-        ("10.0.0.1:8786", True),
-        ("tls://10.0.0.1:8786", False),
-        ("localhost:8786", False),
-    ],
-)
-def test_a_scheduler_that_anyone_can_use_is_warned_of(caplog, address, told):
-    pytest.importorskip("distributed")
-    dask_runner(address)
-    assert ("can run programs as its user" in caplog.text) == told

@@ -40,16 +40,13 @@ def test_new_products_are_visible_when_they_are_published_and_not_before(run):
     assert shown(run) == ["new", "new", "oldnew"]
 
 
-def test_work_starts_with_hard_links_to_the_published_products(run):
+def test_work_starts_with_hard_links_to_the_published_products_and_is_continued(run):
     begun = run.prepare()
+    (begun / "c.h5").touch()
+    assert (run.prepare() / "c.h5").is_file()
     assert os.path.samefile(begun / "a.h5", run.path / "a.h5")
     assert not os.path.samefile(begun / "run.log", run.path / "run.log")
     assert not (begun / ".lock").exists()
-
-
-def test_unfinished_work_is_continued(run):
-    (run.prepare() / "c.h5").touch()
-    assert (run.prepare() / "c.h5").is_file()
 
 
 def test_a_half_filled_work_folder_of_a_killed_run_is_not_continued(run, monkeypatch):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.conventions.errors import InputDataError, Locked
-from irlos_pipe.files.locks import ENOTSUPP, has_locks
+from irlos_pipe.files.atomic import ENOTSUPP, has_locks
 from irlos_pipe.night.database import opened
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.runfolder import SOFT_LOCK_NAME, owned_folder
@@ -52,7 +52,7 @@ def test_a_second_run_is_kept_away_and_told_which_file_to_remove(tmp_path, no_lo
 def test_the_database_of_a_tree_opens_without_locks(tmp_path, no_locks):
     for _ in range(2):
         with opened(tmp_path) as database:
-            assert database.descriptions() == []
+            assert list(database.descriptions()) == []
 
 
 def test_a_product_is_read_while_another_program_has_it_locked(tmp_path):

@@ -150,6 +150,6 @@ def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
         def refuse(*_, **__):
             raise PermissionError(13, "Permission denied")
 
-        monkeypatch.setattr("irlos_pipe.files.unpacked.open_regular", refuse)
+        monkeypatch.setattr("irlos_pipe.files.regular.open_regular", refuse)
     with pytest.raises(InputDataError, match=r"c\.fits: no permission to read it"):
         read_recordings(tmp_path / "c.fits", IRLOS)

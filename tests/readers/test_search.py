@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.files.unpacked import open_unpacked
+from irlos_pipe.files.regular import open_unpacked
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import each_once, files_by_folder, files_of, read_recordings, recording_files
 from irlos_pipe.readers.fitsfile import open_fits

@@ -61,13 +61,13 @@ def test_an_error_that_nobody_foresaw_costs_one_recording_only(tmp_path, monkeyp
 def test_a_recording_that_does_not_fit_into_the_memory_is_refused_before_it_is_cleaned(tmp_path, monkeypatch):
     write_recorder(tmp_path / "a", CUBE)
     (source,), _ = read(tmp_path)
-    monkeypatch.setattr("irlos_pipe.files.memory.available_bytes", lambda: 1e5)
+    monkeypatch.setattr("irlos_pipe.files.limits.available_bytes", lambda: 1e5)
     with pytest.raises(InputDataError, match=r"3 frames of 12x12 px: needs about 0\.0 GB of memory"):
         ingest(source, Config(), IRLOS)
 
 
 def test_a_header_that_announces_more_than_the_memory_is_refused_before_it_is_read(tmp_path, monkeypatch):
     path = write_recorder(tmp_path / "a", CUBE)
-    monkeypatch.setattr("irlos_pipe.files.memory.available_bytes", lambda: 1e3)
+    monkeypatch.setattr("irlos_pipe.files.limits.available_bytes", lambda: 1e3)
     with pytest.raises(InputDataError, match="of memory"):
         find.read_recordings(path, IRLOS)

@@ -1,29 +1,24 @@
-"""The first image of a FITS file, for what people draw themselves: pupils, modes of a mirror."""
+"""Astropy's FITS, imported by its first use, and what people draw themselves in such files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from irlos_pipe.files.late import fits
+from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.files.regular import open_regular
+
+if TYPE_CHECKING:
+    from astropy.io import fits as fits
+else:
+    fits = LateModule("astropy.io.fits")
 
 
 def first_image(path: Path) -> tuple[np.ndarray, Mapping[str, Any]]:
-    """Return the first image of a FITS file that has data, and its header.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    image : ndarray
-        In float64.
-    header : mapping
+    """Return the first image of the FITS file at `path` that has data, in float64, and its header.
 
     Raises
     ------

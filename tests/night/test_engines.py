@@ -1,4 +1,4 @@
-"""Tasks on a Dask cluster: the same bits as in this process, whichever worker dies.
+"""Tasks in processes of this machine, and on a Dask cluster: the same bits, whichever worker dies.
 
 Truth: the same recipe run stage after stage in this process. The cluster has two workers, each a
 process of one thread.
@@ -18,11 +18,10 @@ from conftest import invoke
 from helpers import sparta_files
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.night import engines
 from irlos_pipe.night.reduce import Reduced, Task, reduce_group
 from irlos_pipe.pipeline import provenance, run_recipe
 from irlos_pipe.product.storage import read_product
-
-pytestmark = pytest.mark.slow
 
 RECIPE = """\
 recipe: small
@@ -67,9 +66,7 @@ def tasks(tmp_path) -> list[Task]:
 
 
 def on_dask(address: str, work, tasks: list[Task]) -> dict[str, Reduced]:
-    from irlos_pipe.night.engines import dask_runner
-
-    return {one.name: one for one in dask_runner(address)(work, tasks)}
+    return {one.name: one for one in engines.dask_runner(address)(work, tasks)}
 
 
 def marked(marks: Path, task: Task, last: str, before: Reduced | None, hold: str = "") -> Reduced:
@@ -113,6 +110,7 @@ def same_to_the_bit(task: Task, folder: Path) -> None:
         assert (ours.checks, ours.config) == (serial.checks, serial.config)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_during_a_stage_costs_only_that_stage_and_changes_no_bit(address, tasks, tmp_path):
     marks = tmp_path / "marks"
     marks.mkdir()
@@ -131,66 +129,57 @@ def test_a_worker_killed_during_a_stage_costs_only_that_stage_and_changes_no_bit
     assert not np.array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_a_task_that_fails_or_kills_every_worker_is_reported_and_the_others_are_reduced(address, tasks):
     done = on_dask(address, deadly, tasks)
     assert "KilledWorker" in done[tasks[0].name].problem and done[tasks[0].name].failed
-    assert done[tasks[1].name].problem == "b: no star" and done[tasks[2].name].status == "ok"
+    assert done[tasks[1].name].problem == "b: no star"
+    # each stage gets the outcome of the stage before
+    assert done[tasks[2].name].status == "ok" and done[tasks[2].name].reasons == ("ingest", "calibrate")
 
 
-def deadly(task: Task, last: str, before: Reduced | None) -> Reduced:
+def deadly(task: Task, last: str = "", before: Reduced | None = None) -> Reduced:
     if task.folder.name == "a":
         os.kill(os.getpid(), signal.SIGKILL)
     if task.folder.name == "b":
         return Reduced(task.name, task.folder, "failed", "failed", problem="b: no star")
-    return Reduced(task.name, task.folder, "new")
-
-
-def test_each_stage_of_a_task_gets_the_outcome_of_the_stage_before(address, tasks):
-    done = on_dask(address, listed_stages, tasks)
-    assert [done[task.name].reasons for task in tasks] == [("ingest", "calibrate")] * 3
-
-
-def listed_stages(task: Task, last: str, before: Reduced | None) -> Reduced:
     return Reduced(task.name, task.folder, "new", reasons=(*(before.reasons if before else ()), last))
 
 
+@pytest.mark.slow
 def test_a_worker_with_other_software_is_refused(address, tasks, monkeypatch):
     monkeypatch.setattr(provenance, "PACKAGES", ("torch",))  # here; the workers report all of theirs
     provenance.software_versions.cache_clear()
     with pytest.raises(ConfigurationError, match=r"numpy .* instead of none.*not be the same"):
-        on_dask(address, listed_stages, tasks)
+        on_dask(address, deadly, tasks)
     provenance.software_versions.cache_clear()
 
 
-def test_an_address_without_a_scheduler_is_reported(tasks, monkeypatch):
-    pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
-    from irlos_pipe.night import engines
-
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [("tcp://127.0.0.1:9", "no Dask scheduler answers there"), ("foo", r"--scheduler foo: .*missing port")],
+)
+def test_an_address_without_a_scheduler_or_a_port_is_reported(tasks, monkeypatch, address, message):
+    pytest.importorskip("distributed")
     monkeypatch.setattr(engines, "CONNECT_S", 0.5)
-    with pytest.raises(ConfigurationError, match="no Dask scheduler answers there"):
-        on_dask("tcp://127.0.0.1:9", listed_stages, tasks)
+    with pytest.raises(ConfigurationError, match=message):
+        on_dask(address, deadly, tasks)
 
 
-def test_an_address_without_a_port_is_reported_before_a_client_is_made(tasks, monkeypatch):
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
-    monkeypatch.setattr(distributed, "Client", None)
-    with pytest.raises(ConfigurationError, match=r"--scheduler foo: .*missing port number"):
-        on_dask("foo", listed_stages, tasks)
+@pytest.mark.slow
+def test_a_killed_process_costs_only_its_own_task(tmp_path):
+    tasks = [Task(name, tmp_path / name, Path("recipe.yaml")) for name in ("a", "c")]
+    found = {one.name: one for one in engines.local_runner(1)(deadly, tasks)}
+    assert [name for name, one in sorted(found.items()) if one.failed] == ["a"]
+    assert found["c"].action == "new" and "its process was killed" in found["a"].problem
 
 
 def test_without_dask_the_error_names_the_package_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     (night := tmp_path / "night").mkdir()
-    result = invoke(
-        "night",
-        str(night),
-        "--output",
-        str(tmp_path / "tree"),
-        "--engine",
-        "dask",
-        "--scheduler",
-        "tcp://127.0.0.1:9",
-    )
+    options = ("--output", str(tmp_path / "tree"), "--engine", "dask", "--scheduler", "tcp://127.0.0.1:9")
+    result = invoke("night", str(night), *options)
     assert result.exit_code == 2 and "pip install 'irlos-pipe[dask]'" in result.output
 
 
@@ -199,3 +188,13 @@ def test_engine_and_address_need_each_other(tmp_path, options):
     (night := tmp_path / "night").mkdir()
     result = invoke("night", str(night), "--output", str(tmp_path / "tree"), *options)
     assert result.exit_code == 2 and "need each other" in result.output
+
+
+@pytest.mark.parametrize(
+    ("address", "is_open"),
+    [("10.0.0.1:8786", True), ("tls://10.0.0.1:8786", False), ("localhost:8786", False)],
+)
+def test_a_scheduler_that_anyone_can_use_is_warned_of(caplog, address, is_open):
+    pytest.importorskip("distributed")
+    engines.dask_runner(address)
+    assert ("can run programs as its user" in caplog.text) == is_open
