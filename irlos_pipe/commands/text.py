@@ -13,15 +13,12 @@ import yaml
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.conventions.text import aligned, printable, rounded_by_error
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.printed import (
     ArrayRow,
     CheckRow,
     Comparison,
-    HeldProduct,
-    ModesPair,
     NumberPair,
-from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.compared import Comparison, NumberPair, ValuePair
     ProductRow,
     RunStatus,
     ShownProduct,

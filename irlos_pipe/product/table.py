@@ -13,7 +13,6 @@ import numpy as np
 
 from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.fits import fits
-from irlos_pipe.files.late import fits
 from irlos_pipe.product.header import Card, Origin, Value, header_cards
 
 
