@@ -333,7 +333,7 @@ def test_a_small_compressed_file_whose_header_announces_more_than_it_holds_is_re
 
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress])
 def test_few_bytes_that_unpack_to_many_are_refused_while_they_are_unpacked(tmp_path, monkeypatch, pack):
-    monkeypatch.setattr("irlos_pipe.files.unpacked.MAX_UNPACKED_BYTES", 2**21)
+    monkeypatch.setattr("irlos_pipe.files.regular.MAX_UNPACKED_BYTES", 2**21)
     fits.writeto(tmp_path / "whole.fits", np.zeros((200, 64, 64)))
     (tmp_path / "a.fits").write_bytes(pack((tmp_path / "whole.fits").read_bytes()))
     assert "that unpack to more than 2097152" in refusal(tmp_path / "a.fits")
