@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.product.header import Card, Origin, header_cards
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import Recorded, provenance_of, recorded
-from irlos_pipe.product.table import ascii_text, comment_block, fits_content
+from irlos_pipe.product.table import ascii_text, csv_content, fits_content
 
 NOLL = "noll"
 MODAL = ("zernike_nm", "modes_nm", "offset_nm")  # arrays with one coefficient per Noll index
@@ -116,12 +114,8 @@ def _csv_bytes(product: Product, quantities: dict[str, Quantity]) -> bytes:
             f"arrays of different lengths ({', '.join(map(str, sorted(lengths)))}) "
             "do not fit into one table; export them one by one"
         )
-    stream = io.StringIO()
-    stream.write(comment_block(header_cards(_origin(product))))
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-    return stream.getvalue().encode()
+    cells = (column.tolist() for column in columns.values())
+    return csv_content(header_cards(_origin(product)), columns, cells)
 
 
 def _with_indices(product: Product, quantities: dict[str, Quantity]) -> dict[str, Quantity]:

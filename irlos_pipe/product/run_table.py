@@ -64,7 +64,7 @@ def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
     numbers = [
         (stage, name, value, unit_of(name))
         for stage, tree in read_run_results(run.results).stages.items()
-        for name, value in _numbers(tree)
+        for name, value in _tree_numbers(tree)
     ]
     write_bytes(path, writers[path.suffix](checks, numbers))
 
@@ -84,14 +84,14 @@ def read_checks(run: RunFolder) -> list[dict[str, Any]]:
         raise InputDataError(f"{run.quality}: cannot be read ({error}); run the recipe again") from error
 
 
-def _numbers(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
+def _tree_numbers(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
     """All numbers of a tree with their path; switches are no numbers."""
     if isinstance(tree, dict):
         for key, value in tree.items():
-            yield from _numbers(value, f"{above}.{key}" if above else str(key))
+            yield from _tree_numbers(value, f"{above}.{key}" if above else str(key))
     elif isinstance(tree, list):
         for index, value in enumerate(tree):
-            yield from _numbers(value, f"{above}.{index}")
+            yield from _tree_numbers(value, f"{above}.{index}")
     elif isinstance(tree, (int, float)) and not isinstance(tree, bool) and math.isfinite(tree):
         yield above, tree
 
