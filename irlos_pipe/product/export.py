@@ -21,22 +21,11 @@ MODAL = ("zernike_nm", "modes_nm", "offset_nm")  # arrays with one coefficient p
 
 
 def export_arrays(product: Product, names: Sequence[str], path: Path, *, replace: bool = False) -> None:
-    """Write arrays of a product to a ``.fits`` or ``.csv`` file, with the header of what is handed on.
+    """Write the arrays `names` of a `product` to a ``.fits`` or ``.csv`` file at `path`, with a full header.
 
     FITS gets one extension per array (and one per error, named ``<array>_ERROR``) with its unit in
     BUNIT. CSV gets one column per array of one dimension, or the rows of one array of two; coefficients
     come with their Noll indices.
-
-    Parameters
-    ----------
-    product : Product
-        Read with its arrays.
-    names : sequence of str
-        Names of the arrays.
-    path : Path
-        The file; its suffix is the format.
-    replace : bool
-        Whether an existing file is replaced.
 
     Raises
     ------

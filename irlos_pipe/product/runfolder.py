@@ -151,14 +151,9 @@ def require_outside_inputs(folder: Path, inputs: Mapping[str, Iterable[Path]]) -
 
 
 def require_free(folder: Path, own: Iterable[str] = OF_A_RUN) -> None:
-    """Refuse an output `folder` with files in it that no command of this kind made.
+    """Refuse an output `folder` with files in it that no command of this kind made; it need not exist.
 
-    Parameters
-    ----------
-    folder : Path
-        It need not exist.
-    own : iterable of str
-        Patterns of names; a folder that has one of them is one of our own.
+    A folder in which one of the patterns `own` matches is one of our own.
 
     Raises
     ------

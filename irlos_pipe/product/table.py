@@ -59,17 +59,7 @@ class Table:
 
 
 def table_content(table: Table, suffix: str, origin: Origin) -> bytes:
-    """Return the file of a `table`.
-
-    Parameters
-    ----------
-    table : Table
-        What is handed on.
-    suffix : str
-        ``.fits`` or ``.csv``.
-    origin : Origin
-        Where its numbers come from.
-    """
+    """Return the file of a `table`, ``.fits`` or ``.csv`` by its `suffix`; its numbers come from `origin`."""
     cards = header_cards(replace(origin, category=table.category), table.facts)
     if suffix == ".fits":
         return _fits(table, cards)
@@ -128,15 +118,10 @@ SPELT = str.maketrans(
 
 
 def fits_content(hdus: Sequence[fits.hdu.base.ExtensionHDU], cards: Iterable[Card]) -> bytes:
-    """Return a FITS file: a primary header, and the `hdus` behind it.
+    """Return a FITS file: a primary header of `cards`, and the `hdus` behind it.
 
-    Parameters
-    ----------
-    hdus : sequence of ExtensionHDU
-        Tables and images.
-    cards : iterable of Card
-        The primary header. Words that do not fit into a hierarchical card go on in cards of the same keyword
-        with a number; one word, as a path, loses its beginning.
+    Words that do not fit into a hierarchical card go on in cards of the same keyword with a number; one
+    word, as a path, loses its beginning.
     """
     primary = fits.PrimaryHDU()
     for card in cards:
