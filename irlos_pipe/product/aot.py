@@ -31,28 +31,18 @@ SAME_KEYS = (
 
 
 def write_aot(product: Product, name: str, path: Path, *, replace: bool = False) -> None:
-    """Write a recording of an ingest product as an AOT file, as it was recorded.
+    """Write the recording `name` of an ingest `product` as an AOT file at `path`, as it was recorded.
 
     Raw counts with times and frame numbers, the background as it was subtracted, the flat as the standard
     has it (the inverse of the response) and the map of bad pixels: the readers of this package take the same
     recording from it. What the standard has no place for (spectrum, diversity, role) is written to a side-car
-    beside it, ``<stem>.yaml``.
-
-    Parameters
-    ----------
-    product : Product
-        Of the stage ``ingest``, read with its arrays.
-    name : str
-        ``INPUT/RECORDING``, or the recording alone where that is unique.
-    path : Path
-        The file, whose name ends in ``.fits``.
-    replace : bool
-        Whether an existing file is replaced.
+    beside it, ``<stem>.yaml``. The name is ``INPUT/RECORDING``, or the recording alone where that is unique.
 
     Raises
     ------
     ConfigurationError
-        Without aotpy, for an unknown recording or another product, or when the file exists.
+        Without aotpy, for an unknown recording or another product, or when a file exists and `replace` is
+        False.
     """
     if path.suffix != ".fits":
         raise ConfigurationError(f"{path}: an AOT file ends in .fits")

@@ -94,14 +94,7 @@ def sealed_metadata(path: Path) -> bytes | None:
 
 
 def require_self_contained(group: h5py.Group, depth: int = 0) -> None:
-    """Refuse what would read other files, or fill the memory with what is not stored.
-
-    Parameters
-    ----------
-    group : h5py.Group
-        Looked through with all below.
-    depth : int
-        Number of groups above it.
+    """Refuse what in or below a `group`, itself `depth` deep, would read other files or fill the memory.
 
     Raises
     ------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,29 +14,18 @@ from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.product.header import Card, Origin, header_cards
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import Recorded, provenance_of, recorded
-from irlos_pipe.product.table import ascii_text, comment_block, fits_content
+from irlos_pipe.product.table import ascii_text, csv_content, fits_content
 
 NOLL = "noll"
 MODAL = ("zernike_nm", "modes_nm", "offset_nm")  # arrays with one coefficient per Noll index
 
 
 def export_arrays(product: Product, names: Sequence[str], path: Path, *, replace: bool = False) -> None:
-    """Write arrays of a product to a ``.fits`` or ``.csv`` file, with the header of what is handed on.
+    """Write the arrays `names` of a `product` to a ``.fits`` or ``.csv`` file at `path`, with a full header.
 
     FITS gets one extension per array (and one per error, named ``<array>_ERROR``) with its unit in
     BUNIT. CSV gets one column per array of one dimension, or the rows of one array of two; coefficients
     come with their Noll indices.
-
-    Parameters
-    ----------
-    product : Product
-        Read with its arrays.
-    names : sequence of str
-        Names of the arrays.
-    path : Path
-        The file; its suffix is the format.
-    replace : bool
-        Whether an existing file is replaced.
 
     Raises
     ------
@@ -116,12 +103,8 @@ def _csv_bytes(product: Product, quantities: dict[str, Quantity]) -> bytes:
             f"arrays of different lengths ({', '.join(map(str, sorted(lengths)))}) "
             "do not fit into one table; export them one by one"
         )
-    stream = io.StringIO()
-    stream.write(comment_block(header_cards(_origin(product))))
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-    return stream.getvalue().encode()
+    cells = (column.tolist() for column in columns.values())
+    return csv_content(header_cards(_origin(product)), columns, cells)
 
 
 def _with_indices(product: Product, quantities: dict[str, Quantity]) -> dict[str, Quantity]:

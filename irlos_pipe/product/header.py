@@ -64,12 +64,8 @@ class Origin:
 def header_cards(origin: Origin, facts: Iterable[Card] = ()) -> list[Card]:
     """Return the cards of a file, without those that FITS itself asks for.
 
-    Parameters
-    ----------
-    origin : Origin
-        Where its numbers come from.
-    facts : iterable of Card
-        What the stage says of this file: conventions, and numbers under ``ESO QC``.
+    `origin` says where its numbers come from; `facts` are what the stage says of this file: conventions, and
+    numbers under ``ESO QC``.
     """
     cards = [
         Card("IRLOS NOTICE", origin.notice),

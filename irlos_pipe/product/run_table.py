@@ -33,19 +33,10 @@ Row = tuple[Any, ...]
 
 
 def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
-    """Write every check and every number of a run to a ``.csv`` or ``.sqlite`` file.
+    """Write every check and every number of the run in `folder` to a ``.csv`` or ``.sqlite`` file at `path`.
 
     CSV has one table whose first column says ``check`` or ``number``; SQLite has the tables ``checks`` and
     ``numbers``. A number is named as in results.json, ``zernike_nm.4`` in stage ``calibrate``.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder of the run.
-    path : Path
-        The file; its suffix is the format.
-    replace : bool
-        Whether an existing file is replaced.
 
     Raises
     ------
@@ -64,7 +55,7 @@ def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
     numbers = [
         (stage, name, value, unit_of(name))
         for stage, tree in read_run_results(run.results).stages.items()
-        for name, value in _numbers(tree)
+        for name, value in _tree_numbers(tree)
     ]
     write_bytes(path, writers[path.suffix](checks, numbers))
 
@@ -84,14 +75,14 @@ def read_checks(run: RunFolder) -> list[dict[str, Any]]:
         raise InputDataError(f"{run.quality}: cannot be read ({error}); run the recipe again") from error
 
 
-def _numbers(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
+def _tree_numbers(tree: Any, above: str = "") -> Iterator[tuple[str, float]]:
     """All numbers of a tree with their path; switches are no numbers."""
     if isinstance(tree, dict):
         for key, value in tree.items():
-            yield from _numbers(value, f"{above}.{key}" if above else str(key))
+            yield from _tree_numbers(value, f"{above}.{key}" if above else str(key))
     elif isinstance(tree, list):
         for index, value in enumerate(tree):
-            yield from _numbers(value, f"{above}.{index}")
+            yield from _tree_numbers(value, f"{above}.{index}")
     elif isinstance(tree, (int, float)) and not isinstance(tree, bool) and math.isfinite(tree):
         yield above, tree
 
@@ -131,12 +122,7 @@ WAVEFRONT = re.compile(r"(.*\.)?zernike_nm\.\d+")
 
 
 def compare_runs(first: Path, second: Path) -> Comparison:
-    """Compare two runs.
-
-    Parameters
-    ----------
-    first, second : Path
-        Folders of runs.
+    """Compare the runs in the folders `first` and `second`.
 
     Raises
     ------
@@ -292,21 +278,11 @@ class Leaf:
 
 
 def leaves(tree: Any, error: Any = None, above: Place = ()) -> Iterator[tuple[Place, Leaf]]:
-    """Yield the path and the value of every leaf of results in the types of JSON.
+    """Yield the path, from `above`, and the value of every leaf of a `tree` of results in the types of JSON.
 
-    Parameters
-    ----------
-    tree : any
-        Results.
-    error : any
-        Errors in the same form, or None.
-    above : tuple of str
-        Path of the tree itself.
-
-    Notes
-    -----
-    A row of a list is named by what it is called, not by its number, so that rows of two runs are matched by
-    what they are of. Numbers of a list go by their place; a list of anything else is one value.
+    A row of a list is named by what it is called, not by its number, so that rows of two runs are matched
+    by what they are of. Numbers of a list go by their place; a list of anything else is one value. Errors
+    are beside the values, or in a tree `error` of the same form.
     """
     if isinstance(tree, Mapping):
         for key, value in tree.items():

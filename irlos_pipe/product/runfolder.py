@@ -28,41 +28,28 @@ OF_A_RUN = ("recipe.resolved.yaml",)
 OF_THE_SYSTEM = "lost+found"
 
 
+class _Named:
+    """A file or folder of a run by its name: its path."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, run: RunFolder, kind: object = None) -> Path:
+        return run.path / self._name
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Names of the files in the folder of a run."""
 
     path: Path
 
-    @property
-    def results(self) -> Path:
-        """Results of all stages, for scripts."""
-        return self.path / "results.json"
-
-    @property
-    def quality(self) -> Path:
-        """All QC checks, for scripts."""
-        return self.path / "qc.json"
-
-    @property
-    def report(self) -> Path:
-        """The report for people."""
-        return self.path / "report.html"
-
-    @property
-    def figures(self) -> Path:
-        """The figures of the report as files, where they were asked for."""
-        return self.path / "figures"
-
-    @property
-    def log(self) -> Path:
-        """What happened, run after run."""
-        return self.path / "run.log"
-
-    @property
-    def recipe(self) -> Path:
-        """The recipe with every default made explicit."""
-        return self.path / "recipe.resolved.yaml"
+    results = _Named("results.json")  # of all stages, for scripts
+    quality = _Named("qc.json")  # all QC checks, for scripts
+    report = _Named("report.html")  # for people
+    figures = _Named("figures")  # of the report as files, where they were asked for
+    log = _Named("run.log")  # what happened, run after run
+    recipe = _Named("recipe.resolved.yaml")  # with every default made explicit
 
     @property
     def product_files(self) -> list[Path]:
@@ -82,29 +69,20 @@ class RunFolder:
             When they cannot be moved.
         """
         for path in [path for name in names if (path := self.path / name).is_file()]:
-            try:
-                (self.path / EARLIER).mkdir(exist_ok=True)
-                os.replace(path, self.path / EARLIER / path.name)
-            except OSError as error:
-                raise IrlosError(f"{path}: cannot be moved: {error.strerror or error}") from error
+            self._move_to_earlier(path)
 
     def set_figures_aside(self) -> None:
-        """Move figures that are no longer those of the run to the folder ``earlier``.
+        """Move figures that are no longer those of the run as well."""
+        if self.figures.is_dir() and not self.figures.is_symlink():
+            shutil.rmtree(self.path / EARLIER / self.figures.name, ignore_errors=True)
+            self._move_to_earlier(self.figures)
 
-        Raises
-        ------
-        IrlosError
-            When they cannot be moved.
-        """
-        if not self.figures.is_dir() or self.figures.is_symlink():
-            return
-        target = self.path / EARLIER / self.figures.name
+    def _move_to_earlier(self, path: Path) -> None:
         try:
-            target.parent.mkdir(exist_ok=True)
-            shutil.rmtree(target, ignore_errors=True)
-            os.replace(self.figures, target)
+            (self.path / EARLIER).mkdir(exist_ok=True)
+            os.replace(path, self.path / EARLIER / path.name)
         except OSError as error:
-            raise IrlosError(f"{self.figures}: cannot be moved: {error.strerror or error}") from error
+            raise IrlosError(f"{path}: cannot be moved: {error.strerror or error}") from error
 
     def scratch(self, stage: str, key: str) -> Path:
         """Return where `stage` keeps finished parts of the product of that `key`; it is not made here."""
@@ -172,14 +150,9 @@ def require_outside_inputs(folder: Path, inputs: Mapping[str, Iterable[Path]]) -
 
 
 def require_free(folder: Path, own: Iterable[str] = OF_A_RUN) -> None:
-    """Refuse an output `folder` with files in it that no command of this kind made.
+    """Refuse an output `folder` with files in it that no command of this kind made; it need not exist.
 
-    Parameters
-    ----------
-    folder : Path
-        It need not exist.
-    own : iterable of str
-        Patterns of names; a folder that has one of them is one of our own.
+    A folder in which one of the patterns `own` matches is one of our own.
 
     Raises
     ------

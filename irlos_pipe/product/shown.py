@@ -21,15 +21,13 @@ def shown_product(path: Path) -> ShownProduct:
         When it cannot be read.
     """
     product = read_product(path)
-    return ShownProduct(
+    return ShownProduct.filled_from(
+        product,
         product=path.name,
-        stage=product.stage,
         provenance=provenance_of(product),
         arrays=[_array(name, quantity) for name, quantity in product.arrays.items()],
-        results=product.results,
         configuration=product.config,
-        checks=[CheckRow(**check.as_dict()) for check in product.checks],
-        log=product.log,
+        checks=[CheckRow.filled_from(check) for check in product.checks],
     )
 
 
@@ -58,24 +56,18 @@ def shown_run(folder: Path) -> ShownRun:
 def _held(path: Path) -> HeldProduct:
     try:
         product = open_product(path)
-        return HeldProduct(
-            product=path.name,
-            stage=product.stage,
-            arrays=len(product.arrays),
-            checks=len(product.checks),
-            passed=sum(check.passed for check in product.checks),
-            summary=provenance_of(product).summary,
-        )
+        passed = sum(check.passed for check in product.checks)
+        counts = {"arrays": len(product.arrays), "checks": len(product.checks), "passed": passed}
+        return HeldProduct.filled_from(product, product=path.name, **counts)
     except InputDataError as error:
         return HeldProduct(product=path.name, problem=str(error))
 
 
 def _array(name: str, quantity: Quantity) -> ArrayRow:
-    return ArrayRow(
+    return ArrayRow.filled_from(
+        quantity,
         name=name,
         shape=list(quantity.value.shape),
         type=str(quantity.value.dtype),
-        unit=quantity.unit,
         with_error=quantity.error is not None,
-        description=quantity.description,
     )

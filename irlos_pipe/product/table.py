@@ -59,38 +59,29 @@ class Table:
 
 
 def table_content(table: Table, suffix: str, origin: Origin) -> bytes:
-    """Return the file of a `table`.
-
-    Parameters
-    ----------
-    table : Table
-        What is handed on.
-    suffix : str
-        ``.fits`` or ``.csv``.
-    origin : Origin
-        Where its numbers come from.
-    """
+    """Return the file of a `table`, ``.fits`` or ``.csv`` by its `suffix`; its numbers come from `origin`."""
     cards = header_cards(replace(origin, category=table.category), table.facts)
-    return _fits(table, cards) if suffix == ".fits" else _csv(table, cards)
+    if suffix == ".fits":
+        return _fits(table, cards)
+    written = ([format(value, one.pattern) for value in one.values.tolist()] for one in table.columns)
+    return csv_content(cards, [one.name for one in table.columns], written, table.note)
 
 
-def comment_block(cards: Sequence[Card], note: str = "") -> str:
-    """Return the header of a CSV file: ``# KEYWORD = value / comment`` in every line, a `note` first."""
+def csv_content(
+    cards: Sequence[Card], names: Iterable[str], columns: Iterable[list], note: str = ""
+) -> bytes:
+    """Return a CSV file with the `names` of its `columns`.
+
+    Its header says ``# KEYWORD = value / comment`` in every line for each of the `cards`, a `note` first.
+    """
     lines = [note] if note else []
     for card in cards:
         lines.append(f"{card.key} = {card.value}" + (f" / {card.comment}" if card.comment else ""))
-    return "".join(f"# {printable(line)}\n" for line in lines)
-
-
-def _csv(table: Table, cards: Sequence[Card]) -> bytes:
     text = io.StringIO()
-    text.write(comment_block(cards, table.note))
+    text.write("".join(f"# {printable(line)}\n" for line in lines))
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([column.name for column in table.columns])
-    written = [
-        [format(value, column.pattern) for value in column.values.tolist()] for column in table.columns
-    ]
-    writer.writerows(zip(*written, strict=True))
+    writer.writerow(names)
+    writer.writerows(zip(*columns, strict=True))
     return text.getvalue().encode()
 
 
@@ -127,15 +118,10 @@ SPELT = str.maketrans(
 
 
 def fits_content(hdus: Sequence[fits.hdu.base.ExtensionHDU], cards: Iterable[Card]) -> bytes:
-    """Return a FITS file: a primary header, and the `hdus` behind it.
+    """Return a FITS file: a primary header of `cards`, and the `hdus` behind it.
 
-    Parameters
-    ----------
-    hdus : sequence of ExtensionHDU
-        Tables and images.
-    cards : iterable of Card
-        The primary header. Words that do not fit into a hierarchical card go on in cards of the same keyword
-        with a number; one word, as a path, loses its beginning.
+    Words that do not fit into a hierarchical card go on in cards of the same keyword with a number; one
+    word, as a path, loses its beginning.
     """
     primary = fits.PrimaryHDU()
     for card in cards:

@@ -282,7 +282,8 @@ def told_of(model: type[Any]) -> dict[str, str]:
         said = {name: field.description for name, field in model.model_fields.items()}
     else:
         said = {field.name: field.metadata.get("description") for field in fields(model)}
-    found, above = {}, ""
+    found: dict[str, str] = {}
+    above = ""
     for name, meaning in said.items():
         above = above if meaning == DITTO else meaning or ""
         found |= {name: above} if above else {}

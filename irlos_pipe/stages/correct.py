@@ -304,19 +304,12 @@ def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
 
 
 def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
-    """Return the output of the stage with the offsets of a mirror's modes, as arrays, results and files.
-
-    Parameters
-    ----------
-    ctx : StageContext
-        Its settings name the table of modes.
-    output : StageOutput
-        Without them.
+    """Return the `output` of the stage with the offsets of a mirror's modes: arrays, results and files.
 
     Raises
     ------
     InputDataError
-        If the table cannot be used.
+        If the table of modes that the settings of `ctx` name cannot be used.
     """
     named: MirrorFile = ctx.config.mirror_modes
     path = Path(named.file)

@@ -176,13 +176,9 @@ def _rms_nm(zernike_nm: np.ndarray) -> float:
 
 
 def map_of(geometry: PupilGeometry, nolls: Sequence[int], zernike_nm: np.ndarray) -> np.ndarray:
-    """Return maps of coefficients over the pupil [nm], without tip and tilt.
+    """Return maps [nm] of coefficients `zernike_nm`, (..., modes `nolls`), without tip and tilt.
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    nolls : sequence of int
-    zernike_nm : ndarray, (..., modes)
+    `geometry` is that of the pupil.
     """
     return opd_maps_nm(nolls, zernike_nm, clear_disc(geometry, MAP_SAMPLES)).astype(np.float32)
 

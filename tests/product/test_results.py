@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers import made_run
 
@@ -16,6 +18,7 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.lift.results import LiftResults, Line
+from irlos_pipe.stages.sensitivity import CurveRow
 
 
 def test_json_has_the_keys_that_were_set_and_null_for_nan():
@@ -92,3 +95,12 @@ def test_two_numbers_are_a_value_with_its_error_only_where_an_error_is_declared(
     assert (fixed.unit, fixed.description, list(fixed.error)) == ("nm", "part; mean", [0.1, 0.2])
     with pytest.raises(KeyError):
         declared(table, {"nol": (2, 3)})
+
+
+def test_a_part_takes_what_science_calls_by_the_names_of_its_fields_and_nothing_else():
+    summary = SimpleNamespace(slope=1.0, offset_nm=-2.0, offsets_nm=np.zeros(3))
+    assert Line.filled_from(summary, offset_nm=5.0).as_json() == {"slope": 1.0, "offset_nm": 5.0}
+    curve = SimpleNamespace(mag_j=np.array([12.0, 13.0]), trials=4)
+    assert CurveRow.filled_from(curve, modes=[4]).as_json() == {
+        "modes": [4], "mag_j": [12.0, 13.0], "trials": 4,
+    }  # fmt: skip

@@ -46,11 +46,6 @@ def test_every_effect_can_be_free_fixed_or_free_from_a_start(name):
     assert len(started.parameters) == len(fixed.values)
 
 
-def test_the_cut_off_of_the_ao_cannot_be_estimated_where_the_window_does_not_show_it():
-    with pytest.raises(ConfigurationError, match="outside the window"):
-        effects_of("ao_cutoff")
-
-
 @pytest.mark.parametrize("name", ["focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale"])
 def test_errors_of_the_focus_stage_are_no_part_of_an_image(name):
     effects = effects_of(name, "companion")
@@ -81,10 +76,13 @@ def test_bad_pixels_are_a_mask_and_no_part_of_an_image():
 def test_a_wrong_entry_is_refused_with_what_is_allowed(entry, message):
     with pytest.raises(ValueError, match=message):
         EffectEntry.of(entry)
+    with pytest.raises(ValueError, match="listed twice: vibration"):
+        ModelConfig(effects=("vibration", "companion", "vibration", "companion"))
 
 
 @pytest.mark.parametrize(("entry", "diversity", "message"), [
     ("diversity_error", {6: 0.0}, "diversity_error for cube: there is no diversity"),
+    ("ao_cutoff", None, "outside the window"),
     ("bad_pixels", {6: 1.0}, "bad_pixels for cube: there is nothing to estimate"),
     ({"bad_pixels": {"pixels": [[64, 0]]}}, {6: 1.0}, "outside the window"),
     ({"seeing_halo": {"wfe_nm": 100, "scale": 1}}, {6: 1.0}, "either wfe_nm or scale"),
@@ -111,18 +109,6 @@ def test_what_two_companions_were_calibrated_to_is_handed_on_to_the_same_two():
     assert set(calibrated_effects(product, IRLOS, model, cube, 0.8)) == {"tip_tilt_jitter"}
 
 
-def test_a_second_of_a_kind_is_refused_where_it_means_nothing():
-    with pytest.raises(ValueError, match="listed twice: vibration"):
-        ModelConfig(effects=("vibration", "companion", "vibration", "companion"))
-
-
-def test_options_choose_modes_and_shapes():
-    choices = {"high_order_ncpa": {"nolls": [70, 80]}}, {"vibration": {"shape": "gaussian"}}
-    high, vibration = effects_of(*choices)
-    assert [p.name for p in high.parameters] == ["noll_70", "noll_80"]
-    assert vibration.shape == "gaussian"
-
-
 def test_public_values_are_listed_one_number_a_row():
     public = {"sigma_mas": 7.0, "zernike_nm": {"70": 1.0}, "tip_nm": [2.0, 3.0], "pixels": [[4, 5]]}
     assert rows_of(public) == [
@@ -138,8 +124,13 @@ def test_the_mean_over_estimates_is_taken_number_by_number():
     assert mean_of([first, second]) == mean
 
 
-def test_a_fixed_effect_has_the_values_of_the_recipe():
-    (companion,) = effects_of({"companion": {"flux_ratio": 0.1, "sep_mas": 100.0, "pa_deg": 90.0}})
+def test_effects_have_the_values_and_options_of_the_recipe():
+    choices = {"high_order_ncpa": {"nolls": [70, 80]}}, {"vibration": {"shape": "gaussian"}}
+    high, vibration, companion = effects_of(
+        *choices, {"companion": {"flux_ratio": 0.1, "sep_mas": 100.0, "pa_deg": 90.0}}
+    )
+    assert [p.name for p in high.parameters] == ["noll_70", "noll_80"]
+    assert vibration.shape == "gaussian"
     assert companion.all_values(torch.zeros(0)).tolist() == pytest.approx([0.1, 0.0, 100.0])
 
 

@@ -64,15 +64,9 @@ class CubeInput:
 
 
 def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions) -> CubeInput:
-    """Return all frames of the `recordings` and the model of the first.
+    """Return all frames of `recordings` taken alike and the model of the first; `options` state its modes.
 
-    Parameters
-    ----------
-    ctx : StageContext
-    recordings : sequence of Recording
-        Taken alike.
-    options : CalibrationOptions
-        State the modes, which the model depends on.
+    `ctx` has the instrument and the section `model` of the recipe.
     """
     first, highest_noll = recordings[0], options.last_noll
     conditions = conditions_of(ctx.instrument, ctx.model, first, highest_noll)
@@ -148,15 +142,7 @@ def require_joint(ctx: StageContext, groups: Sequence[Sequence[Recording]], meth
 def setups_of(
     ctx: StageContext, groups: Sequence[Sequence[Recording]], options: CalibrationOptions
 ) -> list[Setup]:
-    """Return what `calibrate_setups` needs of every group of recordings.
-
-    Parameters
-    ----------
-    ctx : StageContext
-    groups : sequence of sequence of Recording
-        Those of one set-up each, see `by_setup`.
-    options : CalibrationOptions
-    """
+    """Return what `calibrate_setups` needs with `options` of `groups`, see `by_setup`; `ctx` as above."""
     highest_noll = options.last_noll
     reference_nm = groups[0][0].acquisition.wavelength_nm
     conditions = [_conditions(ctx, group[0], highest_noll, reference_nm) for group in groups]

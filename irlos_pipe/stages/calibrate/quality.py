@@ -81,16 +81,8 @@ def frame_checks(
 ) -> list[Check]:
     """Return the checks of frames that are averaged: of one star, pointing and wavefront, and its motion.
 
-    Parameters
-    ----------
-    kurtosis : float
-        Of the frames, see `estimate.residual`; NaN where it tells nothing.
-    motion : Motion or None
-        See `estimate.cube`.
-    window : tuple of int
-        Rows and columns.
-    max_motion : float
-        Over the smaller side of the window.
+    `kurtosis` of the frames (`estimate.residual`) is NaN where it tells nothing, `motion` None without
+    any. Of the `window`, rows and columns, the star may move over `max_motion` times the smaller side.
     """
     checks = [_kinds(kurtosis)] if math.isfinite(kurtosis) else []
     return checks if motion is None else [*checks, _moves(motion, window, max_motion)]

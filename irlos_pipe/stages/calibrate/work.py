@@ -247,13 +247,9 @@ def _reported(nolls: Sequence[int]) -> slice:
 
 
 def wfe_nm(nolls: Sequence[int], zernike_nm: np.ndarray) -> float:
-    """Return the RMS [nm] of the reported modes.
+    """Return the RMS [nm] of the reported ones of modes `nolls` with coefficients `zernike_nm`, (modes,).
 
-    Parameters
-    ----------
-    nolls : sequence of int
-    zernike_nm : ndarray, (modes,)
-        Coefficients, or their standard errors, which gives the expected total error.
+    Of standard errors this is the total error to be expected.
     """
     return float(np.sqrt(np.sum(zernike_nm[_reported(nolls)] ** 2)))
 

@@ -41,14 +41,7 @@ MODEL_FILE = "model.yaml"
 
 
 def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> DiagnoseResults:
-    """Return the results of a diagnosis of cubes.
-
-    Parameters
-    ----------
-    result : Diagnosis
-    diversity_nm : mapping of int to float
-        With which they were taken, Noll: nm RMS.
-    """
+    """Return the `result` of a diagnosis of cubes that were taken with a diversity `diversity_nm`."""
     modes = [_by_noll(result, one) for one in result.modes_nm]
     return DiagnoseResults.filled_from(
         result,
@@ -173,15 +166,9 @@ def summary_lines(result: Diagnosis) -> list[str]:
 
 
 def quality_arrays(pictures: Pictures, settings: PsfSettings) -> dict[str, Quantity]:
-    """Return the curves of the mean held-out image and of its predictions.
+    """Return the curves of the mean held-out image and of its predictions, `pictures` under `settings`.
 
     Pixels that are not used hold the prediction after in all three. Light is that of the window.
-
-    Parameters
-    ----------
-    pictures : Pictures
-    settings : PsfSettings
-        Of the recording.
     """
     used = np.isfinite(pictures.sigma_e) & (pictures.sigma_e > 0)
     resolution_px, arrays = settings.resolution_px, dict[str, np.ndarray]()

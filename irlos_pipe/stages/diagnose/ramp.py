@@ -65,8 +65,8 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
         checks_of(results),
         summary=_summary(result, lens, gap),
     )
-    lenses = [_entry(lens.effect.name, lens.public)] if lens else []
-    return output, [*lenses, *(_entry(one.name, one.public) for one in result.names)]
+    lenses = [{lens.effect.name: lens.public}] if lens else []
+    return output, [*lenses, *({one.name: one.public} for one in result.names)]
 
 
 def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
@@ -118,11 +118,6 @@ def _results(
         defocus_error_nm=Change.of(errors),
         seconds=seconds,
     )
-
-
-def _entry(name: str, public: dict[str, Any]) -> dict[str, Any]:
-    """Return the effect `name` with its `public` values as an entry of the section `model` of a recipe."""
-    return {name: public}
 
 
 def _lens_steps(lens: LightPathName | None) -> list[StepRow]:

@@ -29,18 +29,10 @@ Nanometres = Annotated[float, Field(ge=-5000, le=5000)]
 
 
 def _wavefront_of(value: Any) -> Any:
-    """Return coefficients as they are, and those in the results of a run for its path.
+    """Return coefficients as they are, Noll index to nm RMS, and those in the results of a run for its path.
 
-    Parameters
-    ----------
-    value : mapping or str
-        Noll index to nm RMS, or the path of a run folder or its ``results.json``: of its diagnosis the
-        wavefront with what was found, else that of its calibration.
-
-    Raises
-    ------
-    ValueError
-        Where no wavefront can be read.
+    That is a run folder or its ``results.json``: of its diagnosis the wavefront with what was found, else
+    that of its calibration. A ValueError says where none can be read.
     """
     if not isinstance(value, str):
         return value

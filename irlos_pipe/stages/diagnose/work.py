@@ -142,18 +142,9 @@ class Alike:
 def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -> list[Alike]:
     """Return the used frames of the input `input_name` of `ingest`, one group per setting and moment.
 
-    The setting with the largest diversity comes first: errors of the diversity are stated for it.
-
-    Parameters
-    ----------
-    apart : bool, optional
-        Whether every recording is of its own star or night, or all are of one; by default targets and times
-        tell.
-
-    Raises
-    ------
-    InputDataError
-        If recordings of one moment differ in more than focus, diversity and band.
+    The setting with the largest diversity comes first: errors of the diversity are stated for it. `apart`
+    says whether every recording is of its own star or night, or all are of one; by default targets and
+    times tell.
     """
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
     _require_common(recordings)

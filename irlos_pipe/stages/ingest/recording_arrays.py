@@ -60,17 +60,7 @@ def arrays_from_recording(recording: Recording) -> dict[str, Quantity]:
 
 
 def arrays_of(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
-    """Return all arrays that ingest leaves of a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its clean frames.
-    cleaned : Cleaned
-        What was found on the way.
-    raw : RawRecording
-        What it was made from.
-    """
+    """Return all arrays that ingest leaves of a `recording`, made from `raw` and `cleaned`."""
     hits = cleaned.hits
     own = {
         "raw_adu": raw.adu,
@@ -90,14 +80,9 @@ def found_bad(recording: Recording, raw: RawRecording) -> np.ndarray:
 
 
 def screened_e(product: Product, recording: Recording) -> dict[tuple[int, int], float]:
-    """Return what the bad pixels that ingest found had shown, as (row, column): mean signal [e-].
+    """Return what the bad pixels that ingest found in a `recording` of its `product` had shown.
 
-    Parameters
-    ----------
-    product : Product
-        Of ingest.
-    recording : Recording
-        One of its recordings.
+    That is the mean signal [e-] by (row, column).
 
     Raises
     ------
@@ -115,14 +100,7 @@ def screened_e(product: Product, recording: Recording) -> dict[tuple[int, int], 
 
 
 def recordings_from_product(product: Product, input: str | None = None) -> list[Recording]:
-    """Return the recordings of an ingest product, in the order in which they were read.
-
-    Parameters
-    ----------
-    product : Product
-        Of ingest.
-    input : str, optional
-        Only those of this recipe input.
+    """Return the recordings of an ingest `product`, those of one `input` if it is given, as they were read.
 
     Raises
     ------

@@ -118,15 +118,8 @@ def light_path(
 ) -> ImageModel:
     """Return the model of single frames with tip, tilt and defocus, everything else as calibrated.
 
-    Effects that are neither calibrated nor given values are taken as expected.
-
-    Parameters
-    ----------
-    ctx : StageContext
-    recording : Recording
-        Its acquisition and window; its frames do not matter.
-    calibrated, halo
-        See `fit_frames`.
+    Effects that are neither calibrated nor given values are taken as expected. `ctx`, `calibrated` and
+    `halo` are as in `fit_frames`; of the `recording` only acquisition and window matter.
 
     Raises
     ------

@@ -108,16 +108,9 @@ def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
 
 
 def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> LightPath:
-    """Return the PSF model of a ramp.
+    """Return the PSF model of a `ramp` in which `nolls` are estimated, `ncpa_nm` in the known wavefront.
 
-    Parameters
-    ----------
-    ctx : StageContext
-    ramp : Ramp
-    nolls : tuple of int
-        Modes to be estimated.
-    ncpa_nm : dict of int to float
-        NCPAs in the known wavefront (Noll: nm RMS).
+    `ctx` has the instrument and the section `model` of the recipe.
     """
     settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm=ncpa_nm)
     return light_path(settings.for_single_frames(), nolls, device=ctx.device, rough_derivatives=True)
@@ -182,17 +175,10 @@ def _calibrated_at_nm(ctx: StageContext) -> float | None:
 def ramp_start(
     ctx: StageContext, model: LightPath, ramp: Ramp, ncpa_nm: dict[int, float], start: str
 ) -> torch.Tensor:
-    """Return the start of every frame, (frames, modes) [nm].
+    """Return the start of every frame, (frames, modes of the `model`) [nm].
 
-    Parameters
-    ----------
-    ctx : StageContext
-    model : LightPath
-    ramp : Ramp
-    ncpa_nm : dict of int to float
-        NCPAs in the known wavefront, taken off the elongation prior.
-    start : {"elongation", "scan", "commanded", "zero"}
-        Elongation prior, scan of defocus, commanded defocus, or zero.
+    `start` is the elongation prior, from which `ncpa_nm` are taken off, a scan of defocus, the commanded
+    defocus of the `ramp`, or zero; `ctx` has the products.
     """
     if start == "scan":
         return scan_start_nm(model, ramp.data.images_e, ramp.data.good)
@@ -217,13 +203,9 @@ EXPLAINED = 0.5  # of the excess of χ²/ν over its nominal value: less, and th
 
 
 def has_other_light(ctx: StageContext[Config], acquisition: Acquisition) -> bool:
-    """Return whether the light of a ramp passes another filter or lens than that of its calibration.
+    """Return whether a ramp's light passes another filter or lens than that of its calibration.
 
-    Parameters
-    ----------
-    ctx : StageContext
-    acquisition : Acquisition
-        How the ramp was taken.
+    `acquisition` says how the ramp was taken, `ctx` has the products.
     """
     config = ctx.config
     if not config.calibrated or "calibrate" not in ctx.products or config.common_modes or config.singly:
@@ -242,10 +224,7 @@ def has_other_light(ctx: StageContext[Config], acquisition: Acquisition) -> bool
 def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> list[Effect]:
     """Return the `effects` with those that make the wavefront of the ramp's own light, where they lack them.
 
-    Parameters
-    ----------
-    conditions : Conditions
-        Of the ramp.
+    `conditions` are those of the ramp.
     """
     listed = {effect.name for effect in effects}
     broad = conditions.settings.span_nm > BROAD_NM
@@ -254,23 +233,14 @@ def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> lis
 
 
 def explains(before: FrameErrors, after: FrameErrors) -> bool:
-    """Return whether a fit of a ramp explains what another one before it misses.
-
-    Parameters
-    ----------
-    before, after : FrameErrors
-    """
+    """Return whether a fit `after` explains what another one `before` it misses."""
     return after.excess <= EXPLAINED * before.excess
 
 
 def older_text(fit: RampFit, calibration_nm: float) -> str:
-    """Return what a wavefront of filter or lens says that is larger than errors excuse; else nothing.
+    """Return what a wavefront of filter or lens in a `fit` says that errors do not excuse; else nothing.
 
-    Parameters
-    ----------
-    fit : RampFit
-    calibration_nm : float
-        Error of the calibrated wavefront [nm RMS].
+    `calibration_nm` is the error of the calibrated wavefront [nm RMS].
     """
     if FilterNcpa.name not in fit.effects:
         return ""
@@ -289,13 +259,7 @@ def _size(table: Any) -> float:
 
 
 def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return in words how large a wavefront of the ramp's own light is; empty without one.
-
-    Parameters
-    ----------
-    effects : mapping
-        Public parameters of the effects, by name.
-    """
+    """Return in words how large a wavefront of the ramp's own light is among `effects`; empty without one."""
     sizes = {kind.name: _size(effects[kind.name][kind.table]) for kind in OWN if kind.name in effects}
     units = {ChromaticNcpa.name: "nm RMS per µm of wavelength", FilterNcpa.name: "nm RMS of filter or lens"}
     texts = [f"{size:.0f} {units[name]}" for name, size in sizes.items()]

@@ -78,7 +78,7 @@ def checks_of(
 
 
 def unexplained_offset_nm(summary: RampSummary) -> float:
-    """Return the size of a ramp's offset, or 0 where its own error excuses it [nm]."""
+    """Return the size of the offset in a `summary`, or 0 where its own error excuses it [nm]."""
     offset_nm = abs(summary.offset_nm)
     return offset_nm if offset_nm > OFFSET_SIGMA * summary.offset_sigma_nm else 0.0
 
@@ -116,14 +116,7 @@ def _error(config: Config, summary: RampSummary) -> Check:
 
 
 def misfits(config: Config, errors: FrameErrors) -> bool:
-    """Return whether χ²/ν of the frames is above its limit.
-
-    Parameters
-    ----------
-    config : Config
-        Its limits.
-    errors : FrameErrors
-    """
+    """Return whether χ²/ν of the frames, in `errors`, is above its limit in `config`."""
     return not _misfit(config, errors).passed
 
 

@@ -36,17 +36,10 @@ def conditions_of(
     introduced_nm: Mapping[int, float] | None = None,
     ncpa_wavelength_nm: float | None = None,
 ) -> Conditions:
-    """What effects may start from.
+    """What effects may start from for a `recording` with an `instrument` and a recipe's `model`.
 
-    Parameters
-    ----------
-    instrument, model, recording
-    highest_noll : int
-        Last mode that is estimated as such.
-    introduced_nm : mapping of int to float, optional
-        See `psf_settings`.
-    ncpa_wavelength_nm : float, optional
-        See `Conditions`.
+    `highest_noll` is the last mode that is estimated as such; `introduced_nm` as in `psf_settings`,
+    `ncpa_wavelength_nm` as in `Conditions`.
     """
     settings = psf_settings(instrument, model, recording, introduced_nm=introduced_nm)
     return Conditions(
@@ -215,13 +208,8 @@ COST = (
 def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> list[Effect]:
     """Return the `effects` of a recipe's `model` with dispersion and the colour of the star, both free.
 
-    Only where the band is broad, and on sky, that is with an AO residual; what the recipe lists itself stays
-    as it is.
-
-    Parameters
-    ----------
-    conditions : Conditions
-        Of the recording.
+    Only where the band is broad, and on sky, that is with an AO residual, by the `conditions` of the
+    recording; what the recipe lists itself stays as it is.
     """
     if not _wants_colour(effects, model, conditions):
         return list(effects)
@@ -245,13 +233,9 @@ def star_colour(conditions: Conditions) -> FixedEffect:
 
 
 def colour_warning(effects: Sequence[Effect], recordings: Sequence[Recording]) -> str:
-    """Return the warning that a model with free dispersion lacks an altitude; empty if it lacks none.
+    """Return the warning that `effects` with free dispersion lack the altitude of `recordings`.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Of the model of the recordings.
-    recordings : sequence of Recording
+    It is empty if it lacks none.
     """
     free = any(effect.name == AtmosphericDispersion.name and effect.parameters for effect in effects)
     unknown = [one.name for one in recordings if one.acquisition.altitude_deg is None]
@@ -276,14 +260,7 @@ LOWEST_DEG = 10.0  # beyond it the formula errs
 
 
 def refraction_of(acquisition: Acquisition, mean_um: float) -> Refraction:
-    """Return what is to be expected of dispersion at the mean wavelength of a recording.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-    mean_um : float
-        Mean wavelength [µm].
-    """
+    """Return what is to be expected of dispersion at the mean wavelength of an `acquisition`, `mean_um`."""
     size = _size_mas_per_um(acquisition, mean_um)
     if size is None:
         return Refraction((0.0, 0.0), UNKNOWN_MAS_PER_UM)

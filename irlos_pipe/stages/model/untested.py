@@ -27,14 +27,9 @@ CUBES_IN_SHORT = (
 
 
 def untested_by_cubes(diversity_nm: Mapping[int, float], mirrored: str = "") -> list[str]:
-    """Return what cubes cannot tell, one line each.
+    """Return what cubes with a diversity `diversity_nm` cannot tell, one line each.
 
-    Parameters
-    ----------
-    diversity_nm : mapping of int to float
-        With which they were taken, Noll: nm RMS.
-    mirrored : str
-        Why it is not known whether images are mirrored; empty where it is.
+    `mirrored` says why it is not known whether images are mirrored; empty where it is.
     """
     told = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
     more = [MIRRORED.format(why=mirrored)] if mirrored else []
