@@ -131,9 +131,7 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
     context = inputs.context
     recording = recordings_from_product(context.products["ingest"], CalibrateConfig().input)[0].accepted()
     frames = Frames(
-        torch.as_tensor(recording.images_e[:count]),
-        torch.as_tensor(recording.good),
-        NoiseModel.of(recording),
+        torch.as_tensor(recording.images_e[:count]), torch.as_tensor(recording.good), NoiseModel.of(recording)
     )
     with stopwatch() as watch:
         result = calibrate(
