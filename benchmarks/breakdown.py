@@ -61,11 +61,13 @@ class OperatorTimes(TorchDispatchMode):
 
 def measure_breakdown(inputs: Inputs, frames: int) -> dict:
     """Shares of the groups for `dip_global` and LIFT, and the floor of each."""
+    options = CalibrationOptions("dip_global", prior=inputs.prior)
+    some = inputs.calibration_frames(frames)
     with workers(1):
         rate = product_rate_flops()
         return {
             "gflops": rate / 1e9,
-            "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
+            "dip_global": _profile(lambda: calibrate(some, inputs.settings, options), rate),
             "lift": _profile(prepared_lift(inputs, RAMP_FRAMES, with_halo=True), rate),
         }
 
@@ -95,22 +97,13 @@ def _profile(fit, rate: float) -> dict:
     return {"seconds": total_s, "shares": shares, "floor_s": floor_s, "over_floor": total_s / floor_s}
 
 
-def _dip_global(inputs: Inputs, frames: int) -> None:
-    options = CalibrationOptions("dip_global", prior=inputs.prior)
-    calibrate(inputs.calibration_frames(frames), inputs.settings, options)
-
-
 def _group(name: str, args) -> str:
     if name.startswith(("_fft", "fft")):
         return FFT
     if "linalg" in name or name.startswith(("_linalg", "lu_")):
         return SOLVES
-    if name in PRODUCTS:
-        return _product_group(args[-1])
-    return REST
-
-
-def _product_group(factor: torch.Tensor) -> str:
-    if factor.is_complex():
+    if name not in PRODUCTS:
+        return REST
+    if args[-1].is_complex():
         return COMPLEX_PRODUCTS
-    return DOUBLE_PRODUCTS if factor.dtype == torch.float64 else REAL_PRODUCTS
+    return DOUBLE_PRODUCTS if args[-1].dtype == torch.float64 else REAL_PRODUCTS

@@ -96,18 +96,10 @@ def flat_field_error(rng: np.random.Generator) -> Foreign:
     return Foreign({"rms": rms}, lambda image: image * gain[: image.shape[0], : image.shape[1]])
 
 
-FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
-    one.__name__: one
-    for one in (
-        scratch,
-        keystone,
-        unsteady_rows,
-        scattered_light,
-        electronic_ghost_row,
-        charge_trail,
-        flat_field_error,
-    )
-}
+MAKERS = (
+    scratch, keystone, unsteady_rows, scattered_light, electronic_ghost_row, charge_trail, flat_field_error,
+)  # fmt: skip
+FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {one.__name__: one for one in MAKERS}
 
 
 def displaced_rows(image_e: np.ndarray, shifts_px: np.ndarray) -> np.ndarray:

@@ -161,7 +161,10 @@ def is_right(outcome: Outcome) -> bool:
     """Whether the case came out as it should."""
     kind, verdict = outcome["truth"]["kind"], outcome["diagnosis"]["verdict"]
     if is_dirty(outcome):
-        return not first_is_wrong(outcome) and _is_found_beside_others(outcome)
+        # What is hidden is among the names, if the catalogue has it and the data can show it.
+        unseen = kind.endswith((CLEAN, OUTSIDE)) or is_untestable(outcome)
+        found = all_named(outcome) if kind == PAIR else unseen or is_named(outcome)
+        return found and not first_is_wrong(outcome)
     if kind.endswith(CLEAN):
         return verdict == NONE
     if kind.endswith(OUTSIDE):
@@ -169,14 +172,6 @@ def is_right(outcome: Outcome) -> bool:
     if kind == PAIR:
         return all_named(outcome) and not extra_names(outcome)
     return is_untestable(outcome) or (is_in_set(outcome) and not extra_names(outcome))
-
-
-def _is_found_beside_others(outcome: Outcome) -> bool:
-    """Whether what is hidden is among the names, if the catalogue has it and the data can show it."""
-    kind = outcome["truth"]["kind"]
-    if kind == PAIR:
-        return all_named(outcome)
-    return kind.endswith((CLEAN, OUTSIDE)) or is_named(outcome) or is_untestable(outcome)
 
 
 # -- whether a size is right, and how large it is for what can be seen -------------------------

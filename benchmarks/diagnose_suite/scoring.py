@@ -256,16 +256,10 @@ def confusion(outcomes: Sequence[Outcome]) -> np.ndarray:
     counts = np.zeros((len(HIDDEN), len(CALLED)), int)
     for one in outcomes:
         if one["truth"]["kind"] in KINDS:
-            counts[HIDDEN.index(_true_name(one)), CALLED.index(called(one))] += 1
+            name = one["truth"]["effects"][0] if one["truth"]["effects"] else NOTHING
+            row = HIDDEN.index(name if name in HIDDEN else NOT_IN_CATALOGUE)
+            counts[row, CALLED.index(called(one))] += 1
     return counts
-
-
-def _true_name(outcome: Outcome) -> str:
-    """Row of a case."""
-    hidden = outcome["truth"]["effects"]
-    if not hidden:
-        return NOTHING
-    return hidden[0] if hidden[0] in SIZES else NOT_IN_CATALOGUE
 
 
 def called(outcome: Outcome) -> str:

@@ -114,14 +114,7 @@ def present(outcome: Outcome) -> Outcome:
     return renamed | {"truth": formerly | renamed["truth"]}
 
 
-SUITE = Suite(
-    outcome_of,
-    key_of,
-    write_report,
-    inside="outcomes",
-    slim=slim,
-    present=present,
-)
+SUITE = Suite(outcome_of, key_of, write_report, inside="outcomes", slim=slim, present=present)
 
 
 @click.command()

@@ -289,6 +289,7 @@ def test_errors_of_public_values_follow_from_those_of_the_solver():
         assert sigma[key] == pytest.approx(np.std([one[key] for one in public]), rel=0.03)
 
 
+@pytest.mark.slow
 def test_petals_are_told_as_differences_with_the_errors_of_these():
     """Monte Carlo of 20000 draws in which all petals move together by far more than they differ."""
     effect, rng = LowWindEffect(), np.random.default_rng(3)

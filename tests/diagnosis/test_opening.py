@@ -110,11 +110,13 @@ def bump_beside_all_modes(mean_e):
     return [*both, named], opening.fitted.values_of(BUMP)[0], sigma
 
 
+@pytest.mark.slow
 def test_a_bump_that_stands_in_for_modes_is_not_needed_beside_them():
     needed, _, _ = bump_beside_all_modes(with_tail())
     assert needed == [True, False, False]
 
 
+@pytest.mark.slow
 def test_a_bump_that_is_there_is_needed_beside_all_modes_and_its_error_knows_of_them():
     bump = CATALOGUE[BUMP].under(CONDITIONS)
     mean_e = with_tail([FixedEffect(bump, BUMP_VALUES)])
@@ -156,6 +158,7 @@ def test_a_stop_that_came_to_rest_begins_where_the_fit_falls():
     assert np.cos(best.values_of(STOP.name)[1] - direction_rad) > 0.9
 
 
+@pytest.mark.slow
 def test_a_stop_that_rests_beside_all_modes_is_found_on_its_side_by_all_of_them():
     distance_m, direction_rad = 0.06, 0.9
     training = cube(with_tail([FixedEffect(STOP, (distance_m, direction_rad, 0.0))])).training

@@ -42,6 +42,7 @@ def off_centre():
     return training, fitted(training, [FixedEffect(STOP, TRUE, FREE), SCALE])
 
 
+@pytest.mark.slow
 def test_without_an_effect_the_others_go_where_a_fit_would_take_them(off_centre):
     training, full = off_centre
     near = without_linearly(full, SCALE.name)
@@ -62,6 +63,7 @@ def test_where_the_others_cannot_stand_in_for_it_the_linear_model_is_no_worse_th
     assert near.values_of(STOP.name)[[0, 2]] == pytest.approx(0.0, abs=1e-9)  # a direction has no null
 
 
+@pytest.mark.slow
 def test_the_opposite_side_is_said_where_nothing_tells_the_sides_apart():
     """Without any wavefront the image is |FT|² of a real pupil, which is even: both sides make the same."""
     flat_nm = {6: -CASE.known.total_nm[6]}
@@ -81,6 +83,7 @@ def test_the_opposite_side_is_said_where_nothing_tells_the_sides_apart():
     assert sized.phrase.startswith("vanes turned by +1.0°") and side.phrase in sized.phrase
 
 
+@pytest.mark.slow
 def test_the_opposite_side_is_not_said_where_the_diversity_excludes_it_or_there_is_none(off_centre):
     training, model = off_centre
     fitter, final = Fitter(model.views, training), Optimum(training, model)
@@ -152,6 +155,7 @@ def found(behind_a_stop) -> dict[str, FixedEffect]:
     return {effect.name: effect for effect in open_facts(*behind_a_stop, [])}
 
 
+@pytest.mark.slow
 def test_facts_that_the_model_takes_for_exact_are_left_free_where_they_fit_best(found):
     true, stop = STOP.describe(np.array(TRUE)), found[STOP.name]
     values = stop.base.describe(stop.values)

@@ -65,6 +65,7 @@ def test_one_invalid_frame_is_flagged_and_left_out(cube):
     assert np.linalg.norm(result.zernike_nm - true) < 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 3])
 def test_errors_of_one_frame_or_a_few_are_those_of_independent_repetitions(cube, count):
     """Monte Carlo: pulls of many fits to frames of their own, against the truth."""

@@ -206,6 +206,7 @@ def wrong() -> Opened:
 TRUE_M = DISTANCE_M * np.array([np.cos(DIRECTION_RAD), np.sin(DIRECTION_RAD)])
 
 
+@pytest.mark.slow
 def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
     assert stop_of(wrong) @ TRUE_M <= 0  # on the other side, or at rest
     found = likelier_side(wrong, max_iterations=30)
@@ -213,6 +214,7 @@ def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
     assert stop_of(found) == pytest.approx(TRUE_M, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_fit_on_the_right_side_stays_there():
     right = opened_from(DIRECTION_RAD)
     assert stop_of(likelier_side(right, max_iterations=30)) == pytest.approx(TRUE_M, abs=0.01)

@@ -83,6 +83,7 @@ MAS_RAD = np.pi / 180 / 3600e3
 UT4 = load_instrument("irlos").pupil
 
 
+@pytest.mark.slow
 def test_the_gradient_matrix_is_the_mean_slope_of_every_quarter_of_an_annulus():
     geometry = PupilGeometry(8.0, 1.116)
     u = (np.arange(1200) - 599.5) / 150
