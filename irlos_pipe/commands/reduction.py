@@ -182,8 +182,7 @@ def demo(
     from irlos_pipe.files.shipped import SAMPLES, shipped_folder
     from irlos_pipe.pipeline import Selection
     from irlos_pipe.recipe import load_recipe
-    from irlos_pipe.report.score import score_run
-    from irlos_pipe.report.score_text import score_text
+    from irlos_pipe.report.score import score_run, score_text
 
     checked = load_recipe("full_reduction", settings, seed=seed, samples=True)
     outcome = _outcome(checked, output, Selection(force=force), device, jobs, verbose, quiet)

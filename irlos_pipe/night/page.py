@@ -18,7 +18,7 @@ from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.tree import page_path
 from irlos_pipe.night.trend import Trend, make_trend
-from irlos_pipe.report.render import rendered
+from irlos_pipe.report.content import rendered
 from irlos_pipe.report.text import plural
 
 TEMPLATE = "night.html.j2"

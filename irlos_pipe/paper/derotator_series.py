@@ -22,8 +22,8 @@ from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, NARROW_H, NARROW_T
 from irlos_pipe.paper.common.phase_bump import phase_bump_nm
 from irlos_pipe.paper.common.reads import on_spartas_scale
 from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, VARIANTS, frames_per_method
+from irlos_pipe.report.images import common_limit_nm, wavefront_grid
 from irlos_pipe.report.section_derotator import maps_figure
-from irlos_pipe.report.wavefront_plots import common_limit_nm, wavefront_grid
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
