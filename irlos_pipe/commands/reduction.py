@@ -130,8 +130,8 @@ def run(
       recipe.resolved.yaml  the recipe with every default; can be run again
     """
     from irlos_pipe.pipeline import Selection, plan_run
-    from irlos_pipe.pipeline.numbered import version_for
     from irlos_pipe.pipeline.plan import Action
+    from irlos_pipe.pipeline.run import version_for
     from irlos_pipe.pipeline.terminal import plan_text
     from irlos_pipe.recipe import load_recipe
 
@@ -261,7 +261,7 @@ def _outcome(
 ) -> Outcome:
     """Run a recipe with messages and progress bars as asked for."""
     from irlos_pipe.pipeline import run_recipe
-    from irlos_pipe.pipeline.numbered import run_numbered
+    from irlos_pipe.pipeline.run import run_numbered
     from irlos_pipe.pipeline.terminal import messages
 
     if verbose and quiet:
@@ -275,7 +275,7 @@ def _problems(recipe: Recipe, stages: Collection[str] | None = None) -> list[str
     """All that is wrong with the recordings that stages of a recipe, by default all, would read."""
     if not any(recipe.inputs.values()):
         return []
-    from irlos_pipe.pipeline.problems import input_problems
+    from irlos_pipe.pipeline.plan import input_problems
     from irlos_pipe.pipeline.terminal import messages
 
     with messages(0):

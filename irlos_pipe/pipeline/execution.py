@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -11,20 +12,21 @@ from typing import Any
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.pipeline.inputs import InputFile, require_unchanged
-from irlos_pipe.pipeline.origin import origin_of, recordings_of
 from irlos_pipe.pipeline.plan import Action, Step, checksum
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.header import Origin
-from irlos_pipe.product.product import Product
-from irlos_pipe.product.results import LOST
+from irlos_pipe.product.observed import Recorded
+from irlos_pipe.product.product import Check, Product
+from irlos_pipe.product.results import LOST, Provenance, StageResults, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
-from irlos_pipe.product.table import Table, table_content
+from irlos_pipe.product.table import table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, depends_on, reads
+from irlos_pipe.stages.ingest.results import IngestResults
 
 
 @dataclass
@@ -115,22 +117,28 @@ class Job:
         before = self._read_by(step.name)
         seen = recordings_of(output.results, before, config)
         notice = self.recipe.notice if self.recipe.samples else ""
-        provenance = (
-            self._provenance(step, output)
-            | times
-            | {
-                "recordings": [one.as_json() for one in seen],
-                "notice": notice,
-            }
+        own = {"recordings": [one.as_json() for one in seen], "notice": notice}
+        provenance = self._provenance(step, output) | times | own
+        checks = [check for product in before.values() for check in _checks_of(seen, product)]
+        origin = Origin(
+            step.name,
+            f"IRLOS_{step.name.upper()}",
+            Provenance.model_validate(jsonable(provenance)),
+            seen,
+            [*checks, *output.checks],
+            config,
+            notice,
         )
-        origin = origin_of(step.name, provenance, seen, before, output.checks, config, notice)
-        files = {PurePath(name).name: _content(name, file, origin) for name, file in output.files.items()}
+        files = {
+            PurePath(name).name: file
+            if isinstance(file, bytes)
+            else table_content(file, PurePath(name).suffix, origin)
+            for name, file in output.files.items()
+        }
         for name, content in files.items():
             write_bytes(self.folder / name, content)
-        provenance |= {
-            "files": sorted(files),
-            "file_sha256": {name: checksum(content) for name, content in files.items()},
-        }
+        checksums = {name: checksum(content) for name, content in files.items()}
+        provenance |= {"files": sorted(files), "file_sha256": checksums}
         product = Product(
             step.name, output.arrays, output.results.as_json(), list(output.checks), config, provenance, log
         )
@@ -154,5 +162,33 @@ class Job:
         }
 
 
-def _content(name: str, file: bytes | Table, origin: Origin) -> bytes:
-    return file if isinstance(file, bytes) else table_content(file, PurePath(name).suffix, origin)
+def recordings_of(
+    results: StageResults, before: Mapping[str, Product], config: Mapping[str, Any]
+) -> list[Recorded]:
+    """Return the recordings that a stage works on: those of its recipe input, else all that are no darks.
+
+    They stand in the `results` of ingest, or in the product of it among those read `before`.
+    """
+    if isinstance(results, IngestResults):
+        rows = results.inputs
+    elif IngestResults.stage in before:
+        rows = results_of(IngestResults, before[IngestResults.stage]).inputs
+    else:
+        return []
+    wanted = config.get("input")
+    return [
+        Recorded(
+            name=row.name, input=row.input, role=row.role, window=row.window, frames=row.frames,
+            frames_rejected=row.frames_rejected, **dict(row.observed),
+        )
+        for row in rows
+        if row.role != "dark" and wanted in (None, row.input)
+    ]  # fmt: skip
+
+
+def _checks_of(recordings: Sequence[Recorded], product: Product) -> Iterator[Check]:
+    """The checks of a product, of `ingest` those of the recordings."""
+    prefixes = tuple(f"ingest/{one.input}/{one.name}/" for one in recordings)
+    for check in product.checks:
+        if product.stage != IngestResults.stage or check.name.startswith(prefixes):
+            yield check

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from irlos_pipe.instrument.facts import FACTS
 from irlos_pipe.instrument.profile import Profile
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.recipe.checks import RecipeHead
+from irlos_pipe.recipe.load import RecipeHead
 from irlos_pipe.reference.entry import Entry, Kind
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 from irlos_pipe.stages.model.section import ModelConfig

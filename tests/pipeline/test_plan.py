@@ -10,7 +10,7 @@ from helpers.running import STAGES, reasons, results, run
 from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
 from irlos_pipe.instrument.instrument import PROFILES
 from irlos_pipe.pipeline import Selection, plan_run, run_recipe
-from irlos_pipe.pipeline.fingerprint import changes
+from irlos_pipe.pipeline.plan import changes
 from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.recipe import load_recipe
 
