@@ -54,23 +54,9 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
 def run_recipe(
     recipe: Recipe, folder: Path, selection: Selection | None = None, resources: Resources | None = None
 ) -> Outcome:
-    """Bring the products of a recipe up to date.
+    """Bring the products of a recipe in `folder` up to date, which is made if it does not exist.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        What to run.
-    folder : Path
-        The run's folder; made if it does not exist.
-    selection : Selection, optional
-        Which stages may run; all by default.
-    resources : Resources, optional
-        Device, threads and progress bars; one thread of the processor by default.
-
-    Returns
-    -------
-    Outcome
-        Status, results and the lines for the terminal; its files are in `folder`.
+    By default all stages may run, on one thread of the processor.
 
     Raises
     ------

@@ -47,17 +47,7 @@ SECTIONS: dict[str, Callable[[RunData], Section]] = {
 
 
 def write_report(run_folder: Path) -> Path:
-    """Build the report of a run from its products; the same products give the same file.
-
-    Parameters
-    ----------
-    run_folder : Path
-        Folder of a run; any stage may be missing.
-
-    Returns
-    -------
-    Path
-        The report.
+    """Build the report of a run, of which any stage may be missing; the same products give the same file.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from irlos_pipe.product.results import Provenance, provenance_of
 from irlos_pipe.report.build import stage_sections
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views, rendered, shown
 from irlos_pipe.report.drawing import renamed
-from irlos_pipe.report.run_data import RunData, read_run
+from irlos_pipe.report.run_data import read_run
 from irlos_pipe.report.section_run import finished, warnings
 from irlos_pipe.report.text import MISSING, duration, is_known
 
@@ -58,16 +58,7 @@ class Chapter:
 
 
 def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
-    """Read the run of an experiment.
-
-    Parameters
-    ----------
-    name : str
-        Unique in the report; the identifiers of its drawings begin with it.
-    folder : Path
-        Folder of the run.
-    problem : str
-        What stopped the run, if anything did.
+    """Read the run of an experiment, which a `problem` may have stopped; identifiers begin with its `name`.
 
     Raises
     ------
@@ -75,7 +66,10 @@ def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
         When it is not the folder of a run, or a product cannot be read.
     """
     run = read_run(folder)
+    # Whole numbers among the settings of the last stage, without true and false.
     last = next(reversed(run.products.values()), None)
+    sizes = [(key, value) for key, value in (last.config if last else {}).items() if type(value) is int]
+    settings = [row for stage, product in run.products.items() for row in _flat(product.config, stage)]
     made = [provenance_of(product) for product in run.products.values()]
     return Chapter(
         name,
@@ -83,9 +77,9 @@ def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
         "failed" if problem else run.status,
         [*([problem] if problem else []), *warnings(run)],
         [_own(section, name) for stage, section in stage_sections(run).items() if stage not in LEFT_OUT],
-        _settings(run),
+        Table(("setting", "value"), settings, "Settings", folded=True),
         run.recipe.get("seed"),
-        _sizes(last.config) if last else "",
+        ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in sizes),
         sum(one.seconds for one in made if is_known(one.seconds)),
         finished(run),
         made[-1] if made else None,
@@ -109,16 +103,6 @@ def _own_block(block: Block, name: str) -> Block:
     return replace(block, svg=renamed(block.svg, name)) if isinstance(block, Figure) else block
 
 
-def _sizes(config: Mapping[str, Any]) -> str:
-    whole = [key for key, value in config.items() if type(value) is int]  # no true and false
-    return ", ".join(f"{key.replace('_', ' ')} {config[key]}" for key in whole)
-
-
-def _settings(run: RunData) -> Table:
-    rows = [row for stage, product in run.products.items() for row in _flat(product.config, stage)]
-    return Table(("setting", "value"), rows, "Settings", folded=True)
-
-
 def _flat(config: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:
     for key, value in config.items():
         if isinstance(value, Mapping):
@@ -135,35 +119,14 @@ def _shown(value: Any) -> str:
 
 
 def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapter]) -> Path:
-    """Write the page; the same chapters give the same file.
-
-    Parameters
-    ----------
-    path : Path
-        File to be written.
-    title, note : str
-        Title of the page, and one line below it.
-    chapters : sequence of Chapter
+    """Write the page with a `note` below its title; the same chapters give the same file.
 
     Raises
     ------
     IrlosError
         When it cannot be written.
     """
-    page = rendered(
-        "collection.html.j2",
-        title=title,
-        note=note,
-        chapters=chapters,
-        contents=_contents(chapters),
-        origin=_origin(chapters),
-    )
-    write_bytes(path, page.encode())
-    return path
-
-
-def _contents(chapters: Sequence[Chapter]) -> Table:
-    return Table.of(
+    contents = Table.of(
         chapters,
         {
             "experiment": lambda one: Markup('<a href="#{}">{}</a>').format(one.name, one.title),
@@ -174,6 +137,16 @@ def _contents(chapters: Sequence[Chapter]) -> Table:
         },
         marks=["" if one.status == "ok" else "bad" for one in chapters],
     )
+    page = rendered(
+        "collection.html.j2",
+        title=title,
+        note=note,
+        chapters=chapters,
+        contents=contents,
+        origin=_origin(chapters),
+    )
+    write_bytes(path, page.encode())
+    return path
 
 
 def _text(value: Any) -> str:

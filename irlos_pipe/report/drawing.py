@@ -127,20 +127,14 @@ def plot(
     legend: Any = "best",
     **settings: Any,
 ) -> Figure:
-    """Return a figure with one pair of axes.
+    """Return a figure with one pair of axes; see `svg` and `Figure`.
 
     Parameters
     ----------
-    name : str
-        Unique in the page.
     draw : callable
         Fills the axes; what has a label stands in the legend.
     labels : tuple of str
         Of the axes x and y.
-    title, caption, width
-        See `Figure`.
-    size_in : tuple of float
-        Width and height [inch].
     legend : str
         Where in the axes it stands, or ``above`` or ``below`` them.
     **settings

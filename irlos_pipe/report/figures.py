@@ -26,14 +26,7 @@ NO_DATE = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
 
 
 def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Write all figures of the report of a run into its folder ``figures``, in place of earlier ones.
-
-    Parameters
-    ----------
-    run : RunFolder
-        A finished run, owned by the caller.
-    formats : sequence of str
-        ``pdf``, ``png``, ``svg``.
+    """Write all figures of the report of a `run`, owned by the caller, into ``figures``, replacing others.
 
     Returns
     -------

@@ -73,10 +73,6 @@ def maps_figure(
 
     Parameters
     ----------
-    run : RunData
-    stage : str
-    title : str
-        Title of the figure.
     images : ndarray, (angles, rows, columns), optional
     prefix : str
         Begin of the names of the stage's arrays.

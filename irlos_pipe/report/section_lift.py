@@ -75,13 +75,7 @@ def _ramp(of: Ramp) -> Figure | None:
 
 
 def ramp_plot(points: list[Point]) -> Markup:
-    """Draw estimated against introduced defocus with the 1:1 line, and their difference below.
-
-    Parameters
-    ----------
-    points : list of Point
-        In order of time; NaN where an estimate is missing.
-    """
+    """Draw estimated against introduced defocus with the 1:1 line, and their difference below."""
     names = ("introduced_nm", "defocus_nm", "sigma_nm", "converged")
     introduced, defocus, sigma, converged = (
         np.array([getattr(one, name) for one in points]) for name in names
@@ -184,7 +178,7 @@ def _twin_said(twin: Twin) -> str:
 
 def _strip(of: Ramp) -> Figure | None:
     offsets, measured, model = (
-        of[f"{name}"] for name in ("offsets_nm", "measured_per_offset_e", "model_per_offset_e")
+        of[name] for name in ("offsets_nm", "measured_per_offset_e", "model_per_offset_e")
     )
     if len(offsets) == 0:
         return None
@@ -198,14 +192,9 @@ def _strip(of: Ramp) -> Figure | None:
 
 
 def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float) -> Markup:
-    """Draw measured, model and residual of some offsets, each column on its own scale.
+    """Draw measured, model and residual (offsets, rows, columns), each column on its own scale.
 
-    Parameters
-    ----------
-    offsets_nm : ndarray, (offsets,)
-    measured, model : ndarray, (offsets, rows, columns)
-    limit : float
-        End of the residual's colour scale, in parts of the model's peak.
+    The scale of the residual ends at `limit`, in parts of the model's peak.
     """
     chosen = np.unique(np.linspace(0, len(offsets_nm) - 1, min(STRIP_COLUMNS, len(offsets_nm))).astype(int))
 
@@ -229,12 +218,7 @@ def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray,
 
 
 def residual_limit(measured: np.ndarray, model: np.ndarray) -> float:
-    """Return the colour limit of the residual panels, as a fraction of the model's peak.
-
-    Parameters
-    ----------
-    measured, model : ndarray, (offsets, rows, columns)
-    """
+    """Return the colour limit of the residual panels, as a fraction of the model's peak."""
     return percentile(PERCENTILE, *map(_relative_residual, measured, model)) or 1.0
 
 

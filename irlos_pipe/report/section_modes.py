@@ -146,17 +146,7 @@ class Points:
 def strength_plot(
     name: str, points: Mapping[str, Points], lines: Mapping[str, np.ndarray] | None = None
 ) -> Markup:
-    """Draw standard deviations against Noll index.
-
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    points : mapping of str to Points
-        By label.
-    lines : mapping of str to ndarray, (2, modes), optional
-        Noll index and value, by label.
-    """
+    """Draw standard deviations against Noll index, and `lines` of Noll index and value, each by its label."""
 
     def draw(canvas: Canvas) -> None:
         axes = canvas.subplots()

@@ -159,9 +159,6 @@ def sensitivity_plot(
 
     Parameters
     ----------
-    name : str
-        Unique in the page.
-    curves : sequence of Curve
     criterion : CriterionRow
         Drawn as levels.
     looks : sequence of Look
