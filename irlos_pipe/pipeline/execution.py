@@ -74,15 +74,11 @@ class Job:
             output = STAGES[step.name].run(context)
         if "inputs" in depends_on(STAGES[step.name]):
             require_unchanged(self.files)
-        times = {
-            "started": started,
-            "finished": now(),
-            "seconds": round(time.perf_counter() - clock, 3),
-        }
-        self._write(step, output, times, lines)
+        seconds = round(time.perf_counter() - clock, 3)
+        self._write(step, output, {"started": started, "finished": now(), "seconds": seconds}, lines)
         for line in output.failures:
             RUN.warning("%s: lost: %s", step.name, line)
-        RUN.info("%s: done in %.1f s", step.name, times["seconds"])
+        RUN.info("%s: done in %.1f s", step.name, seconds)
 
     def _context(self, step: Step, log: logging.Logger) -> StageContext:
         name = step.name
@@ -101,15 +97,12 @@ class Job:
         )
 
     def _read_by(self, name: str) -> dict[str, Product]:
-        """Products of the earlier stages that a stage reads."""
-        earlier = self.recipe.stages[: self.recipe.stages.index(name)]
-        return {other: self._product(other) for other in reads(STAGES[name], earlier)}
-
-    def _product(self, name: str) -> Product:
-        if name not in self._loaded:
-            path = next(step.path for step in self.steps if step.name == name)
-            self._loaded[name] = open_product(path)
-        return self._loaded[name]
+        """Products of the earlier stages that a stage reads, each opened once."""
+        wanted = reads(STAGES[name], self.recipe.stages[: self.recipe.stages.index(name)])
+        for step in self.steps:
+            if step.name in wanted and step.name not in self._loaded:
+                self._loaded[step.name] = open_product(step.path)
+        return {other: self._loaded[other] for other in wanted}
 
     def _write(self, step: Step, output: StageOutput, times: dict[str, Any], log: list[str]) -> None:
         """Write the further files first: the product says that the stage is complete."""
@@ -117,8 +110,23 @@ class Job:
         before = self._read_by(step.name)
         seen = recordings_of(output.results, before, config)
         notice = self.recipe.notice if self.recipe.samples else ""
-        own = {"recordings": [one.as_json() for one in seen], "notice": notice}
-        provenance = self._provenance(step, output) | times | own
+        provenance = {
+            "key": step.key,
+            "parts": step.parts,
+            "recipe": self.recipe.name,
+            "summary": [*output.summary, *(f"{LOST:16s}{line}" for line in output.failures)],
+            "failures": list(output.failures),
+            "inputs": self.files,
+            "seed": self.recipe.seed,
+            "device": resolve_device(self.resources.device),
+            "jobs": self.resources.jobs,
+            "software": software_versions(),
+            "machine": machine(),
+            "command": command_line(),
+            **times,
+            "recordings": [one.as_json() for one in seen],
+            "notice": notice,
+        }
         checks = [check for product in before.values() for check in _checks_of(seen, product)]
         origin = Origin(
             step.name,
@@ -144,22 +152,6 @@ class Job:
         )
         write_product(product, step.path)
         RunFolder(self.folder).remove_scratch(step.name)
-
-    def _provenance(self, step: Step, output: StageOutput) -> dict[str, Any]:
-        return {
-            "key": step.key,
-            "parts": step.parts,
-            "recipe": self.recipe.name,
-            "summary": [*output.summary, *(f"{LOST:16s}{line}" for line in output.failures)],
-            "failures": list(output.failures),
-            "inputs": self.files,
-            "seed": self.recipe.seed,
-            "device": resolve_device(self.resources.device),
-            "jobs": self.resources.jobs,
-            "software": software_versions(),
-            "machine": machine(),
-            "command": command_line(),
-        }
 
 
 def recordings_of(

@@ -139,21 +139,19 @@ def _has_results(step: Step) -> bool:
 
 
 def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:
-    first = _index(recipe, selection.first, "--from", 0)
-    last = _index(recipe, selection.last, "--to", len(recipe.stages) - 1)
+    stages = recipe.stages
+    for option, name in (("--from", selection.first), ("--to", selection.last)):
+        if name is not None and name not in stages:
+            raise ConfigurationError(
+                f"{option} {name}: no stage of recipe '{recipe.name}'{suggestion(name, stages)}"
+            )
+    first, last = (
+        stages.index(name or end)
+        for name, end in ((selection.first, stages[0]), (selection.last, stages[-1]))
+    )
     if first > last:
         raise ConfigurationError(f"--from {selection.first} comes after --to {selection.last}")
     return first, last
-
-
-def _index(recipe: Recipe, name: str | None, option: str, default: int) -> int:
-    if name is None:
-        return default
-    if name not in recipe.stages:
-        raise ConfigurationError(
-            f"{option} {name}: no stage of recipe '{recipe.name}'{suggestion(name, recipe.stages)}"
-        )
-    return recipe.stages.index(name)
 
 
 def _used_step(name: str, path: Path, parts: dict[str, Any], first: str) -> Step:

@@ -99,11 +99,9 @@ def _concluded(job: Job, run: RunFolder) -> Outcome:
 
 def _write_outcome(outcome: Outcome, run: RunFolder) -> bool:
     """Write the files for scripts; True when their content changed."""
-    written = [
-        write_if_changed(run.results, json_text(outcome.results).encode()),
-        write_if_changed(run.quality, json_text(outcome.quality).encode()),
-    ]
-    return any(written)
+    files = {run.results: outcome.results, run.quality: outcome.quality}
+    changed = [write_if_changed(path, json_text(content).encode()) for path, content in files.items()]
+    return any(changed)
 
 
 def _report_error(run: RunFolder) -> str:

@@ -18,11 +18,8 @@ MOST_CHOICES = 4
 class Figure:
     """A drawing with its title and caption.
 
-    Attributes
-    ----------
-    width : Width
-        Room it takes on a wide screen: a third, half or two thirds of the page, or all of it. A telephone
-        shows one after the other; ``full`` can be pushed sideways there.
+    Its width is the room it takes on a wide screen: a third, half or two thirds of the page, or all of it. A
+    telephone shows one after the other; ``full`` can be pushed sideways there.
     """
 
     kind: ClassVar[str] = "figure"
@@ -92,14 +89,8 @@ class Stack:
 class Views:
     """The same content in several ways, of which a page shows the one that the reader chooses.
 
-    Attributes
-    ----------
-    name : str
-        Unique in the page.
-    choices : mapping of str to sequence of blocks
-        By what the reader clicks; the first is shown at the beginning.
-    width : Width
-        Room that all blocks of a choice take together.
+    The choices are named by what the reader clicks, and the first is shown at the beginning; the width is
+    that of all blocks of a choice together. The name is unique in the page.
     """
 
     kind: ClassVar[str] = "views"
