@@ -14,8 +14,7 @@ from irlos_pipe.product.results import StageResults, provenance_of, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Section, Text, rendered
 from irlos_pipe.report.run_data import RunData, read_run
-from irlos_pipe.report.section_calibrate import calibrate_section
-from irlos_pipe.report.section_correct import correct_section
+from irlos_pipe.report.section_calibrate import calibrate_section, correct_section
 from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.report.section_diagnose import diagnose_section, verdict_mark
 from irlos_pipe.report.section_lift import lift_section, prior_section

@@ -223,12 +223,17 @@ def _range(*images: np.ndarray) -> tuple[float, float]:
 # -- the same in several ways ------------------------------------------------------------------
 
 
-def _choice(
-    name: str, images: Mapping[str, tuple[np.ndarray, str]], draw: Callable[..., Markup], **look: Any
+def _side_by_side(
+    name: str, images: Mapping[str, tuple[np.ndarray, str]], good: np.ndarray | None = None, **look: Any
 ) -> list[Figure]:
-    """Images with their captions side by side."""
+    """Images with their captions, pixels that are not `good` crossed out in the first."""
     return [
-        Figure(draw(f"{name}-{place}", image, **look), title, caption, "third")
+        Figure(
+            image_panel(f"{name}-{place}", image, good=None if place else good, **look),
+            title,
+            caption,
+            "third",
+        )
         for place, (title, (image, caption)) in enumerate(images.items())
     ]
 
@@ -253,13 +258,10 @@ def image_views(
     """
     choices = {}
     for label, scale_of in {"logarithmic": brightness_scale, "linear": linear_scale}.items():
-        scale = scale_of(*(image for image, _ in images.values()))
-
-        def draw(name: str, image: np.ndarray, scale: Normalize) -> Markup:
-            crossed = good if name.endswith("-0") else None
-            return image_panel(name, image, scale, pixel_scale_mas, "e⁻", good=crossed)
-
-        choices[label] = _choice(f"{name}-{label}", images, draw, scale=scale)
+        look = {"scale": scale_of(*(image for image, _ in images.values())), "unit": "e⁻"}
+        choices[label] = _side_by_side(
+            f"{name}-{label}", images, good, pixel_scale_mas=pixel_scale_mas, **look
+        )
     return Views(name, choices, width)
 
 
@@ -298,8 +300,8 @@ def residual_views(
         widths = {"log": LINEAR_SIGMA if unit == "σ" else limit / 100, "linear": None}
         for label, linear_width in widths.items():
             look = {"scale": symmetric_scale(limit, linear_width), "colours": SIGNED, "unit": unit}
-            choices[f"{unit[0]} {label}"] = _choice(
-                f"{name}-{len(choices)}", images, image_panel, pixel_scale_mas=pixel_scale_mas, **look
+            choices[f"{unit[0]} {label}"] = _side_by_side(
+                f"{name}-{len(choices)}", images, pixel_scale_mas=pixel_scale_mas, **look
             )
     return Views(name, choices, width)
 
