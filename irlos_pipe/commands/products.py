@@ -195,8 +195,7 @@ def score(
       irlos score sim/run --truth sim/truth
       irlos score sim/run --truth sim/truth --json
     """
-    from irlos_pipe.report.score import score_run
-    from irlos_pipe.report.score_text import score_text
+    from irlos_pipe.report.score import score_run, score_text
 
     found = score_run(folder, truth)
     click.echo(found.text() if as_json else score_text(found))

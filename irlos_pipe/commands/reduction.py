@@ -77,8 +77,8 @@ def run(
       recipe.resolved.yaml  the recipe with every default; can be run again
     """
     from irlos_pipe.pipeline import Selection, plan_run, run_recipe
-    from irlos_pipe.pipeline.numbered import run_numbered, version_for
     from irlos_pipe.pipeline.plan import Action
+    from irlos_pipe.pipeline.run import run_numbered, version_for
     from irlos_pipe.pipeline.terminal import outcome_text, plan_text
     from irlos_pipe.recipe import load_recipe
 
@@ -120,8 +120,7 @@ def demo(
     from irlos_pipe.pipeline import Selection, run_recipe
     from irlos_pipe.pipeline.terminal import outcome_text
     from irlos_pipe.recipe import load_recipe
-    from irlos_pipe.report.score import score_run
-    from irlos_pipe.report.score_text import score_text
+    from irlos_pipe.report.score import score_run, score_text
 
     checked = load_recipe("full_reduction", settings, seed=seed, samples=True)
     with at_work(verbose, quiet):
@@ -179,7 +178,7 @@ def _problems(recipe: Recipe, stages: Collection[str] | None = None) -> list[str
     """All that is wrong with the recordings that stages of a recipe, by default all, would read."""
     if not any(recipe.inputs.values()):
         return []
-    from irlos_pipe.pipeline.problems import input_problems
+    from irlos_pipe.pipeline.plan import input_problems
     from irlos_pipe.pipeline.terminal import messages
 
     with messages(0):

@@ -16,8 +16,7 @@ from irlos_pipe.night.state import Night, page_path
 from irlos_pipe.night.terminal import validity_number, validity_text
 from irlos_pipe.night.trend import Series, Trend, is_mode, label
 from irlos_pipe.product.runfolder import RunFolder
-from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text
-from irlos_pipe.report.render import rendered
+from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text, rendered
 from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
 
 TEMPLATE = "night.html.j2"

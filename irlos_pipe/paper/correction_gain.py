@@ -19,9 +19,9 @@ from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.scenes import star_image
+from irlos_pipe.report.curves import profile_plot
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, log_scale, symmetric_scale
-from irlos_pipe.report.radial import profile_plot
 
 METHODS = (DEFAULT, PAPER_CHOICE)
 STATES = {"before": "before", PAPER_CHOICE: "DIP global", DEFAULT: "this pipeline", "ideal": "no NCPAs"}

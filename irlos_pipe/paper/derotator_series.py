@@ -28,8 +28,8 @@ from irlos_pipe.paper.common.calibrations import (
 from irlos_pipe.paper.common.observation import on_spartas_scale
 from irlos_pipe.paper.common.phase_bump import phase_bump_nm
 from irlos_pipe.paper.common.scenes import BY_MIRROR
+from irlos_pipe.report.images import common_limit_nm, wavefront_grid
 from irlos_pipe.report.section_derotator import maps_figure
-from irlos_pipe.report.wavefront_plots import common_limit_nm, wavefront_grid
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -11,20 +12,20 @@ from typing import Any
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.pipeline.inputs import InputFile, require_unchanged
-from irlos_pipe.pipeline.origin import origin_of, recordings_of
 from irlos_pipe.pipeline.plan import Action, Step, checksum
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.header import Origin
-from irlos_pipe.product.product import Product
-from irlos_pipe.product.results import LOST
+from irlos_pipe.product.product import Check, Product
+from irlos_pipe.product.results import LOST, Provenance, Recorded, StageResults, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
-from irlos_pipe.product.table import Table, table_content
+from irlos_pipe.product.table import table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, depends_on, reads
+from irlos_pipe.stages.ingest.results import IngestResults
 
 
 @dataclass
@@ -72,15 +73,11 @@ class Job:
             output = STAGES[step.name].run(context)
         if "inputs" in depends_on(STAGES[step.name]):
             require_unchanged(self.files)
-        times = {
-            "started": started,
-            "finished": now(),
-            "seconds": round(time.perf_counter() - clock, 3),
-        }
-        self._write(step, output, times, lines)
+        seconds = round(time.perf_counter() - clock, 3)
+        self._write(step, output, {"started": started, "finished": now(), "seconds": seconds}, lines)
         for line in output.failures:
             RUN.warning("%s: lost: %s", step.name, line)
-        RUN.info("%s: done in %.1f s", step.name, times["seconds"])
+        RUN.info("%s: done in %.1f s", step.name, seconds)
 
     def _context(self, step: Step, log: logging.Logger) -> StageContext:
         name = step.name
@@ -99,15 +96,12 @@ class Job:
         )
 
     def _read_by(self, name: str) -> dict[str, Product]:
-        """Products of the earlier stages that a stage reads."""
-        earlier = self.recipe.stages[: self.recipe.stages.index(name)]
-        return {other: self._product(other) for other in reads(STAGES[name], earlier)}
-
-    def _product(self, name: str) -> Product:
-        if name not in self._loaded:
-            path = next(step.path for step in self.steps if step.name == name)
-            self._loaded[name] = open_product(path)
-        return self._loaded[name]
+        """Products of the earlier stages that a stage reads, each opened once."""
+        wanted = reads(STAGES[name], self.recipe.stages[: self.recipe.stages.index(name)])
+        for step in self.steps:
+            if step.name in wanted and step.name not in self._loaded:
+                self._loaded[step.name] = open_product(step.path)
+        return {other: self._loaded[other] for other in wanted}
 
     def _write(self, step: Step, output: StageOutput, times: dict[str, Any], log: list[str]) -> None:
         """Write the further files first: the product says that the stage is complete."""
@@ -115,30 +109,7 @@ class Job:
         before = self._read_by(step.name)
         seen = recordings_of(output.results, before, config)
         notice = self.recipe.notice if self.recipe.samples else ""
-        provenance = (
-            self._provenance(step, output)
-            | times
-            | {
-                "recordings": [one.as_json() for one in seen],
-                "notice": notice,
-            }
-        )
-        origin = origin_of(step.name, provenance, seen, before, output.checks, config, notice)
-        files = {PurePath(name).name: _content(name, file, origin) for name, file in output.files.items()}
-        for name, content in files.items():
-            write_bytes(self.folder / name, content)
-        provenance |= {
-            "files": sorted(files),
-            "file_sha256": {name: checksum(content) for name, content in files.items()},
-        }
-        product = Product(
-            step.name, output.arrays, output.results.as_json(), list(output.checks), config, provenance, log
-        )
-        write_product(product, step.path)
-        RunFolder(self.folder).remove_scratch(step.name)
-
-    def _provenance(self, step: Step, output: StageOutput) -> dict[str, Any]:
-        return {
+        provenance = {
             "key": step.key,
             "parts": step.parts,
             "recipe": self.recipe.name,
@@ -151,8 +122,64 @@ class Job:
             "software": software_versions(),
             "machine": machine(),
             "command": command_line(),
+            **times,
+            "recordings": [one.as_json() for one in seen],
+            "notice": notice,
         }
+        checks = [check for product in before.values() for check in _checks_of(seen, product)]
+        origin = Origin(
+            step.name,
+            f"IRLOS_{step.name.upper()}",
+            Provenance.model_validate(jsonable(provenance)),
+            seen,
+            [*checks, *output.checks],
+            config,
+            notice,
+        )
+        files = {
+            PurePath(name).name: file
+            if isinstance(file, bytes)
+            else table_content(file, PurePath(name).suffix, origin)
+            for name, file in output.files.items()
+        }
+        for name, content in files.items():
+            write_bytes(self.folder / name, content)
+        checksums = {name: checksum(content) for name, content in files.items()}
+        provenance |= {"files": sorted(files), "file_sha256": checksums}
+        product = Product(
+            step.name, output.arrays, output.results.as_json(), list(output.checks), config, provenance, log
+        )
+        write_product(product, step.path)
+        RunFolder(self.folder).remove_scratch(step.name)
 
 
-def _content(name: str, file: bytes | Table, origin: Origin) -> bytes:
-    return file if isinstance(file, bytes) else table_content(file, PurePath(name).suffix, origin)
+def recordings_of(
+    results: StageResults, before: Mapping[str, Product], config: Mapping[str, Any]
+) -> list[Recorded]:
+    """Return the recordings that a stage works on: those of its recipe input, else all that are no darks.
+
+    They stand in the `results` of ingest, or in the product of it among those read `before`.
+    """
+    if isinstance(results, IngestResults):
+        rows = results.inputs
+    elif IngestResults.stage in before:
+        rows = results_of(IngestResults, before[IngestResults.stage]).inputs
+    else:
+        return []
+    wanted = config.get("input")
+    return [
+        Recorded(
+            name=row.name, input=row.input, role=row.role, window=row.window, frames=row.frames,
+            frames_rejected=row.frames_rejected, **dict(row.observed),
+        )
+        for row in rows
+        if row.role != "dark" and wanted in (None, row.input)
+    ]  # fmt: skip
+
+
+def _checks_of(recordings: Sequence[Recorded], product: Product) -> Iterator[Check]:
+    """The checks of a product, of `ingest` those of the recordings."""
+    prefixes = tuple(f"ingest/{one.input}/{one.name}/" for one in recordings)
+    for check in product.checks:
+        if product.stage != IngestResults.stage or check.name.startswith(prefixes):
+            yield check

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,10 +56,6 @@ def input_files(
 
     Parameters
     ----------
-    inputs : mapping of str to tuple of Path
-        Files and folders by input name.
-    cache_folder : Path
-        Folder of the cache.
     files_of : callable, optional
         ``files_of(root)``: the files that are read of a file or folder given as input; all by default.
 
@@ -111,18 +107,15 @@ def _label(path: Path, root: Path) -> str:
 
 
 def _all_files(root: Path) -> list[Path]:
-    return list(_walk(root)) if root.is_dir() else [root]
+    def unreadable(error: OSError) -> None:
+        raise InputDataError(f"{error.filename}: cannot be read: {error.strerror}") from error
 
-
-def _walk(folder: Path) -> Iterator[Path]:
-    for where, subfolders, names in os.walk(folder, onerror=_unreadable):
+    found = [] if root.is_dir() else [root]
+    for where, subfolders, names in os.walk(root, onerror=unreadable) if root.is_dir() else ():
         subfolders[:] = [name for name in subfolders if not name.startswith(".")]
         paths = (Path(where, name) for name in names if not name.startswith("."))
-        yield from filter(Path.is_file, paths)  # neither pipes nor devices
-
-
-def _unreadable(error: OSError) -> None:
-    raise InputDataError(f"{error.filename}: cannot be read: {error.strerror}") from error
+        found += filter(Path.is_file, paths)  # neither pipes nor devices
+    return found
 
 
 def _read_cache(folder: Path) -> dict[str, Any]:

@@ -28,16 +28,12 @@ class Outcome:
     ----------
     status : str
         ``ok``, ``qc_failed``, ``partial`` or ``failed``.
-    results : dict
-        Content of results.json.
-    quality : dict
-        Content of qc.json.
+    results, quality : dict
+        Content of results.json and of qc.json.
     summary : dict of str to list of str
         Lines for people by stage.
-    report : Path or None
-        The report, when it could be built.
-    report_error : str
-        Why it could not.
+    report, report_error : Path or None, str
+        The report when it could be built, else why it could not.
     """
 
     status: str
@@ -54,17 +50,7 @@ class Outcome:
 
 
 def assess(recipe: Recipe, products: Mapping[str, Product], error: str = "") -> Outcome:
-    """Sum up the products of a run.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        What was run.
-    products : mapping of str to Product
-        Up-to-date products by stage name.
-    error : str
-        What stopped the run, if anything did.
-    """
+    """Sum up the up-to-date `products` of a run, which an `error` may have stopped."""
     status = "failed" if error else _status(products)
     results = RunResults(
         schema="irlos-results",
@@ -75,8 +61,18 @@ def assess(recipe: Recipe, products: Mapping[str, Product], error: str = "") -> 
         stages={name: product.results for name, product in products.items()},
         **({"error": error} if error else {}),
     )
+    checks = [
+        {"stage": name, **check.as_dict()} for name, product in products.items() for check in product.checks
+    ]
+    quality = {
+        "schema": "irlos-qc",
+        "schema_version": 1,
+        "recipe": recipe.name,
+        "passed": all(check["passed"] for check in checks),
+        "checks": checks,
+    }
     summary = {name: provenance_of(product).summary for name, product in products.items()}
-    return Outcome(status, results.as_json(), _quality(recipe.name, products), summary)
+    return Outcome(status, results.as_json(), quality, summary)
 
 
 def _status(products: Mapping[str, Product]) -> str:
@@ -86,16 +82,3 @@ def _status(products: Mapping[str, Product]) -> str:
     if any(provenance_of(product).failures for product in products.values()):
         return "partial"
     return "ok"
-
-
-def _quality(recipe_name: str, products: Mapping[str, Product]) -> dict[str, Any]:
-    checks = [
-        {"stage": name, **check.as_dict()} for name, product in products.items() for check in product.checks
-    ]
-    return {
-        "schema": "irlos-qc",
-        "schema_version": 1,
-        "recipe": recipe_name,
-        "passed": all(check["passed"] for check in checks),
-        "checks": checks,
-    }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -11,18 +12,19 @@ from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.pipeline.fingerprint import changes, key_of, key_parts
+from irlos_pipe.files.json import canonical_json, changed_values, jsonable
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.product.results import results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import is_intact, read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import reads
+from irlos_pipe.stages.base import Stage, depends_on, reads
 
 UP_TO_DATE = "up to date"
 NO_PRODUCT = "no product yet"
 DAMAGED = "product unreadable"
+MAX_REASONS = 3
 
 
 class Action(Enum):
@@ -84,17 +86,6 @@ class Step:
 def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selection: Selection) -> list[Step]:
     """Decide for every stage of the recipe whether it runs.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        The stages and their settings.
-    folder : Path
-        The run's folder.
-    files : iterable of InputFile
-        Files of the inputs.
-    selection : Selection
-        Which stages may run.
-
     Raises
     ------
     ConfigurationError
@@ -148,21 +139,19 @@ def _has_results(step: Step) -> bool:
 
 
 def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:
-    first = _index(recipe, selection.first, "--from", 0)
-    last = _index(recipe, selection.last, "--to", len(recipe.stages) - 1)
+    stages = recipe.stages
+    for option, name in (("--from", selection.first), ("--to", selection.last)):
+        if name is not None and name not in stages:
+            raise ConfigurationError(
+                f"{option} {name}: no stage of recipe '{recipe.name}'{suggestion(name, stages)}"
+            )
+    first, last = (
+        stages.index(name or end)
+        for name, end in ((selection.first, stages[0]), (selection.last, stages[-1]))
+    )
     if first > last:
         raise ConfigurationError(f"--from {selection.first} comes after --to {selection.last}")
     return first, last
-
-
-def _index(recipe: Recipe, name: str | None, option: str, default: int) -> int:
-    if name is None:
-        return default
-    if name not in recipe.stages:
-        raise ConfigurationError(
-            f"{option} {name}: no stage of recipe '{recipe.name}'{suggestion(name, recipe.stages)}"
-        )
-    return recipe.stages.index(name)
 
 
 def _used_step(name: str, path: Path, parts: dict[str, Any], first: str) -> Step:
@@ -184,7 +173,7 @@ def _unusable(name: str, first: str, why: str) -> ConfigurationError:
 
 
 def _step(name: str, path: Path, parts: dict[str, Any], *, selected: bool, force: bool) -> Step:
-    key = key_of(parts)
+    key = checksum(canonical_json(parts).encode())
     outdated = _why_outdated(name, path, parts, key)
     reason = outdated or ("--force was given" if force else UP_TO_DATE)
     action = Action.RUN if outdated or force else Action.SKIP
@@ -214,11 +203,6 @@ def _amiss(file: Path, stored: Mapping[str, Any]) -> str:
     return f"{file.name} was changed" if written not in (None, checksum(file.read_bytes())) else ""
 
 
-def checksum(content: bytes) -> str:
-    """Return the SHA-256 of the `content` of a file."""
-    return hashlib.sha256(content).hexdigest()
-
-
 def _stored(name: str, path: Path) -> dict[str, Any]:
     """Return the provenance of a product on disk."""
     product = read_product(path, arrays=False)
@@ -226,3 +210,72 @@ def _stored(name: str, path: Path) -> dict[str, Any]:
     if product.stage != name or not needed <= product.provenance.keys():
         raise InputDataError(f"{path}: not a product of stage '{name}' made by a run")
     return product.provenance
+
+
+# -- the key of a product: a checksum of everything it depends on, and what of it changed --------
+
+
+def checksum(content: bytes) -> str:
+    """Return the SHA-256 of some `content`."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def key_parts(
+    stage: Stage, recipe: Recipe, files: Iterable[InputFile], upstream: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return all that the product of `stage` depends on, in JSON types."""
+    parts = {
+        "model": recipe.model,
+        "instrument": recipe.instrument,
+        "seed": recipe.seed,
+        "inputs": {file.label: file.sha256 for file in files},
+    }
+    own = {
+        "stage": stage.NAME,
+        "version": stage.VERSION,
+        "config": recipe.configs[stage.NAME],
+        "upstream": dict(upstream),
+    }
+    return jsonable(own | {name: parts[name] for name in sorted(depends_on(stage))})
+
+
+def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Describe how the parts of two keys, `old` and `new`, differ; the first few differences in full."""
+    stage = str(new["stage"])
+    reasons = [_difference(name, stage, *values) for name, values in changed_values(old, new).items()]
+    more = len(reasons) - MAX_REASONS
+    return "; ".join(reasons[:MAX_REASONS]) + (f"; and {more} more" if more > 0 else "")
+
+
+def _difference(name: tuple[str, ...], stage: str, before: Any, after: Any) -> str:
+    part, rest = name[0], ".".join(name[1:])
+    if part in ("inputs", "upstream"):
+        verb = "is new" if before is None else "is gone" if after is None else "changed"
+        return f"{'input file' if part == 'inputs' else part} {rest} {verb}"
+    label = {"config": f"{stage}.{rest}", "version": "stage version"}.get(part, ".".join(name))
+    verb = "" if part == "version" else " changed"
+    return f"{label}{verb} {_shown(before)} -> {_shown(after)}"
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def input_problems(recipe: Recipe, stages: Collection[str] | None = None) -> list[str]:
+    """Return a line for everything that is wrong with the recordings of a recipe and their side-cars.
+
+    Of `stages` alone, if they are given.
+
+    Raises
+    ------
+    NothingToDo
+        When there are no recordings under an input.
+    """
+    lines = []
+    for name in recipe.stages if stages is None else stages:
+        find = getattr(STAGES[name], "problems", None)
+        if find is not None:
+            given = {key: paths for key, paths in recipe.inputs.items() if paths}
+            lines += find(given, recipe.configs[name], recipe.instrument)
+    return lines

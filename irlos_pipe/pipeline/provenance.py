@@ -7,6 +7,7 @@ import platform
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -29,10 +30,8 @@ def software_versions() -> dict[str, str]:
     own = f"{irlos_pipe.__version__}+{revision}" if revision else irlos_pipe.__version__
     found = {"irlos_pipe": own, "python": platform.python_version()}
     for name in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return found
 
 

@@ -1,4 +1,4 @@
-"""Plan a recipe, run what is not up to date, and sum up."""
+"""Plan a recipe, run what is not up to date, and sum up; also into numbered versions of a folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline.execution import Job
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember
 from irlos_pipe.pipeline.outcome import Outcome, assess
-from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan, with_repairs
+from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
@@ -22,22 +22,20 @@ from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_free, require_outside_inputs
 from irlos_pipe.product.standing import inputs_stamp, remember_standing
 from irlos_pipe.product.storage import read_product
+from irlos_pipe.product.versions import (
+    is_complete,
+    link_latest,
+    new_version,
+    require_free_for_versions,
+    version_folders,
+)
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import files_of
 
 
 def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
-    """Return the input files and the plan of a run; nothing is written.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        What to run.
-    folder : Path
-        The run's folder; it need not exist.
-    selection : Selection
-        Which stages may run.
+    """Return the input files and the plan of a run into `folder`, which need not exist; nothing is written.
 
     Raises
     ------
@@ -56,23 +54,9 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
 def run_recipe(
     recipe: Recipe, folder: Path, selection: Selection | None = None, resources: Resources | None = None
 ) -> Outcome:
-    """Bring the products of a recipe up to date.
+    """Bring the products of a recipe in `folder` up to date, which is made if it does not exist.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        What to run.
-    folder : Path
-        The run's folder; made if it does not exist.
-    selection : Selection, optional
-        Which stages may run; all by default.
-    resources : Resources, optional
-        Device, threads and progress bars; one thread of the processor by default.
-
-    Returns
-    -------
-    Outcome
-        Status, results and the lines for the terminal; its files are in `folder`.
+    By default all stages may run, on one thread of the processor.
 
     Raises
     ------
@@ -115,11 +99,9 @@ def _concluded(job: Job, run: RunFolder) -> Outcome:
 
 def _write_outcome(outcome: Outcome, run: RunFolder) -> bool:
     """Write the files for scripts; True when their content changed."""
-    written = [
-        write_if_changed(run.results, json_text(outcome.results).encode()),
-        write_if_changed(run.quality, json_text(outcome.quality).encode()),
-    ]
-    return any(written)
+    files = {run.results: outcome.results, run.quality: outcome.quality}
+    changed = [write_if_changed(path, json_text(content).encode()) for path, content in files.items()]
+    return any(changed)
 
 
 def _report_error(run: RunFolder) -> str:
@@ -201,3 +183,59 @@ def _clear_error(error: Exception, log: Path) -> IrlosError:
 def _first_line(error: BaseException) -> str:
     text = next(iter(str(error).splitlines()), "")
     return text if isinstance(error, IrlosError) else f"{type(error).__name__}: {text}"
+
+
+# -- numbered versions: what is there stays, what differs gets a new number ---------------------
+
+
+def version_for(recipe: Recipe, folder: Path, selection: Selection) -> Path:
+    """Return the folder that a run would use: the newest version if the run would change nothing in it.
+
+    A run that only adds what the newest version has not got, after an interruption for example, continues it.
+
+    Raises
+    ------
+    ConfigurationError
+        When the folder cannot hold versions, or the selection cannot be used.
+    InputDataError, NothingToDo
+        When input files cannot be read, or there are none.
+    """
+    require_free_for_versions(folder)
+    there = version_folders(folder)
+    if there and not selection.force and _only_adds(recipe, there[-1], selection):
+        return there[-1]
+    return new_version(folder)
+
+
+def run_numbered(
+    recipe: Recipe, folder: Path, selection: Selection | None = None, resources: Resources | None = None
+) -> Outcome:
+    """Bring the products of a recipe up to date without changing a version in `folder`; see `run_recipe`.
+
+    The link ``latest`` leads to the version if it is complete.
+
+    Raises
+    ------
+    Locked
+        When another run works on these versions.
+    IrlosError
+        When a stage cannot do its work; ``latest`` leads to where it led before.
+    """
+    selection = selection or Selection()
+    plan_run(recipe, version_for(recipe, folder, selection), selection)  # a mistake leaves no folder behind
+    with owned_folder(folder):
+        version = version_for(recipe, folder, selection)
+        outcome = run_recipe(recipe, version, selection, resources)
+        if is_complete(RunFolder(version)):
+            link_latest(folder, version)
+        return outcome
+
+
+def _only_adds(recipe: Recipe, version: Path, selection: Selection) -> bool:
+    """Whether a run into a version would make only products that are not there."""
+    run = RunFolder(version)
+    if not run.recipe.is_file():
+        return True
+    _, steps = plan_run(recipe, version, selection)
+    others = set(run.product_files) - {step.path for step in steps}
+    return not others and all(step.action is not Action.RUN or step.reason == NO_PRODUCT for step in steps)

@@ -63,12 +63,8 @@ def quality_line(outcome: Outcome) -> str:
 
 
 def _check_text(check: dict) -> str:
-    low, high = check["low"], check["high"]
-    limits = " and ".join(
-        text
-        for text in (f">= {low:g}" if low is not None else "", f"<= {high:g}" if high is not None else "")
-        if text
-    )
+    ends = {">=": check["low"], "<=": check["high"]}
+    limits = " and ".join(f"{sign} {limit:g}" for sign, limit in ends.items() if limit is not None)
     return (
         f"{check['stage']}: {check['name']} = {check['value']:g} {check['unit']} "
         f"should be {limits or 'a number'}; {check['message']}"

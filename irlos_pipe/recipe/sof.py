@@ -65,14 +65,7 @@ def read_sof(path: Path) -> list[Frame]:
 
 
 def inputs_from(frames: Sequence[Frame], recipe: str | Path) -> tuple[str, ...]:
-    """Return the inputs of a `recipe` as `load_recipe` takes them, ``NAME=PATH``.
-
-    Parameters
-    ----------
-    frames : sequence of (str, str)
-        Paths with their tags.
-    recipe : str or Path
-        Path or name.
+    """Return the inputs of a `recipe`, a path or a name, as `load_recipe` takes them: ``NAME=PATH``.
 
     Raises
     ------

@@ -20,7 +20,7 @@ from irlos_pipe.instrument.profile import FACTS, Profile
 from irlos_pipe.product.product import Arrays, Checks
 from irlos_pipe.product.results import DITTO, ResultsPart
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.recipe.checks import RecipeHead
+from irlos_pipe.recipe.load import RecipeHead
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 from irlos_pipe.stages.model.section import ModelConfig
 

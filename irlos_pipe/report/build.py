@@ -12,21 +12,21 @@ import numpy as np
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.product.results import StageResults, provenance_of, results_of
 from irlos_pipe.product.runfolder import RunFolder
-from irlos_pipe.report.content import Section, Text
-from irlos_pipe.report.key_numbers import key_numbers
-from irlos_pipe.report.render import rendered
+from irlos_pipe.report.content import Section, Text, rendered
 from irlos_pipe.report.run_data import RunData, read_run
-from irlos_pipe.report.section_calibrate import calibrate_section
-from irlos_pipe.report.section_correct import correct_section
+from irlos_pipe.report.section_calibrate import calibrate_section, correct_section
 from irlos_pipe.report.section_derotator import derotator_section
-from irlos_pipe.report.section_diagnose import diagnose_section
-from irlos_pipe.report.section_diagnose_verdict import verdict_mark
-from irlos_pipe.report.section_ingest import ingest_section
-from irlos_pipe.report.section_lift import lift_section
+from irlos_pipe.report.section_diagnose import diagnose_section, verdict_mark
+from irlos_pipe.report.section_lift import lift_section, prior_section
 from irlos_pipe.report.section_modes import modes_section
-from irlos_pipe.report.section_origin import finished, origin_section, warnings
-from irlos_pipe.report.section_prior import prior_section
-from irlos_pipe.report.section_quality import quality_section
+from irlos_pipe.report.section_run import (
+    finished,
+    ingest_section,
+    key_numbers,
+    origin_section,
+    quality_section,
+    warnings,
+)
 from irlos_pipe.report.section_sensitivity import sensitivity_section
 from irlos_pipe.stages import EXPERIMENTS, STAGES
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
@@ -43,21 +43,10 @@ SECTIONS: dict[str, Callable[[RunData], Section]] = {
     "modes": modes_section,
     "ingest": ingest_section,
 }
-TEMPLATE = "report.html.j2"
 
 
 def write_report(run_folder: Path) -> Path:
-    """Build the report of a run from its products; the same products give the same file.
-
-    Parameters
-    ----------
-    run_folder : Path
-        Folder of a run; any stage may be missing.
-
-    Returns
-    -------
-    Path
-        The report.
+    """Build the report of a run, of which any stage may be missing; the same products give the same file.
 
     Raises
     ------
@@ -67,9 +56,30 @@ def write_report(run_folder: Path) -> Path:
         When the report cannot be written.
     """
     run = read_run(run_folder)
+    verdict = run.results(DiagnoseResults)
+    page = rendered(
+        "report.html.j2",
+        run=run,
+        title=run.recipe.get("title") or run.recipe["recipe"],
+        targets=", ".join(sorted({r.acquisition.target for r in run.recordings if r.acquisition.target})),
+        observed=_observed(run),
+        finished=finished(run),
+        verdict=verdict,
+        verdict_mark=verdict_mark(verdict),
+        key_numbers=key_numbers(run),
+        warnings=warnings(run),
+        untested=_untested(run),
+        sections=report_sections(run),
+    )
     path = RunFolder(Path(run_folder)).report
-    write_bytes(path, _render(run).encode())
+    write_bytes(path, page.encode())
     return path
+
+
+def report_sections(run: RunData) -> list[Section]:
+    """Return all sections of the report of a run."""
+    sections = (*stage_sections(run).values(), quality_section(run), origin_section(run))
+    return [section for section in sections if section]
 
 
 def stage_sections(run: RunData) -> dict[str, Section]:
@@ -85,46 +95,14 @@ def _section(stage: str, run: RunData) -> Section:
     if stage in EXPERIMENTS:
         experiment: Any = STAGES[stage]
         return cast(Section, experiment.section(run))
-    return _plain_section(stage, run)
-
-
-def _render(run: RunData) -> str:
-    return rendered(
-        TEMPLATE,
-        run=run,
-        title=run.recipe.get("title") or run.recipe["recipe"],
-        targets=_targets(run),
-        observed=_observed(run),
-        finished=finished(run),
-        verdict=run.results(DiagnoseResults),
-        verdict_mark=verdict_mark(run.results(DiagnoseResults)),
-        key_numbers=key_numbers(run),
-        warnings=warnings(run),
-        untested=_untested(run),
-        sections=report_sections(run),
-    )
+    lines = provenance_of(run.products[stage]).summary
+    return Section(stage, stage.capitalize(), blocks=[Text("\n".join(lines), verbatim=True)])
 
 
 def _untested(run: RunData) -> list[str]:
     """Return what the data of all stages cannot tell, to be read before the numbers, everything once."""
     lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
     return list(dict.fromkeys(line.replace("`", "") for line in lines))
-
-
-def report_sections(run: RunData) -> list[Section]:
-    """Return all sections of the report of a run."""
-    sections = (*stage_sections(run).values(), quality_section(run), origin_section(run))
-    return [section for section in sections if section]
-
-
-def _plain_section(stage: str, run: RunData) -> Section:
-    """Show the summary of a stage for which there are no drawings."""
-    lines = provenance_of(run.products[stage]).summary
-    return Section(stage, stage.capitalize(), blocks=[Text("\n".join(lines), verbatim=True)])
-
-
-def _targets(run: RunData) -> str:
-    return ", ".join(sorted({r.acquisition.target for r in run.recordings if r.acquisition.target}))
 
 
 def _observed(run: RunData) -> str:

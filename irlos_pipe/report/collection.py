@@ -1,61 +1,152 @@
-"""The report on several experiments: one file that needs nothing else."""
+"""The report on several experiments: a chapter for each, in one file that needs nothing else."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.product.results import Provenance
-from irlos_pipe.report.chapter import Chapter
-from irlos_pipe.report.content import Section, Table
-from irlos_pipe.report.render import rendered
-from irlos_pipe.report.text import MISSING
+from irlos_pipe.product.results import Provenance, provenance_of
+from irlos_pipe.report.build import stage_sections
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views, rendered, shown
+from irlos_pipe.report.drawing import renamed
+from irlos_pipe.report.run_data import read_run
+from irlos_pipe.report.section_run import finished, warnings
+from irlos_pipe.report.text import MISSING, duration, is_known
 
-TEMPLATE = "collection.html.j2"
+LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report shows them
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """What a report shows of one experiment.
+
+    Attributes
+    ----------
+    status : str
+        As in results.json, ``failed`` where there are none.
+    problems : list of str
+        Why it failed, and what it warned of.
+    sizes : str
+        The whole numbers among the settings of its last stage: how much was drawn.
+    seconds : float
+        Wall time of all stages.
+    made : Provenance or None
+        Provenance of the last stage.
+    """
+
+    name: str
+    title: str
+    status: str = "failed"
+    problems: list[str] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    settings: Table | None = None
+    seed: int | None = None
+    sizes: str = ""
+    seconds: float | None = None
+    finished: str = ""
+    made: Provenance | None = None
+
+    @property
+    def time(self) -> str:
+        """Return the wall time as text."""
+        return duration(self.seconds)
+
+
+def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
+    """Read the run of an experiment, which a `problem` may have stopped; identifiers begin with its `name`.
+
+    Raises
+    ------
+    InputDataError
+        When it is not the folder of a run, or a product cannot be read.
+    """
+    run = read_run(folder)
+    # Whole numbers among the settings of the last stage, without true and false.
+    last = next(reversed(run.products.values()), None)
+    sizes = [(key, value) for key, value in (last.config if last else {}).items() if type(value) is int]
+    settings = [row for stage, product in run.products.items() for row in _flat(product.config, stage)]
+    made = [provenance_of(product) for product in run.products.values()]
+    return Chapter(
+        name,
+        run.recipe.get("title") or name,
+        "failed" if problem else run.status,
+        [*([problem] if problem else []), *warnings(run)],
+        [_own(section, name) for stage, section in stage_sections(run).items() if stage not in LEFT_OUT],
+        Table(("setting", "value"), settings, "Settings", folded=True),
+        run.recipe.get("seed"),
+        ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in sizes),
+        sum(one.seconds for one in made if is_known(one.seconds)),
+        finished(run),
+        made[-1] if made else None,
+    )
+
+
+def _own(section: Section, name: str) -> Section:
+    """The section with identifiers that no other chapter has."""
+    blocks = [_own_block(block, name) for block in section.blocks]
+    return replace(section, name=f"{name}-{section.name}", blocks=blocks)
+
+
+def _own_block(block: Block, name: str) -> Block:
+    if isinstance(block, Stack):
+        return Stack([_own_block(inner, name) for inner in block.blocks])
+    if isinstance(block, Views):
+        choices = {
+            one: [_own_block(inner, name) for inner in blocks] for one, blocks in block.choices.items()
+        }
+        return replace(block, name=f"{name}-{block.name}", choices=choices)
+    return replace(block, svg=renamed(block.svg, name)) if isinstance(block, Figure) else block
+
+
+def _flat(config: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}.{key}")
+        else:
+            yield f"{above}.{key}", _shown(value)
+
+
+def _shown(value: Any) -> str:
+    return ", ".join(map(_shown, value)) if isinstance(value, list) else str(value)
+
+
+# -- the page ----------------------------------------------------------------------------------
 
 
 def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapter]) -> Path:
-    """Write the page; the same chapters give the same file.
-
-    Parameters
-    ----------
-    path : Path
-        File to be written.
-    title, note : str
-        Title of the page, and one line below it.
-    chapters : sequence of Chapter
+    """Write the page with a `note` below its title; the same chapters give the same file.
 
     Raises
     ------
     IrlosError
         When it cannot be written.
     """
+    contents = Table.of(
+        chapters,
+        {
+            "experiment": lambda one: Markup('<a href="#{}">{}</a>').format(one.name, one.title),
+            "status": lambda one: one.status.replace("_", " "),
+            "sizes": lambda one: one.sizes,
+            "seed": lambda one: _text(one.seed),
+            "time": lambda one: one.time,
+        },
+        marks=["" if one.status == "ok" else "bad" for one in chapters],
+    )
     page = rendered(
-        TEMPLATE,
+        "collection.html.j2",
         title=title,
         note=note,
         chapters=chapters,
-        contents=_contents(chapters),
+        contents=contents,
         origin=_origin(chapters),
     )
     write_bytes(path, page.encode())
     return path
-
-
-def _contents(chapters: Sequence[Chapter]) -> Table:
-    rows = [
-        (_link(one), one.status.replace("_", " "), one.sizes, _text(one.seed), one.time) for one in chapters
-    ]
-    marks = ["" if one.status == "ok" else "bad" for one in chapters]
-    return Table(("experiment", "status", "sizes", "seed", "time"), rows, marks=marks)
-
-
-def _link(chapter: Chapter) -> Markup:
-    return Markup('<a href="#{}">{}</a>').format(chapter.name, chapter.title)
 
 
 def _text(value: Any) -> str:
@@ -65,14 +156,15 @@ def _text(value: Any) -> str:
 def _origin(chapters: Sequence[Chapter]) -> Section:
     """Where and with what each experiment was run."""
     run = [(one, one.made) for one in chapters if one.made]
-    rows = [
-        (one.name, one.finished, one.time, _text(made.jobs), f"{made.machine.host} ({made.machine.platform})")
-        for one, made in run
-    ]
-    table = Table(("experiment", "finished", "time", "processes", "machine"), rows)
-    software = dict.fromkeys(_software(made) for _, made in run)
-    return Section("origin", "Machine and software", "; ".join(software), [table] if run else [])
-
-
-def _software(made: Provenance) -> str:
-    return ", ".join(f"{name} {version}" for name, version in made.software.items())
+    table = Table.of(
+        run,
+        {
+            "experiment": lambda one: one[0].name,
+            "finished": lambda one: one[0].finished,
+            "time": lambda one: one[0].time,
+            "processes": lambda one: _text(one[1].jobs),
+            "machine": lambda one: f"{one[1].machine.host} ({one[1].machine.platform})",
+        },
+    )
+    software = (", ".join(f"{name} {version}" for name, version in made.software.items()) for _, made in run)
+    return Section("origin", "Machine and software", "; ".join(dict.fromkeys(software)), shown(table))

@@ -1,13 +1,15 @@
-"""What a report is made of: sections of figures, tables and notes; no HTML here."""
+"""What a report is made of: sections of figures, tables and notes, and the template that shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeVar
 
+import jinja2
 from markupsafe import Markup
 
+Item = TypeVar("Item")
 Width = Literal["third", "half", "two-thirds", "full"]
 MOST_CHOICES = 4
 
@@ -16,11 +18,8 @@ MOST_CHOICES = 4
 class Figure:
     """A drawing with its title and caption.
 
-    Attributes
-    ----------
-    width : Width
-        Room it takes on a wide screen: a third, half or two thirds of the page, or all of it. A telephone
-        shows one after the other; ``full`` can be pushed sideways there.
+    Its width is the room it takes on a wide screen: a third, half or two thirds of the page, or all of it. A
+    telephone shows one after the other; ``full`` can be pushed sideways there.
     """
 
     kind: ClassVar[str] = "figure"
@@ -53,6 +52,19 @@ class Table:
     folded: bool = False
     prose: bool = False
 
+    @classmethod
+    def of(
+        cls,
+        items: Iterable[Item],
+        columns: Mapping[str, Callable[[Item], str]],
+        title: str = "",
+        caption: str = "",
+        **look: Any,
+    ) -> Table:
+        """Return a table with a row for each of the `items`; `columns` say by title what is shown of one."""
+        rows = [tuple(cell(item) for cell in columns.values()) for item in items]
+        return cls(tuple(columns), rows, title, caption, **look)
+
 
 @dataclass(frozen=True)
 class Text:
@@ -77,14 +89,8 @@ class Stack:
 class Views:
     """The same content in several ways, of which a page shows the one that the reader chooses.
 
-    Attributes
-    ----------
-    name : str
-        Unique in the page.
-    choices : mapping of str to sequence of blocks
-        By what the reader clicks; the first is shown at the beginning.
-    width : Width
-        Room that all blocks of a choice take together.
+    The choices are named by what the reader clicks, and the first is shown at the beginning; the width is
+    that of all blocks of a choice together. The name is unique in the page.
     """
 
     kind: ClassVar[str] = "views"
@@ -98,6 +104,13 @@ class Views:
 
 
 Block = Figure | Table | Text | Stack | Views
+Blocks = Block | None | Iterable[Block | None]
+
+
+def shown(*blocks: Blocks) -> list[Block]:
+    """Return `blocks` in one list, without tables that have no rows and what else is nothing."""
+    flat = [one for some in blocks for one in (some if isinstance(some, Iterable) else [some])]
+    return [one for one in flat if one is not None and not (isinstance(one, Table) and not one.rows)]
 
 
 @dataclass(frozen=True)
@@ -118,3 +131,15 @@ class KeyNumber:
     value: str
     note: str = ""
     mark: Literal["", "good", "bad"] = ""
+
+
+def rendered(template: str, **content: Any) -> str:
+    """Return the page of a `template` filled with `content`; text is escaped, a missing name is an error."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("irlos_pipe.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template(template).render(**content)

@@ -15,12 +15,15 @@ from markupsafe import Markup
 from matplotlib import rcsetup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Canvas
+
+from irlos_pipe.report.content import Figure, Width
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
 SKY, YELLOW = "#56b4e9", "#e69f00"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW)
+MARKERS = ("o", "s", "D", "^", "v", "P")
 INK, FAINT = "#1c2733", "#c9d0d7"
 # The page gives these their values, for light and for dark.
 PAGE_COLOURS = {
@@ -32,6 +35,11 @@ PAGE_COLOURS = {
     PURPLE: "var(--purple)",
     SKY: "var(--sky)",
     YELLOW: "var(--yellow)",
+}
+SIZE_IN = (3.9, 2.95)
+BESIDE: dict[str, dict[str, Any]] = {
+    "above": {"loc": "outside upper center", "ncols": 2},
+    "below": {"loc": "outside lower center", "ncols": 3},
 }
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -71,7 +79,7 @@ IDENTIFIER = re.compile(r'\sid="([^"]*)"')
 REFERENCE = re.compile(r'(?<=href="#)[^"]*|(?<=url\(#)[^)]*')
 FONT = re.compile(r"font-family: [^;\"]*")
 
-Keep = Callable[[str, Figure], None]
+Keep = Callable[[str, Canvas], None]
 _KEEP: ContextVar[Keep | None] = ContextVar("keep", default=None)
 
 
@@ -85,7 +93,7 @@ def kept_by(keep: Keep) -> Iterator[None]:
         _KEEP.reset(token)
 
 
-def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None]) -> Markup:
+def svg(name: str, size_in: tuple[float, float], draw: Callable[[Canvas], None]) -> Markup:
     """Draw a figure and return it as SVG to stand inside a page.
 
     Parameters
@@ -98,7 +106,7 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
         Fills the empty figure.
     """
     with own_style():
-        figure = Figure(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
+        figure = Canvas(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
         draw(figure)
         if keep := _KEEP.get():
             keep(name, figure)
@@ -106,6 +114,43 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
         # `savefig` would draw everything twice, the first time for what only other formats need.
         FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None})
     return Markup(_for_page(text.getvalue(), name))
+
+
+def plot(
+    name: str,
+    draw: Callable[[Axes], None],
+    labels: tuple[str, str],
+    title: str,
+    caption: str = "",
+    width: Width = "third",
+    size_in: tuple[float, float] = SIZE_IN,
+    legend: Any = "best",
+    **settings: Any,
+) -> Figure:
+    """Return a figure with one pair of axes; see `svg` and `Figure`.
+
+    Parameters
+    ----------
+    draw : callable
+        Fills the axes; what has a label stands in the legend.
+    labels : tuple of str
+        Of the axes x and y.
+    legend : str
+        Where in the axes it stands, or ``above`` or ``below`` them.
+    **settings
+        What else `Axes.set` takes: ticks, limits.
+    """
+
+    def drawn(canvas: Canvas) -> None:
+        axes = canvas.subplots()
+        draw(axes)
+        axes.set(xlabel=labels[0], ylabel=labels[1], **settings)
+        if legend in BESIDE:
+            canvas.legend(**BESIDE[legend])
+        elif axes.get_legend_handles_labels()[1]:
+            axes.legend(loc=legend)
+
+    return Figure(svg(name, size_in, drawn), title, caption, width)
 
 
 @contextmanager

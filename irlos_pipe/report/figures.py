@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -17,6 +17,7 @@ from irlos_pipe.report.build import report_sections
 from irlos_pipe.report.drawing import kept_by
 from irlos_pipe.report.run_data import read_run
 
+Kept = TypeVar("Kept")
 FORMATS = ("pdf", "png", "svg")
 PNG_DPI = 200
 # Text as outlines in SVG, which looks the same everywhere, and as text in PDF, which can be edited.
@@ -25,14 +26,7 @@ NO_DATE = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
 
 
 def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Write all figures of the report of a run into its folder ``figures``, in place of earlier ones.
-
-    Parameters
-    ----------
-    run : RunFolder
-        A finished run, owned by the caller.
-    formats : sequence of str
-        ``pdf``, ``png``, ``svg``.
+    """Write all figures of the report of a `run`, owned by the caller, into ``figures``, replacing others.
 
     Returns
     -------
@@ -46,17 +40,18 @@ def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path
     IrlosError
         When a file cannot be written.
     """
-    drawn: dict[str, dict[str, bytes]] = {}
-
-    def keep(name: str, figure: Figure) -> None:
-        drawn[_unused(name, drawn)] = {kind: _file(figure, kind) for kind in formats}
-
-    _refuse_a_link(run)
-    with kept_by(keep):
-        report_sections(read_run(run.path))
-    _make_folder(run)
-    return [_written(run.figures / f"{name}.{kind}", file) for name, files in drawn.items()
-            for kind, file in files.items()]  # fmt: skip
+    if run.figures.is_symlink():
+        raise IrlosError(f"{run.figures}: a link, through which nothing is written; remove it")
+    drawn = _drawn(run.path, lambda figure: {kind: _file(figure, kind) for kind in formats})
+    run.set_figures_aside()
+    try:
+        run.figures.mkdir(exist_ok=True)
+    except OSError as error:
+        raise IrlosError(f"{run.figures}: cannot be made: {error.strerror or error}") from error
+    files = {run.figures / f"{name}.{kind}": one[kind] for name, one in drawn.items() for kind in formats}
+    for path, content in files.items():
+        write_bytes(path, content)
+    return list(files)
 
 
 def figures(path: Path | str) -> dict[str, Figure]:
@@ -72,28 +67,19 @@ def figures(path: Path | str) -> dict[str, Figure]:
     InputDataError
         When it is not the folder of a run, or a product cannot be read.
     """
-    drawn: dict[str, Figure] = {}
+    return _drawn(Path(path), lambda figure: figure)
+
+
+def _drawn(folder: Path, kept: Callable[[Figure], Kept]) -> dict[str, Kept]:
+    """What is `kept` of every figure of the report of a run, by name."""
+    drawn: dict[str, Kept] = {}
 
     def keep(name: str, figure: Figure) -> None:
-        drawn[_unused(name, drawn)] = figure
+        drawn[_unused(name, drawn)] = kept(figure)
 
     with kept_by(keep):
-        report_sections(read_run(Path(path)))
+        report_sections(read_run(folder))
     return drawn
-
-
-def _refuse_a_link(run: RunFolder) -> None:
-    """Before anything is drawn, which takes a while."""
-    if run.figures.is_symlink():
-        raise IrlosError(f"{run.figures}: a link, through which nothing is written; remove it")
-
-
-def _make_folder(run: RunFolder) -> None:
-    run.set_figures_aside()
-    try:
-        run.figures.mkdir(exist_ok=True)
-    except OSError as error:
-        raise IrlosError(f"{run.figures}: cannot be made: {error.strerror or error}") from error
 
 
 def _unused(name: str, taken: Collection[str]) -> str:
@@ -108,8 +94,3 @@ def _file(figure: Figure, kind: str) -> bytes:
     with rc_context(FONTS):
         figure.savefig(stream, format=kind, facecolor="white", dpi=PNG_DPI, metadata=NO_DATE[kind])
     return stream.getvalue()
-
-
-def _written(path: Path, content: bytes) -> Path:
-    write_bytes(path, content)
-    return path

@@ -1,22 +1,24 @@
-"""Detector images on mas axes, and thumbnails."""
+"""Images, residuals and wavefronts with their colours; thumbnails."""
 
 from __future__ import annotations
 
 import base64
 import io
 import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
-from matplotlib.colors import AsinhNorm, LogNorm, Normalize
-from matplotlib.figure import Figure
+from matplotlib.colors import AsinhNorm, Colormap, LogNorm, Normalize
+from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
 from matplotlib.ticker import EngFormatter, ScalarFormatter
 
-from irlos_pipe.report.drawing import INK, own_style, svg
+from irlos_pipe.report.content import Figure, Views, Width
+from irlos_pipe.report.drawing import FAINT, INK, own_style, svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
@@ -30,6 +32,12 @@ DECADES = 4.0
 LINEAR_PART = 3e-3
 MANY_DIGITS = 1e4  # from which numbers are written as 12k
 TICK_ROOM = 0.07  # part of a colour bar, that a label needs
+PERCENTILE = 99.8  # of residuals, for the end of their scale: single pixels would swallow it
+LINEAR_SIGMA = 2.0  # within which an asinh scale of residuals is linear: what is noise
+CELL_IN, LARGE_CELL_IN = 1.05, 1.9
+PAGE_IN = 10.0
+LABEL_IN, TITLE_IN, BAR_IN = 0.3, 0.45, 0.75
+MAP_PERCENTILE = 99.5  # the very edge of the pupil would swallow the scale
 
 
 class Ring(NamedTuple):
@@ -59,18 +67,48 @@ def linear_scale(*images: np.ndarray) -> Normalize:
 
 
 def symmetric_scale(limit: float, linear_width: float | None = None) -> Normalize:
-    """Return a scale about zero, linear or asinh.
-
-    Parameters
-    ----------
-    limit : float
-        Of either end.
-    linear_width : float, optional
-        Within which an asinh scale is linear; it is logarithmic beyond.
-    """
+    """Return a scale from -`limit` to `limit`: linear, or asinh, which is linear within `linear_width`."""
     if linear_width is None:
         return Normalize(-limit, limit)
     return AsinhNorm(linear_width, -limit, limit)
+
+
+def panel(
+    name: str,
+    values: np.ndarray,
+    scale: Normalize,
+    label: str,
+    draw: Callable[[Axes], object],
+    colours: Colormap = SIGNED,
+    extend: str = "neither",
+    ticks: Sequence[float] | None = None,
+    **look: Any,
+) -> Markup:
+    """Draw a picture (rows, columns) with its colour bar `label`; row 0 is at the bottom.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    draw : callable
+        Adds to the axes what the picture has beside the values.
+    extend, ticks
+        Of the colour bar: ends that are pointed, and where it has numbers.
+    **look
+        For `Axes.imshow`.
+    """
+
+    def drawn(canvas: Canvas) -> None:
+        axes, bar = panel_axes(canvas)
+        shown = axes.imshow(
+            values, norm=scale, cmap=colours, **{"origin": "lower", "interpolation": "none"} | look
+        )
+        draw(axes)
+        canvas.colorbar(shown, cax=bar, label=label, extend=extend, ticks=ticks)
+        if ticks is None:
+            label_bar(bar, scale)
+
+    return svg(name, PANEL_IN, drawn)
 
 
 def image_panel(
@@ -79,62 +117,36 @@ def image_panel(
     scale: Normalize,
     pixel_scale_mas: float | None,
     unit: str,
-    colours: matplotlib.colors.Colormap = BRIGHTNESS,
+    colours: Colormap = BRIGHTNESS,
     good: np.ndarray | None = None,
     ring: Ring | None = None,
 ) -> Markup:
-    """Draw an image with its colour bar; axes in mas (px without a scale) from the centre of the window.
+    """Draw an image; axes in mas (px without a scale) from the centre of the window; see `panel`.
 
     Parameters
     ----------
-    name : str
-        Identifies the drawing on the page.
-    image : ndarray, (rows, columns)
-        Row 0 is at the bottom.
-    scale : Normalize
-        From values to colours.
-    pixel_scale_mas : float or None
-        Side of a pixel [mas].
-    unit : str
-        Unit of the image.
-    colours : Colormap
-        Of the image.
     good : ndarray of bool, optional
         Pixels that are False were not used and get a cross.
     ring : Ring, optional
         Drawn about a place.
     """
     step, axis_unit = (pixel_scale_mas, "mas") if pixel_scale_mas else (1.0, "px")
+    half_y, half_x = (0.5 * step * side for side in image.shape)
 
-    def draw(figure: Figure) -> None:
-        axes, bar = panel_axes(figure)
-        shown = axes.imshow(
-            image,
-            norm=scale,
-            cmap=colours,
-            origin="lower",
-            interpolation="none",
-            extent=_extent(image.shape, step),
-        )
+    def draw(axes: Axes) -> None:
         axes.set(xlabel=f"x [{axis_unit}]", ylabel=f"y [{axis_unit}]")
-        _cross_out(axes, good, step)
+        if good is not None and not good.all():
+            y, x = np.nonzero(~good)
+            place: dict[str, Any] = {"color": "white", "markersize": 3, "markeredgewidth": 0.7}
+            axes.plot((x + 0.5) * step - half_x, (y + 0.5) * step - half_y, "x", **place)
         if ring:
             axes.add_patch(Circle((ring.x, ring.y), ring.diameter / 2, fill=False, color=INK, linestyle="--"))
-        figure.colorbar(shown, cax=bar, label=unit)
-        label_bar(bar, scale)
 
-    return svg(name, PANEL_IN, draw)
+    return panel(name, image, scale, unit, draw, colours, extent=(-half_x, half_x, -half_y, half_y))
 
 
 def label_bar(bar: Axes, scale: Normalize) -> None:
-    """Give a colour bar numbers that are short enough to leave the unit its place and do not overlap.
-
-    Parameters
-    ----------
-    bar : Axes
-    scale : Normalize
-        Of its image.
-    """
+    """Give a colour `bar` numbers that are short enough to leave the unit its place and do not overlap."""
     bar.minorticks_off()
     if isinstance(scale, AsinhNorm):
         ticks = asinh_ticks(scale)
@@ -172,12 +184,12 @@ def _short(value: float) -> str:
     return f"{'−' if value < 0 else ''}{'' if factor == 1 else f'{factor}·'}$10^{{{power}}}$"
 
 
-def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
+def panel_axes(canvas: Canvas) -> tuple[Axes, Axes]:
     """Add axes for a square image and for a colour bar of the same height."""
-    figure.set_layout_engine("none")
-    width, height = figure.get_size_inches()
+    canvas.set_layout_engine("none")
+    width, height = canvas.get_size_inches()
     image, bar = (
-        figure.add_axes((left / width, bottom / height, across / width, up / height))
+        canvas.add_axes((left / width, bottom / height, across / width, up / height))
         for left, bottom, across, up in (IMAGE_BOX_IN, BAR_BOX_IN)
     )
     image.grid(False)
@@ -186,14 +198,7 @@ def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
 
 
 def thumbnail(image: np.ndarray, name: str = "") -> Markup:
-    """Return a small picture of the mean frame of a recording as an ``img`` element.
-
-    Parameters
-    ----------
-    image : ndarray, (rows, columns)
-    name : str
-        Of the recording.
-    """
+    """Return a small picture of the mean frame of the recording `name` as an ``img`` element."""
     data = io.BytesIO()
     pixels = BRIGHTNESS(brightness_scale(image)(np.ma.masked_invalid(image)), bytes=True)
     unsigned: dict[str, Any] = {"Software": None}
@@ -215,21 +220,167 @@ def _range(*images: np.ndarray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _extent(shape: tuple[int, int], step: float) -> tuple[float, float, float, float]:
-    half_y, half_x = (0.5 * step * side for side in shape)
-    return -half_x, half_x, -half_y, half_y
+# -- the same in several ways ------------------------------------------------------------------
 
 
-def _cross_out(axes: Axes, good: np.ndarray | None, step: float) -> None:
-    if good is None or good.all():
-        return
-    rows, columns = good.shape
-    y, x = np.nonzero(~good)
-    axes.plot(
-        (x - (columns - 1) / 2) * step,
-        (y - (rows - 1) / 2) * step,
-        "x",
-        color="white",
-        markersize=3,
-        markeredgewidth=0.7,
-    )
+def _side_by_side(
+    name: str, images: Mapping[str, tuple[np.ndarray, str]], good: np.ndarray | None = None, **look: Any
+) -> list[Figure]:
+    """Images with their captions, pixels that are not `good` crossed out in the first."""
+    return [
+        Figure(
+            image_panel(f"{name}-{place}", image, good=None if place else good, **look),
+            title,
+            caption,
+            "third",
+        )
+        for place, (title, (image, caption)) in enumerate(images.items())
+    ]
+
+
+def image_views(
+    name: str,
+    images: Mapping[str, tuple[np.ndarray, str]],
+    pixel_scale_mas: float | None,
+    good: np.ndarray | None = None,
+    width: Width = "full",
+) -> Views:
+    """Return images on one scale, asinh or linear.
+
+    Parameters
+    ----------
+    images : mapping
+        By title: image (rows, columns) [e-], and a caption.
+    good : ndarray of bool, optional
+        Pixels that are False get a cross in the first image.
+    width : Width
+        Of all together.
+    """
+    choices = {}
+    for label, scale_of in {"logarithmic": brightness_scale, "linear": linear_scale}.items():
+        look = {"scale": scale_of(*(image for image, _ in images.values())), "unit": "e⁻"}
+        choices[label] = _side_by_side(
+            f"{name}-{label}", images, good, pixel_scale_mas=pixel_scale_mas, **look
+        )
+    return Views(name, choices, width)
+
+
+def residual_views(
+    name: str,
+    residuals: Mapping[str, tuple[np.ndarray, str]],
+    sigma_e: np.ndarray | None,
+    peak_e: float,
+    pixel_scale_mas: float | None,
+    width: Width = "full",
+) -> Views:
+    """Return residuals on one scale: in σ and in per cent of the peak, asinh and linear.
+
+    Parameters
+    ----------
+    residuals : mapping
+        By title: measured minus predicted (rows, columns) [e-], and a caption.
+    sigma_e : ndarray or None, (rows, columns)
+        Standard errors, 0 or not finite where a pixel is not used; without them there are no σ.
+    peak_e : float
+        Of the predicted image.
+    width : Width
+        Of all together.
+    """
+    percent = 100 / peak_e if peak_e > 0 else np.nan
+    units: dict[str, Callable[[np.ndarray], np.ndarray]] = {"% of the peak": lambda one: one * percent}
+    if sigma_e is not None:
+        units = {"σ": lambda one: in_sigma(one, sigma_e)} | units
+    choices: dict[str, list[Figure]] = {}
+    for unit, scaled in units.items():
+        images = {title: (scaled(image), caption) for title, (image, caption) in residuals.items()}
+        limit = max(
+            SIGMA_LIMIT if unit == "σ" else 0.0,
+            *(percentile(PERCENTILE, image) or 1e-3 for image, _ in images.values()),
+        )
+        widths = {"log": LINEAR_SIGMA if unit == "σ" else limit / 100, "linear": None}
+        for label, linear_width in widths.items():
+            look = {"scale": symmetric_scale(limit, linear_width), "colours": SIGNED, "unit": unit}
+            choices[f"{unit[0]} {label}"] = _side_by_side(
+                f"{name}-{len(choices)}", images, pixel_scale_mas=pixel_scale_mas, **look
+            )
+    return Views(name, choices, width)
+
+
+def in_sigma(residual: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return a `residual` over its standard errors, NaN where a pixel is not used."""
+    used = np.isfinite(sigma) & (sigma > 0)
+    return residual * np.where(used, 1 / np.where(used, sigma, 1.0), np.nan)
+
+
+def percentile(percent: float, *maps: np.ndarray) -> float:
+    """Return a percentile of the absolute values of all `maps`, where they are finite; 0 without any."""
+    values = np.abs(np.concatenate([np.ravel(one) for one in maps]))
+    values = values[np.isfinite(values)]
+    return float(np.percentile(values, percent)) if values.size else 0.0
+
+
+# -- wavefronts --------------------------------------------------------------------------------
+
+
+def common_limit_nm(*maps: np.ndarray) -> float:
+    """Return the end of a colour scale that suits all `maps` [nm]."""
+    return percentile(MAP_PERCENTILE, *maps) or 1.0
+
+
+def wavefront_grid(
+    name: str,
+    titles: Sequence[str],
+    rows: Mapping[str, np.ndarray],
+    limit_nm: float,
+    images: np.ndarray | None = None,
+) -> Markup:
+    """Draw rows of wavefronts, one column per recording.
+
+    Parameters
+    ----------
+    titles : sequence of str
+        Of the columns.
+    rows : mapping of str to ndarray, (columns, samples, samples)
+        OPD [nm], NaN outside the pupil; the first is the uppermost.
+    limit_nm : float
+        End of the colour scale of all maps.
+    images : ndarray, (columns, rows, columns), optional
+        Images to stand above, each on its own asinh scale.
+    """
+    labels = [*(["image"] if images is not None else []), *rows]
+
+    def draw(canvas: Canvas) -> None:
+        grid = canvas.subplots(len(labels), len(titles), squeeze=False)
+        for axes, label in zip(grid[:, 0], labels, strict=True):
+            axes.set_ylabel(label)
+        for axes, title in zip(grid[0], titles, strict=True):
+            axes.set_title(title)
+        if images is not None:
+            for axes, image in zip(grid[0], images, strict=True):
+                axes.imshow(image, norm=brightness_scale(image), cmap=BRIGHTNESS, origin="lower")
+        maps = grid[-len(rows) :]
+        look: dict[str, Any] = {"cmap": SIGNED, "origin": "lower", "interpolation": "none"}
+        for line, values in zip(maps, rows.values(), strict=True):
+            for axes, opd_nm in zip(line, values, strict=True):
+                shown = axes.imshow(opd_nm, norm=symmetric_scale(limit_nm), **look)
+        for axes in grid.flat:
+            axes.grid(False)
+            axes.spines[:].set_visible(False)
+            axes.set(xticks=[], yticks=[])
+        canvas.colorbar(shown, ax=maps, label="OPD [nm]", extend="both", fraction=0.03, pad=0.01)
+
+    cell_in = min(LARGE_CELL_IN, max(CELL_IN, PAGE_IN / len(titles)))
+    return svg(name, (LABEL_IN + BAR_IN + cell_in * len(titles), TITLE_IN + cell_in * len(labels)), draw)
+
+
+def pupil_map(name: str, values: np.ndarray, limit: float, label: str, **axes: Any) -> Markup:
+    """Draw a map of the pupil about zero, NaN where it is dark; `axes` is what `Axes.set` takes.
+
+    The `limit` of the colours is the same for maps to be compared; coordinates are in radii of the pupil.
+    """
+
+    def draw(drawn: Axes) -> None:
+        drawn.set_facecolor(FAINT)
+        drawn.set(**axes)
+
+    return panel(name, values, symmetric_scale(limit), label, draw, extend="both", extent=(-1, 1, -1, 1))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -12,11 +14,18 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.json import canonical_json
 from irlos_pipe.files.regular import read_regular
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.product import Product
+from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import Results, RunResults, read_run_results, results_of
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
+from irlos_pipe.report.content import Block, Blocks, shown
 from irlos_pipe.stages.ingest.recording_arrays import Overview, overviews_from_product
+
+Key = TypeVar("Key")
+
+
+class Absent(Exception):
+    """A product lacks what a block is drawn from, and the block is left out."""
 
 
 @dataclass(frozen=True)
@@ -47,24 +56,72 @@ class RunData:
         """Return the results of a stage as the model `kind`; all defaults without that stage."""
         return results_of(kind, self.products[kind.stage]) if kind.stage in self.products else kind()
 
-    def array(self, stage: str, name: str) -> np.ndarray | None:
-        """Return the array `name` of the product of `stage`, or None where there is none."""
-        quantity = self.products[stage].arrays.get(name) if stage in self.products else None
-        return None if quantity is None else np.asarray(quantity.value)
+    def of(self, kind: type[Results]) -> StageData[Results]:
+        """Return what there is of the stage whose results are of a `kind`."""
+        return StageData(self, kind.stage, self.results(kind))
 
-    def error_of(self, stage: str, name: str) -> np.ndarray | None:
-        """Return the 1-sigma error of the array `name` of the product of `stage`, or None if it has none."""
-        quantity = self.products[stage].arrays.get(name) if stage in self.products else None
-        return None if quantity is None else quantity.error
 
-    def recordings_of(self, stage: str) -> list[Overview]:
-        """Return the recordings of the recipe input that a stage works on."""
-        wanted = self.products[stage].config.get("input") if stage in self.products else None
-        return [recording for recording in self.recordings if recording.input == wanted]
+@dataclass(frozen=True)
+class StageData(Generic[Results]):
+    """What a section shows of one stage of a run."""
 
-    def pixel_scale_mas(self, stage: str) -> float | None:
-        """Return the pixel scale of the recordings a stage works on; None where it is not known."""
-        return next((r.acquisition.pixel_scale_mas for r in self.recordings_of(stage)), None)
+    run: RunData
+    stage: str
+    results: Results
+
+    @property
+    def arrays(self) -> Mapping[str, Quantity]:
+        """Arrays of the product; none if the stage was not run."""
+        return self.run.products[self.stage].arrays if self.stage in self.run.products else {}
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return the array `name` of the product.
+
+        Raises
+        ------
+        Absent
+            Where there is none.
+        """
+        if name not in self.arrays:
+            raise Absent(f"{self.stage}: {name}")
+        return np.asarray(self.arrays[name].value)
+
+    def known(self, names: Mapping[Key, str]) -> dict[Key, np.ndarray]:
+        """Return those of some arrays that are there, given by a key for each.
+
+        Raises
+        ------
+        Absent
+            Where there is none of them.
+        """
+        found = {key: self[name] for key, name in names.items() if name in self.arrays}
+        if not found:
+            raise Absent(f"{self.stage}: {', '.join(names.values())}")
+        return found
+
+    def error_of(self, name: str) -> np.ndarray | None:
+        """Return the standard error of the array `name`, or None where it has none."""
+        return self.arrays[name].error if name in self.arrays else None
+
+    def blocks(self, *parts: Callable[[StageData[Results]], Blocks]) -> list[Block]:
+        """Return what each of the `parts` makes of this stage, without those that lack their arrays."""
+        found: list[Block] = []
+        for part in parts:
+            with suppress(Absent):
+                found += shown(part(self))
+        return found
+
+    @property
+    def recordings(self) -> list[Overview]:
+        """Recordings of the recipe input that the stage works on."""
+        product = self.run.products.get(self.stage)
+        wanted = product.config.get("input") if product else None
+        return [recording for recording in self.run.recordings if recording.input == wanted]
+
+    @property
+    def pixel_scale_mas(self) -> float | None:
+        """Pixel scale of these recordings; None where it is not known."""
+        return next((one.acquisition.pixel_scale_mas for one in self.recordings), None)
 
 
 def _own_product(path: Path, stage: str, results: RunResults) -> Product:

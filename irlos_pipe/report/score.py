@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, TIP_TILT
-from irlos_pipe.conventions.text import and_more
+from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, REPORTED_TEXT, TIP_TILT
+from irlos_pipe.conventions.text import aligned, and_more
 from irlos_pipe.product.printed import CalibrationScore, MethodScore, RampScore, Score
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
@@ -68,16 +67,21 @@ def score_run(run_folder: Path, truth: Path) -> Score:
     InputDataError
         When the run has nothing to compare, or the truth cannot be read or belongs to other recordings.
     """
-    run, truths = _read_scored(run_folder), _read_truths(Path(truth))
-    calibration, ramp = _calibration_score(run, truths), _ramp_score(run, truths)
+    paths = existing_run(run_folder).products()
+    products = {stage: read_product(path, arrays=False) for stage, path in paths.items()}
+    compared = [products[stage] for stage in ("calibrate", "lift") if stage in products]
+    if not compared:
+        raise InputDataError(f"{run_folder}: neither 'calibrate' nor 'lift' was run, nothing to compare")
+    truths = _read_truths(Path(truth))
+    calibration, ramp = _calibration_score(products, truths), _ramp_score(products, truths)
     if calibration is None and ramp is None:
-        raise InputDataError(f"{truth}: {_why_not(run, truths)}")
+        names = [row.name for one in compared for row in _recordings_of(one, products)]
+        raise InputDataError(f"{truth}: {_why_not(names, truths)}")
     return Score(run=str(run_folder), calibration=calibration, ramp=ramp)
 
 
-def _why_not(run: _Scored, truths: Truths) -> str:
+def _why_not(names: list[str], truths: Truths) -> str:
     """Why nothing can be compared: no file for a recording, or one without the wavefront."""
-    names = [row.name for row in (*run.calibrated, *run.of_the_ramp)]
     without = [name for name in names if _truth_of(name, truths) is None]
     if without:
         held = list(truths)
@@ -85,58 +89,32 @@ def _why_not(run: _Scored, truths: Truths) -> str:
     return f"the truth of {names[0]}{and_more(names)} has no mean_zernike_nm (mean wavefront, Noll: nm RMS)"
 
 
-@dataclass(frozen=True)
-class _Scored:
-    """What of a run is compared; None for a stage that was not run.
-
-    Attributes
-    ----------
-    calibrated, of_the_ramp : list of RecordingRow
-        Recordings that went into the calibration and into the ramp.
-    """
-
-    calibration: CalibrateResults | None
-    ramp: LiftResults | None
-    calibrated: list[RecordingRow]
-    of_the_ramp: list[RecordingRow]
-
-
-def _read_scored(folder: Path) -> _Scored:
-    paths = existing_run(folder).products()
-    products = {stage: read_product(path, arrays=False) for stage, path in paths.items()}
-    calibrate, lift = products.get("calibrate"), products.get("lift")
-    if calibrate is None and lift is None:
-        raise InputDataError(f"{folder}: neither 'calibrate' nor 'lift' was run, nothing to compare")
-    rows = results_of(IngestResults, products["ingest"]).inputs if "ingest" in products else []
-    return _Scored(
-        results_of(CalibrateResults, calibrate) if calibrate else None,
-        results_of(LiftResults, lift) if lift else None,
-        _recordings_of(calibrate, rows),
-        _recordings_of(lift, rows),
-    )
-
-
-def _recordings_of(product: Product | None, rows: Sequence[RecordingRow]) -> list[RecordingRow]:
+def _recordings_of(product: Product, products: Mapping[str, Product]) -> list[RecordingRow]:
     """Recordings of the recipe input that a stage worked on."""
-    wanted = product.config.get("input") if product else None
-    return [row for row in rows if product and row.input == wanted and row.role != "dark"]
+    rows = results_of(IngestResults, products["ingest"]).inputs if "ingest" in products else []
+    return [row for row in rows if row.input == product.config.get("input") and row.role != "dark"]
 
 
 # -- calibration -------------------------------------------------------------------------------
 
 
-def _calibration_score(run: _Scored, truths: Truths) -> CalibrationScore | None:
+def _calibration_score(products: Mapping[str, Product], truths: Truths) -> CalibrationScore | None:
     """One row per method; None without truth for every recording that was fitted."""
-    rows, results = run.calibrated, run.calibration
-    found = [truth.mean_zernike_nm if (truth := _truth_of(row.name, truths)) else None for row in rows]
-    each_nm = [_vector(mean_nm) for mean_nm in found if mean_nm is not None]
-    if results is None or not rows or len(each_nm) < len(rows):
+    if "calibrate" not in products:
         return None
-    weights = [row.frames_used for row in rows]
-    true_nm = np.average(each_nm, axis=0, weights=weights)
-    statics = [truth.ncpa_nm for row in rows if (truth := _truth_of(row.name, truths)) and truth.ncpa_nm]
+    results = results_of(CalibrateResults, products["calibrate"])
+    rows = _recordings_of(products["calibrate"], products)
+    found = [_truth_of(row.name, truths) for row in rows]
+    means = [one.mean_zernike_nm for one in found if one and one.mean_zernike_nm is not None]
+    statics = [one.ncpa_nm for one in found if one and one.ncpa_nm]
+    if not rows or len(means) < len(rows):
+        return None
     known = len(statics) == len(rows)
-    static_nm = np.average([_vector(one) for one in statics], axis=0, weights=weights) if known else None
+
+    def over_frames(each: Iterable[Mapping[int, float]]) -> np.ndarray:
+        return np.average([_vector(one) for one in each], axis=0, weights=[row.frames_used for row in rows])
+
+    true_nm, static_nm = over_frames(means), over_frames(statics) if known else None
     return CalibrationScore(
         recordings=[row.name for row in rows],
         static_known=known,
@@ -145,28 +123,21 @@ def _calibration_score(run: _Scored, truths: Truths) -> CalibrationScore | None:
 
 
 def _method_score(estimate: Estimate, true_nm: np.ndarray, static_nm: np.ndarray | None) -> MethodScore:
-    """Errors in the reported modes against the mean wavefront, and against the static modes."""
-    error_nm = _vector(estimate.zernike_nm) - true_nm
-    static_error_nm, pull_rms = _against_static(estimate, static_nm)
+    """Errors in the reported modes: of the mean wavefront, and without tip and tilt of the static one."""
+    value_nm, sigma_nm = _vector(estimate.zernike_nm), _vector(estimate.sigma_nm)
+    error_nm, against_static = value_nm - true_nm, {}
+    if static_nm is not None:
+        optics = np.array([noll not in TIP_TILT for noll in REPORTED_NOLLS])
+        own_nm, quoted = value_nm - static_nm, optics & (sigma_nm > 0)
+        pull_rms = _rms(own_nm[quoted] / sigma_nm[quoted])
+        against_static = {"static_error_nm": float(np.linalg.norm(own_nm[optics])), "pull_rms": pull_rms}
     return MethodScore(
         method=estimate.method,
         error_nm=float(np.linalg.norm(error_nm)),
         defocus_error_nm=float(error_nm[REPORTED_NOLLS.index(DEFOCUS)]),
         seconds=estimate.seconds,
-        static_error_nm=static_error_nm,
-        pull_rms=pull_rms,
+        **against_static,
     )
-
-
-def _against_static(estimate: Estimate, static_nm: np.ndarray | None) -> tuple[float, float]:
-    """RMS error without tip and tilt, and its RMS over the quoted errors; NaN where the truth has none."""
-    if static_nm is None:
-        return math.nan, math.nan
-    optics = np.array([noll not in TIP_TILT for noll in REPORTED_NOLLS])
-    error_nm, sigma_nm = _vector(estimate.zernike_nm) - static_nm, _vector(estimate.sigma_nm)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pull = _rms((error_nm / sigma_nm)[optics & (sigma_nm > 0)])
-    return float(np.linalg.norm(error_nm[optics])), pull
 
 
 def _vector(zernike_nm: Mapping[int, float]) -> np.ndarray:
@@ -177,32 +148,25 @@ def _vector(zernike_nm: Mapping[int, float]) -> np.ndarray:
 # -- ramp --------------------------------------------------------------------------------------
 
 
-def _ramp_score(run: _Scored, truths: Truths) -> RampScore | None:
+def _ramp_score(products: Mapping[str, Product], truths: Truths) -> RampScore | None:
     """Errors of the ramp against the introduced and against the present defocus; None without truth."""
-    points = run.ramp.points if run.ramp else []
-    known = [(point, truth) for point in points if (truth := _truth_of(point.name, truths))]
+    points = results_of(LiftResults, products["lift"]).points if "lift" in products else []
+    known: list[tuple[Point, Truth]] = [
+        (point, truth) for point in points if (truth := _truth_of(point.name, truths))
+    ]
     if not known:
         return None
-    estimated, introduced, present = np.array([_defocus_nm(*one) for one in known]).T
-    names = np.array([point.name for point, _ in known])
+    estimated = np.array([point.defocus_nm for point, _ in known])
+    error_nm = estimated - [truth.defocus_beyond_ncpa_nm for _, truth in known]
+    names, finite = np.array([point.name for point, _ in known]), np.isfinite(error_nm)
+    means = [error_nm[finite & (names == name)].mean() for name in np.unique(names[finite])]
     return RampScore(
         recordings=len(set(names)),
         frames=len(known),
-        against_introduced_nm=_rms(estimated - introduced),
-        against_true_nm=_rms(estimated - present),
-        means_against_true_nm=_rms(_means(estimated - present, names)),
+        against_introduced_nm=_rms(estimated - [point.introduced_nm for point, _ in known]),
+        against_true_nm=_rms(error_nm),
+        means_against_true_nm=_rms(np.array(means)),
     )
-
-
-def _defocus_nm(point: Point, truth: Truth) -> tuple[float, float, float]:
-    """Estimated, introduced, and truly present defocus without that of the NCPAs."""
-    return point.defocus_nm, point.introduced_nm, truth.defocus_beyond_ncpa_nm
-
-
-def _means(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Mean of every group of what is known."""
-    known = np.isfinite(values)
-    return np.array([values[known & (groups == group)].mean() for group in np.unique(groups[known])])
 
 
 def _rms(values: np.ndarray) -> float:
@@ -216,19 +180,12 @@ def _rms(values: np.ndarray) -> float:
 
 def _read_truths(path: Path) -> dict[str, Truth]:
     """Content of the truth files by name of the file without ``.json``."""
-    truths = {file.name.removesuffix(".json"): _read_truth(file) for file in _truth_files(path)}
-    if not truths:
-        raise InputDataError(f"{path}: no *.json in this folder; give the folder of the truth files")
-    return truths
-
-
-def _truth_files(path: Path) -> Iterator[Path]:
-    if path.is_file():
-        yield path
-    elif path.is_dir():
-        yield from sorted(path.glob("*.json"))
-    else:
+    if not path.is_file() and not path.is_dir():
         raise InputDataError(f"{path}: no such file or folder")
+    files = [path] if path.is_file() else sorted(path.glob("*.json"))
+    if not files:
+        raise InputDataError(f"{path}: no *.json in this folder; give the folder of the truth files")
+    return {file.name.removesuffix(".json"): _read_truth(file) for file in files}
 
 
 def _read_truth(path: Path) -> Truth:
@@ -253,12 +210,56 @@ def _truth_of(name: str, truths: Truths) -> Truth | None:
     InputDataError
         When several fit.
     """
-    exact = [key for key in truths if key == name]
     own = name.rpartition("__")[2]
-    fitting = exact or [key for key in truths if key.rpartition("__")[2] == own]
+    fitting = [key for key in truths if key == name] or [
+        key for key in truths if key.rpartition("__")[2] == own
+    ]
     if len(fitting) > 1:
         raise InputDataError(
             f"recording '{name}' fits several truth files: {', '.join(fitting)}; "
             "give a folder with one of them"
         )
     return truths[fitting[0]] if fitting else None
+
+
+# -- as text -----------------------------------------------------------------------------------
+
+
+def score_text(score: Score) -> str:
+    """Return a table for the calibration and one for the ramp of a `score`."""
+    tables: list[list[tuple[str, ...]]] = []
+    if calibration := score.calibration:
+        head = (
+            f"calibration ({', '.join(calibration.recordings)})",
+            f"error, {REPORTED_TEXT}",
+            "defocus",
+            "time",
+        )
+        rows = [
+            (
+                one.method,
+                f"{one.error_nm:.1f} nm RMS",
+                f"{one.defocus_error_nm:+.1f} nm",
+                f"{one.seconds:.1f} s",
+            )
+            for one in calibration.methods
+        ]
+        static = [("against the static modes", "its pulls")]
+        static += [
+            (f"{one.static_error_nm:.1f} nm RMS", f"{one.pull_rms:.2f}") for one in calibration.methods
+        ]
+        known = calibration.static_known
+        tables.append(
+            [(*row, *more) if known else row for row, more in zip([head, *rows], static, strict=True)]
+        )
+    if ramp := score.ramp:
+        errors = {
+            "frames against the introduced defocus": ramp.against_introduced_nm,
+            "frames against the true mean defocus": ramp.against_true_nm,
+            "means of recordings against the true mean defocus": ramp.means_against_true_nm,
+        }
+        known_errors = [(name, f"{rms:.1f} nm RMS") for name, rms in errors.items() if math.isfinite(rms)]
+        tables.append(
+            [(f"ramp ({ramp.recordings} recordings, {ramp.frames} frames)", "error"), *known_errors]
+        )
+    return "\n\n".join(aligned(table, numbers=True) for table in tables)

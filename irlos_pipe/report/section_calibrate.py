@@ -1,68 +1,88 @@
-"""Section on the calibration: images, NCPAs, wavefront, behaviour in time, methods side by side."""
+"""Sections on the calibration, with images, NCPAs, wavefront and methods, and on the correction."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.optics.wavefront import MapSize
-from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views
-from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
-from irlos_pipe.report.effect_words import parameter_rows
-from irlos_pipe.report.image_views import image_views, residual_views
-from irlos_pipe.report.images import PANEL_IN, SIGNED, panel_axes, symmetric_scale
-from irlos_pipe.report.misfit_plots import quantile_figures
-from irlos_pipe.report.quality_plots import Look, power_figures
-from irlos_pipe.report.radial import star_profile
-from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import MISSING, is_known, mode_label, number, plural, with_error
-from irlos_pipe.report.wavefront_plots import wavefront_map
+from irlos_pipe.product.results import provenance_of
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text, Views, shown
+from irlos_pipe.report.curves import (
+    PREDICTED,
+    Look,
+    energy_figure,
+    otf_figure,
+    power_figure,
+    profile_plot,
+    quantile_figure,
+    star_profile,
+)
+from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, MARKERS, ORANGE, plot, svg
+from irlos_pipe.report.images import (
+    PANEL_IN,
+    image_panel,
+    image_views,
+    in_sigma,
+    log_scale,
+    panel,
+    percentile,
+    pupil_map,
+    residual_views,
+    symmetric_scale,
+)
+from irlos_pipe.report.run_data import RunData, StageData
+from irlos_pipe.report.text import (
+    MISSING,
+    is_known,
+    mode_label,
+    mode_name,
+    number,
+    parameter_rows,
+    plural,
+    with_error,
+)
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 from irlos_pipe.stages.correct import CorrectResults
 
-STAGE = "calibrate"
 MODES_IN_TIME = 5
 MAP_PERCENTILE = 97  # the very edge of the pupil would swallow the scale
-LEFT = {"": Look("residual", BLUE)}
+LEFT = Look("residual", BLUE)
 EFFECTS = "Standard errors, from the scatter of the frames where there are enough, grown by the misfit."
-METHOD_COLUMNS = (
-    "method",
-    "NCPA [nm RMS]",
-    "defocus [nm]",
-    "χ²/ν",
-    "modes",
-    "loss, optimiser",
-    "converged",
-    "time [s]",
-)
 WIDTH_IN, BAR_IN = 4.4, 0.165
-MARKERS = ("o", "s", "D", "^", "v")
-CUBE_COLUMNS = ("recording", "derotator [°]", "NCPA [nm RMS]", "defocus [nm]", "χ²/ν", "frames")
+ROWS_PER_TABLE = 10
+BUDGET = (
+    "Predicted with the effects as estimated, without diversity: brightest pixel over that of the image "
+    "without aberrations. Small parts multiply; larger ones interfere, and the product is not that of all."
+)
+ENERGY = "Part of all light within a circle about the optical axis, predicted without diversity."
+Calibration = StageData[CalibrateResults]
+Correction = StageData[CorrectResults]
 
 
 def calibrate_section(run: RunData) -> Section:
-    """Build the section."""
-    results = run.results(CalibrateResults)
-    blocks: list[Block] = [
-        *_images(run, results),
-        *_maps(run),
-        *_profile(run),
-        *power_figures(run, STAGE, "cal-power", LEFT),
-        *_quantiles(run),
-        *_correlations(run),
-        *_bars(results),
-        *_in_time(run),
-        Stack([*_effects(results), *_cubes(results), *_methods(results)]),
-    ]
-    return Section(STAGE, "NCPA calibration", _lead(run, results), blocks)
+    """Build the section on the calibration."""
+    of = run.of(CalibrateResults)
+    blocks = of.blocks(
+        _images,
+        _maps,
+        _profile,
+        partial(power_figure, name="cal-power", looks={"": LEFT}),
+        _quantiles,
+        _correlations,
+        _bars,
+        _in_time,
+        lambda of: Stack(shown(*(table(of.results) for table in (_effects, _cubes, _methods)))),
+    )
+    return Section(of.stage, "NCPA calibration", _lead(of), blocks)
 
 
-def _lead(run: RunData, results: CalibrateResults) -> str:
-    names = ", ".join(recording.name for recording in run.recordings_of(STAGE))
+def _lead(of: Calibration) -> str:
+    results, names = of.results, ", ".join(recording.name for recording in of.recordings)
     mean = "; every recording by itself, mean over them" if results.cubes else ""
     return (
         f"{results.method} on {plural(results.frames, 'used frame')}"
@@ -70,279 +90,304 @@ def _lead(run: RunData, results: CalibrateResults) -> str:
     )
 
 
-def _images(run: RunData, results: CalibrateResults) -> list[Views]:
-    measured, model = run.array(STAGE, "mean_image_e"), run.array(STAGE, "model_image_e")
-    if measured is None or model is None:
-        return []
-    mas, good = run.pixel_scale_mas(STAGE), _good_pixels(run)
+def _images(of: Calibration) -> list[Views]:
+    measured, model, sigma = of["mean_image_e"], of["model_image_e"], _sigma(of)
+    results, mas = of.results, of.pixel_scale_mas
     images = {
         "Measured": (measured, "Mean of the used frames; crosses: masked pixels."),
         "Model": (model, "Same scale."),
     }
-    sigma_e = run.error_of(STAGE, "mean_image_e")
-    if sigma_e is not None and good is not None:
-        sigma_e = np.where(good, sigma_e, np.nan)
-    residual = {"Residual": (measured - model, _caption(results))}
-    peak_e = float(np.nanmax(model, initial=0.0))
+    nominal = number(results.nominal_chi2_nu, ".2f")
+    told = "" if nominal == MISSING else f", where a complete model gives {nominal} with as many parameters"
+    caption = f"Measured − model; χ²/ν {number(results.chi2_nu, '.2f')}{told}."
+    residual = {"Residual": (measured - model, caption)}
     return [
-        image_views("cal-images", images, mas, good, "two-thirds"),
-        residual_views("cal-residual", residual, sigma_e, peak_e, mas, "third"),
+        image_views("cal-images", images, mas, _good_pixels(of), "two-thirds"),
+        residual_views("cal-residual", residual, sigma, float(np.nanmax(model, initial=0.0)), mas, "third"),
     ]
 
 
-def _quantiles(run: RunData) -> list[Figure]:
-    measured, model = run.array(STAGE, "mean_image_e"), run.array(STAGE, "model_image_e")
-    sigma_e, good = run.error_of(STAGE, "mean_image_e"), _good_pixels(run)
-    if measured is None or model is None or sigma_e is None:
-        return []
-    counted = (sigma_e > 0) if good is None else good & (sigma_e > 0)
-    residual = np.divide(measured - model, sigma_e, out=np.full(measured.shape, np.nan), where=counted)
-    return quantile_figures("cal-quantiles", {LEFT[""]: residual})
+def _sigma(of: Calibration) -> np.ndarray | None:
+    """Errors of the mean image; NaN for masked pixels."""
+    sigma, good = of.error_of("mean_image_e"), _good_pixels(of)
+    return sigma if sigma is None or good is None else np.where(good, sigma, np.nan)
 
 
-def _caption(results: CalibrateResults) -> str:
-    nominal = number(results.nominal_chi2_nu, ".2f")
-    told = "" if nominal == MISSING else f", where a complete model gives {nominal} with as many parameters"
-    return f"Measured − model; χ²/ν {_chi2(results)}{told}."
-
-
-def _good_pixels(run: RunData) -> np.ndarray | None:
-    masks = [recording.good for recording in run.recordings_of(STAGE)]
+def _good_pixels(of: Calibration) -> np.ndarray | None:
+    masks = [recording.good for recording in of.recordings]
     return np.all(masks, axis=0) if masks and len({mask.shape for mask in masks}) == 1 else None
 
 
-def _chi2(results: Estimate) -> str:
-    return number(results.chi2_nu, ".2f")
+def _quantiles(of: Calibration) -> Figure | None:
+    residual, sigma = of["mean_image_e"] - of["model_image_e"], _sigma(of)
+    return None if sigma is None else quantile_figure("cal-quantiles", {LEFT: in_sigma(residual, sigma)})
 
 
-def _profile(run: RunData) -> list[Figure]:
-    measured, model = run.array(STAGE, "mean_image_e"), run.array(STAGE, "model_image_e")
-    if measured is None or model is None:
-        return []
-    mas, good, sigma = run.pixel_scale_mas(STAGE), _good_pixels(run), run.error_of(STAGE, "mean_image_e")
+def _profile(of: Calibration) -> Figure:
+    measured, model, good = of["mean_image_e"], of["model_image_e"], _good_pixels(of)
     images = {
         "measured": (measured, INK, "o"),
         "model": (model, BLUE, "-"),
         "|residual|": (np.abs(measured - model), ORANGE, "-"),
     }
+    sigma = of.error_of("mean_image_e")
     if sigma is not None:
         images["1σ noise"] = (sigma, GREEN, "--")
     if good is not None:
         images = {key: (np.where(good, one[0], np.nan), *one[1:]) for key, one in images.items()}
-    plot = star_profile("cal-profile", images, model, mas)
-    return [Figure(plot, "Radial profile", "About the star's centroid.", "third")]
+    drawing = star_profile("cal-profile", images, model, of.pixel_scale_mas)
+    return Figure(drawing, "Radial profile", "About the star's centroid.", "third")
 
 
-def _bars(results: CalibrateResults) -> list[Figure]:
-    nolls = sorted(results.zernike_nm)
-    if not nolls:
+def _maps(of: Calibration) -> list[Figure]:
+    correct = of.run.of(CorrectResults)
+    maps = {when: correct[f"wavefront_{when}_nm"] for when in ("before", "after")}
+    if not all(np.isfinite(opd).any() for opd in maps.values()):
         return []
-    others = {other.method: _in_order(other.zernike_nm, nolls) for other in results.compare}
-    values, sigma = (_in_order(one, nolls) for one in (results.zernike_nm, results.sigma_nm))
-    bars = coefficient_bars("cal-ncpa", nolls, values, sigma, others)
-    symbols = "; symbols: other methods" if others else ""
-    return [Figure(bars, "NCPAs by Noll mode", f"Bars: {results.method} with 1σ{symbols}.")]
-
-
-def _in_order(values: Mapping[int, float], nolls: Sequence[int]) -> np.ndarray:
-    """Values in the order of `nolls`; NaN for modes that were not estimated."""
-    return np.array([values.get(noll, np.nan) for noll in nolls])
-
-
-def _maps(run: RunData) -> list[Figure]:
-    stored = {when: run.array("correct", f"wavefront_{when}_nm") for when in ("before", "after")}
-    maps = {when: opd for when, opd in stored.items() if opd is not None and np.isfinite(opd).any()}
-    if len(maps) < len(stored):
-        return []
-    limit = max(float(np.nanpercentile(np.abs(opd), MAP_PERCENTILE)) for opd in maps.values()) or 1.0
-    correct = run.results(CorrectResults)
-    rows = {"before": correct.wavefront_before, "after": correct.wavefront_after}
+    limit = max(percentile(MAP_PERCENTILE, opd) for opd in maps.values()) or 1.0
+    sizes = {"before": correct.results.wavefront_before, "after": correct.results.wavefront_after}
     captions = {
         "before": "Estimated wavefront without tip and tilt",
         "after": "Estimated modes beyond those that are corrected, same scale",
     }
+    axes = {
+        "xlabel": "x [pupil radii]",
+        "ylabel": "y [pupil radii]",
+        "xticks": (-1, 0, 1),
+        "yticks": (-1, 0, 1),
+    }
     return [
         Figure(
-            wavefront_map(f"wavefront-{when}", opd, limit),
-            f"{when.capitalize()} correction: {_sizes(rows[when])}",
-            f"{captions[when]}; the scale leaves out the rim. {orientation(run)}",
+            pupil_map(f"wavefront-{when}", opd, limit, "OPD [nm]", **axes),
+            f"{when.capitalize()} correction: {number(sizes[when].rms_nm, '.0f', 'nm RMS')}, "
+            f"{number(sizes[when].pv_nm, '.0f', 'nm PV')}",
+            f"{captions[when]}; the scale leaves out the rim. {_orientation(of)}",
             "third",
         )
         for when, opd in maps.items()
     ]
 
 
-def _sizes(row: MapSize) -> str:
-    return f"{number(row.rms_nm, '.0f', 'nm RMS')}, {number(row.pv_nm, '.0f', 'nm PV')}"
-
-
-def orientation(run: RunData) -> str:
-    """Return how a map of the pupil lies: as the images, with the angles that were told."""
-    recordings = run.recordings_of(STAGE)
-    angles = {f"{one.acquisition.derotator_angle_deg:g}°" for one in recordings}
+def _orientation(of: Calibration) -> str:
+    """How a map of the pupil lies: as the images, with the angles that were declared."""
+    angles = {f"{one.acquisition.derotator_angle_deg:g}°" for one in of.recordings}
     told = [f"derotator {', '.join(sorted(angles))}"] if angles else []
-    parallactic = {one.acquisition.parallactic_angle_deg for one in recordings}
+    parallactic = {one.acquisition.parallactic_angle_deg for one in of.recordings}
     told += [f"parallactic angle {number(one, '.1f')}°" for one in parallactic if is_known(one)][:1]
     return f"x and y as in the images, +x right and +y up{'; ' if told else ''}{', '.join(told)}."
 
 
-def _correlations(run: RunData) -> list[Figure]:
-    correlation, nolls = run.array(STAGE, "correlation"), run.array(STAGE, "noll")
-    if correlation is None or nolls is None or len(correlation) < 2:
-        return []
-    frames = run.results(CalibrateResults).frames
+def _correlations(of: Calibration) -> Figure | None:
+    correlation = of["correlation"]
+    nolls = of["noll"][: len(correlation)].astype(int)
+    if len(correlation) < 2:
+        return None
+    frames = of.results.frames
     chance = f" {plural(frames, 'frame')} give ±{frames**-0.5:.2f} by chance." if frames > 1 else ""
     caption = f"Of the errors of the reported modes: dark pairs are hardly told apart.{chance}"
-    drawing = correlation_map(
-        "cal-correlation", [int(noll) for noll in nolls[: len(correlation)]], correlation
+    edges = (nolls[0] - 0.5, nolls[-1] + 0.5)
+
+    def draw(axes: Axes) -> None:
+        axes.set(xlabel="Noll", ylabel="Noll")
+
+    look: dict[str, Any] = {
+        "origin": "upper",
+        "extent": (*edges, *edges[::-1]),
+        "ticks": (-1, -0.5, 0, 0.5, 1),
+    }
+    drawing = panel("cal-correlation", correlation, symmetric_scale(1.0), "correlation", draw, **look)
+    return Figure(drawing, "Correlations of the modes", caption, "third")
+
+
+def _bars(of: Calibration) -> Figure | None:
+    """A bar with its error for each mode, and other methods as symbols."""
+    results, nolls = of.results, sorted(of.results.zernike_nm)
+    if not nolls:
+        return None
+    rows = np.arange(len(nolls))
+
+    def in_order(values: Mapping[int, float]) -> np.ndarray:
+        return np.array([values.get(noll, np.nan) for noll in nolls])
+
+    def draw(axes: Axes) -> None:
+        error = np.nan_to_num(in_order(results.sigma_nm))
+        look = {"ecolor": INK, "elinewidth": 0.9}
+        axes.barh(rows, in_order(results.zernike_nm), 0.75, color=BLUE, xerr=error, error_kw=look)
+        for place, other in enumerate(results.compare):
+            colour, marker = CYCLE[1 + place % (len(CYCLE) - 1)], MARKERS[place % (len(MARKERS) - 1)]
+            values = in_order(other.zernike_nm)
+            axes.plot(values, rows, marker, color=colour, markersize=3.5, label=other.method)
+        axes.axvline(0, color=INK, linewidth=0.7)
+        axes.grid(axis="y", visible=False)
+
+    symbols = "; symbols: other methods" if results.compare else ""
+    return plot(
+        "cal-ncpa",
+        draw,
+        ("coefficient [nm RMS]", ""),
+        "NCPAs by Noll mode",
+        f"Bars: {results.method} with 1σ{symbols}.",
+        "half",
+        (WIDTH_IN, 0.7 + BAR_IN * len(nolls)),
+        legend="below" if results.compare else "best",
+        yticks=rows,
+        yticklabels=[mode_label(noll) for noll in nolls],
+        ylim=(len(nolls) - 0.4, -0.6),
     )
-    return [Figure(drawing, "Correlations of the modes", caption, "third")]
 
 
-def _in_time(run: RunData) -> list[Figure]:
-    frames, nolls, adopted = (run.array(STAGE, name) for name in ("frames_nm", "noll", "zernike_nm"))
-    if frames is None or nolls is None or adopted is None or len(frames) < 2:
-        return []
+def _in_time(of: Calibration) -> Figure | None:
+    """The largest modes frame by frame, one row for each."""
+    frames, nolls, adopted = (of[name] for name in ("frames_nm", "noll", "zernike_nm"))
+    if len(frames) < 2:
+        return None
     largest = np.argsort(-np.abs(np.nan_to_num(adopted)))[:MODES_IN_TIME]
-    drawing = coefficients_in_time(
-        "cal-time", [int(noll) for noll in nolls[largest]], frames[:, largest], adopted[largest]
-    )
-    return [Figure(drawing, "Largest modes frame by frame", "Orange: adopted value.")]
+
+    def draw(canvas: Canvas) -> None:
+        stack = canvas.subplots(len(largest), sharex=True, squeeze=False)[:, 0]
+        for axes, mode in zip(stack, largest, strict=True):
+            axes.plot(frames[:, mode], ".-", color=BLUE, markersize=2, linewidth=0.5)
+            axes.axhline(adopted[mode], color=ORANGE, linewidth=1.2)
+            axes.set_title(f"{mode_label(int(nolls[mode]))} [nm]", loc="left", pad=2)
+            axes.locator_params(axis="y", nbins=4)
+        stack[-1].set_xlabel("used frame")
+
+    drawing = svg("cal-time", (WIDTH_IN, 0.5 + 0.85 * len(largest)), draw)
+    return Figure(drawing, "Largest modes frame by frame", "Orange: adopted value.")
 
 
-def _effects(results: CalibrateResults) -> list[Table]:
+def _effects(results: CalibrateResults) -> Table:
     rows = [
         ("" if place else effect, *row)
         for effect, values in results.effects.items()
         for place, row in enumerate(parameter_rows(values, results.effects_sigma.get(effect)))
     ]
-    columns = ("effect", "parameter", "value", "unit")
-    return [Table(columns, rows, "Estimated with the NCPAs", EFFECTS)] if rows else []
+    return Table(("effect", "parameter", "value", "unit"), rows, "Estimated with the NCPAs", EFFECTS)
 
 
-def _cubes(results: CalibrateResults) -> list[Table]:
-    rows = [
-        (
-            cube.name,
-            number(cube.derotator_angle_deg, "g"),
-            with_error(cube.wfe_nm, cube.wfe_sigma_nm),
-            number(cube.zernike_nm.get(4), "+.1f"),
-            _chi2(cube),
-            number(cube.frames, "d"),
-        )
-        for cube in results.cubes
-    ]
-    return [Table(CUBE_COLUMNS, rows, "Recordings one by one")] if rows else []
-
-
-def _methods(results: CalibrateResults) -> list[Table]:
-    if not results.compare:
-        return []
-    return [Table(METHOD_COLUMNS, [_method_row(one) for one in (results, *results.compare)], "Methods")]
-
-
-def _method_row(one: Estimate) -> tuple[str, ...]:
-    return (
-        one.method,
-        number(one.wfe_nm),
-        number(one.zernike_nm.get(4), "+.1f"),
-        _chi2(one),
-        number(one.modes_estimated, "d"),
-        f"{one.loss}, {one.optimiser}",
-        f"{one.status.get('converged', 0)} of {sum(one.status.values())}",
-        number(one.seconds),
+def _cubes(results: CalibrateResults) -> Table:
+    return Table.of(
+        results.cubes,
+        {
+            "recording": lambda cube: cube.name,
+            "derotator [°]": lambda cube: number(cube.derotator_angle_deg, "g"),
+            "NCPA [nm RMS]": lambda cube: with_error(cube.wfe_nm, cube.wfe_sigma_nm),
+            "defocus [nm]": lambda cube: number(cube.zernike_nm.get(4), "+.1f"),
+            "χ²/ν": lambda cube: number(cube.chi2_nu, ".2f"),
+            "frames": lambda cube: number(cube.frames, "d"),
+        },
+        "Recordings one by one",
     )
 
 
-# -- drawings ----------------------------------------------------------------------------------
+def _methods(results: CalibrateResults) -> Table | None:
+    estimates: list[Estimate] = [results, *results.compare]
+    if not results.compare:
+        return None
+    return Table.of(
+        estimates,
+        {
+            "method": lambda one: one.method,
+            "NCPA [nm RMS]": lambda one: number(one.wfe_nm),
+            "defocus [nm]": lambda one: number(one.zernike_nm.get(4), "+.1f"),
+            "χ²/ν": lambda one: number(one.chi2_nu, ".2f"),
+            "modes": lambda one: number(one.modes_estimated, "d"),
+            "loss, optimiser": lambda one: f"{one.loss}, {one.optimiser}",
+            "converged": lambda one: f"{one.status.get('converged', 0)} of {sum(one.status.values())}",
+            "time [s]": lambda one: number(one.seconds),
+        },
+        "Methods",
+    )
 
 
-def coefficient_bars(
-    name: str,
-    nolls: Sequence[int],
-    values_nm: np.ndarray,
-    sigma_nm: np.ndarray,
-    others_nm: Mapping[str, np.ndarray],
-) -> Markup:
-    """Draw one bar with its error per mode, and other methods as symbols.
-
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    nolls : sequence of int
-    values_nm, sigma_nm : ndarray, (modes,)
-    others_nm : mapping of str to ndarray, (modes,)
-        Coefficients of other methods.
-    """
-    rows = np.arange(len(nolls))
-
-    def draw(figure: Canvas) -> None:
-        axes = figure.subplots()
-        error_look = {"ecolor": INK, "elinewidth": 0.9}
-        axes.barh(rows, values_nm, 0.75, color=BLUE, xerr=np.nan_to_num(sigma_nm), error_kw=error_look)
-        _draw_others(axes, rows, others_nm)
-        axes.axvline(0, color=INK, linewidth=0.7)
-        axes.set(yticks=rows, yticklabels=[mode_label(noll) for noll in nolls], ylim=(len(nolls) - 0.4, -0.6))
-        axes.set_xlabel("coefficient [nm RMS]")
-        axes.grid(axis="y", visible=False)
-        if others_nm:
-            figure.legend(loc="outside lower center", ncols=3)
-
-    return svg(name, (WIDTH_IN, 0.7 + BAR_IN * len(nolls)), draw)
+# -- correction --------------------------------------------------------------------------------
 
 
-def _draw_others(axes: Axes, rows: np.ndarray, others_nm: Mapping[str, np.ndarray]) -> None:
-    for place, (name, values_nm) in enumerate(others_nm.items()):
-        colour, marker = CYCLE[1 + place % (len(CYCLE) - 1)], MARKERS[place % len(MARKERS)]
-        axes.plot(values_nm, rows, marker, color=colour, markersize=3.5, label=name)
+def correct_section(run: RunData) -> Section:
+    """Build the section on the correction."""
+    of = run.of(CorrectResults)
+    results, files = of.results, ", ".join(provenance_of(run.products[of.stage]).files)
+    lead = (
+        f"Predicted Strehl {number(results.strehl_before, '.3f')} → "
+        f"{number(results.strehl_after, '.3f')}{f'; offsets in {files}' if files else ''}."
+    )
+    blocks = of.blocks(
+        _predicted,
+        _predicted_profile,
+        partial(otf_figure, name="correct-otf", looks=PREDICTED),
+        lambda of: energy_figure(of, "correct-energy", PREDICTED, ENERGY, results.resolution_mas),
+        _budget,
+        _offsets,
+        _mirror,
+    )
+    return Section(of.stage, "Correction", lead, blocks)
 
 
-def correlation_map(name: str, nolls: Sequence[int], correlation: np.ndarray) -> Markup:
-    """Draw a matrix of correlations.
-
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    nolls : sequence of int
-        Of the modes, (modes,).
-    correlation : ndarray, (modes, modes)
-    """
-    scale, edges = symmetric_scale(1.0), (nolls[0] - 0.5, nolls[-1] + 0.5)
-
-    def draw(figure: Canvas) -> None:
-        axes, bar = panel_axes(figure)
-        shown = axes.imshow(
-            correlation, norm=scale, cmap=SIGNED, interpolation="none", extent=(*edges, *edges[::-1])
+def _predicted(of: Correction) -> list[Figure]:
+    images = {"before": of["before"], "after": of["after"]}
+    scale, mas = log_scale(*images.values()), of.pixel_scale_mas
+    return [
+        Figure(
+            image_panel(f"psf-{when}", image, scale, mas, "part of the flux per pixel"),
+            f"{when.capitalize()} correction",
+            "Prediction without diversity and noise; same scale.",
+            "third",
         )
-        axes.set(xlabel="Noll", ylabel="Noll")
-        figure.colorbar(shown, cax=bar, label="correlation", ticks=(-1, -0.5, 0, 0.5, 1))
-
-    return svg(name, PANEL_IN, draw)
+        for when, image in images.items()
+    ]
 
 
-def coefficients_in_time(
-    name: str, nolls: Sequence[int], frames_nm: np.ndarray, mean_nm: np.ndarray
-) -> Markup:
-    """Draw the coefficients of every frame, one row per mode, with the adopted value.
+def _predicted_profile(of: Correction) -> Figure:
+    looks = {"before": (ORANGE, "--"), "after": (BLUE, "-")}
+    curves = {when: (of["radius_mas"], of[f"profile_{when}"], *look) for when, look in looks.items()}
+    drawing = profile_plot("psf-profile", curves, ("mas", "part of the flux per pixel"), PANEL_IN)
+    return Figure(drawing, "Radial profile", "Predicted; rings about the optical axis.", "third")
 
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    nolls : sequence of int
-    frames_nm : ndarray, (frames, modes)
-    mean_nm : ndarray, (modes,)
-    """
 
-    def draw(figure: Canvas) -> None:
-        stack = figure.subplots(len(nolls), sharex=True, squeeze=False)[:, 0]
-        for axes, noll, values, mean in zip(stack, nolls, frames_nm.T, mean_nm, strict=True):
-            axes.plot(values, ".-", color=BLUE, markersize=2, linewidth=0.5)
-            axes.axhline(mean, color=ORANGE, linewidth=1.2)
-            axes.set_title(f"{mode_label(noll)} [nm]", loc="left", pad=2)
-            axes.locator_params(axis="y", nbins=4)
-        stack[-1].set_xlabel("used frame")
+def _budget(of: Correction) -> Table:
+    """What every part of the model takes of the Strehl ratio."""
+    return Table.of(
+        enumerate(of.results.strehl_budget),
+        {
+            "part of the model": lambda one: one[1].name,
+            "RMS [nm]": lambda one: number(one[1].wfe_nm, ".1f"),
+            "Strehl with nothing else": lambda one: number(one[1].alone, ".3f"),
+            "Strehl without it": lambda one: number(one[1].without, ".3f") if one[0] else MISSING,
+        },
+        "Strehl budget before correction",
+        BUDGET,
+    )
 
-    return svg(name, (WIDTH_IN, 0.5 + 0.85 * len(nolls)), draw)
+
+def _offsets(of: Correction) -> list[Block]:
+    nolls, offsets, sigma = of["noll"].astype(int), of["offset_nm"], of.error_of("offset_nm")
+    sigma = np.full(len(nolls), np.nan) if sigma is None else sigma
+    rows = [
+        (str(noll), mode_name(noll), number(offset, "+.2f"), number(error, ".2f"))
+        for noll, offset, error in zip(nolls.tolist(), offsets, sigma, strict=True)
+    ]
+    columns = ("Noll", "mode", "offset [nm]", "1σ [nm]")
+    parts = [rows[start : start + ROWS_PER_TABLE] for start in range(0, len(rows), ROWS_PER_TABLE)]
+    return [
+        *(Table(columns, part, f"Modal offsets, Noll {part[0][0]}–{part[-1][0]}") for part in parts),
+        Text(f"{of.results.sign}. {MISSING} as error: mode not estimated, offset 0."),
+    ]
+
+
+def _mirror(of: Correction) -> Figure | None:
+    """Offsets of a mirror's modes, and what they cannot make."""
+    row, offsets = of.results.mirror, of["mirror_offset"]
+    if row is None:
+        return None
+
+    def draw(axes: Axes) -> None:
+        axes.errorbar(range(len(offsets)), offsets, of.error_of("mirror_offset"), fmt=".", color=BLUE)
+        axes.axhline(0, color=ORANGE, linewidth=0.8)
+
+    caption = (
+        f"Of {number(row.before_nm, '.1f')} nm RMS over the clear pupil, without piston, tip and tilt, these "
+        f"modes cannot make {number(row.after_nm, '.1f')} nm. The values are in mirror.csv and mirror.fits."
+    )
+    labels = ("mode of the mirror", "offset [unit of the table]")
+    title = "Offsets of the mirror's modes"
+    return plot("mirror-offsets", draw, labels, title, caption, "half", (5.2, 2.75))

@@ -3,48 +3,47 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Width
-from irlos_pipe.report.run_data import RunData
+from irlos_pipe.product.results import StageResults
+from irlos_pipe.report.content import Figure, Section, Stack, Table, Width
+from irlos_pipe.report.images import common_limit_nm, wavefront_grid
+from irlos_pipe.report.run_data import RunData, StageData
 from irlos_pipe.report.text import number, plural, with_error
-from irlos_pipe.report.wavefront_plots import FEW_COLUMNS, common_limit_nm, wavefront_grid
-from irlos_pipe.stages.derotator import DerotatorResults, PartRow, SplitRow
+from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.derotator import DerotatorResults
 
-STAGE = "derotator"
-ROWS = {"measured_nm": "as measured", "turned_back_nm": "turned back", "residual_nm": "residual"}
+FEW_COLUMNS = 3
+ROWS = {
+    "measured_nm": ("as measured", "As measured: on the detector"),
+    "turned_back_nm": (
+        "turned back",
+        "turned back: in the frame before the derotator, where what turns stands still",
+    ),
+    "residual_nm": ("residual", "residual: measured minus the two parts"),
+}
 PARTS = {
     "rotating": ("turns with the derotator", "as at angle 0"),
     "fixed": ("does not turn", "behind the derotator"),
     "unsplit": ("cannot be split", "symmetric modes: sum of both"),
 }
+Series = StageData[DerotatorResults]
 
 
 def derotator_section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(DerotatorResults)
-    names = [cube.name for cube in results.cubes]
-    angles = angles_table(names, angle_titles(run, STAGE), results)
-    blocks: list[Block] = []
-    blocks += maps_figure(run, STAGE, "Wavefront at every angle", _images(run, names))
-    if results.parts:
-        blocks += [
-            *parts_figure(run, STAGE, results.parts),
-            Stack([parts_table(results), consistency_table(results)]),
-            Stack([angles, coefficients_table(results.parts)]),
-        ]
+    of = run.of(DerotatorResults)
+    if not of.results.parts:
+        blocks = of.blocks(_maps, lambda of: Stack([_angles(of)]))
     else:
-        blocks.append(Stack([angles]))
-    return Section(STAGE, "Derotator test", _lead(results), blocks)
-
-
-def _images(run: RunData, names: Sequence[str]) -> np.ndarray | None:
-    found = [run.array("calibrate", f"cubes/{name}/mean_image_e") for name in names]
-    images = [image for image in found if image is not None]
-    alike = len({image.shape for image in images}) == 1
-    return np.stack(images) if alike and len(images) == len(found) else None
+        blocks = of.blocks(
+            _maps,
+            _parts_figure,
+            lambda of: Stack([_parts(of), _consistency(of)]),
+            lambda of: Stack([_angles(of), _coefficients(of)]),
+        )
+    return Section(of.stage, "Derotator test", _lead(of.results), blocks)
 
 
 def _lead(results: DerotatorResults) -> str:
@@ -58,13 +57,13 @@ def _lead(results: DerotatorResults) -> str:
     return f"{rotating} RMS turn with the derotator, {fixed} do not: {cubes}, each calibrated by itself."
 
 
-# -- blocks, also of a simulated series --------------------------------------------------------
-
-
-def angle_titles(run: RunData, stage: str, prefix: str = "") -> list[str]:
-    """Return the angles of a `run` as titles of columns; arrays of the `stage` begin with `prefix`."""
-    angles = run.array(stage, f"{prefix}angle_deg")
-    return [f"{angle:g}°" for angle in (() if angles is None else angles)]
+def _maps(of: Series) -> list[Figure]:
+    calibrate = of.run.of(CalibrateResults)
+    names = [f"cubes/{cube.name}/mean_image_e" for cube in of.results.cubes]
+    images = [calibrate[name] for name in names if name in calibrate.arrays]
+    alike = len({image.shape for image in images}) == 1 and len(images) == len(names)
+    title = "Wavefront at every angle"
+    return maps_figure(of.run, of.stage, title, np.stack(images) if alike else None)
 
 
 def maps_figure(
@@ -74,74 +73,46 @@ def maps_figure(
 
     Parameters
     ----------
-    run : RunData
-    stage : str
-    title : str
-        Title of the figure.
     images : ndarray, (angles, rows, columns), optional
     prefix : str
         Begin of the names of the stage's arrays.
     """
-    stored = {text: run.array(stage, f"{prefix}maps/{name}") for name, text in ROWS.items()}
-    rows = {text: maps for text, maps in stored.items() if maps is not None}
-    titles = angle_titles(run, stage, prefix)
+    of = StageData(run, stage, StageResults())
+    found = {name: f"{prefix}maps/{name}" for name in ROWS if f"{prefix}maps/{name}" in of.arrays}
+    rows = {ROWS[name][0]: of[stored] for name, stored in found.items()}
     if not rows:
         return []
-    drawing = wavefront_grid(
-        _name(stage, prefix, "angles"), titles, rows, common_limit_nm(*rows.values()), images
+    titles = [f"{angle:g}°" for angle in of[f"{prefix}angle_deg"]]
+    name = f"{stage}-{prefix}angles".replace("/", "-").replace("_", "-")
+    drawing = wavefront_grid(name, titles, rows, common_limit_nm(*rows.values()), images)
+    caption = "; ".join(ROWS[name][1] for name in found) + ". One scale; without tip and tilt."
+    few: Width = "third" if len(titles) == 1 else "half"
+    return [Figure(drawing, title, caption, few if len(titles) <= FEW_COLUMNS else "full")]
+
+
+def _parts_figure(of: Series) -> Figure:
+    parts, maps = of.results.parts or {}, np.stack([of[f"maps/{name}_nm"] for name in PARTS])
+    titles = [f"{text}\n{number(parts[name].rms_nm, '.0f', 'nm RMS')}" for name, (text, _) in PARTS.items()]
+    drawing = wavefront_grid("derotator-parts", titles, {"": maps}, common_limit_nm(maps))
+    return Figure(drawing, "Parts of the wavefront", "The turning part as at angle 0.")
+
+
+def _parts(of: Series) -> Table:
+    results = of.results
+    sense = (
+        f"Sense of rotation: {results.sense} (χ² of the other sense {number(results.delta_chi2, '+.0f')}). "
+        f"χ²/ν of the split {number(results.chi2_nu, '.2f')} for {results.freedom} degrees of freedom, "
+        "against the errors of the single estimates."
     )
-    captions = {
-        "as measured": "As measured: on the detector",
-        "turned back": "turned back: in the frame before the derotator, where what turns stands still",
-        "residual": "residual: measured minus the two parts",
-    }
-    caption = "; ".join(captions[text] for text in rows) + ". One scale; without tip and tilt."
-    return [Figure(drawing, title, caption, _width(len(titles)))]
-
-
-def parts_figure(run: RunData, stage: str, parts: Mapping[str, PartRow], prefix: str = "") -> list[Figure]:
-    """Draw the parts side by side with their RMS.
-
-    Parameters
-    ----------
-    run : RunData
-    stage : str
-    parts : mapping of str to PartRow
-    prefix : str
-        Begin of the names of the stage's arrays.
-    """
-    stored = {name: run.array(stage, f"{prefix}maps/{name}_nm") for name in PARTS}
-    found = {name: maps for name, maps in stored.items() if maps is not None}
-    if len(found) < len(PARTS):
-        return []
-    titles = [f"{PARTS[name][0]}\n{number(parts[name].rms_nm, '.0f', 'nm RMS')}" for name in found]
-    maps = np.stack(list(found.values()))
-    drawing = wavefront_grid(_name(stage, prefix, "parts"), titles, {"": maps}, common_limit_nm(maps))
-    return [Figure(drawing, "Parts of the wavefront", "The turning part as at angle 0.", "half")]
-
-
-def parts_table(results: SplitRow) -> Table:
-    """Tabulate the parts."""
     rows = [
         (*PARTS[name], number(part.rms_nm), number(part.noise_nm), str(len(part.zernike_nm)))
         for name, part in (results.parts or {}).items()
     ]
-    columns = ("part", "", "RMS [nm]", "of which errors [nm]", "modes")
-    return Table(columns, rows, "Parts", _sense(results))
+    return Table(("part", "", "RMS [nm]", "of which errors [nm]", "modes"), rows, "Parts", sense)
 
 
-def _sense(results: SplitRow) -> str:
-    delta = number(results.delta_chi2, "+.0f")
-    return (
-        f"Sense of rotation: {results.sense} (χ² of the other sense {delta}). χ²/ν of the split "
-        f"{number(results.chi2_nu, '.2f')} for {results.freedom} degrees of freedom, "
-        "against the errors of the single estimates."
-    )
-
-
-def consistency_table(results: SplitRow) -> Table:
-    """Tabulate how well the angles agree."""
-    found = results.consistency
+def _consistency(of: Series) -> Table:
+    found = of.results.consistency
     rows = [
         ("as measured", number(found.measured_nm)),
         ("turned back", number(found.turned_back_nm)),
@@ -151,55 +122,27 @@ def consistency_table(results: SplitRow) -> Table:
     return Table(("difference between two angles", "mean RMS [nm]"), rows, "Consistency")
 
 
-def angles_table(
-    names: Sequence[str],
-    titles: Sequence[str],
-    results: SplitRow,
-    further: Mapping[str, Sequence[str]] | None = None,
-) -> Table:
-    """Tabulate the angles.
-
-    Parameters
-    ----------
-    names, titles : sequence of str
-        Recordings, and their angles as text.
-    results : SplitRow
-    further : mapping of str to sequence of str, optional
-        More columns of text, by their title.
-    """
-    further = further or {}
-    measured = results.measured_nm
+def _angles(of: Series) -> Table:
+    results, measured = of.results, of.results.measured_nm
     left = results.residual_nm or [math.nan] * len(measured)
+    angles = of["angle_deg"] if "angle_deg" in of.arrays else np.zeros(0)
     rows = [
-        (name, title, number(all_), number(rest), *more)
-        for name, title, all_, rest, *more in zip(
-            names, titles, measured, left, *further.values(), strict=True
-        )
+        (cube.name, f"{angle:g}°", number(all_), number(rest))
+        for cube, angle, all_, rest in zip(results.cubes, angles, measured, left, strict=True)
     ]
-    columns = ("recording", "angle", "RMS [nm]", "residual [nm]", *further)
+    columns = ("recording", "angle", "RMS [nm]", "residual [nm]")
     return Table(columns, rows, "Angles", "RMS over the disc, without tip and tilt.")
 
 
-def coefficients_table(parts: Mapping[str, PartRow]) -> Table:
-    """Tabulate the coefficients of the parts, folded."""
-    nolls = sorted({noll for part in parts.values() for noll in part.zernike_nm})
+def _coefficients(of: Series) -> Table:
+    parts = (of.results.parts or {}).items()
+    nolls = sorted({noll for _, part in parts for noll in part.zernike_nm})
     rows = [
         (
             str(noll),
-            *(
-                with_error(part.zernike_nm.get(noll), part.sigma_nm.get(noll), "+.1f")
-                for part in parts.values()
-            ),
+            *(with_error(part.zernike_nm.get(noll), part.sigma_nm.get(noll), "+.1f") for _, part in parts),
         )
         for noll in nolls
     ]
-    columns = ("Noll", *(f"{PARTS[name][0]} [nm]" for name in parts))
+    columns = ("Noll", *(f"{PARTS[name][0]} [nm]" for name, _ in parts))
     return Table(columns, rows, "Coefficients of the parts", folded=True)
-
-
-def _width(columns: int) -> Width:
-    return "third" if columns == 1 else "half" if columns <= FEW_COLUMNS else "full"
-
-
-def _name(stage: str, prefix: str, what: str) -> str:
-    return f"{stage}-{prefix}{what}".replace("/", "-").replace("_", "-")

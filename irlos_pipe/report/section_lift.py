@@ -1,9 +1,6 @@
-"""Section on LIFT: the ramp, what each part of the model contributes, images per offset."""
+"""Sections on a ramp: its prior, and LIFT with what each part of the model contributes."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
@@ -11,17 +8,23 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.ramp import travel_direction
-from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Width
-from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, log_y, svg
-from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
-from irlos_pipe.report.misfit_plots import chi2_figures
-from irlos_pipe.report.quality_plots import SIZE_IN
-from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number, plural, with_error
+from irlos_pipe.report.content import Figure, Section, Stack, Table, shown
+from irlos_pipe.report.curves import chi2_figure
+from irlos_pipe.report.drawing import BLUE, FAINT, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
+from irlos_pipe.report.images import (
+    BRIGHTNESS,
+    PERCENTILE,
+    SIGNED,
+    brightness_scale,
+    percentile,
+    symmetric_scale,
+)
+from irlos_pipe.report.run_data import RunData, StageData
+from irlos_pipe.report.text import MISSING, number, plural, with_error
 from irlos_pipe.stages.lift.input import own_text
-from irlos_pipe.stages.lift.results import DECISIVE, LiftResults, Line, Offset, Point, Twin
+from irlos_pipe.stages.lift.results import DECISIVE, LiftResults, Point, Twin
+from irlos_pipe.stages.prior import PriorResults
 
-STAGE = "lift"
 # Direction of travel: label, marker, colour.
 TRAVEL = {
     1: ("defocus was raised", "^", ORANGE),
@@ -29,12 +32,11 @@ TRAVEL = {
     0: ("first offset", "o", PURPLE),
 }
 SPREAD = 0.3  # of the step between offsets
-RESIDUAL_PERCENTILE = 99.8
 STRIP_COLUMNS = 9
 CELL_IN = 1.5
 MOST_OFFSETS = 12
 FEW_OFFSETS = 3
-CAPTION = (
+RAMP = (
     "Frames of one offset stand side by side in order of time; the colour shows from which side "
     "the offset was reached."
 )
@@ -42,65 +44,124 @@ TWIN = (
     "The defocus is held at each value, and everything else fitted. Without diversity the curve would have a "
     "second minimum, as deep as the first, near the same defocus of the other sign."
 )
-VARIANT_COLUMNS = (
-    "model",
-    "slope",
-    "offset [nm]",
-    "error [nm RMS]",
-    "about the line [nm RMS]",
-    "saw-tooth [nm]",
+LAW = (
+    "The law is that of a star without NCPAs, over the range in which it is used (shaded). The "
+    "elongation sees the NCPAs as well: their defocus moves the points sideways, their "
+    "astigmatism changes the slope. The prior is where a fit starts, not what it finds."
 )
+Ramp = StageData[LiftResults]
+Prior = StageData[PriorResults]
 
 
 def lift_section(run: RunData) -> Section:
-    """Build the section."""
-    results = run.results(LiftResults)
-    tables = Stack([_variants(results), *_offsets(results.offsets)])
-    blocks: list[Block] = [
-        *_ramp(results.points),
-        tables,
-        *_chi2(run, results),
-        *_twin(run, results.twin),
-        *_strip(run),
-    ]
-    return Section(STAGE, "Defocus ramp (LIFT)", _lead(results), blocks)
-
-
-def _lead(results: LiftResults) -> str:
-    modes = ", ".join(map(str, results.modes))
+    """Build the section on LIFT."""
+    of = run.of(LiftResults)
+    results, own = of.results, own_text(of.results.effects)
     ncpas = "in the known wavefront" if results.calibrated else "left out"
-    own = own_text(results.effects)
-    frames = plural(len(results.points), "frame")
-    return f"Noll {modes} of {frames}; NCPAs {ncpas}{f', to which {own}' if own else ''}."
+    lead = (
+        f"Noll {', '.join(map(str, results.modes))} of {plural(len(results.points), 'frame')}; "
+        f"NCPAs {ncpas}{f', to which {own}' if own else ''}."
+    )
+    return Section(of.stage, "Defocus ramp (LIFT)", lead, of.blocks(_ramp, _tables, _chi2, _twin, _strip))
 
 
-def _ramp(frames: Sequence[Point]) -> list[Figure]:
-    points = [point for point in frames if np.isfinite(point.introduced_nm)]
+def _ramp(of: Ramp) -> Figure | None:
+    points = [point for point in of.results.points if np.isfinite(point.introduced_nm)]
     if not points:
-        return []
-    introduced = np.array([point.introduced_nm for point in points])
-    defocus = np.array([point.defocus_nm for point in points])
-    sigma = np.array([point.sigma_nm for point in points])
-    converged = np.array([point.converged for point in points])
-    missing = int(np.sum(~np.isfinite(defocus)))
+        return None
+    missing = sum(not np.isfinite(point.defocus_nm) for point in points)
     lost = f" {plural(missing, 'frame')} without estimate." if missing else ""
-    caption = f"{CAPTION}{lost}"
-    direction = travel_direction(introduced).astype(int)
-    return [Figure(ramp_plot(RampPoints(introduced, defocus, sigma, direction, converged)), "Ramp", caption)]
+    return Figure(ramp_plot(points), "Ramp", f"{RAMP}{lost}")
 
 
-def _chi2(run: RunData, results: LiftResults) -> list[Figure]:
-    chi2_nu = np.array([point.chi2_nu for point in results.points])
-    ratio = run.products[STAGE].config.get("max_chi2_ratio") or np.nan
-    return chi2_figures("ramp-chi2", chi2_nu, results.nominal_chi2_nu, ratio * results.nominal_chi2_nu)
+def ramp_plot(points: list[Point]) -> Markup:
+    """Draw estimated against introduced defocus with the 1:1 line, and their difference below."""
+    names = ("introduced_nm", "defocus_nm", "sigma_nm", "converged")
+    introduced, defocus, sigma, converged = (
+        np.array([getattr(one, name) for one in points]) for name in names
+    )
+    direction, x = travel_direction(introduced).astype(int), _spread_out(introduced)
+
+    def draw(canvas: Canvas) -> None:
+        top, bottom = canvas.subplots(2, sharex=True, height_ratios=(3, 2))
+        ends = [np.min(introduced), np.max(introduced)]
+        top.plot(ends, ends, color=INK, linewidth=0.9, label="1:1")
+        bottom.axhline(0, color=INK, linewidth=0.9)
+        for axes, y in ((top, defocus), (bottom, defocus - introduced)):
+            for travelled, (label, marker, colour) in TRAVEL.items():
+                chosen = (direction == travelled) & np.isfinite(y)
+                look = {"fmt": marker, "color": colour, "markersize": 4, "linewidth": 0.8, "label": label}
+                if chosen.any():
+                    axes.errorbar(x[chosen], y[chosen], np.nan_to_num(sigma[chosen]), **look)
+            failed = ~converged & np.isfinite(y)
+            if failed.any():
+                axes.plot(x[failed], y[failed], "x", color=INK, markersize=7, label="not converged")
+        top.set(ylabel="estimated defocus [nm RMS]")
+        top.legend()
+        bottom.set(xlabel="introduced defocus [nm RMS]", ylabel="estimated −\nintroduced [nm]")
+
+    return svg("ramp", (4.8, 4.8), draw)
 
 
-def _twin(run: RunData, twin: Twin) -> list[Figure]:
-    focus_nm, chi2_nu = run.array(STAGE, "curve_defocus_nm"), run.array(STAGE, "curve_chi2_nu")
-    if focus_nm is None or chi2_nu is None or not np.isfinite(chi2_nu).any():
-        return []
+def _spread_out(introduced_nm: np.ndarray) -> np.ndarray:
+    """Frames of one offset side by side, in order of time."""
+    offsets, group, count = np.unique(introduced_nm, return_inverse=True, return_counts=True)
+    step = np.min(np.diff(offsets)) if len(offsets) > 1 else 1.0
+    place = np.array([np.sum(group[:i] == group[i]) for i in range(len(group))])
+    return introduced_nm + SPREAD * step * ((place + 0.5) / count[group] - 0.5)
+
+
+def _tables(of: Ramp) -> Stack:
+    results = of.results
+    lines = {"as configured": results.summary} | results.compare
+    variants = Table.of(
+        lines.items(),
+        {
+            "model": lambda one: one[0],
+            "slope": lambda one: with_error(one[1].slope, one[1].slope_sigma, ".4f"),
+            "offset [nm]": lambda one: number(one[1].offset_nm, "+.1f"),
+            "error [nm RMS]": lambda one: number(one[1].rms_nm),
+            "about the line [nm RMS]": lambda one: number(one[1].residual_rms_nm),
+            "saw-tooth [nm]": lambda one: with_error(one[1].saw_tooth_nm, one[1].saw_tooth_sigma_nm, "+.1f"),
+        },
+        "Contribution of each part of the model" if len(lines) > 1 else "Ramp in numbers",
+        "Saw-tooth: offsets reached upwards minus those reached downwards, fitted with the line.",
+    )
+    offsets = Table.of(
+        results.offsets,
+        {
+            "introduced [nm]": lambda one: number(one.introduced_nm, "+.1f"),
+            "median [nm]": lambda one: number(one.median_nm, "+.1f"),
+            "1σ over frames [nm]": lambda one: number(one.scatter_nm),
+        },
+        "Median per offset",
+        folded=len(results.offsets) > MOST_OFFSETS,
+    )
+    return Stack(shown(variants, offsets))
+
+
+def _chi2(of: Ramp) -> Figure | None:
+    chi2_nu, nominal = np.array([point.chi2_nu for point in of.results.points]), of.results.nominal_chi2_nu
+    ratio = of.run.products[of.stage].config.get("max_chi2_ratio") or np.nan
+    return chi2_figure("ramp-chi2", chi2_nu, nominal, ratio * nominal)
+
+
+def _twin(of: Ramp) -> Figure | None:
+    """χ²/ν of one frame against the defocus it is held at, with the best fit and its twin marked."""
+    focus_nm, chi2_nu, twin = of["curve_defocus_nm"], of["curve_chi2_nu"], of.results.twin
+    if not np.isfinite(chi2_nu).any():
+        return None
+
+    def draw(axes: Axes) -> None:
+        axes.plot(focus_nm, chi2_nu, color=BLUE)
+        log_y(axes, chi2_nu)
+        axes.plot(twin.defocus_nm, twin.chi2_nu, "o", color=BLUE, label="best fit")
+        if np.isfinite(twin.twin_nm):
+            axes.plot(twin.twin_nm, twin.twin_chi2_nu, "s", color=ORANGE, label="twin")
+
     caption = f"Frame {twin.frame} of {twin.name}, whose χ²/ν is the median. {TWIN} {_twin_said(twin)}"
-    return [Figure(twin_plot(focus_nm, chi2_nu, twin), "Is the twin excluded?", caption, "third")]
+    title = "Is the twin excluded?"
+    return plot("ramp-twin", draw, ("defocus [nm RMS]", "χ²/ν"), title, caption)
 
 
 def _twin_said(twin: Twin) -> str:
@@ -115,136 +176,50 @@ def _twin_said(twin: Twin) -> str:
     return f"{fits}: it is not excluded, and the sign of defocus is open."
 
 
-def _variants(results: LiftResults) -> Table:
-    lines = {"as configured": results.summary} | results.compare
-    title = "Contribution of each part of the model" if len(lines) > 1 else "Ramp in numbers"
-    caption = "Saw-tooth: offsets reached upwards minus those reached downwards, fitted with the line."
-    return Table(VARIANT_COLUMNS, [_variant_row(*one) for one in lines.items()], title, caption)
-
-
-def _variant_row(name: str, one: Line) -> tuple[str, ...]:
-    return (
-        name,
-        with_error(one.slope, one.slope_sigma, ".4f"),
-        number(one.offset_nm, "+.1f"),
-        number(one.rms_nm),
-        number(one.residual_rms_nm),
-        with_error(one.saw_tooth_nm, one.saw_tooth_sigma_nm, "+.1f"),
-    )
-
-
-def _strip(run: RunData) -> list[Figure]:
+def _strip(of: Ramp) -> Figure | None:
     offsets, measured, model = (
-        run.array(STAGE, name) for name in ("offsets_nm", "measured_per_offset_e", "model_per_offset_e")
+        of[name] for name in ("offsets_nm", "measured_per_offset_e", "model_per_offset_e")
     )
-    if offsets is None or measured is None or model is None or len(offsets) == 0:
-        return []
+    if len(offsets) == 0:
+        return None
     limit = residual_limit(measured, model)
     caption = (
         f"Asinh scale to the peak of each offset; residual ±{limit:.1%} of the model's peak "
         "(red: brighter than the model, blue: fainter)."
     )
-    width: Width = "full" if len(offsets) > FEW_OFFSETS else "half"
-    return [Figure(image_strip(offsets, measured, model, limit), "Mean image per offset", caption, width)]
-
-
-def _offsets(offsets: Sequence[Offset]) -> list[Table]:
-    rows = [
-        (number(one.introduced_nm, "+.1f"), number(one.median_nm, "+.1f"), number(one.scatter_nm))
-        for one in offsets
-    ]
-    columns = ("introduced [nm]", "median [nm]", "1σ over frames [nm]")
-    return [Table(columns, rows, "Median per offset", folded=len(rows) > MOST_OFFSETS)] if rows else []
-
-
-# -- drawings ----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RampPoints:
-    """Frames of a ramp in order of time; NaN where an estimate is missing.
-
-    Attributes
-    ----------
-    direction : ndarray of int, (frames,)
-        +1, -1, or 0 before the first move.
-    converged : ndarray of bool, (frames,)
-    """
-
-    introduced_nm: np.ndarray
-    defocus_nm: np.ndarray
-    sigma_nm: np.ndarray
-    direction: np.ndarray
-    converged: np.ndarray
-
-
-def ramp_plot(points: RampPoints) -> Markup:
-    """Draw estimated against introduced defocus with the 1:1 line, and their difference below."""
-
-    def draw(figure: Canvas) -> None:
-        top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
-        x = _spread_out(points.introduced_nm)
-        ends = [np.min(points.introduced_nm), np.max(points.introduced_nm)]
-        top.plot(ends, ends, color=INK, linewidth=0.9, label="1:1")
-        bottom.axhline(0, color=INK, linewidth=0.9)
-        _markers(top, x, points.defocus_nm, points)
-        _markers(bottom, x, points.defocus_nm - points.introduced_nm, points)
-        top.set(ylabel="estimated defocus [nm RMS]")
-        top.legend()
-        bottom.set(xlabel="introduced defocus [nm RMS]", ylabel="estimated −\nintroduced [nm]")
-
-    return svg("ramp", (4.8, 4.8), draw)
-
-
-def twin_plot(focus_nm: np.ndarray, chi2_nu: np.ndarray, twin: Twin) -> Markup:
-    """Draw χ²/ν of one frame against the defocus it is held at, with the best fit and its `twin` marked."""
-
-    def draw(figure: Canvas) -> None:
-        axes = figure.subplots()
-        axes.plot(focus_nm, chi2_nu, color=BLUE)
-        log_y(axes, chi2_nu)
-        axes.plot(twin.defocus_nm, twin.chi2_nu, "o", color=BLUE, label="best fit")
-        if np.isfinite(twin.twin_nm):
-            axes.plot(twin.twin_nm, twin.twin_chi2_nu, "s", color=ORANGE, label="twin")
-        axes.set(xlabel="defocus [nm RMS]", ylabel="χ²/ν")
-        axes.legend()
-
-    return svg("ramp-twin", SIZE_IN, draw)
+    drawing = image_strip(offsets, measured, model, limit)
+    return Figure(drawing, "Mean image per offset", caption, "full" if len(offsets) > FEW_OFFSETS else "half")
 
 
 def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float) -> Markup:
-    """Draw measured, model and residual of some offsets, each column on its own scale.
+    """Draw measured, model and residual (offsets, rows, columns), each column on its own scale.
 
-    Parameters
-    ----------
-    offsets_nm : ndarray, (offsets,)
-    measured, model : ndarray, (offsets, rows, columns)
-    limit : float
-        End of the residual's colour scale, in parts of the model's peak.
+    The scale of the residual ends at `limit`, in parts of the model's peak.
     """
     chosen = np.unique(np.linspace(0, len(offsets_nm) - 1, min(STRIP_COLUMNS, len(offsets_nm))).astype(int))
 
-    def draw(figure: Canvas) -> None:
-        grid = figure.subplots(3, len(chosen), squeeze=False)
+    def draw(canvas: Canvas) -> None:
+        grid = canvas.subplots(3, len(chosen), squeeze=False)
         for column, index in zip(grid.T, chosen, strict=True):
-            _draw_column(column, measured[index], model[index], limit)
+            scale = brightness_scale(measured[index], model[index])
+            shown = {
+                "measured": (measured[index], scale, BRIGHTNESS),
+                "model": (model[index], scale, BRIGHTNESS),
+            }
+            residual = _relative_residual(measured[index], model[index])
+            shown["residual"] = (residual, symmetric_scale(limit), SIGNED)
+            for axes, (label, (image, norm, colours)) in zip(column, shown.items(), strict=True):
+                axes.imshow(image, norm=norm, cmap=colours, origin="lower", interpolation="none")
+                axes.grid(False)
+                axes.set(xticks=[], yticks=[], ylabel=label if index == chosen[0] else "")
             column[0].set_title(number(offsets_nm[index], "+.0f", "nm"))
-        for axes, name in zip(grid[:, 0], ("measured", "model", "residual"), strict=True):
-            axes.set_ylabel(name)
 
     return svg("ramp-images", (0.3 + CELL_IN * len(chosen), 0.3 + 3 * CELL_IN), draw)
 
 
 def residual_limit(measured: np.ndarray, model: np.ndarray) -> float:
-    """Return the colour limit of the residual panels, as a fraction of the model's peak.
-
-    Parameters
-    ----------
-    measured, model : ndarray, (offsets, rows, columns)
-    """
-    values = np.abs([_relative_residual(*pair) for pair in zip(measured, model, strict=True)])
-    finite = values[np.isfinite(values)]
-    return float(np.percentile(finite, RESIDUAL_PERCENTILE)) if finite.any() else 1.0
+    """Return the colour limit of the residual panels, as a fraction of the model's peak."""
+    return percentile(PERCENTILE, *map(_relative_residual, measured, model)) or 1.0
 
 
 def _relative_residual(measured: np.ndarray, model: np.ndarray) -> np.ndarray:
@@ -252,39 +227,49 @@ def _relative_residual(measured: np.ndarray, model: np.ndarray) -> np.ndarray:
     return (measured - model) / (peak or 1.0)
 
 
-def _draw_column(column: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float) -> None:
-    scale = brightness_scale(measured, model)
-    residual = _relative_residual(measured, model)
-    for axes, image in zip(column[:2], (measured, model), strict=True):
-        axes.imshow(image, norm=scale, cmap=BRIGHTNESS, origin="lower", interpolation="none")
-    column[2].imshow(residual, norm=symmetric_scale(limit), cmap=SIGNED, origin="lower", interpolation="none")
-    for axes in column:
-        axes.grid(False)
-        axes.set(xticks=[], yticks=[])
+# -- prior -------------------------------------------------------------------------------------
 
 
-def _spread_out(introduced_nm: np.ndarray) -> np.ndarray:
-    """Frames of one offset side by side, in order of time."""
-    offsets, group, count = np.unique(introduced_nm, return_inverse=True, return_counts=True)
-    step = np.min(np.diff(offsets)) if len(offsets) > 1 else 1.0
-    place = np.array([np.sum(group[:i] == group[i]) for i in range(len(group))])
-    return introduced_nm + SPREAD * step * ((place + 0.5) / count[group] - 0.5)
+def prior_section(run: RunData) -> Section:
+    """Build the section on the elongation prior."""
+    of = run.of(PriorResults)
+    results, (low, high) = of.results, of.results.valid_nm
+    scatter = number(results.law_residual_nm, ".0f", "nm")
+    slope, offset = number(results.A, ".0f", "nm"), number(results.B, "+.0f", "nm")
+    lead = (
+        f"defocus = {slope} · (σ₁/σ₂ − 1) {offset}, from {number(low, '.0f')} to {number(high, '.0f', 'nm')}"
+        + (f"; the law departs {scatter} RMS from the model." if scatter != MISSING else ".")
+    )
+    return Section(of.stage, "Elongation prior", lead, of.blocks(_law, _prior))
 
 
-def _markers(axes: Axes, x: np.ndarray, y: np.ndarray, points: RampPoints) -> None:
-    for direction, (label, marker, colour) in TRAVEL.items():
-        chosen = (points.direction == direction) & np.isfinite(y)
-        if chosen.any():
-            axes.errorbar(
-                x[chosen],
-                y[chosen],
-                np.nan_to_num(points.sigma_nm[chosen]),
-                fmt=marker,
-                color=colour,
-                markersize=4,
-                linewidth=0.8,
-                label=label,
-            )
-    failed = ~points.converged & np.isfinite(y)
-    if failed.any():
-        axes.plot(x[failed], y[failed], "x", color=INK, markersize=7, label="not converged")
+def _law(of: Prior) -> Figure:
+    ratio, introduced, results = of["ratio"], of["introduced_nm"], of.results
+    defocus = np.array(results.valid_nm)
+
+    def draw(axes: Axes) -> None:
+        _frames(axes, introduced, ratio)
+        if results.A and np.isfinite([results.A, results.B, *defocus]).all():
+            axes.axvspan(defocus.min(), defocus.max(), color=FAINT, alpha=0.35, linewidth=0)
+            law = 1 + (defocus - results.B) / results.A
+            axes.plot(defocus, law, color=ORANGE, label="law without NCPAs")
+
+    labels = ("introduced defocus [nm RMS]", "axis ratio σ₁/σ₂")
+    return plot("prior-law", draw, labels, "Axis ratio against introduced defocus", LAW, "half", (4.4, 2.9))
+
+
+def _prior(of: Prior) -> Figure:
+    prior_nm, introduced_nm = of["defocus_nm"], of["introduced_nm"]
+
+    def draw(axes: Axes) -> None:
+        axes.plot(introduced_nm, introduced_nm, color=INK, linewidth=0.9, label="1:1")
+        _frames(axes, introduced_nm, prior_nm)
+
+    labels = ("introduced defocus [nm RMS]", "prior of the defocus [nm RMS]")
+    caption = "Defocus from the law; that of the NCPAs is in it."
+    title = "Prior against introduced defocus"
+    return plot("prior-defocus", draw, labels, title, caption, "half", (4.4, 2.9))
+
+
+def _frames(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    axes.plot(x, y, "o", color=BLUE, markersize=3, label="frames", rasterized=len(x) > MANY)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -11,71 +12,79 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
-from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
+from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
-from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.run_data import RunData, StageData
 from irlos_pipe.report.text import MISSING, number, plural
 from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
-STAGE = "sensitivity"
-MARKERS = ("o", "s", "^", "D", "v", "P")
 CAPTION = (
     f"Bands: 16th to 84th percentile. Dashed: Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median "
     "|error| of an efficient estimate; dotted: the same of exposures of one read without sky. Horizontal and "
     "vertical lines: criterion and limiting magnitudes. Errors are against the introduced defocus: without "
     "NCPAs, theirs counts as an error."
 )
-COLUMNS = (
-    "NCPAs",
-    "modes",
-    "limit [J mag]",
-    "limit of the bound, one read without sky [J mag]",
-    "median |error| of the brightest [nm]",
-)
-NOISE_COLUMNS = ("", "dimmed frames", "one read without sky")
+Sensitivity = StageData[SensitivityResults]
 
 
 def sensitivity_section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(SensitivityResults)
-    return Section(STAGE, "Sensitivity", _lead(results.curves), _blocks(results))
+    of = run.of(SensitivityResults)
+    trials = [row.trials for row in of.results.curves if row.trials is not None]
+    lead = (
+        f"Frames dimmed to fainter stars, {max(trials)} estimates per magnitude. Errors are those of single "
+        "frames against the introduced defocus."
+        if trials
+        else ""
+    )
+    return Section(of.stage, "Sensitivity", lead, of.blocks(_curves, _tables) if of.results.curves else [])
 
 
-def _blocks(results: SensitivityResults) -> list[Block]:
-    rows, criterion = results.curves, results.criterion
-    if not rows:
-        return []
-    drawing = sensitivity_plot("sensitivity", [Curve.of(row, curve_label(row)) for row in rows], criterion)
-    limits = Table(COLUMNS, [_row(row) for row in rows], "Limiting magnitude", criterion_text(criterion))
-    tables = [limits] if results.noise.reads is None else [limits, _noise_table(results.noise)]
-    return [Figure(drawing, "Defocus error against magnitude", CAPTION), Stack(tables)]
+def _curves(of: Sensitivity) -> Figure:
+    curves = [Curve.of(row, curve_label(row)) for row in of.results.curves]
+    drawing = sensitivity_plot("sensitivity", curves, of.results.criterion)
+    return Figure(drawing, "Defocus error against magnitude", CAPTION)
 
 
-def _noise_table(noise: NoiseRow) -> Table:
+def _tables(of: Sensitivity) -> Stack:
+    criterion, noise = of.results.criterion, of.results.noise
+    limits = Table.of(
+        of.results.curves,
+        {
+            "NCPAs": lambda row: "added" if row.calibrated else "left out",
+            "modes": lambda row: ", ".join(map(str, row.modes)),
+            "limit [J mag]": limit_text,
+            "limit of the bound, one read without sky [J mag]": lambda row: number(row.one_read_bound_mag),
+            "median |error| of the brightest [nm]": lambda row: number(
+                next(iter(row.median_abs_error_nm), None)
+            ),
+        },
+        "Limiting magnitude",
+        f"Faintest magnitude with median |error| ≤ {number(criterion.median_abs_error_nm, '.0f', 'nm')} "
+        f"and ≤ {number(criterion.failures, '.0%')} failures; "
+        f"≥: the magnitudes end before. {MISSING}: met at no magnitude.",
+    )
+    return Stack([limits] if noise.reads is None else [limits, _noise(noise)])
+
+
+def _noise(noise: NoiseRow) -> Table:
     """What the dimmed frames are noisier by than one read without sky."""
-    light = f"{number(noise.sky_e, '.2f')} + {number(noise.dark_e, '.2f')}"
     read_e, factor = number(noise.read_noise_e, ".2g"), number(noise.excess_noise_factor, ".2f")
     floors = (number(floor, ".3g") for floor in (noise.floor_e2, noise.one_read_floor_e2))
     rows = [
         ("reads in an exposure", str(noise.reads), "1"),
         ("noise of a read [e⁻]", read_e, read_e),
-        ("sky + dark [e⁻ per pixel]", light, "0 + 0"),
+        (
+            "sky + dark [e⁻ per pixel]",
+            f"{number(noise.sky_e, '.2f')} + {number(noise.dark_e, '.2f')}",
+            "0 + 0",
+        ),
         ("excess noise factor", factor, "1.00"),
         ("variance without star [e⁻²]", *floors),
     ]
     ratio = number(noise.floor_e2 / noise.one_read_floor_e2, ".3g")
     text = f"The variance without star is {ratio} times that of one read without sky."
-    return Table(NOISE_COLUMNS, rows, "Noise of a pixel", text)
-
-
-def _lead(rows: Sequence[CurveRow]) -> str:
-    trials = [row.trials for row in rows if row.trials is not None]
-    if not trials:
-        return ""
-    return (
-        f"Frames dimmed to fainter stars, {max(trials)} estimates per magnitude. Errors are those of single "
-        "frames against the introduced defocus."
-    )
+    return Table(("", "dimmed frames", "one read without sky"), rows, "Noise of a pixel", text)
 
 
 def noise_text(noise: NoiseRow) -> str:
@@ -91,17 +100,12 @@ def curve_label(row: CurveRow) -> str:
     return f"{'with' if row.calibrated else 'without'} NCPAs, {len(row.modes)} modes"
 
 
-def _row(row: CurveRow) -> tuple[str, ...]:
-    return (
-        "added" if row.calibrated else "left out",
-        ", ".join(map(str, row.modes)),
-        limit_text(row),
-        number(row.one_read_bound_mag),
-        number(row.median_abs_error_nm[0]) if row.median_abs_error_nm else MISSING,
-    )
+def limit_text(row: CurveRow) -> str:
+    """Return the limiting magnitude of a curve; with ``≥`` where the magnitudes end before."""
+    return ("≥ " if row.at_the_end else "") + number(row.limit_mag)
 
 
-# -- drawings ----------------------------------------------------------------------------------
+# -- drawing -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ class Look:
     main: bool = True
 
 
-LOOKS = tuple(Look(colour, marker) for colour, marker in zip(CYCLE, MARKERS, strict=True))
+LOOKS = tuple(map(Look, CYCLE, ("o", "s", "^", "D", "v", "P")))
 
 
 @dataclass(frozen=True)
@@ -133,36 +137,14 @@ class Curve:
     @classmethod
     def of(cls, row: CurveRow, label: str) -> Curve:
         """Return the curve of a `row` of the results, to be shown as `label`."""
-
-        def values(found: Sequence[float]) -> np.ndarray:
-            return np.array(found, dtype=float) if found else np.full(len(row.mag_j), np.nan)
-
-        return cls(
-            label,
-            values(row.mag_j),
-            values(row.median_abs_error_nm),
-            values(row.p16_nm),
-            values(row.p84_nm),
-            values(row.crb_nm),
-            values(row.one_read_crb_nm),
-            values(row.failures) / (row.trials or np.nan),
-            row.limit_mag,
+        errors = (row.median_abs_error_nm, row.p16_nm, row.p84_nm, row.crb_nm, row.one_read_crb_nm)
+        values = (
+            np.array(one, float) if one else np.full(len(row.mag_j), np.nan)
+            for one in (row.mag_j, *errors, row.failures)
         )
-
-
-def limit_text(row: CurveRow) -> str:
-    """Return the limiting magnitude of a curve; with ``≥`` where the magnitudes end before."""
-    return ("≥ " if row.at_the_end else "") + number(row.limit_mag)
-
-
-def criterion_text(criterion: CriterionRow) -> str:
-    """Return what a limiting magnitude means."""
-    error = number(criterion.median_abs_error_nm, ".0f", "nm")
-    failures = number(criterion.failures, ".0%")
-    return (
-        f"Faintest magnitude with median |error| ≤ {error} and ≤ {failures} failures; "
-        f"≥: the magnitudes end before. {MISSING}: met at no magnitude."
-    )
+        mag_j, median, p16, p84, crb, one_read, failures = values
+        failed = failures / (row.trials or np.nan)
+        return cls(label, mag_j, median, p16, p84, crb, one_read, failed, row.limit_mag)
 
 
 def sensitivity_plot(
@@ -176,9 +158,6 @@ def sensitivity_plot(
 
     Parameters
     ----------
-    name : str
-        Unique in the page.
-    curves : sequence of Curve
     criterion : CriterionRow
         Drawn as levels.
     looks : sequence of Look
@@ -187,8 +166,8 @@ def sensitivity_plot(
         Median error of a perfect sensor.
     """
 
-    def draw(figure: Canvas) -> None:
-        top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+    def draw(canvas: Canvas) -> None:
+        top, bottom = canvas.subplots(2, sharex=True, height_ratios=(3, 1))
         for place, curve in enumerate(curves):
             look = looks[place % len(looks)]
             _draw_errors(top, curve, look)
@@ -198,7 +177,7 @@ def sensitivity_plot(
         _draw_level(bottom, criterion.failures, 100, "-.")
         top.set_ylabel("median |error| [nm RMS]")
         log_y(top, *(curve.median_nm for curve in curves))
-        figure.legend(loc="outside upper center", ncols=2)
+        canvas.legend(loc="outside upper center", ncols=2)
         bottom.set(xlabel="J magnitude", ylabel="failures [%]")
         bottom.set_ylim(bottom=-2)
 
@@ -206,23 +185,15 @@ def sensitivity_plot(
 
 
 def _draw_errors(axes: Axes, curve: Curve, look: Look) -> None:
-    axes.plot(
-        curve.mag_j,
-        curve.median_nm,
-        f"{look.marker}-",
-        color=look.colour,
-        markersize=3.5,
-        linewidth=1.4 if look.main else 0.8,
-        label=curve.label,
-    )
+    colour, mag_j, width = look.colour, curve.mag_j, 1.4 if look.main else 0.8
+    points: dict[str, Any] = {"markersize": 3.5, "linewidth": width, "label": curve.label}
+    axes.plot(mag_j, curve.median_nm, f"{look.marker}-", color=colour, **points)
     if look.main:
-        axes.fill_between(curve.mag_j, curve.p16_nm, curve.p84_nm, color=look.colour, alpha=0.15, linewidth=0)
-        axes.plot(curve.mag_j, MEDIAN_OF_NORMAL * curve.crb_nm, "--", color=look.colour, linewidth=0.9)
-        axes.plot(
-            curve.mag_j, MEDIAN_OF_NORMAL * curve.one_read_crb_nm, ":", color=look.colour, linewidth=0.9
-        )
-    if look.main and np.isfinite(curve.limit_mag):
-        axes.axvline(curve.limit_mag, color=look.colour, linewidth=0.8, linestyle=":")
+        axes.fill_between(mag_j, curve.p16_nm, curve.p84_nm, color=colour, alpha=0.15, linewidth=0)
+        for bound_nm, style in ((curve.crb_nm, "--"), (curve.one_read_crb_nm, ":")):
+            axes.plot(mag_j, MEDIAN_OF_NORMAL * bound_nm, style, color=colour, linewidth=0.9)
+        if np.isfinite(curve.limit_mag):
+            axes.axvline(curve.limit_mag, color=colour, linewidth=0.8, linestyle=":")
 
 
 def _draw_level(axes: Axes, level: float | None, factor: float, style: str, label: str | None = None) -> None:

@@ -13,7 +13,7 @@ from helpers.sparta_files import counts, star, write_recorder
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.pipeline.inputs import CACHE_NAME
-from irlos_pipe.product.runfolder import require_free
+from irlos_pipe.product.runfolder import RunFolder, require_free
 from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.recipe import load_recipe
 
@@ -157,3 +157,4 @@ def test_what_another_recipe_left_is_set_aside(bench):
     run(bench)
     assert {"02_calibrate.h5", "03_lift.h5", "table.csv"} == set(os.listdir(bench.output / "earlier"))
     assert "table.csv" not in visible(bench) and read_product(bench.output / "02_lift.h5").stage == "lift"
+    assert list(RunFolder(bench.output).products()) == ["ingest", "lift"]

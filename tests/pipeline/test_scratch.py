@@ -43,25 +43,17 @@ def test_parts_outlive_a_run_that_stopped_and_the_next_run_finds_them(bench, mon
     assert folders[0].parent == bench.output / ".partial" and folders[0].name.startswith("calibrate-")
 
 
-def test_a_changed_setting_gets_another_folder(bench, monkeypatch):
+def test_each_setting_has_its_parts_and_all_are_removed_when_the_product_of_the_stage_is_there(
+    bench, monkeypatch
+):
     folders = uses_scratch(bench, monkeypatch)
     fails(bench)
     fails(bench, "calibrate.solver.iterations=7")
     assert folders[0] != folders[1]
-
-
-def test_all_parts_of_a_stage_are_removed_when_its_product_is_there(bench, monkeypatch):
-    folders = uses_scratch(bench, monkeypatch)
-    fails(bench, "calibrate.solver.iterations=7")
-    run(bench)
-    assert len(folders) == 2 and not (bench.output / ".partial").exists()
-
-
-def test_parts_of_another_stage_stay(bench, monkeypatch):
-    folders = uses_scratch(bench, monkeypatch)
-    fails(bench)
-    run(bench, selection=Selection(last="ingest", force=True))
+    run(bench, selection=Selection(last="ingest", force=True))  # another stage leaves them alone
     assert folders[0].is_dir()
+    run(bench)
+    assert len(folders) == 3 and not (bench.output / ".partial").exists()
 
 
 def test_a_product_that_cannot_be_written_leaves_the_parts(bench, monkeypatch):

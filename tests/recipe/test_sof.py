@@ -44,17 +44,19 @@ def test_a_path_may_have_blanks_and_a_line_a_group(tmp_path, line):
     assert read_sof(tmp_path / "n.sof") == [("a b.fits", "PSF")]
 
 
-def test_a_path_with_blanks_and_no_quotes_is_told_to_have_some(tmp_path):
-    (tmp_path / "n.sof").write_text("a b.fits PSF")
-    with pytest.raises(InputDataError, match="a path with blanks stands in quotes"):
-        read_sof(tmp_path / "n.sof")
-
-
-@pytest.mark.parametrize("text", ["", "# nothing\n", "a.fits\n", "a b c\n"])
-def test_a_file_without_frames_or_tags_is_bad_data(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", ""),
+        ("# nothing\n", ""),
+        ("a.fits\n", ""),
+        ("a b.fits PSF", ".*path with blanks stands in quotes"),
+    ],
+)
+def test_a_file_without_frames_or_tags_is_bad_data(tmp_path, text, message):
     path = tmp_path / "n.sof"
     path.write_text(text)
-    with pytest.raises(InputDataError, match=r"n\.sof"):
+    with pytest.raises(InputDataError, match=rf"n\.sof{message}"):
         read_sof(path)
     assert invoke("validate", "ncpa_calibration", "--sof", str(path)).exit_code == 3
 

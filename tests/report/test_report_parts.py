@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-import matplotlib
 import numpy as np
 import pytest
+import scipy
 from matplotlib.colors import AsinhNorm
 
-from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.zernike import zernike
 from irlos_pipe.product.product import Product, Quantity
-from irlos_pipe.report.content import Views
+from irlos_pipe.report.curves import Look, chi2_figure, normal_quantiles, quantile_band, quantile_figure
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg
-from irlos_pipe.report.effect_words import parameter_rows, worded
 from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_diagnose_names import separation_tables
-from irlos_pipe.report.section_diagnose_verdict import verdict_numbers, verdict_table
-from irlos_pipe.report.section_lift import RampPoints, image_strip, ramp_plot, residual_limit
-from irlos_pipe.report.section_prior import prior_section
+from irlos_pipe.report.section_diagnose import verdict_numbers, verdict_table
+from irlos_pipe.report.section_lift import image_strip, prior_section, ramp_plot, residual_limit
 from irlos_pipe.report.section_sensitivity import limit_text
 from irlos_pipe.report.text import (
     MISSING,
-    mode_label,
     mode_name,
     number,
-    plural,
+    parameter_rows,
     rounded_by_error,
     with_error,
+    worded,
 )
 from irlos_pipe.stages.diagnose.results import Change, DiagnoseResults, StepRow
+from irlos_pipe.stages.lift.results import Point
 from irlos_pipe.stages.sensitivity import CurveRow
 
 NAN = float("nan")
@@ -46,10 +43,6 @@ def draw_line(figure) -> None:
 @pytest.mark.parametrize("value", [None, NAN, float("inf"), np.float32("nan")])
 def test_what_is_missing_becomes_a_dash(value):
     assert number(value, ".2f", "nm") == MISSING
-
-
-def test_a_number_has_its_unit():
-    assert number(3.14159, ".2f", "nm") == "3.14 nm"
 
 
 @pytest.mark.parametrize(
@@ -73,10 +66,6 @@ def test_an_error_is_shown_where_there_is_one(value, error, expected):
 )
 def test_a_measured_number_has_the_digits_that_its_error_allows(value, error, expected):
     assert rounded_by_error(value, error) == expected
-
-
-def test_one_is_no_plural():
-    assert [plural(count, "frame") for count in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
 
 
 @pytest.mark.parametrize(("limit", "expected"), [(16.0, "≥ 16.0"), (15.2, "15.2"), (None, MISSING)])
@@ -148,10 +137,6 @@ def test_the_direction_in_a_name_is_where_the_mode_is_extreme(noll):
     assert abs(there[0]) == pytest.approx(np.abs(edge).max(), rel=1e-4)
 
 
-def test_a_label_begins_with_the_noll_index():
-    assert mode_label(4) == "4 defocus"
-
-
 # -- rings -------------------------------------------------------------------------------------
 
 
@@ -159,11 +144,6 @@ def test_the_profile_of_a_cone_is_the_radius():
     y, x = np.indices((41, 41))
     radius, mean = ring_means(np.hypot(y - 18, x - 21), (18.0, 21.0))
     np.testing.assert_allclose(mean, radius)
-
-
-def test_rings_end_at_the_nearest_edge_of_the_window():
-    radius, _ = ring_means(np.ones((41, 41)), (20.0, 12.0))
-    assert radius.max() <= 12
 
 
 def test_pixels_that_are_not_finite_are_left_out_of_a_ring():
@@ -178,26 +158,8 @@ def test_pixels_that_are_not_finite_are_left_out_of_a_ring():
 def test_a_drawing_takes_its_colours_from_the_page():
     drawing = svg("a", (3, 2), draw_line)
     assert "var(--blue)" in drawing
-    assert "currentColor" in drawing
+    assert "currentColor" in drawing and "width=" not in drawing.partition(">")[0]
     assert not any(colour in drawing for colour in (INK, *CYCLE))
-
-
-def test_a_drawing_scales_with_the_page():
-    head = svg("a", (3, 2), draw_line).partition(">")[0]
-    assert 'viewBox="0 0 216 144"' in head
-    assert "width=" not in head
-
-
-def test_drawings_do_not_depend_on_the_users_settings():
-    expected = svg("a", (3, 2), draw_line)
-    with matplotlib.rc_context({"font.size": 30, "axes.grid": False, "lines.linewidth": 9}):
-        assert svg("a", (3, 2), draw_line) == expected
-
-
-def test_drawing_leaves_the_users_settings_alone():
-    with matplotlib.rc_context({"font.size": 30}):
-        svg("a", (3, 2), draw_line)
-        assert matplotlib.rcParams["font.size"] == 30
 
 
 @pytest.mark.parametrize(
@@ -234,26 +196,14 @@ def test_numbers_beside_an_asinh_scale_have_room(limit, low):
     assert places.min() >= 0 and places.max() <= 1
 
 
-def test_more_ways_to_show_a_picture_than_the_page_has_rules_for_are_refused():
-    with pytest.raises(ValueError, match="5 choices"):
-        Views("a", {str(number): [] for number in range(5)})
-
-
-def test_axes_are_in_mas_where_the_pixel_scale_is_known():
-    image = np.ones((4, 6))
-    assert "x [mas]" in image_panel("a", image, brightness_scale(image), 9.7, "e-")
-    assert "x [px]" in image_panel("a", image, brightness_scale(image), None, "e-")
-
-
 def test_directions_of_travel_and_failed_fits_are_in_the_legend():
-    points = RampPoints(
-        np.array([0.0, 1.0, 0.5]),
-        np.array([0.1, 1.1, NAN]),
-        np.ones(3),
-        np.array([0, 1, -1]),
-        np.array([True, False, True]),
+    introduced, found, converged = (0.0, 1.0, 0.5), (0.1, 1.1, NAN), (True, False, True)
+    drawing = ramp_plot(
+        [
+            Point(introduced_nm=nm, defocus_nm=value, sigma_nm=1.0, converged=good)
+            for nm, value, good in zip(introduced, found, converged, strict=True)
+        ]
     )
-    drawing = ramp_plot(points)
     assert "defocus was raised" in drawing
     assert "defocus was lowered" not in drawing  # its only estimate is missing
     assert "not converged" in drawing
@@ -271,11 +221,6 @@ def test_a_strip_shows_no_more_than_fits():
 def test_the_residual_scale_is_relative_to_the_models_peak():
     model = np.full((2, 4, 4), 50.0)
     assert residual_limit(model + 5, model) == pytest.approx(0.1)
-
-
-def test_a_perfect_model_leaves_a_usable_residual_scale():
-    model = np.full((2, 4, 4), 50.0)
-    assert residual_limit(model, model) > 0
 
 
 @pytest.mark.slow
@@ -314,16 +259,49 @@ def test_the_tile_of_chi2_says_whose_fit_it_means(nearest, note):
     assert (tile.value, tile.note) == ("9.90 → 1.10", note)
 
 
-def test_tables_of_sentences_are_broken_into_lines():
-    """Not distinguished, and checks of quality: their sentences are wider than any page."""
-    other = Alternative(name="spectrum", reason="they change the image alike")
-    (table,) = separation_tables(DiagnoseResults(steps=[StepRow(effect="plate_scale", alternatives=[other])]))
-    assert table.title == "Not distinguished" and table.prose
-
-
 def test_a_diagnosis_shows_the_values_of_facts_that_it_leaves_free():
     """A scale that differs by a thousandth is a different one, and is shown so."""
     facts = {"plate_scale": {"scale": 1.0032, "rotation_deg": -0.4}, "pupil_misregistration": {"x_m": 0.03}}
-    (table,) = verdict_table(DiagnoseResults(open_facts=facts, model="model.yaml"))
+    table = verdict_table(DiagnoseResults(open_facts=facts, model="model.yaml"))
     shown = dict(table.rows)["free in model.yaml as well"]
     assert "plate scale" in shown and "1.003" in shown and "-0.4 °" in shown and "0.03 m" in shown
+
+
+# -- how well a model fits; truth: scipy.stats, Monte Carlo -------------------------------------
+
+LOOK = Look("residual", "#000000")
+
+
+def test_the_expected_quantiles_are_means_of_order_statistics():
+    draws = np.sort(np.random.default_rng(1).normal(size=(20000, 25)), axis=1)
+    assert normal_quantiles(25) == pytest.approx(draws.mean(0), abs=0.02)  # 5 standard errors at the ends
+
+
+def test_the_band_holds_nineteen_of_twenty_images_at_every_rank():
+    draws = np.sort(np.random.default_rng(2).normal(size=(8000, 40)), axis=1)
+    low, high = quantile_band(40)
+    inside = ((draws >= low) & (draws <= high)).mean(0)
+    assert inside == pytest.approx(0.95, abs=0.0125)  # 5 standard errors
+
+
+def test_the_middle_of_the_band_is_the_median():
+    low, high = quantile_band(101)
+    median = scipy.stats.beta(51, 51).ppf([0.025, 0.975])
+    assert [low[50], high[50]] == pytest.approx(scipy.stats.norm.ppf(median))
+
+
+def test_masked_pixels_do_not_count_and_a_handful_is_no_plot():
+    image = np.full((8, 8), np.nan)
+    image[:2] = 1.0
+    assert quantile_figure("q", {LOOK: image}) is None
+    image[:3] = 1.0
+    figure = quantile_figure("q", {LOOK: image})
+    assert "residual [σ]" in figure.svg
+
+
+def test_frames_are_drawn_beside_what_a_right_model_gives():
+    figure = chi2_figure("c", np.array([1.9, np.nan, 2.4]), 2.2, 4.4)
+    assert "2.20 (dashed)" in figure.caption and "up to 4.40" in figure.caption
+    bare = chi2_figure("c", np.array([1.9]), np.nan, np.nan)
+    assert "right model" not in bare.caption and "Grey" not in bare.caption
+    assert chi2_figure("c", np.full(3, np.nan), 2.2, 4.4) is None

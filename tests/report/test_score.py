@@ -12,8 +12,7 @@ from conftest import invoke
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.report.score import score_run
-from irlos_pipe.report.score_text import score_text
+from irlos_pipe.report.score import score_run, score_text
 
 
 def write_truth(folder: Path, **truths: dict[str, Any]) -> Path:
@@ -56,16 +55,9 @@ def test_the_error_of_the_calibration_adds_up_over_the_modes(tmp_path):
     assert row(text, "long_exposure") == ["long_exposure", "13.0 nm RMS", "-4.0 nm", "2.0 s"]
 
 
-def test_a_perfect_calibration_has_no_error(tmp_path):
-    assert "0.0 nm RMS" in row(scored(tmp_path, "calibrate", sky=shifted()), "long_exposure")
-
-
-def test_modes_above_noll_30_do_not_count(tmp_path):
-    assert "0.0 nm RMS" in row(scored(tmp_path, "calibrate", sky=shifted(z31=50.0)), "long_exposure")
-
-
-def test_modes_that_were_not_estimated_count_in_full(tmp_path):
-    assert "24.0 nm RMS" in row(scored(tmp_path, "calibrate", sky=shifted(z30=24.0)), "long_exposure")
+@pytest.mark.parametrize(("shift", "error"), [({}, "0.0"), ({"z31": 50.0}, "0.0"), ({"z30": 24.0}, "24.0")])
+def test_reported_modes_count_in_full_whether_estimated_or_not_and_no_others(tmp_path, shift, error):
+    assert f"{error} nm RMS" in row(scored(tmp_path, "calibrate", sky=shifted(**shift)), "long_exposure")
 
 
 def test_methods_run_beside_are_scored_too(tmp_path):
@@ -84,11 +76,6 @@ def test_recordings_fitted_together_are_compared_with_their_mean_by_frames(tmp_p
     folder = made_run.write_run(tmp_path / "run", [ingest, made_run.calibrate()])
     truth = write_truth(tmp_path / "truth", a=shifted(z4=8.0), b=shifted(z4=0.0))
     assert row(score_text(score_run(folder, truth)), "long_exposure")[1:3] == ["6.0 nm RMS", "+6.0 nm"]
-
-
-def test_the_ramp_is_compared_with_what_was_introduced(tmp_path):
-    text = scored(tmp_path, "lift", **RAMP)
-    assert row(text, "frames against the introduced")[-1] == "1.0 nm RMS"
 
 
 def test_the_ramp_is_compared_with_the_defocus_that_was_there_without_the_ncpas(tmp_path):
@@ -110,12 +97,16 @@ def test_means_of_recordings_lose_what_differs_from_frame_to_frame(tmp_path):
     assert row(text, "frames against the introduced")[-1] == "5.4 nm RMS"  # sqrt((49 + 9) / 2)
 
 
-def test_frames_without_estimate_are_left_out(tmp_path):
+def test_calibration_and_ramp_are_scored_together_and_frames_without_estimate_left_out(tmp_path):
     lift = made_run.lift()
     lift.results["points"][0]["defocus_nm"] = None
-    folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), lift])
-    text = score_text(score_run(folder, write_truth(tmp_path / "truth", **RAMP)))
+    made = [made_run.ingest(), made_run.calibrate(), lift]
+    truth = write_truth(tmp_path / "truth", sky=shifted(), **RAMP)
+    text = score_text(score_run(made_run.write_run(tmp_path / "run", made), truth))
     assert row(text, "frames against the introduced")[-1] == "1.0 nm RMS"
+    assert "calibration (sky)" in text and "ramp (3 recordings, 6 frames)" in text
+    alone = score_text(score_run(tmp_path / "run", truth / "sky.json"))
+    assert "calibration (sky)" in alone and "ramp" not in alone
 
 
 def test_a_truth_without_mean_defocus_still_gives_the_error_against_the_introduced(tmp_path):
@@ -132,25 +123,6 @@ def test_a_truth_belongs_to_the_recording_of_its_name_with_or_without_folder(tmp
 def test_the_full_name_goes_before_a_similar_one(tmp_path):
     text = scored(tmp_path, "calibrate", sky=shifted(z4=5.0), other__sky=shifted())
     assert "5.0 nm RMS" in row(text, "long_exposure")
-
-
-def test_a_single_file_will_do(tmp_path):
-    folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", "calibrate", "lift"))
-    truth = write_truth(tmp_path, sky=shifted()) / "sky.json"
-    text = score_text(score_run(folder, truth))
-    assert "calibration (sky)" in text
-    assert "ramp" not in text
-
-
-def test_calibration_and_ramp_are_scored_together(tmp_path):
-    text = scored(tmp_path, "calibrate", "lift", sky=shifted(), **RAMP)
-    assert "calibration (sky)" in text
-    assert "ramp (3 recordings, 6 frames)" in text
-
-
-def test_columns_are_aligned(tmp_path):
-    lines = scored(tmp_path, "calibrate", sky=shifted()).splitlines()
-    assert len({len(line) for line in lines}) == 1
 
 
 def bad_truth(tmp_path: Path, content: str) -> Path:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from helpers.made_run import recording
 
-from irlos_pipe.report.section_diagnose_sharing import sharing_tables
+from irlos_pipe.report.section_diagnose import sharing_tables
 from irlos_pipe.stages.diagnose.results import DiagnoseResults, OwnValueRow, SharingRow, StarRow
 from irlos_pipe.stages.diagnose.work import moments_of
 

@@ -23,8 +23,7 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder, existing_run, owned_folder, require_free
 from irlos_pipe.product.storage import read_product
-from irlos_pipe.report.chapter import Chapter, read_chapter
-from irlos_pipe.report.collection import write_collection
+from irlos_pipe.report.collection import Chapter, read_chapter, write_collection
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import judged
 
