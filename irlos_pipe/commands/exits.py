@@ -19,7 +19,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosErr
 from irlos_pipe.conventions.text import printable
 
 NO_OUTPUT = {errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG}
-ASKED = "irlos.pdb"
+ASKED, SIGNALS = "irlos.pdb", "irlos.signals"  # keys of what a call knows
 
 EXIT_CODES = """\b
 Exit codes:
@@ -49,31 +49,37 @@ class IrlosGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> object:
         """See `click.Group.invoke`."""
-        try:
-            return super().invoke(ctx)
-        except IrlosError as error:
-            report_error(_lines(error))
-            if isinstance(error, UnexpectedError):
-                _debug_if_asked(ctx, error)
-            ctx.exit(error.exit_code)
-        except KeyboardInterrupt:
-            report_error("interrupted; finished products are kept, run the same command to continue")
-            ctx.exit(ExitCode.INTERRUPTED)
-        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
-            raise
-        except Exception as error:
-            if isinstance(error, OSError) and error.filename:  # a path that was given
-                report_error(f"{error.filename}: {error.strerror}")
-                ctx.exit(ExitCode.BAD_DATA)
-            if isinstance(error, OSError) and error.errno in NO_OUTPUT:
-                report_error(f"the output cannot be written: {error.strerror}")
-                silence(1)
-                ctx.exit(ExitCode.UNEXPECTED)
-            report_error(
-                f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}"
-            )
+        with terminated_like_interrupted() as ctx.meta[SIGNALS]:
+            try:
+                return super().invoke(ctx)
+            except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+                raise
+            except (KeyboardInterrupt, Exception) as error:
+                # A library may take the interrupt for a fault of what it was doing.
+                interrupted = isinstance(error, KeyboardInterrupt) or ctx.meta[SIGNALS]
+                ctx.exit(_reported(KeyboardInterrupt() if interrupted else error, ctx))
+
+
+def _reported(error: BaseException, ctx: click.Context) -> ExitCode:
+    """The exit code of an `error`, after it was reported."""
+    if isinstance(error, KeyboardInterrupt):
+        report_error("interrupted; finished products are kept, run the same command to continue")
+        return ExitCode.INTERRUPTED
+    if isinstance(error, IrlosError):
+        report_error(_lines(error))
+        if isinstance(error, UnexpectedError):
             _debug_if_asked(ctx, error)
-            ctx.exit(ExitCode.UNEXPECTED)
+        return error.exit_code
+    if isinstance(error, OSError) and error.filename:  # a path that was given
+        report_error(f"{error.filename}: {error.strerror}")
+        return ExitCode.BAD_DATA
+    if isinstance(error, OSError) and error.errno in NO_OUTPUT:
+        report_error(f"the output cannot be written: {error.strerror}")
+        silence(1)
+        return ExitCode.UNEXPECTED
+    report_error(f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}")
+    _debug_if_asked(ctx, error)
+    return ExitCode.UNEXPECTED
 
 
 def _lines(error: IrlosError) -> str:
@@ -93,7 +99,7 @@ def report_error(message: str) -> None:
 def terminated_like_interrupted() -> Iterator[list[int]]:
     """End the block on SIGTERM or SIGHUP as on Ctrl-C, so that no unfinished files are left.
 
-    Yields the list of those that came.
+    Yields the list of the signals that came, Ctrl-C's among them.
     """
     came: list[int] = []
 
@@ -101,7 +107,7 @@ def terminated_like_interrupted() -> Iterator[list[int]]:
         came.append(number)
         raise KeyboardInterrupt
 
-    previous = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     for number, handler in previous.items():
         if handler != signal.SIG_IGN:  # as under nohup
             signal.signal(number, end)
@@ -163,7 +169,7 @@ def _at_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def _debug_if_asked(context: click.Context, error: Exception) -> None:
+def _debug_if_asked(context: click.Context, error: BaseException) -> None:
     """Open the debugger on the last frame of an unexpected error, or of its cause, if ``--pdb`` was given."""
     if not context.meta.get(ASKED):
         return

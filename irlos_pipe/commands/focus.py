@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from irlos_pipe.commands import options
-from irlos_pipe.commands.exits import EXIT_CODES, terminated_like_interrupted
+from irlos_pipe.commands.exits import EXIT_CODES, SIGNALS
 from irlos_pipe.commands.options import FROM_0, FROM_1, argument, command, option
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode
@@ -31,7 +32,6 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
 SILENT_AFTER_S, FOLDER_SILENT_AFTER_S = 10.0, 600.0
 FOLDER_STALE_S = 900.0
 RING_WAIT_S, LOOK_S = 60.0, 0.2
-ENDED = ExitCode.DONE  # by a service manager: the loop has done its work; Ctrl-C interrupts it
 
 
 def _finite(ctx: click.Context, option: click.Parameter, value: float | None) -> float | None:
@@ -223,7 +223,7 @@ def focus(run: Path = argument("RUN"), **given: Any) -> None:
 
     asked = FocusOptions(**given)
     settings = asked.settings
-    with terminated_like_interrupted() as signals, limited_threads(1):
+    with limited_threads(1):
         try:
             if asked.ring is not None:
                 _await(asked.ring, asked.wait, asked.say)
@@ -242,11 +242,17 @@ def focus(run: Path = argument("RUN"), **given: Any) -> None:
             ).run(asked.say)
         except Stopped as stop:
             asked.say(f"{stop.records} records in {asked.output}")
-            sys.exit(ENDED if signals else ExitCode.INTERRUPTED)
+            sys.exit(_code())
         except KeyboardInterrupt:
             asked.say("stopped before it began")
-            sys.exit(ENDED if signals else ExitCode.INTERRUPTED)
+            sys.exit(_code())
     asked.say(f"{records} records in {asked.output}")
+
+
+def _code() -> ExitCode:
+    """Ended by a service manager the loop has done its work; Ctrl-C interrupts it."""
+    came = click.get_current_context().meta[SIGNALS]
+    return ExitCode.DONE if came and signal.SIGINT not in came else ExitCode.INTERRUPTED
 
 
 def _await(ring: Path, wait_s: float, say: Callable[[str], None]) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from irlos_pipe.commands import options
-from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
+from irlos_pipe.commands.exits import EXIT_CODES, report_error
 from irlos_pipe.commands.options import Device, argument, command, option, resources_of
 from irlos_pipe.conventions.errors import ExitCode, NothingToDo
 
@@ -96,7 +96,7 @@ def night(
         with _nothing_to_do_is_silent(verbose, as_json):
             click.echo(plan_text(*plan_night(request), as_json))
         return
-    with _nothing_to_do_is_silent(verbose, as_json), terminated_like_interrupted(), messages(verbose - 1):
+    with _nothing_to_do_is_silent(verbose, as_json), messages(verbose - 1):
         state = run_night(request, runner)
     if as_json or verbose:
         click.echo(night_json(state, output) if as_json else night_text(state, output))

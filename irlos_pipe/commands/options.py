@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 import click
 
 from irlos_pipe.commands import completion
-from irlos_pipe.commands.exits import terminated_like_interrupted
 
 if TYPE_CHECKING:
     from irlos_pipe.pipeline import Resources
@@ -151,12 +150,12 @@ def inputs_of(inputs: tuple[str, ...], sof: Path | None, recipe: Path) -> tuple[
 
 @contextmanager
 def at_work(verbose: int, quiet: bool) -> Iterator[None]:
-    """Show as many messages as `verbose` and `quiet` ask for; signals end the block as Ctrl-C does."""
+    """Show as many messages as `verbose` and `quiet` ask for."""
     from irlos_pipe.pipeline.terminal import messages
 
     if verbose and quiet:
         raise click.UsageError("-v and -q exclude each other")
-    with terminated_like_interrupted(), messages(-1 if quiet else verbose):
+    with messages(-1 if quiet else verbose):
         yield
 
 

@@ -14,7 +14,7 @@ from conftest import invoke
 
 from irlos_pipe.commands import exits
 from irlos_pipe.commands.exits import IrlosGroup, mend_streams, report_error, terminated_like_interrupted
-from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, InputDataError
 from irlos_pipe.pipeline.runlog import RUN
 from irlos_pipe.pipeline.terminal import messages
 
@@ -95,6 +95,23 @@ def test_a_lost_connection_ends_a_command_like_ctrl_c(number):
             os.kill(os.getpid(), number)
     finally:
         signal.signal(number, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_that_a_library_takes_for_bad_input_ends_a_command_all_the_same(number):
+    @click.group(cls=IrlosGroup)
+    def program() -> None: ...
+
+    @program.command()
+    def read() -> None:
+        try:
+            os.kill(os.getpid(), number)
+        except KeyboardInterrupt:
+            raise ConfigurationError("recipe.yaml:1: should match a pattern") from None
+
+    result = CliRunner().invoke(program, ["read"])
+    assert result.exit_code == ExitCode.INTERRUPTED
+    assert "interrupted" in result.stderr and "pattern" not in result.stderr
 
 
 def test_under_nohup_a_lost_connection_ends_nothing():
