@@ -1,14 +1,4 @@
-"""What a correction would gain: images with and without the measured aberrations, and what each part costs.
-
-It may be made in a mirror's own modes. The wavefront is estimated in Zernike polynomials up to the last one
-that the window shows, and is the same in any other basis of these. A mirror makes other shapes
-(Karhunen–Loève modes, influence functions), which are fitted to the estimated wavefront over the clear pupil
-by least squares:
-
-    minimise Σ (W + Σ c_j M_j − p − t x − s y)²,
-
-with a piston p and tilts t, s of its own, which belong to nobody and to the fast loop.
-"""
+"""What a correction would gain: images with and without the measured aberrations, and what each part costs."""
 
 from __future__ import annotations
 
@@ -27,7 +17,6 @@ from irlos_pipe.optics.image_quality import Curve, encircled_energy, transfer_cu
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
-from irlos_pipe.optics.wavefront import modes_at
 
 
 @dataclass(frozen=True)
@@ -154,88 +143,6 @@ def predict_correction(
         profile_after=rings[1][1],
         resolution_px=settings.resolution_px,
     )
-
-
-RANK = 1e-6  # of the largest singular value: what is smaller cannot be told from nothing
-LEFT_OUT = (1, *TIP_TILT)
-
-
-@dataclass(frozen=True)
-class MirrorOffsets:
-    """Offsets of a mirror's modes, to be added to its reference.
-
-    Attributes
-    ----------
-    value, sigma : ndarray, (modes,)
-        In the unit of the table's modes, and their standard errors by the errors of the wavefront.
-    before_nm, after_nm : float
-        RMS over the clear pupil of the estimated wavefront, and of what a gain of 1 leaves of it; without
-        piston, tip and tilt [nm].
-    """
-
-    value: np.ndarray
-    sigma: np.ndarray
-    before_nm: float
-    after_nm: float
-
-
-def mirror_offsets(
-    maps_nm: np.ndarray,
-    nolls: Sequence[int],
-    zernike_nm: np.ndarray,
-    covariance_nm2: np.ndarray,
-    lit: np.ndarray,
-    gain: float = 1.0,
-) -> MirrorOffsets:
-    """Return the offsets of a mirror's modes that cancel a part `gain` of a wavefront.
-
-    Parameters
-    ----------
-    maps_nm : ndarray, (modes, n, n)
-        OPD of a unit of each mode [nm]; n samples across the diameter, row index is y.
-    nolls : sequence of int
-    zernike_nm : ndarray, (Zernike modes,)
-        The estimated wavefront.
-    covariance_nm2 : ndarray, (Zernike modes, Zernike modes)
-    lit : ndarray of bool, (n, n)
-        The clear pupil.
-    gain : float
-
-    Raises
-    ------
-    ValueError
-        If modes of the table depend on one another over the clear pupil, or are no numbers there.
-    """
-    shapes = maps_nm[:, lit].astype(float)
-    if not np.isfinite(shapes).all():
-        raise ValueError("not a number within the clear pupil")
-    both = np.vstack([shapes, modes_at(LEFT_OUT, lit)])
-    size = np.sqrt((both**2).mean(axis=1))
-    rank = int(np.linalg.matrix_rank(both / np.where(size > 0, size, 1.0)[:, None], rtol=RANK))
-    if rank < len(both):
-        raise ValueError(
-            f"over the clear pupil, and beside piston, tip and tilt, its {len(shapes)} modes are only "
-            f"{rank - len(LEFT_OUT)} different shapes"
-        )
-    to_modes = -gain * np.linalg.pinv(both.T / size) / size[:, None]
-    zernikes = modes_at(nolls, lit).T
-    by_zernike = (to_modes @ zernikes)[: len(shapes)]
-    value = by_zernike @ zernike_nm
-    wavefront_nm = zernikes @ zernike_nm
-    before_nm = _left_nm(wavefront_nm, modes_at(LEFT_OUT, lit))
-    return MirrorOffsets(
-        value,
-        np.sqrt(np.einsum("ij,jk,ik->i", by_zernike, covariance_nm2, by_zernike)),
-        before_nm,
-        _left_nm(wavefront_nm, both),
-    )
-
-
-def _left_nm(wavefront_nm: np.ndarray, shapes: np.ndarray) -> float:
-    """RMS of what a fit of some shapes leaves of a wavefront."""
-    scaled = shapes / np.sqrt((shapes**2).mean(axis=1))[:, None]
-    fitted = np.linalg.lstsq(scaled.T, wavefront_nm, rcond=None)[0]
-    return float(np.sqrt(np.mean((wavefront_nm - scaled.T @ fitted) ** 2)))
 
 
 ALL = "all together"

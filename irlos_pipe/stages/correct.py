@@ -14,7 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
-from irlos_pipe.estimate.correction import MirrorOffsets, mirror_offsets
+from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.files.fits import first_image
 from irlos_pipe.files.regular import open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
@@ -112,7 +112,7 @@ class StrehlRow(ResultsPart):
 
 
 class MirrorRow(ResultsPart):
-    """The correction in the modes of a mirror, see `estimate.correction.MirrorOffsets`."""
+    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`."""
 
     modes: int = item(0, "Number of modes of its table.")
     offset: list[Number] = item([], "Offset of each, in the unit of the table.")

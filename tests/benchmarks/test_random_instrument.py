@@ -141,11 +141,11 @@ def test_a_draw_is_simulated_calibrated_and_kept(tmp_path):
 
 def pulled(index: int, pull: float) -> dict:
     """A cube and a ramp whose errors have one pull."""
-    sample = pulls.Case(1, index, 20).sample()
+    case = pulls.Case(1, index, 20)
     cube = {"error_nm": [2 * pull, -pull], "sigma_nm": [2.0, 1.0], "chi2": 2 * pull**2}
     ramp = {"error_nm": [3 * pull] * 2, "sigma_nm": [3.0] * 2, "photon_nm": [0.0] * 2, "instant_nm": 0.0}
     ramp["optics_nm"] = [3.0, 3.0]
-    return {"seeing_arcsec": sample.seeing_arcsec, "shape": sample.shape, "cube": cube, "ramp": ramp}
+    return {"seeing_arcsec": case.seeing_arcsec, "shape": case.shape, "cube": cube, "ramp": ramp}
 
 
 def test_pulls_are_quadratic_means_by_group_and_of_all():

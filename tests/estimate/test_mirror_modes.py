@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import optics_cases as cases
 
-from irlos_pipe.estimate.correction import mirror_offsets
+from irlos_pipe.estimate.mirror_modes import mirror_offsets
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
 
 SAMPLES = 64
