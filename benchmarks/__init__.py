@@ -1,4 +1,4 @@
-"""Timings of irlos_pipe beside other implementations, on the same frames in the same run.
+"""Timings beside other implementations (``python -m benchmarks``, ``make bench``), and suites of cases.
 
-``python -m benchmarks`` (or ``make bench``); not part of the package.
+``harness`` is what the suites share; none of it is part of the package.
 """

@@ -1,6 +1,6 @@
 """A sample of the damaged and hostile inputs of ``make fuzz``, and checks of the judge that assesses them.
 
-Truth: the result of the same recording without damage, and the exit codes of the contract.
+Truth: the result of the same recording without damage, the exit codes of the contract, and entries by hand.
 """
 
 import time
@@ -20,6 +20,7 @@ from fuzz import (  # noqa: F401
     yaml_kinds,
 )
 from fuzz.case import KINDS, Case
+from helpers.journal import Journal
 
 SEEDS = range(5)
 
@@ -104,3 +105,23 @@ def test_the_judge_sees_a_result_that_differs_without_a_word(factor, seen, monke
 
     monkeypatch.setitem(KINDS, "recipe", maker)
     assert ("silently wrong" in judge.judged("recipe", 0).finding) is seen
+
+
+# -- the journal of searches that go on where they stopped --------------------------------------
+
+
+def test_a_journal_goes_on_after_a_line_that_was_cut_off(tmp_path):
+    path = tmp_path / "there" / "journal"
+    Journal(path).add("a", finding="")
+    with path.open("a") as file:
+        file.write('{"key": "b", "find')
+    again = Journal(path)
+    assert list(again.entries) == ["a"]
+    again.add("b", finding="x")
+    assert Journal(path).entries["b"] == {"key": "b", "finding": "x"}
+
+
+def test_a_journal_without_a_file_keeps_its_entries_in_memory():
+    journal = Journal(None)
+    journal.add("a", code=1)
+    assert journal.entries == {"a": {"key": "a", "code": 1}}

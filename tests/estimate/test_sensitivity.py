@@ -67,22 +67,18 @@ CRITERION = Criterion(median_nm=20.0, failure_fraction=0.1)
 MAGNITUDES = np.array([12.0, 14.0, 16.0, 18.0])
 
 
-def test_the_limit_is_interpolated_in_the_logarithm_of_the_error():
-    median = 2.0 * 10 ** (0.4 * (MAGNITUDES - 12))  # meets 20 nm at 12 + 2.5 exactly
-    assert limiting_magnitude(MAGNITUDES, median, np.zeros(4), CRITERION) == pytest.approx(14.5)
-
-
-def test_failures_stop_the_limit_at_the_last_good_magnitude():
-    failures = np.array([0, 0, 0.3, 0.9])
-    assert limiting_magnitude(MAGNITUDES, np.full(4, 5.0), failures, CRITERION) == 14.0
-
-
-def test_a_curve_that_never_meets_the_criterion_has_no_limit():
-    assert np.isnan(limiting_magnitude(MAGNITUDES, np.full(4, 50.0), np.zeros(4), CRITERION))
-
-
-def test_a_curve_that_always_meets_it_ends_with_the_grid():
-    assert limiting_magnitude(MAGNITUDES, np.full(4, 5.0), np.zeros(4), CRITERION) == 18.0
+@pytest.mark.parametrize(
+    ("median_nm", "failures", "limit"),
+    [
+        (2.0 * 10 ** (0.4 * (MAGNITUDES - 12)), np.zeros(4), 14.5),  # 20 nm at 12 + 2.5, in the logarithm
+        (np.full(4, 5.0), np.array([0, 0, 0.3, 0.9]), 14.0),  # failures stop it at the last good magnitude
+        (np.full(4, 50.0), np.zeros(4), np.nan),
+        (np.full(4, 5.0), np.zeros(4), 18.0),  # the end of the grid
+    ],
+)
+def test_the_limit_is_where_errors_or_failures_exceed_the_criterion(median_nm, failures, limit):
+    found = limiting_magnitude(MAGNITUDES, median_nm, failures, CRITERION)
+    assert found == pytest.approx(limit, nan_ok=True)
 
 
 def test_a_curve_counts_failures_apart_from_errors():
