@@ -67,7 +67,7 @@ def show(product: Path, as_json: bool) -> None:
       irlos show demo/03_calibrate.h5 --json
     """
     from irlos_pipe.commands.text import product_text, run_text
-    from irlos_pipe.product.shown import shown_product, shown_run
+    from irlos_pipe.product.printed import shown_product, shown_run
 
     with readable(product):
         if product.is_dir():
