@@ -63,7 +63,7 @@ def show(product: Path = argument("PRODUCT.h5|DIR"), as_json: bool = options.JSO
       irlos show demo/03_calibrate.h5 --json
     """
     from irlos_pipe.commands.text import product_text, run_text
-    from irlos_pipe.product.shown import shown_product, shown_run
+    from irlos_pipe.product.printed import shown_product, shown_run
 
     with readable(product):
         if product.is_dir():

@@ -2,16 +2,17 @@
 
 import numpy as np
 import pytest
+from irlos_pipe.stages.lift.quality import checks_of
 
 from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp import RampSummary, summarise
-from irlos_pipe.stages.lift.quality import (
+from irlos_pipe.stages.lift.stage import Config
+from irlos_pipe.stages.lift.work import (
     WITHOUT_NCPAS,
     checks_of,
     offset_text,
     unexplained_offset_nm,
 )
-from irlos_pipe.stages.lift.stage import Config
 
 OFFSETS = np.repeat(np.arange(-300.0, 301.0, 100.0), 6)
 NOMINAL = FrameErrors(4.0, 2.3, 2.2)
