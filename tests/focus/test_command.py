@@ -71,7 +71,7 @@ def test_what_cannot_be_is_said_in_one_line_with_its_exit_code(run, tmp_path):
         ((run, "--ring", tmp_path / "text"), 3, f"{tmp_path}/text: not a ring of frames"),
         ((run, "--ring", tmp_path / "ring"), 3, "20x24 px, and the calibration"),
         ((run, "--folder", tmp_path / "none"), 3, "no such folder"),
-        ((run, *replay, "--input", "calibratoin"), 3, "has no input 'calibratoin'"),
+        ((run, *replay, "--input", "calibratoin"), 3, "no recordings of input 'calibratoin'"),
         ((run, *replay, "--acquisition", "none.yaml"), 3, "no such file"),
         ((tmp_path, *replay), 3, "not the folder of a run"),
         ((run, *replay, "--gain", 1.5), 2, "stable between 0 and 1.000"),
