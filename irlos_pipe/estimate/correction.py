@@ -1,4 +1,4 @@
-"""What a correction would gain: images with and without the measured aberrations, and what each part costs."""
+"""What a correction would gain: images with and without measured aberrations, and what each part costs."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from irlos_pipe.stages.lift.quality import checks_of
 
 from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp import RampSummary, summarise
