@@ -24,6 +24,8 @@ LOOP_S = 0.001
 SUBAPERTURE_M = 0.2
 SUBAPERTURES = 42  # across the grid; the outermost are outside the pupil
 SAMPLES_PER_SUBAPERTURE = 3
+SAMPLES = SUBAPERTURES * SAMPLES_PER_SUBAPERTURE  # of the loop's grid, along an axis
+STEP_M = SUBAPERTURE_M / SAMPLES_PER_SUBAPERTURE
 LIT_SHARE = 0.5  # of a subaperture's area, for it to be used
 GAIN, LEAK = 0.4, 0.005
 DELAY_STEPS = 2
@@ -149,7 +151,7 @@ class Hardware:
 def build_hardware() -> Hardware:
     """Return sensor, mirror and reconstructor."""
     lit = np.asarray(ut4_aperture(_grid()).shaped) > 0.5
-    position_m = centres(SUBAPERTURES * SAMPLES_PER_SUBAPERTURE, SUBAPERTURE_M / SAMPLES_PER_SUBAPERTURE)
+    position_m = centres(SAMPLES, STEP_M)
     tilt = np.broadcast_to(position_m / (DIAMETER_M / 4), lit.shape)
     mean = np.kron(np.eye(SUBAPERTURES), np.full(SAMPLES_PER_SUBAPERTURE, 1 / SAMPLES_PER_SUBAPERTURE))
     edges_m = (np.arange(SUBAPERTURES + 1) - SUBAPERTURES / 2) * SUBAPERTURE_M
@@ -185,8 +187,7 @@ def _reconstructor(along: np.ndarray, across: np.ndarray, valid: np.ndarray, use
 
 
 def _grid():
-    samples = SUBAPERTURES * SAMPLES_PER_SUBAPERTURE
-    return make_pupil_grid(samples, SUBAPERTURES * SUBAPERTURE_M)
+    return make_pupil_grid(SAMPLES, SUBAPERTURES * SUBAPERTURE_M)
 
 
 def _moving(layer: Layer, strength: float, rng: np.random.Generator) -> InfiniteAtmosphericLayer:
@@ -205,10 +206,8 @@ def centres(samples: int, step_m: float) -> np.ndarray:
 
 def _linear(position_m: np.ndarray, scale: float) -> np.ndarray:
     """Return the matrix (positions, n) that interpolates rows of the loop's grid at scaled positions."""
-    samples = SUBAPERTURES * SAMPLES_PER_SUBAPERTURE
-    step_m = SUBAPERTURE_M / SAMPLES_PER_SUBAPERTURE
-    index = np.clip(np.asarray(position_m) * scale / step_m + (samples - 1) / 2, 0, samples - 1)
-    return np.maximum(1 - np.abs(index[:, None] - np.arange(samples)), 0)
+    index = np.clip(np.asarray(position_m) * scale / STEP_M + (SAMPLES - 1) / 2, 0, SAMPLES - 1)
+    return np.maximum(1 - np.abs(index[:, None] - np.arange(SAMPLES)), 0)
 
 
 def _cubic_spline(distance: np.ndarray) -> np.ndarray:

@@ -11,30 +11,23 @@ MAS = np.deg2rad(1 / 3.6e6)
 PIXEL_NODES = 3
 
 
-def pixel_nodes_px(window_px: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions [px] from the optical axis and weights of the points that sample the pixels.
-
-    Each pixel is integrated by a three-point Gauss-Legendre rule per axis. The image holds no
-    frequency above D/lambda, for which the rule is exact to 1e-4 at 9.7 mas in J and H.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(PIXEL_NODES)
-    centres = np.arange(window_px) - (window_px - 1) / 2
-    return (centres[:, None] + nodes / 2).ravel(), weights / 2
-
-
 class Imager:
     """Images of a point source through the telescope in a given spectrum.
 
-    `weights` of the wavelengths are those of photons, normalised here to a sum of one. The window is square;
+    `photons` are the weights of the wavelengths, normalised here to a sum of one. The window is square;
     the optical axis lies at (window_px - 1) / 2.
     """
 
-    def __init__(self, telescope: Telescope, wavelengths_nm, weights, window_px: int, pixel_scale_mas: float):
+    def __init__(self, telescope: Telescope, wavelengths_nm, photons, window_px: int, pixel_scale_mas: float):
         self.window_px = window_px
         self.wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
-        self.weights = np.asarray(weights, dtype=float) / np.sum(weights)
+        self.weights = np.asarray(photons, dtype=float) / np.sum(photons)
         self.amplitude = telescope.transmission.astype(np.float32)
-        position_px, self._node_weights = pixel_nodes_px(window_px)
+        # Each pixel is integrated by a Gauss-Legendre rule per axis. The image holds no frequency above
+        # D/lambda, for which three points are exact to 1e-4 at 9.7 mas in J and H.
+        nodes, weights = np.polynomial.legendre.leggauss(PIXEL_NODES)
+        centres = np.arange(window_px) - (window_px - 1) / 2
+        position_px, self._node_weights = (centres[:, None] + nodes / 2).ravel(), weights / 2
         self._transforms = [
             _transform(telescope, position_px * pixel_scale_mas * MAS, wavelength_nm)
             for wavelength_nm in self.wavelengths_nm

@@ -14,16 +14,10 @@ DITTO = "〃"  # the meaning of the field above says what this one is as well
 
 
 def key(default: Any = MISSING, meaning: str = "", **how: Any) -> Any:
-    """Return the field of a dataclass that a file gives.
+    """Return the field of a dataclass that a file gives, of a `meaning` for messages and references.
 
-    Parameters
-    ----------
-    default : object, optional
-        Its value where the file is silent; without one it must be given.
-    meaning : str
-        For messages and references.
-    **how
-        Of pydantic's ``Field``: limits such as ``ge``; ``alias``, the key where it is not the field's name.
+    Where the file is silent it has the `default`; without one it must be given. `how` is of pydantic's
+    ``Field``: limits such as ``ge``; ``alias``, the key where it is not the field's name.
     """
     metadata = {"description": meaning, **how}
     if isinstance(default, (dict, list)):

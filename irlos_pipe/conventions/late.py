@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 
 class LateModule:
-    """A module that is imported when something of it is asked for.
-
-    Parameters
-    ----------
-    name : str
-        As in an import statement.
-    """
+    """A module, `name` as in an import statement, that is imported when something of it is asked for."""
 
     def __init__(self, name: str) -> None:
         self._name = name

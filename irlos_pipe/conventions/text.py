@@ -22,14 +22,10 @@ def suggestion(word: object, known: Iterable[object]) -> str:
 
 
 def rounded_by_error(value: float, error: float, pattern: str = "") -> str:
-    """Return ``value ± error`` to the second digit of the error.
+    """Return ``value ± error`` to the second digit of the `error`, or the `value` where that is not positive.
 
-    Parameters
-    ----------
-    value, error : float
-    pattern : str
-        Format of the value alone, where the error is not positive or not finite. Of the two together it
-        says whether the value has a sign (``+``) and whether both are in per cent (``%``).
+    The `pattern` is the format of the value alone. Of the two together it says whether the value has a sign
+    (``+``) and whether both are in per cent (``%``).
     """
     if not (math.isfinite(value) and math.isfinite(error) and error > 0):
         return format(value, pattern)
@@ -58,15 +54,10 @@ def _escape(letter: str) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:
-    """Return rows of text as a table with columns of equal width.
+    """Return `rows` of text, of as many cells each, as a table with columns of equal width.
 
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        Cells; all rows have the same number of them.
-    numbers : bool
-        Align all columns but the first to the right. Otherwise all are aligned to the left, and a first
-        cell that repeats the one above is left blank.
+    All are aligned to the left, and a first cell that repeats the one above is left blank; with `numbers`,
+    all columns but the first are aligned to the right.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines, previous = [], None

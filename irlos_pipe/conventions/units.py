@@ -21,14 +21,9 @@ Angle = TypeVar("Angle", bound=Scalable)
 
 
 def cutoff_per_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float) -> float:
-    """Return D/λ in cycles per pixel: the highest spatial frequency of an image.
+    """Return D/λ in cycles per pixel of `pixel_scale_mas`: the highest spatial frequency of an image.
 
-    Parameters
-    ----------
-    wavelength_m, diameter_m : float
-        Wavelength, and diameter of the pupil or of a subaperture [m].
-    pixel_scale_mas : float
-        Side of a pixel on the sky [mas].
+    `wavelength_m` is λ, `diameter_m` D, of the pupil or of a subaperture.
     """
     return pixel_scale_mas * MAS * diameter_m / wavelength_m
 
@@ -36,21 +31,14 @@ def cutoff_per_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float
 def resolution_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float) -> float:
     """Return the resolution element λ/D in pixels, the inverse of `cutoff_per_px`.
 
-    Parameters
-    ----------
-    wavelength_m, diameter_m, pixel_scale_mas : float
-        As of `cutoff_per_px`.
+    `wavelength_m`, `diameter_m` and `pixel_scale_mas` are as there.
     """
     return MAS_PER_RAD * wavelength_m / diameter_m / pixel_scale_mas
 
 
 def tilt_nm(angle_mas: Angle, diameter_m: float) -> Angle:
-    """Return Noll 2 or 3 [nm RMS] that moves the image by an angle θ: an OPD of θ D/4 RMS.
+    """Return Noll 2 or 3 [nm RMS] that moves the image by `angle_mas`, for a pupil of `diameter_m`.
 
-    Parameters
-    ----------
-    angle_mas : float or tensor
-    diameter_m : float
-        Of the pupil [m].
+    An OPD of θ D/4 RMS moves it by θ.
     """
     return angle_mas * MAS * diameter_m * (1e9 / 4)

@@ -33,10 +33,18 @@ def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -
 
 @dataclass(frozen=True)
 class MapSize:
-    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm]."""
+    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm].
 
-    rms_nm: Number = math.nan  # RMS about the mean over the clear pupil
-    pv_nm: Number = math.nan  # peak to valley over the clear pupil
+    Attributes
+    ----------
+    rms_nm : float
+        RMS about the mean over the clear pupil.
+    pv_nm : float
+        Peak to valley over the clear pupil.
+    """
+
+    rms_nm: Number = math.nan
+    pv_nm: Number = math.nan
 
     @classmethod
     def of(cls, map_nm: np.ndarray) -> MapSize:

@@ -5,30 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from irlos_pipe.optics.zernike import noll_to_nm, zernike, zernike_basis
+from irlos_pipe.optics.zernike import noll_to_nm, partner, rotation_matrix, zernike, zernike_basis
 
 # Noll 1976, table I: index -> (n, m), with the sign that his even-is-cosine rule gives
 NOLL_TABLE = {
-    1: (0, 0),
-    2: (1, 1),
-    3: (1, -1),
-    4: (2, 0),
-    5: (2, -2),
-    6: (2, 2),
-    7: (3, -1),
-    8: (3, 1),
-    9: (3, -3),
-    10: (3, 3),
-    11: (4, 0),
-    12: (4, 2),
-    13: (4, -2),
-    14: (4, 4),
-    15: (4, -4),
-    16: (5, 1),
-    17: (5, -1),
-    22: (6, 0),
-    37: (8, 0),
-}
+    1: (0, 0), 2: (1, 1), 3: (1, -1), 4: (2, 0), 5: (2, -2), 6: (2, 2), 7: (3, -1), 8: (3, 1), 9: (3, -3),
+    10: (3, 3), 11: (4, 0), 12: (4, 2), 13: (4, -2), 14: (4, 4), 15: (4, -4), 16: (5, 1), 17: (5, -1),
+    22: (6, 0), 37: (8, 0),
+}  # fmt: skip
 EXPLICIT = {
     2: lambda x, y: 2 * x,
     3: lambda x, y: 2 * y,
@@ -82,3 +66,35 @@ def test_all_modes_are_those_of_hcipy():
     for noll in range(1, 67):
         theirs = hcipy.zernike(*hcipy.noll_to_zernike(noll), D=2.0, grid=grid, radial_cutoff=False)
         assert zernike(noll, x, y) == pytest.approx(np.asarray(theirs), abs=1e-9)
+
+
+NOLLS = tuple(range(2, 67))  # complete radial orders 1 to 10
+
+
+@pytest.mark.parametrize("angle_deg", [23.0, -71.0, 161.0, 540.0])
+def test_coefficients_turn_as_the_wavefront_does(angle_deg):
+    """Truth: the wavefront evaluated at rotated points, no interpolation."""
+    rng = np.random.default_rng(1)
+    radius, azimuth = np.sqrt(rng.uniform(0, 1, 400)), rng.uniform(0, 2 * np.pi, 400)
+    coefficients = rng.normal(size=len(NOLLS))
+    turned = rotation_matrix(NOLLS, angle_deg) @ coefficients
+    before = azimuth - np.radians(angle_deg)  # anticlockwise: what was at θ − α is now at θ
+    expected = coefficients @ zernike_basis(NOLLS, radius * np.cos(before), radius * np.sin(before))
+    found = turned @ zernike_basis(NOLLS, radius * np.cos(azimuth), radius * np.sin(azimuth))
+    assert np.abs(found - expected).max() < 1e-11
+
+
+def test_rotations_keep_the_rms_and_undo_one_another():
+    matrix = rotation_matrix(NOLLS, 37.0)
+    assert np.allclose(matrix.T @ matrix, np.eye(len(NOLLS)), atol=1e-12)
+    assert np.allclose(rotation_matrix(NOLLS, -37.0) @ matrix, np.eye(len(NOLLS)), atol=1e-12)
+
+
+def test_every_mode_is_the_partner_of_its_partner():
+    assert all(partner(partner(noll)) == noll for noll in range(1, 200))
+    assert [partner(noll) for noll in (1, 2, 4, 5, 7, 11)] == [1, 3, 4, 6, 8, 11]
+
+
+def test_half_a_pair_cannot_be_turned():
+    with pytest.raises(ValueError, match="Noll 5 turns into 6"):
+        rotation_matrix((4, 5), 10.0)
