@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -243,5 +244,5 @@ class Recording:
 
     def accepted(self) -> Recording:
         """Return the recording with the used frames only."""
-        kept = {name: picked(getattr(self, name), self.used) for name in PER_FRAME}
+        kept: dict[str, Any] = {name: picked(getattr(self, name), self.used) for name in PER_FRAME}
         return replace(self, **kept)
