@@ -89,13 +89,6 @@ class Effect(Declared):
         """
         raise NotImplementedError
 
-    def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
-        """What small `changes` (images, changes, rows, columns) of `images_e` become behind the detector.
-
-        `values` and `images_e` (images, rows, columns) are those of `apply`.
-        """
-        raise NotImplementedError
-
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
         """Light paths beside that of the star, each with the effect that stands there in this one's place.
@@ -104,10 +97,6 @@ class Effect(Declared):
         that has a focus of its own.
         """
         return ()
-
-    def defocus_nm(self, values: Tensor) -> Tensor:
-        """Of a copy of the star; see `planes.CopyOfStar`."""
-        raise NotImplementedError
 
     def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor | None:
         """The effect's part of the wavefront at `values` on `grid`, (n, n) [nm]; None if it is none."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 
@@ -27,6 +28,26 @@ class CopiesOfStar(OtfEffect):
     """Adds a displaced image of the star; the first parameters are its flux ratio and its place [mas]."""
 
     copies_star = repeatable = True
+    most: float  # plausible flux ratio
+
+    def __init__(self, start: Sequence[float] = (0.01, 100.0, 0.0), reach_mas: float = 300.0):
+        flux, x, y, *_ = start
+        self.parameters = (
+            Parameter("flux_ratio", "", flux, lower=0.0, upper=1.0, plausible=(0.0, self.most)),
+            Parameter("x_mas", "mas", x, lower=-reach_mas, upper=reach_mas, null=None),
+            Parameter("y_mas", "mas", y, lower=-reach_mas, upper=reach_mas, null=None),
+        )
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> Self:
+        """Within half the window's width of the star on every side."""
+        return cls((0.01, conditions.reach_mas / 3, 0.0), conditions.reach_mas)
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Flux ratio, separation and position angle."""
+        flux, x, y, *_ = (float(v) for v in values)
+        sep_mas, pa_deg = size_and_angle(x, y)
+        return {"flux_ratio": flux, "sep_mas": sep_mas, "pa_deg": pa_deg}
 
     def ordinary(self, values: Values) -> bool:
         """See `Effect.ordinary`: a faint reflection."""
@@ -83,6 +104,7 @@ class Companion(CopiesOfStar):
     name = "companion"
     formula = "T(b) = (1 + f exp(−2πi b·s / λ)) / (1 + f), f = flux_ratio, s at sep_mas, pa_deg"
     belongs_to = "star"
+    most = 0.9
     instrumental = False
     public = (
         number("flux_ratio", "secondary over primary", 0.0, 1.0),
@@ -94,19 +116,6 @@ class Companion(CopiesOfStar):
     look_alike = "vibration when closer than λ/D; a ghost, which other stars have too"
     reference = "Labeyrie 1970, A&A 6, 85"
 
-    def __init__(self, start: tuple[float, float, float] = (0.01, 100.0, 0.0), reach_mas: float = 300.0):
-        flux, x, y = start
-        self.parameters = (
-            Parameter("flux_ratio", "", flux, lower=0.0, upper=1.0, plausible=(0.0, 0.9)),
-            Parameter("x_mas", "mas", x, lower=-reach_mas, upper=reach_mas, null=None),
-            Parameter("y_mas", "mas", y, lower=-reach_mas, upper=reach_mas, null=None),
-        )
-
-    @classmethod
-    def under(cls, conditions: Conditions) -> Companion:
-        """Within half the window's width of the star on every side."""
-        return cls((0.01, conditions.reach_mas / 3, 0.0), conditions.reach_mas)
-
     def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         flux, *_ = values
         return factor * (1 + copy_of_star(values, grid)) / (1 + flux)
@@ -115,12 +124,6 @@ class Companion(CopiesOfStar):
     def together(cls, effects: Sequence[Effect]) -> Effect:
         """See `Effect.together`: the images of all add to that of the star."""
         return _Companions(effects)
-
-    def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Flux ratio, separation and position angle."""
-        flux, x, y = (float(v) for v in values)
-        sep_mas, pa_deg = size_and_angle(x, y)
-        return {"flux_ratio": flux, "sep_mas": sep_mas, "pa_deg": pa_deg}
 
     def values_of(self, flux_ratio: float, sep_mas: float, pa_deg: float) -> list[float]:
         return [flux_ratio, *components(sep_mas, pa_deg)]
@@ -152,8 +155,8 @@ class Ghost(CopiesOfStar):
 
     Parameters
     ----------
-    start : (float, float, float, float, float)
-        Flux ratio, position [mas], further defocus [nm RMS] and blur [mas].
+    start : (float, float, float) or (float, float, float, float, float)
+        Flux ratio and position [mas]; further defocus [nm RMS] and blur [mas], none by default.
     reach_mas : float
         Largest distance along either axis.
     """
@@ -164,6 +167,7 @@ class Ghost(CopiesOfStar):
         "blurred by blur_mas"
     )
     widens = Companion.name
+    most = 0.5
     public = (
         number("flux_ratio", "ghost over star", 0.0, 1.0),
         number("sep_mas", "mas", 0.0, 5000.0, role="position"),
@@ -180,25 +184,14 @@ class Ghost(CopiesOfStar):
     )
     reference = "Goodman 2005, Introduction to Fourier Optics, section 6.4"
 
-    def __init__(
-        self,
-        start: tuple[float, float, float, float, float] = (0.01, 100.0, 0.0, 0.0, 0.0),
-        reach_mas: float = 300.0,
-    ):
-        flux, x, y, defocus, blur = start
+    def __init__(self, start: Sequence[float] = (0.01, 100.0, 0.0), reach_mas: float = 300.0):
+        super().__init__(start, reach_mas)
+        defocus, blur = start[3:] or (0.0, 0.0)
         limit = LARGEST_DEFOCUS_NM
-        self.parameters = (
-            Parameter("flux_ratio", "", flux, lower=0.0, upper=1.0, plausible=(0.0, 0.5)),
-            Parameter("x_mas", "mas", x, lower=-reach_mas, upper=reach_mas, null=None),
-            Parameter("y_mas", "mas", y, lower=-reach_mas, upper=reach_mas, null=None),
+        self.parameters += (
             Parameter("defocus_nm", "nm", defocus, 0.0, DEFOCUS_SIGMA_NM, -limit, limit, null=None),
             Parameter("blur_mas2", "mas²", blur**2, lower=0.0, upper=LARGEST_BLUR_MAS**2, null=None),
         )
-
-    @classmethod
-    def under(cls, conditions: Conditions) -> Ghost:
-        """Within half the window's width of the star on every side."""
-        return cls((0.01, conditions.reach_mas / 3, 0.0, 0.0, 0.0), conditions.reach_mas)
 
     def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
         """See `OtfEffect.apply`: what is left for the star."""
@@ -215,16 +208,8 @@ class Ghost(CopiesOfStar):
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Flux ratio, separation, position angle, defocus and blur."""
-        flux, x, y, defocus, blur2 = (float(v) for v in values)
-        sep_mas, pa_deg = size_and_angle(x, y)
-        blur_mas = float(np.sqrt(max(blur2, 0.0)))
-        return {
-            "flux_ratio": flux,
-            "sep_mas": sep_mas,
-            "pa_deg": pa_deg,
-            "defocus_nm": defocus,
-            "blur_mas": blur_mas,
-        }
+        defocus, blur2 = (float(v) for v in values[3:])
+        return super().describe(values) | {"defocus_nm": defocus, "blur_mas": float(np.sqrt(max(blur2, 0.0)))}
 
     def values_of(
         self, flux_ratio: float, sep_mas: float, pa_deg: float, defocus_nm: float = 0.0, blur_mas: float = 0.0

@@ -44,7 +44,7 @@ class InterpixelCrosstalk(DetectorEffect):
         return images_e + values[0] * (received.reshape(images_e.shape) - images_e)
 
     def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
-        """See `Effect.pushed`: linear."""
+        """See `DetectorEffect.pushed`: linear."""
         return self.apply(values, changes)
 
 
@@ -79,7 +79,7 @@ class DetectorNonlinearity(DetectorEffect):
         return images_e * (1 - values[0] * images_e / peak)
 
     def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
-        """See `Effect.pushed`: the brightest pixel changes as well."""
+        """See `DetectorEffect.pushed`: the brightest pixel changes as well."""
         images, lost = images_e[:, None], values[0]
         if self.peak_e is not None:
             return changes * (1 - 2 * lost / self.peak_e * images)

@@ -17,7 +17,7 @@ from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, PupilMode, Sampling, Tangents
 
 PLANES: tuple[Plane, ...] = get_args(Plane)
-Acting = tuple[Effect, slice]  # and its part of the parameter vector
+Acting = tuple[Any, slice]  # an effect of some plane, and its part of the parameter vector
 
 # Steps of central differences, which err by their square and by rounding over them: of a parameter, and of
 # the sampling, relative: quicker than automatic differentiation through the AO residual.

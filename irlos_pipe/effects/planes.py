@@ -115,7 +115,10 @@ class DetectorEffect(Effect):
         raise NotImplementedError
 
     def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
-        """See `Effect.pushed`: here they stay."""
+        """What small `changes` (images, changes, rows, columns) of images become; here they stay.
+
+        `values` and `images_e` (images, rows, columns) are those of `apply`.
+        """
         return changes
 
 

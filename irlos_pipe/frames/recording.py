@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from irlos_pipe.frames.blocks import mean_frame, picked
 # sources of values
 RECIPE, SIDECAR, HEADER, PROFILE, FRAMES = "recipe", "side-car", "header", "instrument profile", "measured"
 MODE = "read-out mode by the instrument profile"
+PER_FRAME = ("images_e", "used", "reason", "time_s", "frame_counter", "introduced_defocus_nm")
 
 
 @dataclass(frozen=True)
@@ -242,12 +244,5 @@ class Recording:
 
     def accepted(self) -> Recording:
         """Return the recording with the used frames only."""
-        return replace(
-            self,
-            images_e=picked(self.images_e, self.used),
-            used=picked(self.used, self.used),
-            reason=picked(self.reason, self.used),
-            time_s=picked(self.time_s, self.used),
-            frame_counter=picked(self.frame_counter, self.used),
-            introduced_defocus_nm=picked(self.introduced_defocus_nm, self.used),
-        )
+        kept: dict[str, Any] = {name: picked(getattr(self, name), self.used) for name in PER_FRAME}
+        return replace(self, **kept)

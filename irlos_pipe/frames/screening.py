@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -107,8 +108,7 @@ def saturated_frames(
     return ((adu >= level_adu) & good).sum(axis=(1, 2)) > tolerated_px
 
 
-@dataclass(frozen=True)
-class StarPeak:
+class StarPeak(NamedTuple):
     """Brightest spot of each image after averaging over 3x3 pixels; arrays (frames,).
 
     Attributes
@@ -125,8 +125,8 @@ class StarPeak:
 
 def star_peaks(images_e: np.ndarray) -> StarPeak:
     """Find the brightest spot of each image (frames, rows, columns)."""
-    found = [_peaks(images_e[block]) for block in blocks(len(images_e))]
-    return StarPeak(np.concatenate([snr for snr, _ in found]), np.concatenate([edge for _, edge in found]))
+    found = (_peaks(images_e[block]) for block in blocks(len(images_e)))
+    return StarPeak(*map(np.concatenate, zip(*found, strict=True)))
 
 
 def _peaks(images_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

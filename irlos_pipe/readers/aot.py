@@ -26,11 +26,6 @@ def recognises(hdus: fits.HDUList) -> bool:
     return VERSION_KEY in hdus[0].header
 
 
-def files_of(path: Path) -> list[Path]:
-    """Return the files from which the recordings in `path` are read: it alone."""
-    return [path]
-
-
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
     """See `irlos_pipe.readers.find.Reader.read`: one recording per detector that looks at a star.
 

@@ -77,11 +77,6 @@ def recognises(hdus: fits.HDUList) -> bool:
     return any(map(has_image, hdus))
 
 
-def files_of(path: Path) -> list[Path]:
-    """Return the files from which the recording in `path` is read: it alone."""
-    return [path]
-
-
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
     """See `irlos_pipe.readers.find.Reader.read`.
 

@@ -38,15 +38,15 @@ SHOWN_NAMES = 3
 
 
 class Reader(Protocol):
-    """What a module that reads one layout offers."""
+    """What a module that reads one layout offers.
+
+    One that reads further files for a recording has ``files_of(path)``, which returns all but the side-car.
+    """
 
     LAYOUT: str
 
     def recognises(self, hdus: fits.HDUList) -> bool:
         """Return whether a FITS file has this layout; `hdus` may be used for their headers only."""
-
-    def files_of(self, path: Path) -> list[Path]:
-        """Return every file from which the recordings in `path` are read, but for the side-car."""
 
     def read(self, path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
         """Read the recordings of the file `path`, of which the other files of the recording are known.
@@ -94,7 +94,7 @@ def files_of(path: Path) -> list[Path]:
     own = [path]
     with suppress(InputDataError):  # reading will say what is wrong
         reader = _reader_of(path)
-        own = [path] if reader is None else reader.files_of(path)
+        own = getattr(reader, "files_of", lambda one: [one])(path)
     return [*own, *filter(Path.is_file, [sidecar_path(path)])]
 
 

@@ -30,11 +30,6 @@ def recognises(hdus: fits.HDUList) -> bool:
     return any(hdu.name.upper() == CUBE for hdu in hdus)
 
 
-def files_of(path: Path) -> list[Path]:
-    """Return the files from which the recordings in `path` are read: it alone."""
-    return [path]
-
-
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
     """See `irlos_pipe.readers.find.Reader.read`: in 2x2 modes the four images side by side, without borders.
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from astropy.io import fits
@@ -160,8 +161,7 @@ def _folders(path: Path) -> list[Path]:
     return [folder, loop] if loop != folder and loop.is_dir() else [folder]
 
 
-@dataclass(frozen=True)
-class _TableTimes:
+class _TableTimes(NamedTuple):
     """Times of the rows of a table [s since 1970], and their frame counters."""
 
     counter: np.ndarray

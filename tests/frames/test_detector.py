@@ -24,17 +24,8 @@ def test_electrons_are_counts_above_background_over_flat_times_gain():
     adu = np.array([[[110.0, 60.0]], [[10.0, 35.0]]])
     electrons = to_electrons(adu, np.array([[10.0, 10.0]]), np.array([[1.0, 0.5]]), e_per_adu=2.0)
     assert electrons.tolist() == [[[200.0, 200.0]], [[0.0, 100.0]]]
-    assert electrons.dtype == np.float32
-
-
-def test_unsigned_counts_below_the_background_become_negative():
+    assert electrons.dtype == np.float32 and adu[0, 0, 0] == 110
     assert to_electrons(np.array([[[3]]], np.uint16), np.array([[5.0]]), np.ones((1, 1)), 1.0)[0, 0, 0] == -2
-
-
-def test_counts_are_left_as_they_were():
-    adu = np.full((2, 3, 3), 7.0, np.float32)
-    to_electrons(adu, np.ones((3, 3)), np.ones((3, 3)), 2.0)
-    assert (adu == 7).all()
 
 
 def test_only_the_shape_of_a_flat_matters():
@@ -83,20 +74,17 @@ def test_the_star_is_found_where_it_is(shape):
     assert star_position(image) == pytest.approx((12.3, 17.8), abs=0.1)
 
 
-def test_the_declared_saturation_level_is_believed():
-    assert saturation_level(counts(star()), Detector(0.5, 1.0, saturation_adu=1234.0)) == 1234.0
-
-
-def test_an_integer_type_saturates_at_its_end():
-    adu = counts(star(flux_e=1e5)).astype(np.uint16)
-    assert adu.max() < 60000
-    assert saturation_level(adu, DETECTOR) == 65535
-
-
-def test_clipped_counts_betray_the_level():
-    adu = np.minimum(counts(star()), 16383)
-    assert (adu == 16383).sum() > 20
-    assert saturation_level(adu, DETECTOR) == 16383
+@pytest.mark.parametrize(
+    ("adu", "declared", "level"),
+    [
+        (counts(star()), 1234.0, 1234.0),
+        (counts(star(flux_e=1e5)).astype(np.uint16), None, 65535),  # the end of the type
+        (np.minimum(counts(star()), 16383), None, 16383),  # clipped counts betray it
+    ],
+    ids=["declared", "integer", "clipped"],
+)
+def test_saturation_is_declared_or_that_of_the_type_or_where_counts_are_clipped(adu, declared, level):
+    assert saturation_level(adu, Detector(0.5, 1.0, saturation_adu=declared)) == level
 
 
 @pytest.mark.parametrize("flux_e", [1e3, 1e5, 1e7])
@@ -114,18 +102,13 @@ def measured(images, detector=DETECTOR):
     )
 
 
-@pytest.mark.parametrize("read_noise_e", [1.0, 3.0])
-def test_read_noise_is_measured_on_the_star_itself(read_noise_e):
-    noise = measured(frames_e(star(64, 64, flux_e=3e5), 100, read_noise_e))
-    assert noise.floor_e2 == pytest.approx(read_noise_e**2, abs=5 * noise.floor_error_e2)
-    assert noise.excess_noise_factor == pytest.approx(1.0, abs=0.05)
-
-
-def test_excess_noise_is_measured_on_the_star_itself():
+@pytest.mark.parametrize(("read_noise_e", "excess"), [(1.0, 1.0), (3.0, 1.0), (1.0, 1.4)])
+def test_read_noise_and_excess_noise_are_measured_on_the_star_itself(read_noise_e, excess):
     image = star(64, 64, flux_e=3e5)
-    rng = np.random.default_rng(2)
-    frames = image + np.sqrt(1.4 * image + 1) * rng.normal(size=(100, *image.shape))
-    assert measured(frames).excess_noise_factor == pytest.approx(1.4, rel=0.05)
+    normal = np.random.default_rng(2).normal(size=(100, *image.shape))
+    noise = measured(image + np.sqrt(excess * image + read_noise_e**2) * normal)
+    assert noise.floor_e2 == pytest.approx(read_noise_e**2, abs=5 * noise.floor_error_e2)
+    assert noise.excess_noise_factor == pytest.approx(excess, rel=0.05)
 
 
 def test_image_motion_is_no_noise():
