@@ -145,28 +145,13 @@ def load_recipe(
         With one line ``where: message`` for everything that is wrong.
     """
     path = named_file(path, RECIPES)
-    read = read_overridden(path, _parse_setting, settings, inputs, seed)
-    return _checked(path, *read, samples=samples, complete=complete)
-
-
-def _parse_setting(text: str) -> Override:
-    """A setting; a section given by the path of its file is read."""
-    override = located(parse_setting(text))
-    whole = len(override.key) == 1 and override.key[0] in SECTIONS
-    if not whole or not isinstance(override.value, str):
-        return override
-    return replace(override, value=load_yaml(absolute(override.value))[0])
-
-
-def _checked(
-    path: Path, data: dict[str, Any], errors: ValidationErrors, *, samples: bool, complete: bool
-) -> Recipe:
+    data, errors = read_overridden(path, _parse_setting, settings, inputs, seed)
     head = _check_head(data, errors)
     model = _check_section(data, "model", ModelConfig, errors)
     configs = _check_stage_sections(data, errors)
     _check_stages(head.stages, errors)
     given = _with_samples(head, errors) if samples else head.inputs
-    inputs = _check_inputs(given, absolute(path).parent, errors, head.samples, complete)
+    paths = _check_inputs(given, absolute(path).parent, errors, head.samples, complete)
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
     assert model is not None and instrument is not None, "what is missing has been reported"
@@ -176,13 +161,22 @@ def _checked(
         head.title,
         instrument_name,
         instrument,
-        inputs,
-        tuple(name for name, paths in inputs.items() if are_samples(paths)),
+        paths,
+        tuple(name for name, own in paths.items() if are_samples(own)),
         tuple(head.stages),
         model.completed(instrument.facility),
         {name: config for name in head.stages if (config := configs[name]) is not None},
         head.seed,
     )
+
+
+def _parse_setting(text: str) -> Override:
+    """A setting; a section given by the path of its file is read."""
+    override = located(parse_setting(text))
+    whole = len(override.key) == 1 and override.key[0] in SECTIONS
+    if not whole or not isinstance(override.value, str):
+        return override
+    return replace(override, value=load_yaml(absolute(override.value))[0])
 
 
 # -- checks, one function a part: each notes what is wrong and returns what is right ------------
@@ -256,30 +250,25 @@ def _check_inputs(
 
     If they have to be `complete`, one that is not given is wrong; the package has `samples` for some.
     """
+
+    def wrong(name: str, message: str) -> None:
+        errors.add(("inputs", name), message)
+
     for name, paths in inputs.items():
         if not INPUT_NAME.fullmatch(name):
-            errors.add(
-                ("inputs", name),
-                f"input {name!r}: a name is made of letters, digits and . _ + - "
-                "and begins with a letter or digit",
-            )
+            allowed = "letters, digits and . _ + - and begins with a letter or digit"
+            wrong(name, f"input {name!r}: a name is made of {allowed}")
         if not paths and complete:
             hint = ", or --samples for the simulated sample" if name in samples else ""
-            errors.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH{hint}")
+            wrong(name, f"input '{name}' is not given; add --input {name}=PATH{hint}")
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
     for name, absolute_paths in found.items():
         for path in absolute_paths:
             if not str(path).isprintable():  # control characters, and bytes that are no UTF-8
-                errors.add(
-                    ("inputs", name),
-                    f"input '{name}': {str(path)!r} holds characters that cannot be shown; rename it",
-                )
+                wrong(name, f"input '{name}': {str(path)!r} holds characters that cannot be shown; rename it")
             elif not os.path.exists(path):  # also of a name that no file can have
-                errors.add(
-                    ("inputs", name),
-                    f"input '{name}': no such file or folder: {path}; "
-                    f"correct it, or give --input {name}=PATH",
-                )
+                hint = f"correct it, or give --input {name}=PATH"
+                wrong(name, f"input '{name}': no such file or folder: {path}; {hint}")
     return found
 
 

@@ -299,7 +299,11 @@ def residual_views(
         )
         widths = {"log": LINEAR_SIGMA if unit == "σ" else limit / 100, "linear": None}
         for label, linear_width in widths.items():
-            look = {"scale": symmetric_scale(limit, linear_width), "colours": SIGNED, "unit": unit}
+            look: dict[str, Any] = {
+                "scale": symmetric_scale(limit, linear_width),
+                "colours": SIGNED,
+                "unit": unit,
+            }
             choices[f"{unit[0]} {label}"] = _side_by_side(
                 f"{name}-{len(choices)}", images, pixel_scale_mas=pixel_scale_mas, **look
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from dataclasses import replace
@@ -17,6 +18,8 @@ from irlos_pipe.product import storage
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.report.build import write_report
 from irlos_pipe.report.section_run import MOST_THUMBNAILS
+from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.model.untested import BY_RAMP, untested_by_cubes
 
 
 class Page(HTMLParser):
@@ -284,3 +287,37 @@ def test_no_frames_are_read_for_the_page(tmp_path, monkeypatch):
 def test_a_folder_without_a_run_is_refused(tmp_path):
     with pytest.raises(InputDataError, match="not the folder of a run"):
         write_report(tmp_path)
+
+
+# -- what the data cannot tell is said before the numbers, in results.json first ----------------
+
+CAUSES = (
+    "sign of the even modes",
+    "size and mode of the diversity",
+    "transposed",
+    "180°",
+    "same factor",
+    "flat",
+)
+
+
+def test_results_begin_with_what_was_not_tested():
+    """Truth: an image stays the same when the wavefront is turned by 180° and its sign changes, which
+    reverses the even modes alone: their sign comes with that of the diversity.
+    """
+    results = CalibrateResults(wfe_nm=1.0, untested=untested_by_cubes({6: -170.0}))
+    first, lines = next(iter(results.as_json().items()))
+    assert first == "untested" and "Noll 6 -170 nm" in lines[0]
+    assert all(any(cause in line for line in lines) for cause in CAUSES)
+    assert json.dumps(results.as_json()).startswith('{"untested"')
+    assert "untested" not in CalibrateResults(wfe_nm=1.0).as_json()
+
+
+def test_the_report_says_so_once_above_the_numbers(tmp_path):
+    made = [made_run.calibrate(), made_run.lift()]
+    lines = untested_by_cubes({6: -170.0})
+    for product, own in zip(made, (lines, BY_RAMP), strict=True):
+        product.results["untested"] = list(own)
+    page = report(tmp_path, made).text
+    assert 0 < page.index(lines[0]) < page.index('<dl class="numbers">')
+    assert all(page.count(line) == 1 for line in {*lines, *BY_RAMP})
