@@ -149,11 +149,12 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     names = ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "one_read_crb_nm", "failures")
 
     def curve_of_all(group, key):
-        bounds_nm = (np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm"))
-        errors_nm = np.concatenate(list(group.abs_error_nm), axis=1)
-        return curve_of(
-            LIFT_VARIANTS[key].modes, group.magnitudes.iloc[0], errors_nm, *bounds_nm, criterion=criterion
+        bound_nm, one_read_nm = (
+            np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm")
         )
+        of_all = LIFT_VARIANTS[key].modes, group.magnitudes.iloc[0]
+        errors_nm = np.concatenate(list(group.abs_error_nm), axis=1)
+        return curve_of(*of_all, errors_nm, bound_nm, one_read_nm, criterion)
 
     def limit(group, exposure_s, key):
         variant, curve = LIFT_VARIANTS[key], curve_of_all(group, key)

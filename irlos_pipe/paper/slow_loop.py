@@ -216,7 +216,8 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
     def summary(group, *_):
         own = Loop(*(group[name].iloc[0] for name in ("sensor", "mag_j", "gain", "exposures")))
-        outcome = outcome_of(*ex.stacked(group, *RECORDED), drift=drift, settle=sizes.settle)
+        residual_nm, measured_nm, true_nm, due = ex.stacked(group, *RECORDED)
+        outcome = outcome_of(residual_nm, measured_nm, true_nm, due, drift, sizes.settle)
         photons_nm, rate = float(np.median(group.photon_noise_nm)), float(own.exposures)
         noise_nm = float(np.hypot(photons_nm, sky_focus_nm / np.sqrt(rate)))
         integrator = Integrator(float(own.gain), rate, sizes.delay)
