@@ -203,6 +203,7 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Success against defocus, where the iteration starts, and where it ends."""
     bins, sizes = drawn.tables["bins"].query(f"bands == '{BOTH}'"), drawn.sizes
     bins = bins.assign(middle_nm=(bins.from_nm + bins.to_nm) / 2, part=100 * bins.captured / bins.cases)
     against = (

@@ -110,6 +110,7 @@ LISTING = ex.Listing("stars", "Strehl ratio",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """Images and wavefronts of the first star of every seeing."""
     found = {}
     for row in rows.drop_duplicates(["seeing_arcsec", "state"]).itertuples():
         name = f"{row.seeing_arcsec:g}/{row.state}"
@@ -119,6 +120,7 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Images, wavefronts and profiles of the first star of every seeing."""
     scale_mas = float(drawn.array("rows/pixel_scale_mas")[0])
     found: ex.Blocks = []
     for seeing in drawn.tables["stars"].seeing_arcsec:

@@ -80,6 +80,7 @@ def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: 
 
 
 def truth_of(ctx: ex.Context) -> Truth:
+    """Return the wavefront of all angles."""
     law = ctx.instrument.facility.ncpa_law
     return draw_truth((ctx.seed,), law, ctx.config.rotating_nm, ctx.config.fixed_nm)
 
@@ -247,6 +248,7 @@ LISTINGS = [
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """Images, and maps of the truth, of the estimates and of the parts."""
     pupil, truth, found = ctx.instrument.pupil, truth_of(ctx), {}
     for part in PARTS:
         seen = {noll: value for noll, value in getattr(truth, f"{part}_nm").items() if noll > 3}
@@ -260,6 +262,7 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Every angle by both methods, and both parts as simulated and as found."""
     methods = list(drawn.tables["methods"].method)
     found: ex.Blocks = []
     for method in methods:

@@ -101,6 +101,7 @@ class ExperimentResults(StageResults):
     tables: dict[str, list[dict[str, Any]]] = {}
 
     def frames(self) -> dict[str, Frame]:
+        """Return the tables as frames."""
         return {name: frame(rows) for name, rows in self.tables.items()}
 
 
@@ -114,6 +115,7 @@ class Drawn:
 
     @property
     def sizes(self) -> Mapping[str, Any]:
+        """Return the sizes it was run with."""
         return self.run.products[self.stage].config
 
     def array(self, name: str) -> np.ndarray:
@@ -166,6 +168,7 @@ class Experiment:
         object.__setattr__(self, "Results", type(f"{self.NAME}_results", (ExperimentResults,), own))
 
     def run(self, ctx: Context) -> StageOutput:
+        """Compute the rows of all samples, summarise and judge them."""
         samples = list(self.samples(ctx))
         rows = frame(
             {"sample": one.name} | {key: value for key, value in one.of.items() if _is_scalar(value)} | row
@@ -184,6 +187,7 @@ class Experiment:
         return self.checks(results.frames())
 
     def section(self, run: RunData) -> Section:
+        """Return the section of the report of a run."""
         tables = run.results(self.Results).frames()
         shown = [listing.table(tables) for listing in self.listings if len(tables.get(listing.of, ()))]
         blocks = [*self.figures(Drawn(run, self.NAME, tables)), *shown]

@@ -98,6 +98,7 @@ LISTING = ex.Listing("methods", "Exposures",
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Error against exposure."""
     caption = "Medians over the cubes, by the seeing [arcsec]. All exposures are sums of the same short ones."
     return [ex.lines(
         "exposures", "Error against exposure", caption, drawn.tables["methods"], "exposure_s", "modes_nm",

@@ -215,6 +215,7 @@ LISTING = ex.Listing("curves", "Limiting magnitude",
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Error and failures against magnitude, for every length of exposure."""
     found: ex.Blocks = []
     magnitudes = drawn.tables["magnitudes"]
     caption = (

@@ -265,6 +265,7 @@ LISTINGS = [
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """The first ramp of every target, frame by frame in the order of recording."""
     first = rows[(rows.ramp == 0) & rows.variant.isin(SHOWN) & rows.start.isna()]
     return {
         f"{row['target']}/{row['variant']}/{name}": ex.Quantity(row[name], "nm", "defocus, first ramp")
@@ -274,6 +275,7 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """The first ramp of every target: what was estimated beyond what was commanded."""
     caption = "First ramp, the defocus of the NCPAs taken off; line: error of the focus stage."
     found: ex.Blocks = []
     for row in drawn.tables["targets"].itertuples():

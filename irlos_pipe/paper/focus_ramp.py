@@ -66,6 +66,7 @@ class Sizes(ex.StageConfig):
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
+    """One set of NCPAs each."""
     return ex.each(ctx, ctx.config.samples, "ramp {index}")
 
 
@@ -107,6 +108,7 @@ def ramp_errors(
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """Median and spread over the ramps."""
 
     def summary(group, key):
         variant = LIFT_VARIANTS[key]
@@ -155,6 +157,7 @@ LISTING = ex.Listing("ways", "Variants of LIFT",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """The first ramp frame by frame."""
     found = {}
     for row in rows[rows["sample"] == rows["sample"].iloc[0]].itertuples():
         for name in ("introduced_nm", "true_nm"):
@@ -165,6 +168,7 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """All modes of the first ramp, and the errors of all ramps."""
     keys = [key for key in drawn.tables["ways"].key if key in DRAWN]
     caption = (
         "First ramp, nine modes, median per offset. Dashed: the true wavefront (introduced defocus, NCPAs, "

@@ -179,6 +179,7 @@ LISTING = ex.Listing("rows", "Sizes of the effect",
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """What is left, whole waves of a petal apart."""
     table = drawn.tables["rows"].assign(line=lambda one: one.recording + ", " + one.model)
     return [ex.lines(
         "low-wind-left", "What is left of the wavefront",

@@ -216,6 +216,7 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Error against seeing, and all cubes of the seeings at which parts were changed."""
     modelled, by_seeing = f"shape == '{MODEL_SHAPE}'", {"by": "seeing_arcsec", "kind": "stable"}
     table = drawn.tables["methods"].query(modelled).sort_values(**by_seeing)
     rows = drawn.rows().query(f"{modelled} and part == 1 and variant in {METHODS}").sort_values(**by_seeing)

@@ -92,6 +92,7 @@ def rows(star: ex.Sample) -> ex.Rows:
 
 
 def scene_of(star: ex.Sample) -> Scene:
+    """Return the cube before any correction."""
     cube = star.cube(star.sizes.seeing_arcsec, star.sizes.frames, star.sizes.mag_j)
     ncpa_nm = {**cube.ncpa_nm, DEFOCUS: star["bias_nm"]}
     return replace(
@@ -221,6 +222,7 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """What is left after every correction."""
     states = drawn.tables["states"]
     states = states.assign(loop=states.method.map(METHOD_NAMES) + ", diversity " + states.diversity)
     return [ex.lines(

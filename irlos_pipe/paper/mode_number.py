@@ -58,6 +58,7 @@ class Sizes(ex.StageConfig):
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
+    """One cube each."""
     read = Read.of(ctx.instrument, ctx.config.noise, "mode_number")
     return ex.each(ctx, ctx.config.cubes, "cube {index}", read=read)
 
@@ -143,6 +144,7 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Medians against the number of modes: calibration of bright cubes, and LIFT of their mean image."""
     curves = drawn.tables["curves"]
     curves = curves.assign(line=curves.label + ", m_J " + curves.mag_j.map("{:g}".format))
     caption = f"Medians over the cubes. Dotted: the introduced modes, Noll 2–{LAST}."

@@ -45,6 +45,7 @@ class Sizes(ex.StageConfig):
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
+    """One cube each."""
     return ex.each(ctx, ctx.config.cubes, "cube {index}")
 
 
@@ -148,6 +149,7 @@ LISTINGS = [
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """Standard deviations with their laws: DIP global's of all modes, the others' of the introduced ones."""
     start, quantities = ctx.instrument.facility.ncpa_law, {}
     for name, one in scatters(rows).items():
         law = law_of(one, start, None if name == PAPER_CHOICE else INTRODUCED)
@@ -160,6 +162,7 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Standard deviation against Noll index."""
     noll, points = drawn.array("noll"), {}
     for name, text in NAMES.items():
         std_nm, law_nm = drawn.array(f"{name}/std_nm"), drawn.array(f"{name}/law_nm")

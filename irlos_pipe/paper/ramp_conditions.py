@@ -225,6 +225,7 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Error of every ramp."""
     rows = drawn.rows()
     rows["named"] = (
         rows.condition.map(lambda key: CONDITIONS[key].label)

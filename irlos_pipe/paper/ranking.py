@@ -84,6 +84,7 @@ def highest_nolls(method: str, asked: tuple[int, ...]) -> tuple[HighestNoll, ...
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
+    """Medians over the cubes of a condition, with their range."""
     drawn_nm = rows[rows.tail_nm == 0].drop_duplicates("sample").introduced_nm.to_numpy()
     of_all = {"introduced_nm": np.mean(drawn_nm), "introduced_scatter_nm": np.std(drawn_nm)}
 
@@ -143,6 +144,7 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """Error against modes, without a tail."""
     return [ex.lines(
         "ranking", "Error against modes", "Without a tail, by the seeing [arcsec].",
         drawn.tables["methods"].query(f"tail_nm == 0 and fitted != '{OWN}'"), "fitted", "error_nm",

@@ -46,6 +46,7 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 
 def scale_of(ctx: ex.Context) -> SeeingScale:
+    """Return the relation of the two."""
     sizes, known = ctx.config, ctx.instrument.seeing_scales
     monitors = sorted(known.keys() - {SPARTA})
     if sizes.monitor not in monitors:
@@ -141,11 +142,13 @@ LISTING = ex.Listing("conditions", "The paper's conditions",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """The draws."""
     names = ("monitor_arcsec", "sparta_arcsec")
     return {f"draws/{name}": ex.Quantity(rows[name].iloc[0], "arcsec", "drawn seeing") for name in names}
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """How often each sees what, the mapping of one scale to the other, and the AO residual."""
     relation, conditions, sizes = drawn.tables["relation"].iloc[0], drawn.tables["conditions"], drawn.sizes
     scale = SeeingScale(relation.ratio, relation.offset_arcsec)
     law = ResidualLaw(*(relation[name] for name in relation.index if name.startswith("residual_law_")))

@@ -105,6 +105,7 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 
 def drift_of(ctx: ex.Context) -> Drift:
+    """Return the drift of the layer's defocus."""
     return SodiumLayer(**ctx.config.layer.model_dump()).drift(ctx.instrument.facility.pupil.diameter_m)
 
 
@@ -284,6 +285,7 @@ LISTING = ex.Listing("loops", "Loops",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
+    """The residuals of every loop, the drifts, and the sky's own defocus."""
     drift_nm, focus_nm = ex.stacked(rows.drop_duplicates("sample"), "drift_nm", "sky_focus_nm")
     by_sky = rows.sort_values("loop", kind="stable").groupby("sample", sort=False)
     residual_nm = np.stack([np.stack(list(own.residual_nm), axis=1) for _, own in by_sky])
@@ -295,6 +297,7 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
+    """A bright and a faint star, and residual, noise and gain of all loops."""
     sky, loops = drawn.tables["sky"].iloc[0], drawn.tables["loops"]
     best = loops.drop_duplicates(["sensor", "exposures", "mag_j"]).sort_values("mag_j", kind="stable")
     best = best.assign(line=best.label + best.exposures.map({1: "", 2: ", 2 s"}))

@@ -205,6 +205,7 @@ class ObservedRamp:
         return self.knowledge[variant.ncpa].ncpa_nm
 
     def estimate(self, variant: LiftVariant) -> RampFit:
+        """Estimate all frames by LIFT."""
         model, options = self.model(variant), LiftOptions(loss=variant.loss)
         return fit_ramp(model, self.data, self.start_nm(variant, model), options, self.effects(variant))
 
