@@ -196,8 +196,7 @@ class RestRow(ResultsPart):
 
 
 class DiagnoseResults(StageResults):
-    """What the model of cubes or a ramp lacks; some keys stand only for cubes, `defocus_error_nm` for a "
-    "ramp."""
+    """What the model of cubes or a ramp lacks; some keys stand only for cubes, or a ramp (`defocus_error_nm`)."""
 
     stage: ClassVar[str] = "diagnose"
     verdict: str = item("", "``none``, ``effect`` or ``unknown``.")

@@ -95,8 +95,7 @@ class Offset(ResultsPart):
 
 
 class Twin(ResultsPart):
-    """Whether the other sign of defocus is excluded, by a frame of median χ²/ν; see "
-    "`estimate.tabulated`."""
+    """Whether the other sign of defocus is excluded, by a frame of median χ²/ν (`estimate.tabulated`)."""
 
     name: str = item("", "Recording, in which the frame has the number `frame`.")
     frame: int = item(0, "Number of the frame in its recording, from 0.")
