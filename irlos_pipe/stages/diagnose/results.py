@@ -196,7 +196,7 @@ class RestRow(ResultsPart):
 
 
 class DiagnoseResults(StageResults):
-    """What the model of cubes or a ramp lacks; some keys stand only for cubes, or a ramp (`defocus_error_nm`)."""
+    """What the model of cubes or a ramp lacks; some keys are of cubes only, `defocus_error_nm` of a ramp."""
 
     stage: ClassVar[str] = "diagnose"
     verdict: str = item("", "``none``, ``effect`` or ``unknown``.")
