@@ -43,7 +43,6 @@ class Calibration:
     ----------
     options : CalibrationOptions
         The method's defaults filled in.
-    nolls : tuple of int
     zernike_nm : ndarray, (modes,)
         Total static wavefront beyond the known one, the part of effects in the pupil included.
     fitted_modes_nm : ndarray, (modes,)
@@ -136,16 +135,12 @@ def calibrate(
 
     Parameters
     ----------
-    frames : Frames
-    settings : PsfSettings
-    options : CalibrationOptions
     effects : sequence of Effect
         Of the model; methods of the paper leave them out.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
         (see `open_minima`).
-    device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 

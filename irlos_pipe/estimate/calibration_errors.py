@@ -52,8 +52,6 @@ def errors_of(
 
     Parameters
     ----------
-    frames : Frames
-    problem : ImageFit
     solution : Solution
         Of the problem.
     frames_nm : ndarray, (frames, modes)
@@ -146,7 +144,6 @@ def nominal_chi2_of(parts: Sequence[Part], precision: torch.Tensor) -> NominalCh
 
     Parameters
     ----------
-    parts : sequence of Part
     precision : tensor, (parameters of all,)
         Of the prior, 0 where there is none.
     """
@@ -260,10 +257,8 @@ def effect_errors(
 
     Parameters
     ----------
-    frames : Frames
     problem : ImageFit
         Of these frames, with one member.
-    solution : Solution
     misfit : float
         See `calibration_errors.errors_of`.
     """
@@ -286,7 +281,6 @@ def public_errors(effects: EffectSet, values: torch.Tensor, covariance: np.ndarr
 
     Parameters
     ----------
-    effects : EffectSet
     values : tensor, (parameters,)
         Of all free parameters.
     covariance : ndarray, (parameters, parameters)

@@ -76,10 +76,8 @@ def modal_offsets(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.nda
 
     Parameters
     ----------
-    nolls : sequence of int
     zernike_nm, sigma_nm : ndarray, (modes,)
         Estimates of the whole wavefront and their standard errors [nm RMS].
-    gain : float
     """
     offset_nm = -gain * np.asarray(zernike_nm)
     table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
@@ -114,8 +112,6 @@ def predict_correction(
 
     Parameters
     ----------
-    settings : PsfSettings
-    nolls : sequence of int
     fitted_modes_nm, zernike_nm : ndarray, (modes,)
         Modes that go with the effects of `make_optics`, and those of the whole wavefront, which is what
         is corrected.
@@ -183,7 +179,6 @@ def strehl_budget(
     ----------
     settings : PsfSettings
         Diversity and introduced defocus in it are left out.
-    nolls : sequence of int
     modes_nm : mapping of str to ndarray, (modes,)
         Parts of the wavefront by name, zero in the modes of the others.
     effects : mapping of str to Effect

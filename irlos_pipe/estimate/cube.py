@@ -33,7 +33,6 @@ class Frames:
     images_e : tensor, (frames, rows, columns)
     good : tensor of bool, (rows, columns)
         True for good pixels.
-    noise : NoiseModel
     misfit : float
         By which the variance of the mean is larger than that, because a model misfits (see `few_frames`).
     motion : Motion or None
@@ -110,13 +109,7 @@ def autocorrelation_time(series: np.ndarray) -> np.ndarray:
     ``τ = 1 + 2 Σ ρ(l)``, summed in pairs of lags until a pair is no longer positive
     (initial positive sequence, Geyer 1992, Stat. Sci. 7, 473); at least 1.
 
-    Parameters
-    ----------
-    series : ndarray, (frames, columns)
-
-    Returns
-    -------
-    ndarray, (columns,)
+    Shapes: `series` (frames, columns). Returns (columns,).
     """
     frames = len(series)
     if frames < 4:
@@ -215,7 +208,6 @@ def steadied(
     ----------
     images_e : ndarray, (frames, rows, columns)
     good : ndarray of bool, (rows, columns)
-    noise : NoiseModel
     resolution_px : float
         λ/D in pixels.
 

@@ -37,9 +37,6 @@ class CubeFit:
 
     Attributes
     ----------
-    frames : Frames
-    psf : LightPath
-    options : CalibrationOptions
     start_nm : ndarray, (modes,), or None
         Where every fit begins, from Noll 2 on; else each begins from none, and from elsewhere if it ends in
         a wrong minimum.
@@ -58,7 +55,6 @@ class CubeFit:
 
         Parameters
         ----------
-        effects : sequence of Effect
         near : tuple of ImageFit and Solution, optional
             The other fit.
         """
@@ -91,7 +87,6 @@ class CubeFit:
 
         Parameters
         ----------
-        effects : sequence of Effect
         held : tuple of ImageFit and Solution
             The fit: those that are free there are so here as well.
         """
@@ -150,8 +145,6 @@ def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Nomin
 
     Parameters
     ----------
-    frames : Frames
-    problem : ImageFit
     values : tensor, (1, parameters)
         Where the model is.
     """
@@ -166,14 +159,8 @@ GRADIENT_TOLERANCE = 1e-2  # in units of one standard error
 def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int = 300) -> Solution:
     """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
 
-    The variables are scaled by the curvature at the start, so that nm, electrons and
-    variances are of one size.
-
-    Parameters
-    ----------
-    problem : ImageFit
-    start : tensor, (batch, parameters)
-    max_iterations : int
+    The variables are scaled by the curvature at the start, so that nm, electrons and variances are of one
+    size. Shapes: `start` (batch, parameters).
     """
     everyone = torch.arange(len(start))
     _, _, hessian = problem.normal_equations(start, everyone)

@@ -23,16 +23,8 @@ def effects_in_modes_nm(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the part of each mode that the effects hold, and its derivatives.
 
-    Parameters
-    ----------
-    effects : EffectSet
-    values : tensor, (effect parameters,)
-    nolls : sequence of int
-
-    Returns
-    -------
-    added_nm : tensor, (modes,)
-    slopes : tensor, (modes, effect parameters)
+    Shapes: `values` (effect parameters,). Returns `added_nm` (modes,) and `slopes` (modes, effect
+    parameters).
     """
     if not effects.at("pupil"):
         return torch.zeros(len(nolls)), torch.zeros(len(nolls), len(values))
@@ -49,15 +41,7 @@ def effects_in_modes_nm(
 def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return what effects add to the modes at parameters `x`, and the derivatives of their sum.
 
-    Parameters
-    ----------
-    problem : ImageFit
-    x : tensor, (parameters,)
-
-    Returns
-    -------
-    added_nm : tensor, (modes,)
-    derivatives : tensor, (modes, parameters)
+    Shapes: `x` (parameters,). Returns `added_nm` (modes,) and `derivatives` (modes, parameters).
     """
     layout = problem.layout
     added, slopes = effects_in_modes_nm(problem.model.effects, x[layout.effect_values], layout.nolls)

@@ -117,7 +117,6 @@ class GaussianFit(Problem):
         return 1e-6 * value.clamp_min(1e-6)
 
     def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`."""
         first, second, gauss = self._shape(p)
         residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
         body = p[:, 4:5] * gauss

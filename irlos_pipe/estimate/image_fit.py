@@ -37,12 +37,10 @@ class ImageFit(Problem):
     model : ImageModel
         The modes of its PSF are the fitted ones. Its free effect parameters are either those of
         `layout.effects`, fitted along, or stay at `held`.
-    layout : Layout
     images_e : tensor, (batch, repeats, pixels)
         Data; the images along `repeats` share one parameter vector.
     variance_e2 : tensor, broadcastable to `images_e`
         Variance of the data; infinite for masked pixels.
-    loss : Loss
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
@@ -138,7 +136,6 @@ class ImageFit(Problem):
         return self._map(self._objective, x, which)[0] + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`."""
         value, gradient, hessian = self._map(self._normal, x, which)
         return value + self._prior_value(x, which), gradient, hessian
 
@@ -300,7 +297,6 @@ class Layout:
 
     Attributes
     ----------
-    nolls : tuple of int
     effects : tuple of Parameter
         Free parameters of the effects; empty where they are held.
     prior_mean_nm, prior_sigma_nm : tensor, (modes,) or (batch, modes), optional

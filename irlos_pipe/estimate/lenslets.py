@@ -62,7 +62,6 @@ def centroids_mas(images_e: np.ndarray, pixel_scale_mas: float, noise_e: float) 
     ----------
     images_e : ndarray, (frames, 2 rows, 2 columns)
         Side by side.
-    pixel_scale_mas : float
     noise_e : float
         Of a dark pixel.
     """
@@ -99,7 +98,6 @@ class Identified:
 
     Attributes
     ----------
-    nolls : tuple of int
     information : ndarray, (modes,)
         Eigenvalues of the Fisher matrix in units of the prior, descending: above 1, the data say more of a
         combination of modes than the prior.
@@ -137,11 +135,9 @@ def identified(
 
     Parameters
     ----------
-    model : ImageModel
     modes_nm : mapping of int to float
         The wavefront, Noll: nm RMS; modes that are left out are 0.
     values : tensor, (effect parameters,)
-    frames : Frames
     prior_sigma_nm : ndarray, (modes,)
         Standard deviation of the prior of every mode.
     """

@@ -36,7 +36,6 @@ class LiftResult:
 
     Attributes
     ----------
-    nolls : tuple of int
     zernike_nm : tensor, (images, modes)
         Beyond the known wavefront.
     covariance_nm2 : tensor, (images, modes, modes)
@@ -98,17 +97,11 @@ def lift(
         NCPAs.
     images_e : tensor, (images, rows, columns)
     good : tensor of bool, (rows, columns)
-    noise : NoiseModel
     start_nm : tensor, (images, modes)
-    options : LiftOptions
     beyond : bool
         Whether images whose estimate has run into the limits of a table are estimated again without it.
     report : callable, optional
         See `solve`.
-
-    Returns
-    -------
-    LiftResult
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
     result = _in_pieces(model, images_e, good, noise, start_nm, options, report)
@@ -191,7 +184,6 @@ def image_problem(
 
     Parameters
     ----------
-    model, layout : ImageModel, Layout
     images_e, variance_e2 : tensor, (images, rows, columns)
     good : tensor of bool, (rows, columns)
     alike : Alike, optional

@@ -125,7 +125,6 @@ def nominal_frame_chi2(
     ----------
     images_e, model_e : tensor, (frames, rows, columns)
     good : tensor of bool, (rows, columns)
-    noise : NoiseModel
     introduced_nm : ndarray, (frames,)
     parameters : int
         Fitted to every frame.
@@ -169,7 +168,6 @@ def optics_sigma_nm(
     result : LiftResult
         Of the frames.
     good : tensor of bool, (rows, columns)
-    noise : NoiseModel
     nolls : sequence of int
         Modes of the known wavefront.
     covariance_nm2 : ndarray, (modes, modes)
@@ -223,10 +221,7 @@ def defocus_slopes(
         With the modes that LIFT fits.
     wide : ImageModel
         The same with the known modes as parameters.
-    result : LiftResult
-    frame : int
     good : tensor of bool, (rows, columns)
-    noise : NoiseModel
     """
     fitted_nm, values = result.zernike_nm[frame : frame + 1].double(), result.solution.values[frame, -2:]
     flux_e, background_e = values[:, None]

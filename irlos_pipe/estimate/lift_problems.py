@@ -41,11 +41,7 @@ class Alike:
 def alike(model: ImageModel, reference_nm: torch.Tensor, frame: torch.Tensor) -> Alike | None:
     """Derivatives at wavefronts near those of the images; None where single fits are quick, or the only way.
 
-    Parameters
-    ----------
-    model : ImageModel
-    reference_nm : tensor, (frames, modes)
-    frame : tensor of int, (images,)
+    Shapes: `reference_nm` (frames, modes), `frame` (images,) of int.
     """
     if model.general is not model or not model.can_pull_back:
         return None
@@ -55,19 +51,13 @@ def alike(model: ImageModel, reference_nm: torch.Tensor, frame: torch.Tensor) ->
 
 
 class AlikeFit(ImageFit):
-    """`ImageFit` with the curvature of other images; single images, least squares, no free effects.
-
-    Parameters
-    ----------
-    alike : Alike
-    """
+    """`ImageFit` with the curvature of other images; single images, least squares, no free effects."""
 
     def __init__(self, *arguments, alike: Alike):
         super().__init__(*arguments)
         self._alike = alike
 
     def members(self, which: torch.Tensor) -> Self:
-        """See `ImageFit.members`."""
         return super().members(which)._with(_alike=self._alike.of(which))
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
@@ -94,13 +84,8 @@ class PhotonFit(ImageFit):
     """`ImageFit` of single images by their quasi-likelihood, see `NoiseModel`.
 
     Its slopes are those of least squares with the variances of the model as it is: the minimum is where
-    endless re-weighting would end, but the objective is smooth and falls with every step.
-
-    Parameters
-    ----------
-    images_e : tensor, (batch, 1, pixels)
-    good : tensor of bool, (pixels,)
-    noise : NoiseModel
+    endless re-weighting would end, but the objective is smooth and falls with every step. Shapes: `images_e`
+    (batch, 1, pixels), `good` (pixels,) of bool.
     """
 
     per_member = (*ImageFit.per_member, "_least")

@@ -92,15 +92,12 @@ class MeanImage(Scheme):
     """The mean image by one vector; it is so precise that rounding of float32 would stall its fit."""
 
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Scheme.data`."""
         return frames.mean_e[None, None], mean_variance_e2(frames)[None, None]
 
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
-        """See `Scheme.psf_model`."""
         return light_path(settings, nolls, device=device, dtype=torch.float64, rough_derivatives=True)
 
     def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
-        """See `Scheme.twin`."""
         return check_twin(problem, solution.values[:1], float(solution.objective[0]), law)
 
 
@@ -108,11 +105,9 @@ class EveryFrame(Scheme):
     """Every frame by a vector of its own, and the coefficients averaged."""
 
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Scheme.data`."""
         return frames.images_e[:, None], frames.noise.variance_e2(frames.mean_e)[None, None]
 
     def fits(self, frames: Frames) -> int:
-        """See `Scheme.fits`."""
         return len(frames.images_e)
 
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
@@ -128,11 +123,9 @@ class EveryFrame(Scheme):
     def solve(
         self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report | None
     ) -> Solution:
-        """See `Scheme.solve`."""
         return fit_frames(problem, start, max_iterations=max_iterations, report=report)
 
     def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
-        """See `Scheme.estimates`."""
         modes = problem.layout.modes
         usable = np.array([status != INVALID for status in solution.status])
         values = solution.values[torch.as_tensor(usable)].mean(0, keepdim=True)
@@ -144,7 +137,6 @@ class AllFrames(Scheme):
     """All frames, brought to the same flux, by one vector."""
 
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Scheme.data`."""
         images, flux = frames.images_e, frames.flux_e
         variance = frames.noise.variance_e2(frames.mean_e)
         return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
@@ -155,17 +147,14 @@ def start_at_centroids(
 ) -> torch.Tensor:
     """Return the start with tip and tilt from the centroids and no aberrations, or with given first modes.
 
+    Returns (batch, parameters).
+
     Parameters
     ----------
-    frames : Frames
     problem : ImageFit
         Of these frames.
     start_nm : tensor or ndarray, (modes,), optional
         From Noll 2 on.
-
-    Returns
-    -------
-    tensor, (batch, parameters)
     """
     x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
     for block in blocks(len(x)):
@@ -192,10 +181,8 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
 
     Parameters
     ----------
-    frames : Frames
     problem : ImageFit
         Of these frames, with one member.
-    solution : Solution
     """
     x, layout = solution.values[:1], problem.layout
     added, read = whole_wavefront(problem, x[0])
@@ -236,7 +223,6 @@ def fit_frames(
 
     Parameters
     ----------
-    problem : ImageFit
     start : tensor, (frames, parameters)
     max_iterations : int
         Evaluations of a frame after the first linearisation of its own, at most.

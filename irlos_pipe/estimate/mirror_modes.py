@@ -56,13 +56,11 @@ def mirror_offsets(
     ----------
     maps_nm : ndarray, (modes, n, n)
         OPD of a unit of each mode [nm]; n samples across the diameter, row index is y.
-    nolls : sequence of int
     zernike_nm : ndarray, (Zernike modes,)
         The estimated wavefront.
     covariance_nm2 : ndarray, (Zernike modes, Zernike modes)
     lit : ndarray of bool, (n, n)
         The clear pupil.
-    gain : float
 
     Raises
     ------

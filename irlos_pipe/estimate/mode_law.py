@@ -31,7 +31,6 @@ class ModeScatter:
 
     Attributes
     ----------
-    nolls : tuple of int
     std_nm : ndarray, (modes,)
         Root mean square of the estimates over the cubes, about zero: the expected NCPA is none.
     noise_nm : ndarray, (modes,)
@@ -93,7 +92,6 @@ def mode_scatter(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndar
 
     Parameters
     ----------
-    nolls : sequence of int
     zernike_nm, sigma_nm : ndarray, (cubes, modes)
         Estimates with their errors, one row per set of NCPAs.
     """
@@ -120,7 +118,6 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
 
     Parameters
     ----------
-    scatter : ModeScatter
     keep : ndarray of bool, (modes,)
         Modes that are used.
     start : NcpaLaw

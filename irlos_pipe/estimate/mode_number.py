@@ -116,7 +116,6 @@ def scan_mode_numbers(
         See `calibrate`.
     options : CalibrationOptions
         Its `highest_noll` is replaced.
-    highest_nolls : sequence of int
     nolls : sequence of int
         Modes to compare, from 2 on.
     report : callable, optional
@@ -180,13 +179,8 @@ def _picked(fit: Calibration, nolls: Sequence[int]) -> np.ndarray:
 def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.ndarray:
     """Return χ²/ν of blocks of frames against the model of other frames, (blocks,).
 
-    Flux and background of a block are its own: they change and say nothing about the modes.
-
-    Parameters
-    ----------
-    frames : Frames
-    fit : Calibration
-    unseen : ndarray of int, (blocks, frames)
+    Flux and background of a block are its own: they change and say nothing about the modes. Shapes: `unseen`
+    (blocks, frames) of int.
     """
     good = frames.good.numpy()
     half = _of(frames, unseen)

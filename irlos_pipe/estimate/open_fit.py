@@ -64,8 +64,6 @@ class Opened:
 
     Attributes
     ----------
-    problem : OpenFit
-    solution : Solution
     law : TailLaw
         Prior of the modes beyond the closed basis, as fitted.
     """
@@ -180,8 +178,6 @@ def settled(
         The fit with a `law`, and the same hastened.
     rough : Solution
         Of `quick`.
-    law : TailLaw
-    max_iterations : int
 
     Returns
     -------

@@ -74,7 +74,6 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
 
     Parameters
     ----------
-    task : CubeFit
     closed : tuple of ImageFit and Solution
         The fit of the closed basis.
     opened : Opened
@@ -172,11 +171,7 @@ def _objective(solution: Solution) -> float:
 def by_prior(problem: OpenFit, x: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
     """Return a place with the modes beyond focus disturbed by a part of their prior, (1, parameters).
 
-    Parameters
-    ----------
-    problem : OpenFit
-    x : tensor, (1, parameters)
-    rng : Generator
+    Shapes: `x` (1, parameters).
     """
     nolls = torch.tensor(problem.layout.nolls)
     precision = problem.prior_precision[0, problem.layout.modes]
@@ -188,13 +183,7 @@ def by_prior(problem: OpenFit, x: torch.Tensor, rng: np.random.Generator) -> tor
 def by_curvature(problem: OpenFit, x: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
     """Return a place with the modes drawn from what weights softened by the misfit allow, (1, parameters).
 
-    The image changes little where the modes change most.
-
-    Parameters
-    ----------
-    problem : OpenFit
-    x : tensor, (1, parameters)
-    rng : Generator
+    The image changes little where the modes change most. Shapes: `x` (1, parameters).
     """
     factor = SOFTER * float(problem.reduced_chi2(x)[0])
     modes = problem.layout.modes

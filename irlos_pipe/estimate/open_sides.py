@@ -23,7 +23,6 @@ def likelier_side(opened: Opened, max_iterations: int) -> Opened:
 
     Parameters
     ----------
-    opened : Opened
     max_iterations : int
         See `open_basis`.
     """

@@ -20,7 +20,6 @@ class RampSummary:
 
     Attributes
     ----------
-    slope, slope_sigma : float
     offset_nm, offset_sigma_nm : float
         Where nothing is introduced. Errors of frames at one introduced defocus may be alike: for the standard
         error each of these counts once.

@@ -41,12 +41,7 @@ CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this f
 class RampData:
     """Frames of a ramp in order of recording.
 
-    Attributes
-    ----------
-    images_e : tensor, (frames, rows, columns)
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
-    introduced_nm : ndarray, (frames,)
+    Shapes: `images_e` (frames, rows, columns), `good` (rows, columns) of bool, `introduced_nm` (frames,).
     """
 
     images_e: torch.Tensor
@@ -65,7 +60,6 @@ class RampFit:
 
     Attributes
     ----------
-    result : LiftResult
     model : ImageModel
         The one used, its effects held at what was found.
     effects : dict
@@ -120,10 +114,7 @@ def fit_ramp(
 
     Parameters
     ----------
-    model : LightPath
-    data : RampData
     start_nm : tensor, (frames, modes)
-    options : LiftOptions
     effects : sequence of Effect
         Fixed ones stay, free parameters are shared by all frames.
     seen : ndarray of bool, (frames,), optional
@@ -254,7 +245,6 @@ class SharedFit:
     covariance : tensor, (shared, shared)
         Per-image parameters marginalised, the misfit counted as noise.
     x : tensor, (images, parameters)
-    status : str
     """
 
     values: torch.Tensor
@@ -272,10 +262,6 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
         One parameter vector per image; its effects have free parameters, which start at `problem.held`.
     x : tensor, (images, parameters)
         Start of the per-image parameters.
-
-    Returns
-    -------
-    SharedFit
     """
     parameters = problem.model.effects.parameters
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)

@@ -133,7 +133,6 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
 
     Parameters
     ----------
-    frames : Frames
     problem : ImageFit
         With which their mean was fitted.
     values : tensor, (1, parameters)
@@ -185,10 +184,6 @@ LEADING = 0.3  # part of the variance from which one direction is looked at
 
 def kurtosis_of_frames(frames: Frames) -> float:
     """Return the kurtosis of the frames along the direction in which they differ most.
-
-    Parameters
-    ----------
-    frames : Frames
 
     Returns
     -------

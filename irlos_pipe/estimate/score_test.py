@@ -127,7 +127,6 @@ def derivatives(
         Its optimum.
     frozen : sequence of Effect
         Effects of the problem there, see `frozen_effects`.
-    candidate : Effect
     """
     model, layout = problem.model, problem.layout
     sampling = candidate.plane == "sampling"
@@ -180,11 +179,9 @@ class _FrozenTransfer(OtfEffect):
 
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
-        """See `Effect.further_paths`."""
         return self._further_paths
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
         return factor * self.factor
 
 
@@ -196,7 +193,6 @@ class _FrozenCopy(_FrozenTransfer, CopyOfStar):
         self._defocus_nm = defocus_nm
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
-        """See `CopyOfStar.defocus_nm`."""
         return self._defocus_nm
 
 
@@ -212,7 +208,6 @@ class _FrozenPupil(PupilEffect):
         self.factor = effect.apply(NOTHING, dark + 1, grid) - self.added
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
         return field * self.factor + self.added
 
 

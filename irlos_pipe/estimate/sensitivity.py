@@ -98,7 +98,6 @@ def dim(
         Between 0 and 1.
     noise : NoiseModel
         Of the frames.
-    generator : torch.Generator
     faint : NoiseModel, optional
         Of those of the dimmer star; that of the frames if left out. Where it has less than scaling leaves,
         nothing is taken away.
@@ -140,7 +139,6 @@ def scan(
 
     Parameters
     ----------
-    model : ImageModel
     data : RampData
         Measured frames, of a star of magnitude `mag_j`.
     signal_e : tensor, (frames, rows, columns)
@@ -150,8 +148,6 @@ def scan(
     realisations : int
         Of every frame at every magnitude.
     start_nm : tensor, (frames, modes)
-    criterion : Criterion
-    seed : int
     faint : NoiseModel, optional
         Of the dimmed frames; that of the measured ones if left out.
     one_read : NoiseModel, optional
@@ -161,10 +157,6 @@ def scan(
         that a fit for which several minima compete may end in another.
     report : callable, optional
         See `solve`.
-
-    Returns
-    -------
-    Curve
     """
     introduced, focus = np.tile(data.introduced_nm, realisations), model.psf.nolls.index(4)
     true = start_nm.clone()
@@ -207,12 +199,9 @@ def curve_of(
 
     Parameters
     ----------
-    nolls : sequence of int
-    magnitudes : ndarray
     abs_error_nm : ndarray, (magnitudes, trials)
         NaN where the estimate failed.
     crb_nm, one_read_crb_nm : ndarray, (magnitudes,)
-    criterion : Criterion
     """
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
@@ -228,10 +217,7 @@ def limiting_magnitude(
 ) -> float:
     """Find the faintest of the `magnitudes` before the `criterion` is missed, interpolated in log error.
 
-    Parameters
-    ----------
-    magnitudes, median_nm, failure_fraction : ndarray, (magnitudes,)
-    criterion : Criterion
+    Shapes: `magnitudes`, `median_nm` and `failure_fraction` (magnitudes,).
     """
     fine = (median_nm <= criterion.median_nm) & (failure_fraction <= criterion.failure_fraction)
     if not fine[0]:
@@ -274,7 +260,6 @@ def cramer_rao_nm(
         Without free effect parameters.
     modes_nm : tensor, (images, modes)
     flux_e : tensor, (images,)
-    noise : NoiseModel
     background_e : float
         In every pixel.
     """

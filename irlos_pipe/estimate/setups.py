@@ -41,8 +41,6 @@ class Setup:
 
     Attributes
     ----------
-    frames : Frames
-    settings : PsfSettings
     common : sequence of Effect
         Those of the wavefront as they act here, in the same order in every set-up.
     own : sequence of Effect
@@ -65,7 +63,6 @@ class SetupsFit(Problem):
 
     Parameters
     ----------
-    setups : sequence of Setup
     parts : sequence of ImageFit
         Their mean images, with the same modes.
     """
@@ -96,16 +93,13 @@ class SetupsFit(Problem):
         return self._spread([x[0] for x in parts_x])[None]
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """See `Problem.negligible`."""
         return CHI2_TOLERANCE * (2 * value / self.freedom).clamp_min(1.0)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """See `Problem.objective`."""
         own = [part.objective(self.part_of(x, n), which) for n, part in enumerate(self.parts)]
         return torch.stack(own).sum(0) + self._prior(x)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`."""
         value, gradient = self._prior(x), self.prior_precision * (x - self.prior_mean)
         hessian = torch.diag(self.prior_precision)[None].clone()
         for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
@@ -150,7 +144,6 @@ def calibrate_setups(
         Window and pixel scale are the same in all. The wavefront is stated as the first one has it.
     options : CalibrationOptions
         Prior, number of modes and iterations.
-    device : str
 
     Returns
     -------

@@ -35,12 +35,8 @@ START_HIGHEST_NOLL = 30  # modes of a start from single frames
 def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
     """Return tip and tilt that move the model to the centroid of the bright pixels, (frames, 2) [nm RMS].
 
-    Pixels below a fifth of the brightest are left out, so that noise and halo do not pull.
-
-    Parameters
-    ----------
-    images_e : tensor, (frames, rows, columns)
-    settings : PsfSettings
+    Pixels below a fifth of the brightest are left out, so that noise and halo do not pull. Shapes: `images_e`
+    (frames, rows, columns).
     """
     images_e = one_star(images_e, settings)
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
@@ -138,7 +134,6 @@ def median_of_frames_nm(
         With Noll 2 and 3 as its first modes.
     images_e : tensor, (frames, rows, columns)
     good : tensor of bool, (rows, columns)
-    noise : NoiseModel
     max_iterations : int
         Of every fit.
 

@@ -30,13 +30,7 @@ TILT_REACH_NM = 250.0  # between two and three pixels
 
 
 class TabulatedModel(ImageModel):
-    """An `ImageModel` without free parameters, quick within a reach.
-
-    Parameters
-    ----------
-    general : ImageModel
-    reach : Reach
-    """
+    """An `ImageModel` without free parameters, quick within a reach."""
 
     def __init__(self, general: ImageModel, reach: Reach):
         psf = FocusTable(general.psf, general.optics, reach)
@@ -124,7 +118,6 @@ def focus_curve(
         Its effects have no free parameters.
     image_e : tensor, (rows, columns)
     good : tensor of bool, (rows, columns)
-    noise : NoiseModel
     modes_nm : tensor, (modes,)
         The best fit, which the others start from.
     """

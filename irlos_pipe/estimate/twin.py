@@ -60,7 +60,6 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
     Parameters
     ----------
     modes_nm : tensor, (batch, modes)
-    nolls : sequence of int
     known_nm : mapping of int to float
         The known wavefront in the light path, which does not change.
     """

@@ -43,9 +43,7 @@ def solve(
 
     Parameters
     ----------
-    problem : Problem
     start : tensor, (batch, parameters)
-    max_iterations : int
     report : callable, optional
         Called with the number of members that finished in each iteration (progress bars).
 

@@ -27,7 +27,6 @@ class Loss:
 
     Attributes
     ----------
-    name : str
     whitened : bool
         True if residuals are divided by their standard error, False if they count in
         electrons alike (as the mean absolute error of the paper does).

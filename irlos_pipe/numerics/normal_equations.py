@@ -67,7 +67,6 @@ class Linearised:
         Whitened, float64; for a robust loss rounded to the precision of the columns.
     root : tensor, (b, repeats or 1, pixels)
         Square roots of the weights, float64.
-    loss : Loss
     precision, offset : tensor, (b, parameters)
         Of the Gaussian prior, and how far the parameters are from its mean.
     """

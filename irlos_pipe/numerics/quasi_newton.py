@@ -27,10 +27,8 @@ def polish(problem: Descent, found: Solution, max_evaluations: int) -> Solution:
 
     Parameters
     ----------
-    problem : Descent
     found : Solution
         Its covariance is taken as the inverse Hessian to begin with.
-    max_evaluations : int
 
     Returns
     -------

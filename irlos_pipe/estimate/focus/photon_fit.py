@@ -47,11 +47,8 @@ class Found(NamedTuple):
         Inverse Fisher matrix.
     objective : float
         Minus the quasi-likelihood, up to a constant of the image.
-    chi2_nu : float
     misfit : float
         Light that the model does not explain, beyond noise: RMS over the pixels, over that of the star.
-    iterations : int
-    converged : bool
     """
 
     x: np.ndarray
@@ -68,7 +65,6 @@ class PhotonFit:
 
     Parameters
     ----------
-    images : FocusImages
     good : ndarray of bool, (rows, columns)
     iterations : int
         At most.
@@ -93,7 +89,6 @@ class PhotonFit:
             Bad pixels finite.
         start_nm : (float, float, float)
             Tip, tilt and focus.
-        noise : Noise
         """
         x = np.array([*np.clip(start_nm, *self._images.limits_nm), 0.0, 0.0])
         self._images(*x[:3])
@@ -219,12 +214,7 @@ class Candidate(NamedTuple):
 
 
 class FocusScan:
-    """Templates of a `FocusTable` over its whole reach.
-
-    Parameters
-    ----------
-    table : FocusTable
-    """
+    """Templates of a `FocusTable` over its whole reach."""
 
     def __init__(self, table: FocusTable):
         low, high = table.reach.focus_nm

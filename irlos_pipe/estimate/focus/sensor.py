@@ -79,13 +79,10 @@ class Measurement(NamedTuple):
         Defocus beyond the known wavefront, and its error from photons and read-out [nm RMS].
     valid : bool
         Whether there are no `reasons` against it.
-    reasons : tuple of str
-    tip_nm, tilt_nm : float
     flux_e, background_e : float
         Through the clear pupil, and per pixel.
     chi2_nu, misfit : float
         See `Found`.
-    iterations : int
     beside : Unexplained or None
         What the image has beside the model.
     """
@@ -118,7 +115,6 @@ class Focus:
     good : ndarray of bool, (rows, columns)
     noise : NoiseModel
         Of one read.
-    limits : Limits
     reach_nm : float
         Largest defocus either way [nm RMS].
 
@@ -308,7 +304,6 @@ def lift_singly(
 
     Parameters
     ----------
-    focus : Focus
     images_e : ndarray, (images, rows, columns)
     report : callable, optional
         Called with 1 after every image.

@@ -87,7 +87,6 @@ class Unexplained:
         Part of the light that is in the halo, and in the core by the model, and its error.
     shift_nm, shift_sigma_nm : float
         By how much the defocus changes if motion and halo are free, and how much of that noise makes [nm].
-    rest : Residual
     """
 
     blur_px2: float
