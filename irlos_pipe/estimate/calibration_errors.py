@@ -50,14 +50,8 @@ def errors_of(
 ) -> tuple[np.ndarray, ErrorsFrom]:
     """Return the covariance of the modes [nm²], and where it comes from.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of the problem.
-    frames_nm : ndarray, (frames, modes)
-        Estimates of single frames; NaN where a fit failed.
-    misfit : float
-        χ²/ν of the mean image over its nominal value: below 1 it says nothing, above it the variances grow.
+    The estimates of single frames, `frames_nm` (frames, modes), are NaN where a fit failed. The `misfit` is
+    χ²/ν of the mean image over its nominal value: below 1 it says nothing, above it the variances grow.
     """
     used = frames_nm[np.isfinite(frames_nm).all(1)]
     if frames.show_scatter:
@@ -129,12 +123,7 @@ class Part:
 def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor) -> NominalChi2:
     """Return the χ²/ν that the mean of `frames` would have about a model that lacks nothing.
 
-    Parameters
-    ----------
-    frames, jacobian
-        See `Part`.
-    precision : tensor, (parameters,)
-        Of the prior, 0 where there is none.
+    For the `jacobian` see `Part`; the prior has a `precision` (parameters,), 0 where there is none.
     """
     return nominal_chi2_of([Part(frames, jacobian, range(len(precision)))], precision)
 
@@ -142,10 +131,7 @@ def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor
 def nominal_chi2_of(parts: Sequence[Part], precision: torch.Tensor) -> NominalChi2:
     """Return the χ²/ν of mean images fitted together about a model that lacks nothing.
 
-    Parameters
-    ----------
-    precision : tensor, (parameters of all,)
-        Of the prior, 0 where there is none.
+    The prior has a `precision` (parameters of all,), 0 where there is none.
     """
     whitened = [_Whitened.of(part) for part in parts]
     data = torch.zeros(len(precision), len(precision), dtype=torch.float64)
@@ -232,12 +218,7 @@ def _autocorrelation_time(products: torch.Tensor) -> float:
 def covariance_from_noise(problem: ImageFit, solution: Solution) -> np.ndarray:
     """Return the covariance of the whole static wavefront, the mean over the fits [nm²], (modes, modes).
 
-    Parameters
-    ----------
-    problem : ImageFit
-        Its weights are those of the noise.
-    solution : Solution
-        Of the problem.
+    The weights of the `problem` are those of the noise.
     """
     usable = [member for member, status in enumerate(solution.status) if status != INVALID]
     values, covariance = solution.values[usable], solution.covariance[usable]
@@ -253,14 +234,8 @@ def effect_errors(
 ) -> dict[str, dict[str, Any]]:
     """Return the errors of the public values of the effects, by label: from the scatter of the frames.
 
-    Of too few frames from the noise model. Both grow by the misfit.
-
-    Parameters
-    ----------
-    problem : ImageFit
-        Of these frames, with one member.
-    misfit : float
-        See `calibration_errors.errors_of`.
+    Of too few frames from the noise model. Both grow by the `misfit`, see `errors_of`. The `problem` of these
+    frames has one member.
     """
     layout, x = problem.layout, solution.values[:1]
     if not problem.model.effects.parameters:
@@ -279,11 +254,7 @@ def effect_errors(
 def public_errors(effects: EffectSet, values: torch.Tensor, covariance: np.ndarray) -> dict[str, dict]:
     """Return the errors of the public values of `effects`, by label, those without free parameters left out.
 
-    Parameters
-    ----------
-    values : tensor, (parameters,)
-        Of all free parameters.
-    covariance : ndarray, (parameters, parameters)
+    All free parameters are at `values` (parameters,), with a `covariance` (parameters, parameters).
     """
     found = {}
     for label, effect in zip(effects.labels, effects.effects, strict=True):

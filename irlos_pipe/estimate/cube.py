@@ -124,10 +124,9 @@ def autocorrelation_time(series: np.ndarray) -> np.ndarray:
 
 
 def covariance_of_mean(series: np.ndarray) -> np.ndarray:
-    """Return the covariance of the mean of correlated rows, (columns, columns).
+    """Return the covariance of the mean, (columns, columns), of correlated `series` (frames, columns).
 
-    The sample covariance over N, each column's error inflated by the root of its
-    autocorrelation time.
+    The sample covariance over N, each column's error inflated by the root of its autocorrelation time.
 
     Raises
     ------
@@ -204,18 +203,8 @@ def steadied(
 ) -> tuple[np.ndarray, np.ndarray, Motion | None]:
     """Return the frames with the star at one place, within half a pixel of the mean one, if it moves.
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-    good : ndarray of bool, (rows, columns)
-    resolution_px : float
-        λ/D in pixels.
-
-    Returns
-    -------
-    images_e, good : ndarray
-        Those given where the star does not move.
-    motion : Motion or None
+    λ/D has `resolution_px` pixels. Where the star does not move, `images_e` (frames, rows, columns) and
+    `good` (rows, columns) are those given, and there is no motion.
     """
     motion = _motion(images_e, good, noise, STILL * resolution_px) if len(images_e) > 1 else None
     if motion is None:

@@ -51,13 +51,7 @@ class CubeFit:
     report: Report | None
 
     def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
-        """Fit with these effects, from scratch or from the modes of another fit.
-
-        Parameters
-        ----------
-        near : tuple of ImageFit and Solution, optional
-            The other fit.
-        """
+        """Fit with these effects, from scratch or from the modes of another fit, `near`."""
         problem = self._problem(ImageModel(self.psf, effects))
         if self.start_nm is None:
             start = scheme_of(self.options).start(self.frames, problem)
@@ -73,22 +67,13 @@ class CubeFit:
         return problem, solution
 
     def starts(self, problem: ImageFit) -> list[torch.Tensor]:
-        """Return where a fit may begin that knows nothing, and one with the low modes of single frames.
-
-        Parameters
-        ----------
-        problem : ImageFit
-            Of this cube.
-        """
+        """Return where a fit that knows nothing may begin, and one with the low modes of single frames."""
         return [scheme_of(self.options).start(self.frames, problem), self._second_start(problem)]
 
     def released(self, effects: Sequence[Effect], held: Fit) -> tuple[ImageFit, torch.Tensor]:
-        """Return the problem with these effects, and where a fit with some of them held is in it.
+        """Return the problem with these effects, and where a fit with some of them, `held`, is in it.
 
-        Parameters
-        ----------
-        held : tuple of ImageFit and Solution
-            The fit: those that are free there are so here as well.
+        Those that are free there are so here as well.
         """
         problem = self._problem(ImageModel(self.psf, effects))
         old, new = held[0].layout, problem.layout
@@ -141,13 +126,7 @@ class CubeFit:
 
 
 def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> NominalChi2:
-    """Return χ²/ν of the mean image of a cube about a model that lacks nothing.
-
-    Parameters
-    ----------
-    values : tensor, (1, parameters)
-        Where the model is.
-    """
+    """Return χ²/ν of the mean image about a model that lacks nothing, at `values` (1, parameters)."""
     _, jacobian = problem.predict_and_jacobian(values)
     return nominal_chi2(frames, jacobian[0], problem.prior_precision[0])
 

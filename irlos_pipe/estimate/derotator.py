@@ -135,11 +135,7 @@ def usable_modes(nolls: Sequence[int], highest_noll: int | None = None) -> np.nd
 def split_series(series: Series, sense: int) -> Split:
     """Separate the part that turns with the derotator from the part that does not.
 
-    Parameters
-    ----------
-    series : Series
-        Without tip and tilt, every (n, |m|) complete; see `usable_modes`.
-    sense : {1, -1}
+    The `series` is without tip and tilt, every (n, |m|) complete, see `usable_modes`; the `sense` is 1 or -1.
 
     Raises
     ------

@@ -73,16 +73,9 @@ def starts_as_told(effect: Effect) -> bool:
 def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
     """Return the effect held at what the estimates of single frames show of it, by least squares.
 
-    The mean image shows a drift to second order only, and not its sign; the frames show both.
-
-    Parameters
-    ----------
-    effect : Effect
-        Of the plane `time`, linear in its parameters, all of which are free.
-    nolls : sequence of int
-        Modes of `frames_nm`.
-    frames_nm : ndarray, (frames, modes)
-        At equal intervals of time.
+    The mean image shows a drift to second order only, and not its sign; the frames show both. The `effect` is
+    of the plane `time` and linear in its parameters, all of which are free; the modes `nolls` of `frames_nm`
+    (frames, modes) are estimates at equal intervals of time.
 
     Raises
     ------

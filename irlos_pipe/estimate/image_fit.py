@@ -178,13 +178,8 @@ class ImageFit(Problem):
     def curvature_weights(self, x: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
         """Return the weights of the pixels in the Hessian at `x`, (members, pixels), float64.
 
-        Over images that share a member they are summed; those of a robust loss hold its curvature.
-
-        Parameters
-        ----------
-        x : tensor, (members, parameters)
-        model_e : tensor, (members, pixels)
-            The model's images there.
+        Over images that share a member they are summed; those of a robust loss hold its curvature. The
+        model's images at `x` (members, parameters) are `model_e` (members, pixels).
         """
         residual, root = self._whitened(model_e, torch.arange(len(x)))
         if self.loss.quadratic:
@@ -349,11 +344,7 @@ class Layout:
     def start(self, images_e: torch.Tensor, modes_nm: torch.Tensor | Sequence[float] = ()) -> torch.Tensor:
         """Return start vectors for images (batch, pixels): flux from the sum, effects from their declaration.
 
-        Parameters
-        ----------
-        images_e : tensor, (batch, pixels)
-        modes_nm : tensor, (batch, modes) or (modes,), optional
-            Start of the Zernike coefficients; zero by default.
+        Zernike coefficients start at `modes_nm`, (batch, modes) or (modes,); by default at zero.
         """
         x = torch.zeros(len(images_e), self.size, dtype=torch.float64)
         if len(modes_nm):

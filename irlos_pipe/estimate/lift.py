@@ -182,12 +182,8 @@ def image_problem(
 ) -> ImageFit:
     """Pose a problem of one image and one parameter vector each, for a whole batch.
 
-    Parameters
-    ----------
-    images_e, variance_e2 : tensor, (images, rows, columns)
-    good : tensor of bool, (rows, columns)
-    alike : Alike, optional
-        Where the images are realisations of a few frames.
+    Images and variances are (images, rows, columns), `good` is (rows, columns); `alike` says where the images
+    are realisations of a few frames.
     """
     variance = masked_variance(variance_e2, good)[:, None].flatten(2)
     device = model.psf.device

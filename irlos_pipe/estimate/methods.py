@@ -147,14 +147,8 @@ def start_at_centroids(
 ) -> torch.Tensor:
     """Return the start with tip and tilt from the centroids and no aberrations, or with given first modes.
 
-    Returns (batch, parameters).
-
-    Parameters
-    ----------
-    problem : ImageFit
-        Of these frames.
-    start_nm : tensor or ndarray, (modes,), optional
-        From Noll 2 on.
+    The `problem` is that of these `frames`, and `start_nm` (modes,) begins with Noll 2. Returns (batch,
+    parameters).
     """
     x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
     for block in blocks(len(x)):
@@ -177,12 +171,8 @@ def _centred(images: torch.Tensor, good: torch.Tensor, problem: ImageFit) -> tor
 def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
     """Return estimates of one vector for all frames, and of every frame by one linear step from it.
 
-    The mean of the latter is the solution, their scatter carries photon noise, speckle and real changes.
-
-    Parameters
-    ----------
-    problem : ImageFit
-        Of these frames, with one member.
+    The mean of the latter is the solution, their scatter carries photon noise, speckle and real changes. The
+    `problem` of these `frames` has one member.
     """
     x, layout = solution.values[:1], problem.layout
     added, read = whole_wavefront(problem, x[0])
@@ -219,21 +209,11 @@ def fit_frames(
     max_iterations: int,
     report: Callable[[int], None] | None = None,
 ) -> Solution:
-    """Minimise a batch of fits of single frames without bounds.
+    """Minimise a batch of fits of single frames from `start` (frames, parameters), without bounds.
 
-    Parameters
-    ----------
-    start : tensor, (frames, parameters)
-    max_iterations : int
-        Evaluations of a frame after the first linearisation of its own, at most.
-    report : callable, optional
-        Called with the number of frames that were finished.
-
-    Returns
-    -------
-    Solution
-        `iterations` counts evaluations; `covariance` is the mean of a few frames' for those that never had
-        a linearisation of their own.
+    After the first linearisation of its own a frame is evaluated `max_iterations` times at most. `report`
+    gets the number of frames that were finished. In the solution, `iterations` counts evaluations;
+    `covariance` is the mean of a few frames' for those that never had a linearisation of their own.
     """
     squares = problem.with_loss(replace(GAUSSIAN, whitened=problem.loss.whitened))
     found = polish(squares, _with_shared_curvature(squares, start), LEAST_SQUARES_EVALUATIONS)

@@ -88,13 +88,7 @@ class ModeLaw:
 
 
 def mode_scatter(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray) -> ModeScatter:
-    """Measure the scatter over cubes.
-
-    Parameters
-    ----------
-    zernike_nm, sigma_nm : ndarray, (cubes, modes)
-        Estimates with their errors, one row per set of NCPAs.
-    """
+    """Measure the scatter of estimates and their errors (cubes, modes), one row per set of NCPAs."""
     return ModeScatter(
         tuple(nolls),
         np.sqrt(np.mean(np.square(zernike_nm), axis=0)),
@@ -114,16 +108,10 @@ def equalised_tilts(scatter: ModeScatter) -> ModeScatter:
 
 
 def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remove_noise: bool) -> ModeLaw:
-    """Fit the law by maximum likelihood.
+    """Fit the law by maximum likelihood to the modes to `keep`, (modes,) of bool.
 
-    Parameters
-    ----------
-    keep : ndarray of bool, (modes,)
-        Modes that are used.
-    start : NcpaLaw
-        Where the search begins.
-    remove_noise : bool
-        Law of the NCPAs, with the noise in the likelihood; otherwise that of the estimates.
+    The search begins at `start`. With `remove_noise`, the law is that of the NCPAs, the noise in the
+    likelihood; otherwise that of the estimates.
 
     Raises
     ------

@@ -67,19 +67,11 @@ BY_LIGHT: Path = (*(Softening(part=part) for part in (1.0, 0.5, 0.2, 0.1, 0.05, 
 def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) -> Opened:
     """Return a fit of all modes, or the likeliest of several minima where it has ended in a wrong one.
 
-    It has if χ²/ν is above nominal although the modes beyond the closed basis explain most of what that
-    misses; else the model lacks something that no other minimum would bring. The search ends at the first
-    nominal χ²/ν, after four fits with softened weights if all of them lead back or one fact explains what the
-    best of them misses, and else after `SHAKES` shakes of each at most.
-
-    Parameters
-    ----------
-    closed : tuple of ImageFit and Solution
-        The fit of the closed basis.
-    opened : Opened
-        That of all modes from there.
-    most : float
-        Up to which χ²/ν is nominal.
+    It has if χ²/ν is above nominal, `most`, although the modes beyond the closed basis explain most of what
+    the fit of that basis, `closed`, misses; else the model lacks something that no other minimum would bring.
+    The fit of all modes from there is `opened`. The search ends at the first nominal χ²/ν, after four fits
+    with softened weights if all of them lead back or one fact explains what the best of them misses, and else
+    after `SHAKES` shakes of each at most.
     """
     problem, values = opened.problem, opened.solution.values[:1]
     chi2_nu = float(problem.reduced_chi2(values)[0])

@@ -21,10 +21,7 @@ from irlos_pipe.numerics.solution import INVALID
 def likelier_side(opened: Opened, max_iterations: int) -> Opened:
     """Return a fit of all modes, or a likelier one with a fact of the instrument on another side.
 
-    Parameters
-    ----------
-    max_iterations : int
-        See `open_basis`.
+    For `max_iterations` see `open_basis`.
     """
     problem, best = opened.problem, opened
     starts = list(_other_sides(problem, opened.solution.values[:1]))

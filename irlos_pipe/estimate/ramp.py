@@ -65,13 +65,9 @@ def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
 def summarise(
     introduced_nm: np.ndarray, estimated_nm: np.ndarray, second_part: np.ndarray | None = None
 ) -> RampSummary:
-    """Summarise a ramp whose frames are in order of recording; failed estimates are NaN.
+    """Summarise a ramp whose frames (frames,) are in order of recording; failed estimates are NaN.
 
-    Parameters
-    ----------
-    introduced_nm, estimated_nm : ndarray, (frames,)
-    second_part : ndarray of bool, (frames,), optional
-        True for the frames of a second run, whose focus reference may differ from that of the first.
+    The focus reference of a second run, where `second_part` is True, may differ from that of the first.
 
     Raises
     ------
@@ -104,12 +100,9 @@ def summarise(
 
 
 def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummary:
-    """Summarise frames of one defocus that nobody knows; what needs several offsets is NaN.
+    """Summarise frames (frames,) of one defocus that nobody knows; what needs several offsets is NaN.
 
-    Parameters
-    ----------
-    introduced_nm, estimated_nm : ndarray, (frames,)
-        Failed estimates are NaN.
+    Failed estimates are NaN.
 
     Raises
     ------
@@ -195,12 +188,7 @@ def fit_focus_stage(
 ) -> FocusStage:
     """Estimate the free errors by least squares: what is introduced is linear in all of them.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        That act on a ramp.
-    commanded_nm, estimated_nm : ndarray, (frames,)
-        In order of recording; failed estimates are NaN.
+    The `effects` act on a ramp, whose defocus (frames,) is in order of recording; failed estimates are NaN.
 
     Raises
     ------

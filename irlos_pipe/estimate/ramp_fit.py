@@ -155,12 +155,8 @@ def _spread(frames: int) -> torch.Tensor:
 def second_try(model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions) -> LiftResult:
     """Restart frames that failed, fit badly or contradict the defocus scan; keep whichever fits better.
 
-    To stand out, a bad fit needs good ones beside it; the scan judges every frame by itself.
-
-    Parameters
-    ----------
-    model, data, result, options
-        See `fit_ramp`; `result` is that of the first try.
+    To stand out, a bad fit needs good ones next to it; the scan judges every frame by itself. Arguments are
+    those of `fit_ramp`, `result` is that of the first try.
     """
     if not {2, 3, 4} <= set(model.psf.nolls):
         return result
@@ -256,12 +252,8 @@ class SharedFit:
 def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     """Fit the free effect parameters of a problem's model to all its images together.
 
-    Parameters
-    ----------
-    problem : ImageFit
-        One parameter vector per image; its effects have free parameters, which start at `problem.held`.
-    x : tensor, (images, parameters)
-        Start of the per-image parameters.
+    The `problem` has one parameter vector per image, which starts at `x` (images, parameters); its effects
+    have free parameters, which start at `problem.held`.
     """
     parameters = problem.model.effects.parameters
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)

@@ -62,14 +62,8 @@ class Lacking:
 def lacking(problem: ImageFit, x: torch.Tensor, excess: float) -> Lacking:
     """Return the facts that would explain most of the misfit of an image.
 
-    Parameters
-    ----------
-    problem : ImageFit
-        One member.
-    x : tensor, (1, parameters)
-        Its optimum.
-    excess : float
-        Part of χ² that is misfit: what a model leaves that lacks nothing is the rest.
+    The `problem` has one member, with its optimum at `x` (1, parameters). The part `excess` of χ² is misfit:
+    what a model leaves that lacks nothing is the rest.
     """
     null = null_model(problem, x)
     frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
@@ -129,14 +123,9 @@ class Mirrored:
 
 
 def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrored | None:
-    """Return how much of the mirrored pupil the mean image shows; None where nothing tells.
+    """Return how much of the mirrored pupil the mean image shows; None where nothing determines it.
 
-    Parameters
-    ----------
-    problem : ImageFit
-        With which their mean was fitted.
-    values : tensor, (1, parameters)
-        Of the fit.
+    The mean of the `frames` was fitted with `problem`, at `values` (1, parameters).
     """
     if len(frames.images_e) < LEAST_FRAMES:
         return None
@@ -185,10 +174,7 @@ LEADING = 0.3  # part of the variance from which one direction is looked at
 def kurtosis_of_frames(frames: Frames) -> float:
     """Return the kurtosis of the frames along the direction in which they differ most.
 
-    Returns
-    -------
-    float
-        NaN for fewer than `FRAMES_OF_A_KIND`, or where no direction leads.
+    NaN for fewer than `FRAMES_OF_A_KIND`, or where no direction leads.
     """
     some = frames.images_e[torch.as_tensor(sample_frames(len(frames.images_e)))].flatten(1).double()
     if len(some) < FRAMES_OF_A_KIND:

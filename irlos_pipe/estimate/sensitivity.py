@@ -197,11 +197,8 @@ def curve_of(
 ) -> Curve:
     """Return the curve of single errors, which may come from several scans over the same magnitudes.
 
-    Parameters
-    ----------
-    abs_error_nm : ndarray, (magnitudes, trials)
-        NaN where the estimate failed.
-    crb_nm, one_read_crb_nm : ndarray, (magnitudes,)
+    The errors `abs_error_nm` (magnitudes, trials) are NaN where the estimate failed; bounds are
+    (magnitudes,).
     """
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
@@ -251,17 +248,9 @@ def cramer_rao_nm(
 ) -> torch.Tensor:
     """Return the smallest standard errors of the modes with flux and background free, (images, modes) [nm].
 
-    ``σ² = diag((Jᵀ V⁻¹ J)⁻¹)``, the variance V from the noise-free image; the small information
-    that V itself carries is left out, as LIFT does not use it.
-
-    Parameters
-    ----------
-    model : ImageModel
-        Without free effect parameters.
-    modes_nm : tensor, (images, modes)
-    flux_e : tensor, (images,)
-    background_e : float
-        In every pixel.
+    ``σ² = diag((Jᵀ V⁻¹ J)⁻¹)``, the variance V from the noise-free image; the small information that V itself
+    carries is left out, as LIFT does not use it. The `model` has no free effect parameters; `modes_nm`
+    (images, modes) and `flux_e` (images,) are those of the images, `background_e` is in every pixel.
     """
     flux = flux_e.double()
     image, columns = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))

@@ -138,18 +138,9 @@ def calibrate_setups(
 ) -> Calibration:
     """Estimate the static wavefront of recordings in several set-ups, in a closed basis.
 
-    Parameters
-    ----------
-    setups : sequence of Setup
-        Window and pixel scale are the same in all. The wavefront is stated as the first one has it.
-    options : CalibrationOptions
-        Prior, number of modes and iterations.
-
-    Returns
-    -------
-    Calibration
-        Of the first set-up, with the standard errors of the effects; χ²/ν, its nominal value and the misfit
-        by which errors grow are those of all together.
+    Window and pixel scale are the same in all `setups`; of the `options`, prior, number of modes and
+    iterations count. The wavefront is stated as the first set-up has it, with the standard errors of the
+    effects; χ²/ν, its nominal value and the misfit by which errors grow are those of all together.
     """
     began = time.perf_counter()
     first = setups[0]
@@ -225,11 +216,8 @@ def _errors(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Covariance of all parameters from the scatter of the frames of every set-up, and that of the first's.
 
-    Returns
-    -------
-    covariance : tensor, (size, size)
-    changes : tensor, (frames of the first set-up, size)
-        By which each of its frames by itself would move the parameters, their mean taken out.
+    The latter is by how much each frame of the first set-up by itself would move the parameters, their mean
+    taken out, (frames of the first set-up, size); the covariance is (size, size).
     """
     total, changes = torch.zeros_like(covariance), []
     for number, (setup, part) in enumerate(zip(setups, problem.parts, strict=True)):

@@ -112,14 +112,8 @@ def focus_curve(
 ) -> FocusCurve:
     """Fit an image with its defocus held at the values of `CURVE_NM`, and freely from the minima of that.
 
-    Parameters
-    ----------
-    model : ImageModel
-        Its effects have no free parameters.
-    image_e : tensor, (rows, columns)
-    good : tensor of bool, (rows, columns)
-    modes_nm : tensor, (modes,)
-        The best fit, which the others start from.
+    The effects of the `model` have no free parameters; all fits of `image_e` on the `good` pixels (rows,
+    columns) start from the best one, `modes_nm` (modes,).
     """
     column = model.psf.nolls.index(DEFOCUS)
     starts = modes_nm.repeat(len(CURVE_NM) + 1, 1)

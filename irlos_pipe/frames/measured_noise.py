@@ -64,21 +64,14 @@ def measure_noise(
 
     The difference of a pixel from the prediction by its neighbours is blind to speckles and image motion, so
     that the photon-transfer method works on sky; what is left of them, and of an unequal response, grows like
-    the brightness and is the third term; where it is not significant, the fit does without it and without
-    the pixels that it concerns most. The floor holds the read noise and the photon noise of dark current
-    and sky. Of a single frame the difference itself takes the place of its scatter over time, where the star
-    is so faint that its own structure does not count; that tells the floor only.
+    the brightness and is the third term; where it is not significant, the fit does without it and without the
+    pixels that it concerns most. The floor holds the read noise and the photon noise of dark current and sky.
+    Of a single frame the difference itself takes the place of its scatter over time, where the star is so
+    faint that its own structure does not count; that gives the floor only.
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-        Finite [e-].
-    good : ndarray of bool, (rows, columns)
-        True for good pixels.
-    prediction : Prediction
-        Of each pixel by its good neighbours.
-    declared : NoiseModel
-        As told. Only a single frame is compared with it: its star's photon noise is taken out.
+    The `images_e` (frames, rows, columns) are finite [e-], `good` pixels (rows, columns) True; `prediction`
+    is that of each pixel by its good neighbours. Only a single frame is compared with the noise as
+    `declared`: its star's photon noise is taken out.
     """
     if not len(images_e):
         return MeasuredNoise()

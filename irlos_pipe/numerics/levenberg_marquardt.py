@@ -41,16 +41,8 @@ def solve(
 ) -> Solution:
     """Minimise a batch of problems from `start`, (batch, parameters).
 
-    Parameters
-    ----------
-    start : tensor, (batch, parameters)
-    report : callable, optional
-        Called with the number of members that finished in each iteration (progress bars).
-
-    Returns
-    -------
-    Solution
-        Members that meet non-finite numbers are flagged `invalid`, never silently NaN.
+    `report` gets the number of members that finished in each iteration (progress bars). In the solution,
+    members that meet non-finite numbers are flagged `invalid`, never silently NaN.
     """
     state = _State(problem, start.double().clone())
     for _ in range(max_iterations):

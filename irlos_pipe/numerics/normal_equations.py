@@ -22,16 +22,8 @@ def normal_equations(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return gradient (b, p), summed in float64, and Hessian (b, p, p), as precise as the derivatives.
 
-    The Hessian only shapes steps.
-
-    Parameters
-    ----------
-    columns : tensor, (b, p, pixels)
-        Derivatives of the images.
-    residual : tensor, (b, repeats, pixels)
-        Whitened.
-    root : tensor, (b, repeats or 1, pixels)
-        Square roots of the weights.
+    The Hessian only shapes steps. Derivatives of the images are `columns` (b, p, pixels), the whitened
+    `residual` is (b, repeats, pixels), and `root` (b, repeats or 1, pixels) are square roots of the weights.
     """
     size = columns.shape[1]
     if residual.shape[1] > 1:  # images that share derivatives, like one image with their mean residual

@@ -300,14 +300,7 @@ PARAMETERS = 5
 def lift_singly(
     focus: Focus, images_e: np.ndarray, report: Callable[[int], object] | None = None
 ) -> LiftResult:
-    """Measure every image by itself.
-
-    Parameters
-    ----------
-    images_e : ndarray, (images, rows, columns)
-    report : callable, optional
-        Called with 1 after every image.
-    """
+    """Measure each of `images_e` (images, rows, columns) by itself; `report` gets a 1 after every image."""
     count = len(images_e)
     values, covariance = (
         np.full((count, PARAMETERS), np.nan),
