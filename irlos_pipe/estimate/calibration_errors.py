@@ -42,7 +42,7 @@ from irlos_pipe.numerics.solution import INVALID, Solution
 
 ErrorsFrom = Literal["frames", "few_frames", "noise"]
 SIGNIFICANT = 5.0  # standard deviations by which few frames have to scatter beyond noise
-KEPT_SIGMA = 3.0  # at which the widened errors hold what they say
+KEPT_SIGMA = 3.0  # standard deviations at which the widened errors keep their level of confidence
 
 
 def errors_of(
@@ -76,11 +76,11 @@ def widening(count: int) -> float:
     return float(stdtrit(count - 1, ndtr(KEPT_SIGMA))) / KEPT_SIGMA
 
 
-LEAST_FRAMES = 4  # whose scatter is looked at
+LEAST_FRAMES = 4  # frames from which their scatter is considered
 BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
-NUMERICAL = 0.15  # part of it: complete models leave up to 1.14, by errors of the discretisation
-SHARED = 0.15  # part of it: the noise of the dark is read off the frames, to a fifth of their scatter
-LONGEST = 512  # frames of which all pairs are looked at; of more, runs of neighbours are averaged
+NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14
+SHARED = 0.15  # part of χ²/ν by the noise of the dark, which the frames show to a fifth of their scatter
+LONGEST = 512  # frames of which all pairs are compared; of more, runs of neighbours are averaged
 
 
 @dataclass(frozen=True)

@@ -104,15 +104,9 @@ def predict_correction(
 ) -> Prediction:
     """Return images before and after a correction; tip and tilt are left out of both.
 
-    Parameters
-    ----------
-    fitted_modes_nm, zernike_nm : ndarray, (modes,)
-        Modes that go with the effects of `make_optics`, and those of the whole wavefront, which is what
-        is corrected.
-    gain : ndarray, (modes,)
-        Part of each mode that is taken out.
-    make_optics : callable
-        ``make_optics(model)`` gives what AO residual, jitter and other effects make of the light path.
+    The `fitted_modes_nm` go with the effects of `make_optics`; `zernike_nm` are those of the whole wavefront,
+    which is what is corrected, by the part `gain` of each mode, (modes,) all three. ``make_optics(model)``
+    gives what AO residual, jitter and other effects make of the light path.
     """
     model = light_path(replace(settings, known=KnownWavefront()), nolls)
     both_nm = seen_and_left_nm(nolls, fitted_modes_nm, zernike_nm, gain)

@@ -26,7 +26,7 @@ from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
 from irlos_pipe.optics.light_path import LightPath
 
-FIRST = torch.zeros(1, dtype=torch.int64)  # member of a batch
+FIRST = torch.zeros(1, dtype=torch.int64)  # the only member of a batch of one
 
 Fit = tuple[ImageFit, Solution]
 
@@ -132,14 +132,14 @@ def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Nomin
 
 
 HISTORY = 20
-GRADIENT_TOLERANCE = 1e-2  # in units of one standard error
+GRADIENT_TOLERANCE = 1e-2  # per standard error of a parameter
 
 
 def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int = 300) -> Solution:
     """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
 
-    The variables are scaled by the curvature at the start, so that nm, electrons and variances are of one
-    size. Shapes: `start` (batch, parameters).
+    The variables are scaled by the curvature at the `start` (batch, parameters), so that nm, electrons and
+    variances are of one size.
     """
     everyone = torch.arange(len(start))
     _, _, hessian = problem.normal_equations(start, everyone)

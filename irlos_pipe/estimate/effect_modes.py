@@ -21,10 +21,9 @@ from irlos_pipe.optics.grids import PupilGrid
 def effects_in_modes_nm(
     effects: EffectSet, values: torch.Tensor, nolls: Sequence[int]
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the part of each mode that the effects hold, and its derivatives.
+    """Return the part of each mode that the effects hold, (modes,), and its derivatives.
 
-    Shapes: `values` (effect parameters,). Returns `added_nm` (modes,) and `slopes` (modes, effect
-    parameters).
+    These are (modes, effect parameters), at `values` (effect parameters,).
     """
     if not effects.at("pupil"):
         return torch.zeros(len(nolls)), torch.zeros(len(nolls), len(values))
@@ -39,9 +38,9 @@ def effects_in_modes_nm(
 
 
 def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return what effects add to the modes at parameters `x`, and the derivatives of their sum.
+    """Return what effects add to the modes, (modes,), and the derivatives of their sum, (modes, parameters).
 
-    Shapes: `x` (parameters,). Returns `added_nm` (modes,) and `derivatives` (modes, parameters).
+    The parameters are `x` (parameters,).
     """
     layout = problem.layout
     added, slopes = effects_in_modes_nm(problem.model.effects, x[layout.effect_values], layout.nolls)

@@ -73,7 +73,7 @@ class GaussianFit(Problem):
     """Rotated 2-D Gaussians fitted to images, for `solve`.
 
     Parameters are x, y [px], ln σ1, ln σ2 [px], amplitude, background; every image in units of
-    its own brightest pixel, pixels weighted alike.
+    its own brightest pixel, all pixels with the same weight.
     """
 
     def __init__(self, images_e: torch.Tensor, good: torch.Tensor, angle_deg: float):

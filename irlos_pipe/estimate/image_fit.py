@@ -25,7 +25,7 @@ from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
-MOST_LEVERAGE = 0.9  # of a pixel on its own fit; beyond it nothing is known of its noise
+MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing is known of its noise
 Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 

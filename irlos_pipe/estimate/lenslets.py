@@ -5,7 +5,7 @@ else the wavefront does (the intensity-weighted mean of a transform's coordinate
 phase), as long as the window holds all the light. It does not, and read noise forbids to sum it all: pixels
 below a threshold are left out, at the price of a gain that is not quite one.
 
-Which modes a mean image determines, beside the prior, the eigenvalues of its Fisher matrix tell.
+Eigenvalues of the Fisher matrix say which modes a mean image determines better than the prior.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def modes_of_centroids_nm(
 
 @dataclass(frozen=True)
 class Identified:
-    """What the data say of modes beside a prior.
+    """What the data say of modes in comparison with a prior.
 
     Attributes
     ----------

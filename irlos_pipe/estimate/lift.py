@@ -26,8 +26,8 @@ from irlos_pipe.numerics.solution import Solution, joined, mixed
 
 DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
-IMAGES_AT_ONCE = 128  # a dozen copies of them are made on the way
-COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
+IMAGES_AT_ONCE = 128  # images in a piece: a dozen copies of them are made on the way
+COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with variances that follow the model
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,6 @@ class LiftResult:
 
     @classmethod
     def joined(cls, parts: Sequence[LiftResult]) -> LiftResult:
-        """Join several batches."""
         solution = Solution.joined([part.solution for part in parts])
         return joined(parts, solution=solution)
 
@@ -90,18 +89,10 @@ def lift(
 ) -> LiftResult:
     """Estimate the modes of `model` in every image.
 
-    Parameters
-    ----------
-    model : ImageModel
-        Its effects have no free parameters; its known wavefront has the diversity and, if calibrated, the
-        NCPAs.
-    images_e : tensor, (images, rows, columns)
-    good : tensor of bool, (rows, columns)
-    start_nm : tensor, (images, modes)
-    beyond : bool
-        Whether images whose estimate has run into the limits of a table are estimated again without it.
-    report : callable, optional
-        See `solve`.
+    The effects of the `model` have no free parameters; its known wavefront has the diversity and, if
+    calibrated, the NCPAs. Images are (images, rows, columns), `good` is (rows, columns), `start_nm` (images,
+    modes). Unless `beyond` is False, images whose estimate has run into the limits of a table are estimated
+    again without it. For `report` see `solve`.
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
     result = _in_pieces(model, images_e, good, noise, start_nm, options, report)
@@ -131,7 +122,7 @@ def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
 
 
 def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
-    """A fit with the variances of the images, and unless these are wanted another with those of the model."""
+    """A fit with the variances of the images and, unless these are requested, one with those of the model."""
     nolls = model.psf.nolls
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
     x = layout.start(images_e.flatten(1) * good.flatten(), start_nm)

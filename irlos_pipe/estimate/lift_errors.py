@@ -125,7 +125,7 @@ def nominal_frame_chi2(
     return total / count / freedom if count else float("nan")
 
 
-MOST_OFFSETS = 5  # at which it is computed; between them it is interpolated
+MOST_OFFSETS = 5  # offsets at which it is computed, at most; between them it is interpolated
 
 
 def optics_sigma_nm(

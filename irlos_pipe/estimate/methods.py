@@ -1,6 +1,6 @@
 """The ways to fit the images of a cube: their mean, every frame, or all frames together.
 
-The frames of a cube are much alike: what their fits share is computed once. The curvature at a few frames
+The frames of a cube are very similar: what their fits share is computed once. The curvature at a few frames
 serves all others, and what it misses is learnt from the gradients along the way (`quasi_newton`). Plain least
 squares come first, as their curvature hardly changes. Only frames that are not done then get a linearisation
 of their own.
@@ -31,7 +31,7 @@ from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
+ROUGH_ITERATIONS = 6  # iterations of the few frames whose median is the start of all others
 Report = Callable[[int], None]
 
 
@@ -198,7 +198,7 @@ def scheme_of(options: CalibrationOptions) -> Scheme:
 
 FEW = 10  # frames whose mean curvature stands for that of all
 LEAST_SQUARES_EVALUATIONS = 4
-EVALUATIONS = 50  # most frames are done by then
+EVALUATIONS = 50  # after so many, most frames have converged
 
 
 @torch.no_grad()

@@ -21,8 +21,8 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import TIP_TILT
 
 LIMITS = ((1e-2, 1e-3, 1e-3), (1e4, 3.0, 1e3))
-SMALL_PART = 0.1  # of C: an exponential below it has vanished in the plateau
-CURVATURE_STEP = 1e-3  # of the logarithm of a parameter
+SMALL_PART = 0.1  # part of C below which an exponential has vanished in the plateau
+CURVATURE_STEP = 1e-3  # step of the logarithm of a parameter over which curvature is differentiated
 
 
 @dataclass(frozen=True)

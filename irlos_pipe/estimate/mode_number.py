@@ -164,10 +164,9 @@ def _picked(fit: Calibration, nolls: Sequence[int]) -> np.ndarray:
 
 
 def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.ndarray:
-    """Return χ²/ν of blocks of frames against the model of other frames, (blocks,).
+    """Return χ²/ν of blocks of frames, `unseen` (blocks, frames), against the model of others, (blocks,).
 
-    Flux and background of a block are its own: they change and say nothing about the modes. Shapes: `unseen`
-    (blocks, frames) of int.
+    Flux and background of a block are its own: they change and say nothing about the modes.
     """
     good = frames.good.numpy()
     half = _of(frames, unseen)

@@ -34,16 +34,15 @@ from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import noll_to_nm
 
-MOST_ORDERS = 20  # Noll 231: the budget of time
+MOST_ORDERS = 20  # radial orders, up to Noll 231: what the time allows
 # Falls of χ² per mode still ahead at which the law may be fitted, and at which the fit is done: RMS steps of
 # one standard error, and of a sixth.
 ROUGHLY, SETTLED = 1.0, 0.03
-FINISHING = 2  # iterations with its own Hessian, which the errors need
+FINISHING = 2  # last iterations, with a Hessian of their own, which the errors need
 JOINED = 0.5  # λ/D at the edge of the window: colours in the Hessian that lie less apart are one
 
 
 def last_noll_of(order: int) -> int:
-    """Return the last Noll index of a radial order."""
     return (order + 1) * (order + 2) // 2
 
 

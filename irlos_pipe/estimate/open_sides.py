@@ -1,8 +1,8 @@
 """The other side of what has a distance and a direction, in the fit of all modes.
 
-Opposite sides of a displaced stop look alike to first order, and which is the right one shows only once all
-modes are in the model. So the fit is repeated from the opposite side, and from every side where the stop came
-to rest at its place.
+Opposite sides of a displaced stop are degenerate to first order, and which is the right one shows only once
+all modes are in the model. So the fit is repeated from the opposite side, and from every side where the stop
+came to rest at its place.
 """
 
 from __future__ import annotations

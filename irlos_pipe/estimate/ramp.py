@@ -11,7 +11,7 @@ import torch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
 
-MIN_OBSERVABILITY = 1e-6  # of a column's power beside the others
+MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not explain, at least
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class RampSummary:
     Attributes
     ----------
     offset_nm, offset_sigma_nm : float
-        Where nothing is introduced. Errors of frames at one introduced defocus may be alike: for the standard
-        error each of these counts once.
+        Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
+        standard error each offset counts once.
     rms_nm : float
         RMS of estimated minus introduced defocus.
     residual_rms_nm : float
@@ -141,7 +141,7 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:
 def _steps(
     introduced: np.ndarray, estimated: np.ndarray, direction: np.ndarray, part: np.ndarray
 ) -> tuple[float, float, float, float]:
-    """Coefficients of direction and part beside slope and offset, each with its standard error.
+    """Coefficients of direction and part, fitted jointly with slope and offset, each with its standard error.
 
     What the ramp does not determine is NaN: a column that does not vary, or one that the others make up.
     """

@@ -32,9 +32,9 @@ from irlos_pipe.numerics.solution import CONVERGED, MAX_ITERATIONS
 from irlos_pipe.optics.light_path import LightPath
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
-SHARED_FRAMES = 24  # of a ramp that determine what all frames share: more take long and add little
-MIN_FRAMES = 3  # whose fits take longer than making a table of images
-CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
+SHARED_FRAMES = 24  # frames that determine what all share, at most: more take long and add little
+MIN_FRAMES = 3  # frames from which a table of images saves more time than it takes to make
+CONTRADICTION_NM = 100.0  # distance from the defocus scan from which a fit gets a second try, too
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,6 @@ class RampData:
     introduced_nm: np.ndarray
 
     def of(self, which: torch.Tensor) -> RampData:
-        """Return `which` of the frames."""
         return replace(self, images_e=self.images_e[which], introduced_nm=self.introduced_nm[which.numpy()])
 
 
@@ -112,15 +111,8 @@ def fit_ramp(
 ) -> RampFit:
     """Estimate every frame; effects with free parameters are first fitted to the whole ramp.
 
-    Parameters
-    ----------
-    start_nm : tensor, (frames, modes)
-    effects : sequence of Effect
-        Fixed ones stay, free parameters are shared by all frames.
-    seen : ndarray of bool, (frames,), optional
-        Frames that determine these; by default all.
-    report : callable, optional
-        See `solve`.
+    Fixed `effects` stay, free parameters are shared by all frames; the frames `seen` (frames,), by default
+    all, determine these. Estimates start at `start_nm` (frames, modes); for `report` see `solve`.
     """
     free = EffectSet(effects, model.grids)
     which = torch.nonzero(torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen))[:, 0]

@@ -212,10 +212,7 @@ def curve_of(
 def limiting_magnitude(
     magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray, criterion: Criterion
 ) -> float:
-    """Find the faintest of the `magnitudes` before the `criterion` is missed, interpolated in log error.
-
-    Shapes: `magnitudes`, `median_nm` and `failure_fraction` (magnitudes,).
-    """
+    """Find the faintest of the `magnitudes` before the `criterion` is missed, interpolated in log error."""
     fine = (median_nm <= criterion.median_nm) & (failure_fraction <= criterion.failure_fraction)
     if not fine[0]:
         return float("nan")

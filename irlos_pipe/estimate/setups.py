@@ -37,7 +37,7 @@ POINTING = 2  # Noll 2 and 3, the first modes
 
 @dataclass(frozen=True)
 class Setup:
-    """Frames that were taken alike.
+    """Frames that were taken in the same way.
 
     Attributes
     ----------

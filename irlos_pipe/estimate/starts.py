@@ -27,7 +27,7 @@ from irlos_pipe.optics.light_path import AS_BUILT, LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
-FEW_FRAMES = 10  # whose median is a start
+FEW_FRAMES = 10  # single frames whose median is a start
 FEW_FRAMES_ITERATIONS = 60
 START_HIGHEST_NOLL = 30  # modes of a start from single frames
 
@@ -35,8 +35,8 @@ START_HIGHEST_NOLL = 30  # modes of a start from single frames
 def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
     """Return tip and tilt that move the model to the centroid of the bright pixels, (frames, 2) [nm RMS].
 
-    Pixels below a fifth of the brightest are left out, so that noise and halo do not pull. Shapes: `images_e`
-    (frames, rows, columns).
+    Of `images_e` (frames, rows, columns), pixels below a fifth of the brightest are left out, so that noise
+    and halo do not pull.
     """
     images_e = one_star(images_e, settings)
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)

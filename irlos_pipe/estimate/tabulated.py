@@ -25,8 +25,8 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
 
-FOCUS_REACH_NM = 400.0  # beyond the starts; few fits move further
-TILT_REACH_NM = 250.0  # between two and three pixels
+FOCUS_REACH_NM = 400.0  # beyond the starts: few fits move further
+TILT_REACH_NM = 250.0  # beyond the starts, between two and three pixels
 
 
 class TabulatedModel(ImageModel):
@@ -69,8 +69,8 @@ def _reach(nolls: tuple[int, ...], start_nm: torch.Tensor) -> Reach:
 
 CURVE_NM = np.linspace(-900.0, 900.0, 37)
 HELD_NM = 0.01  # width of the prior that holds the defocus
-APART_NM = 75.0  # solutions that are less than this apart are one
-MOST_MINIMA = 4  # of the curve that free fits start from
+APART_NM = 75.0  # solutions closer than this are one
+MOST_MINIMA = 4  # minima of the curve from which free fits start, at most
 
 
 @dataclass(frozen=True)

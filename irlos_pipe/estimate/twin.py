@@ -48,7 +48,7 @@ class TwinCheck:
 
     @property
     def preferred(self) -> str:
-        """`solution`, `twin`, or `undecided` where neither data nor law tell."""
+        """`solution`, `twin`, or `undecided` where neither data nor law decide."""
         if self.distance_nm < 1.0 or self.evidence > DECISIVE:
             return "solution"
         return "twin" if self.evidence < -DECISIVE else "undecided"

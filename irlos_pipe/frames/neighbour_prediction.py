@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 REACH_PX = 3  # neighbours are the other pixels of a (2 * REACH_PX + 1) square
-NEAR_PX = 2  # neighbours whose brightness tells how bright a pixel could be
+NEAR_PX = 2  # neighbours whose brightness says how bright a pixel could be
 NUGGET = 1e-4  # variance over signal squared that the weights allow for: noise, 1 % of unequal response
 CUTOFF_MARGIN = 1.1  # room for an error of the pixel scale
 MIN_SAMPLING_PX = 2.4  # pixels per lambda/D below which neighbours no longer determine a pixel

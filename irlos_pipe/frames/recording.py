@@ -12,7 +12,7 @@ import numpy as np
 
 from irlos_pipe.frames.blocks import mean_frame, picked
 
-# sources of values
+# Sources of values.
 RECIPE, SIDECAR, HEADER, PROFILE, FRAMES = "recipe", "side-car", "header", "instrument profile", "measured"
 MODE = "read-out mode by the instrument profile"
 
@@ -63,7 +63,6 @@ class RawFrames:
 
     @property
     def frames(self) -> int:
-        """Number of frames."""
         return self.adu.shape[0]
 
     @property
@@ -90,7 +89,7 @@ class Detector:
     reads : int
         That a frame is the sum of; `read_noise_e` is that of all together.
     background_e : float
-        Light of the sky and dark current in a pixel of a frame, as told [e-].
+        Light of the sky and dark current in a pixel of a frame, as declared [e-].
     """
 
     e_per_adu: float

@@ -12,9 +12,9 @@ import torch
 from irlos_pipe.numerics.loss import Loss
 
 TILE = 16  # rows in which matrix products are quick: with 31 of them a product takes twice as long as with 32
-FEW = 12  # rows that are quick anyway
+FEW = 12  # rows that are quick without padding
 NEWTON_STEPS = 2
-FRACTIONS = (1.0, 0.5, 0.25)  # of a Newton step: where residuals are few it leaps too far
+FRACTIONS = (1.0, 0.5, 0.25)  # parts of a Newton step: where residuals are few it leaps too far
 
 
 def normal_equations(

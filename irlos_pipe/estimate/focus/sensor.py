@@ -27,7 +27,7 @@ from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_fa
 
 REACH_NM = 1000.0  # of defocus either way: images up to 900 nm have a template and room on both sides
 ROUGHLY_DECISIVE = 60.0  # Δχ² of the scan from which another maximum needs no fit of its own
-RIVALS = 3  # maxima tried at most where the first is wrong
+RIVALS = 3  # other maxima that are tried, at most, where the first is wrong
 # A misfit below which images are not tried in other orientations, and the part of χ²/ν to which one of these
 # must bring it. Images read out transposed or flipped have a misfit of a tenth and more, and one orientation
 # in which χ²/ν is a ninth or less. In a seeing burst right images have such a misfit, too, and no better
@@ -84,7 +84,7 @@ class Measurement(NamedTuple):
     chi2_nu, misfit : float
         See `Found`.
     beside : Unexplained or None
-        What the image has beside the model.
+        What the model does not explain of the image.
     """
 
     defocus_nm: float
@@ -171,7 +171,7 @@ class Focus:
         return measured._replace(beside=self.beside(found, reads))
 
     def beside(self, found: Found, reads: int = 1) -> Unexplained:
-        """Take apart what the last image has beside its solution, `found` in the sum of some `reads`."""
+        """Take apart what `found`, the solution of the last sum of some `reads`, does not explain."""
         model_e = self.model_e(found)
         slopes_e = self._images.slopes[:3] * found.x[3]
         noise = self._noise_of(reads)
@@ -212,7 +212,7 @@ class Focus:
     def _rivals(self, candidates: list[Candidate], first: Found, noise: Noise) -> list[Candidate]:
         """Further maxima of the scan: the next if it cannot be excluded, several if the first fit failed.
 
-        None where there is no star. The scan weights all pixels alike; its Δχ² is that of the mean variance
+        None where there is no star. The scan weights all pixels equally; its Δχ² is that of the mean variance
         of the pixels with light.
         """
         others = candidates[1 : 1 + RIVALS]
