@@ -62,7 +62,7 @@ class FrameErrors:
         """Return the standard errors of estimates [nm].
 
         Those by photon and read-out noise alone are `photon_nm`; all frames share the errors of the NCPAs,
-        and by these `calibration_nm`, see `optics_error`.
+        and by these `calibration_nm`, see `optics_sigma_nm`.
         """
         return np.sqrt((self.growth * photon_nm) ** 2 + self.instant_nm**2 + calibration_nm**2)
 
