@@ -33,7 +33,6 @@ class Frames:
     ----------
     images_e : tensor, (frames, rows, columns)
     good : tensor of bool, (rows, columns)
-        True for good pixels.
     misfit : float
         By which the variance of the mean is larger than that, because a model misfits (see `few_frames`).
     motion : Motion or None

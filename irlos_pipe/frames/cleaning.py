@@ -82,7 +82,6 @@ class Cleaned:
     reasons : ndarray of str, (frames,)
         Why a frame cannot be used; empty if it can.
     good : ndarray of bool, (rows, columns)
-        True for good pixels.
     hits : Hits
         Clipped values and cosmic hits, already replaced in the images.
     clipped : ndarray of bool, (rows, columns)

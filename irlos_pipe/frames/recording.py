@@ -195,7 +195,6 @@ class Recording:
     reason : ndarray of str, (frames,)
         Why a frame was rejected; empty for used frames.
     good : ndarray of bool, (rows, columns)
-        True for good pixels.
     time_s, frame_counter, introduced_defocus_nm : ndarray, (frames,)
         Time since the first frame, counter of the recorder, introduced defocus [nm RMS].
     background_variance_e2 : float
