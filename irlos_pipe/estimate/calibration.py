@@ -32,7 +32,7 @@ from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighed by it; how often at most
+MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighted by the misfit, and how often at most
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,6 @@ class Calibration:
     ----------
     options : CalibrationOptions
         The method's defaults filled in.
-    nolls : tuple of int
     zernike_nm : ndarray, (modes,)
         Total static wavefront beyond the known one, the part of effects in the pupil included.
     fitted_modes_nm : ndarray, (modes,)
@@ -136,16 +135,12 @@ def calibrate(
 
     Parameters
     ----------
-    frames : Frames
-    settings : PsfSettings
-    options : CalibrationOptions
     effects : sequence of Effect
         Of the model; methods of the paper leave them out.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
         (see `open_minima`).
-    device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 
@@ -168,14 +163,14 @@ def calibrate(
         and METHODS[options.method].effects
         and not _explained_by_tail(options, effects, fit)
     ):
-        task, fit = _weighed_by_misfit(task, steady, fit)
+        task, fit = _weighted_by_misfit(task, steady, fit)
     for effect in effects:
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    closed, opened = fit, _opened(options, effects, fit)
+    closed, opened = fit, _all_modes(options, effects, fit)
     if opened is not None and any(starts_as_told(effect) for effect in steady):
-        closed, opened = _from_told(task, closed, opened)
+        closed, opened = _from_found_effects(task, closed, opened)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
     nominal = None
@@ -191,7 +186,7 @@ def calibrate(
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
     """Fit with all effects; those whose position is unknown are searched for in what the others leave.
 
-    Of several of one kind each is searched for beside those before it.
+    Of several of one kind each is searched for jointly with those before it.
     """
     placed = {index: effect for index, effect in enumerate(effects) if not effect.needs_search}
     fit = task.fit(list(placed.values()))
@@ -203,18 +198,18 @@ def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
     return fit
 
 
-def _opened(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> Opened | None:
-    """The fit of all visible modes, where it is wanted and can be made."""
+def _all_modes(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> Opened | None:
+    """The fit of all visible modes, where it is requested and possible."""
     if not options.open or any(isinstance(effect, HighOrderNcpa) for effect in effects):
         return None
     return open_basis(fit[0], fit[1].values, max_iterations=options.max_iterations)
 
 
-def _from_told(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:
-    """The likelier of two ways to fit all modes: that of `closed` and `opened`, and one from what was told.
+def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:
+    """The likelier of two fits of all modes: from `closed`, which is `opened`, and from the effects as found.
 
-    Beside few modes, or none, effects that a diagnosis found may go astray. Here they stay where it found
-    them until the modes of the closed basis are fitted, and are free beside all modes only.
+    Jointly with few modes, or none, effects that a diagnosis found may diverge. Here they stay where it found
+    them until the modes of the closed basis are fitted, and are free jointly with all modes only.
     """
     effects = closed[0].model.effects.effects
     held = task.fit([effect.expected() if starts_as_told(effect) else effect for effect in effects])
@@ -236,11 +231,11 @@ def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], f
     """Whether modes beyond the closed basis are all that the model misses."""
     if float(fit[0].reduced_chi2(fit[1].values[:1])[0]) < MISFIT:
         return True
-    opened = _opened(options, effects, fit)
+    opened = _all_modes(options, effects, fit)
     return opened is not None and float(opened.problem.reduced_chi2(opened.solution.values[:1])[0]) < MISFIT
 
 
-def _weighed_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> tuple[CubeFit, Fit]:
+def _weighted_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> tuple[CubeFit, Fit]:
     """Fit a few frames again where the model misfits, so that noise and prior have their true weights.
 
     Weights of known noise alone would have modes follow what is no wavefront, against any prior.

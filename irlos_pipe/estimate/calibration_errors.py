@@ -42,7 +42,7 @@ from irlos_pipe.numerics.solution import INVALID, Solution
 
 ErrorsFrom = Literal["frames", "few_frames", "noise"]
 SIGNIFICANT = 5.0  # standard deviations by which few frames have to scatter beyond noise
-KEPT_SIGMA = 3.0  # at which the widened errors hold what they say
+KEPT_SIGMA = 3.0  # standard deviations at which the widened errors keep their level of confidence
 
 
 def errors_of(
@@ -50,16 +50,8 @@ def errors_of(
 ) -> tuple[np.ndarray, ErrorsFrom]:
     """Return the covariance of the modes [nm²], and where it comes from.
 
-    Parameters
-    ----------
-    frames : Frames
-    problem : ImageFit
-    solution : Solution
-        Of the problem.
-    frames_nm : ndarray, (frames, modes)
-        Estimates of single frames; NaN where a fit failed.
-    misfit : float
-        χ²/ν of the mean image over its nominal value: below 1 it says nothing, above it the variances grow.
+    The estimates of single frames, `frames_nm` (frames, modes), are NaN where a fit failed. The `misfit` is
+    χ²/ν of the mean image over its nominal value: below 1 it says nothing, above it the variances grow.
     """
     used = frames_nm[np.isfinite(frames_nm).all(1)]
     if frames.show_scatter:
@@ -84,11 +76,11 @@ def widening(count: int) -> float:
     return float(stdtrit(count - 1, ndtr(KEPT_SIGMA))) / KEPT_SIGMA
 
 
-LEAST_FRAMES = 4  # whose scatter is looked at
+LEAST_FRAMES = 4  # frames from which their scatter is considered
 BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
-NUMERICAL = 0.15  # part of it: complete models leave up to 1.14, by errors of the discretisation
-SHARED = 0.15  # part of it: the noise of the dark is read off the frames, to a fifth of their scatter
-LONGEST = 512  # frames of which all pairs are looked at; of more, runs of neighbours are averaged
+NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14
+SHARED = 0.15  # part of χ²/ν by the noise of the dark, which the frames show to a fifth of their scatter
+LONGEST = 512  # frames of which all pairs are compared; of more, runs of neighbours are averaged
 
 
 @dataclass(frozen=True)
@@ -131,12 +123,7 @@ class Part:
 def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor) -> NominalChi2:
     """Return the χ²/ν that the mean of `frames` would have about a model that lacks nothing.
 
-    Parameters
-    ----------
-    frames, jacobian
-        See `Part`.
-    precision : tensor, (parameters,)
-        Of the prior, 0 where there is none.
+    For the `jacobian` see `Part`; the prior has a `precision` (parameters,), 0 where there is none.
     """
     return nominal_chi2_of([Part(frames, jacobian, range(len(precision)))], precision)
 
@@ -144,11 +131,7 @@ def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor
 def nominal_chi2_of(parts: Sequence[Part], precision: torch.Tensor) -> NominalChi2:
     """Return the χ²/ν of mean images fitted together about a model that lacks nothing.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-    precision : tensor, (parameters of all,)
-        Of the prior, 0 where there is none.
+    The prior has a `precision` (parameters of all,), 0 where there is none.
     """
     whitened = [_Whitened.of(part) for part in parts]
     data = torch.zeros(len(precision), len(precision), dtype=torch.float64)
@@ -235,12 +218,7 @@ def _autocorrelation_time(products: torch.Tensor) -> float:
 def covariance_from_noise(problem: ImageFit, solution: Solution) -> np.ndarray:
     """Return the covariance of the whole static wavefront, the mean over the fits [nm²], (modes, modes).
 
-    Parameters
-    ----------
-    problem : ImageFit
-        Its weights are those of the noise.
-    solution : Solution
-        Of the problem.
+    The weights of the `problem` are those of the noise.
     """
     usable = [member for member, status in enumerate(solution.status) if status != INVALID]
     values, covariance = solution.values[usable], solution.covariance[usable]
@@ -256,16 +234,8 @@ def effect_errors(
 ) -> dict[str, dict[str, Any]]:
     """Return the errors of the public values of the effects, by label: from the scatter of the frames.
 
-    Of too few frames from the noise model. Both grow by the misfit.
-
-    Parameters
-    ----------
-    frames : Frames
-    problem : ImageFit
-        Of these frames, with one member.
-    solution : Solution
-    misfit : float
-        See `calibration_errors.errors_of`.
+    Of too few frames from the noise model. Both grow by the `misfit`, see `errors_of`. The `problem` of these
+    frames has one member.
     """
     layout, x = problem.layout, solution.values[:1]
     if not problem.model.effects.parameters:
@@ -284,12 +254,7 @@ def effect_errors(
 def public_errors(effects: EffectSet, values: torch.Tensor, covariance: np.ndarray) -> dict[str, dict]:
     """Return the errors of the public values of `effects`, by label, those without free parameters left out.
 
-    Parameters
-    ----------
-    effects : EffectSet
-    values : tensor, (parameters,)
-        Of all free parameters.
-    covariance : ndarray, (parameters, parameters)
+    All free parameters are at `values` (parameters,), with a `covariance` (parameters, parameters).
     """
     found = {}
     for label, effect in zip(effects.labels, effects.effects, strict=True):

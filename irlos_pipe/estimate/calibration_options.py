@@ -27,7 +27,6 @@ class Method:
 
     Attributes
     ----------
-    name : str
     fits : str
         To which images, see `methods.SCHEMES`.
     loss : str
@@ -38,7 +37,6 @@ class Method:
         Whether they are only the first, and all that the window shows follow, see `open_fit`.
     effects : bool
         Whether the AO residual and jitter belong to the model.
-    description : str
     """
 
     name: str
@@ -116,7 +114,6 @@ class CalibrationOptions:
     optimiser : {"lm", "lbfgs"}
     highest_noll : int, "open" or None
         Modes Noll 2 to this are estimated, or as many as the window shows.
-    prior : NcpaPrior or None
     law : NcpaLaw or None
         By which the sign of the even modes is judged, see `twin`; None leaves it to the data alone.
     """

@@ -74,12 +74,7 @@ class Offsets:
 def modal_offsets(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray, gain: float) -> Offsets:
     """Return the offsets that cancel a part `gain` of the whole wavefront.
 
-    Parameters
-    ----------
-    nolls : sequence of int
-    zernike_nm, sigma_nm : ndarray, (modes,)
-        Estimates of the whole wavefront and their standard errors [nm RMS].
-    gain : float
+    Its estimates and their standard errors are (modes,) [nm RMS].
     """
     offset_nm = -gain * np.asarray(zernike_nm)
     table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
@@ -92,10 +87,7 @@ def seen_and_left_nm(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the modes before and after a correction, tip and tilt of the whole wavefront taken out.
 
-    Parameters
-    ----------
-    nolls, fitted_modes_nm, zernike_nm, gain
-        See `predict_correction`.
+    Arguments are those of `predict_correction`.
     """
     motion = np.isin(nolls, TIP_TILT)
     now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
@@ -112,17 +104,9 @@ def predict_correction(
 ) -> Prediction:
     """Return images before and after a correction; tip and tilt are left out of both.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-    nolls : sequence of int
-    fitted_modes_nm, zernike_nm : ndarray, (modes,)
-        Modes that go with the effects of `make_optics`, and those of the whole wavefront, which is what
-        is corrected.
-    gain : ndarray, (modes,)
-        Part of each mode that is taken out.
-    make_optics : callable
-        ``make_optics(model)`` gives what AO residual, jitter and other effects make of the light path.
+    The `fitted_modes_nm` go with the effects of `make_optics`; `zernike_nm` are those of the whole wavefront,
+    which is what is corrected, by the part `gain` of each mode, (modes,) all three. ``make_optics(model)``
+    gives what AO residual, jitter and other effects make of the light path.
     """
     model = light_path(replace(settings, known=KnownWavefront()), nolls)
     both_nm = seen_and_left_nm(nolls, fitted_modes_nm, zernike_nm, gain)
@@ -179,15 +163,8 @@ def strehl_budget(
     The Strehl ratio is the brightest pixel over that of the image without aberrations. Small parts multiply,
     ``S ≈ exp(-(2π σ/λ)²)`` each; larger ones interfere, so that the product is not that of all together.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-        Diversity and introduced defocus in it are left out.
-    nolls : sequence of int
-    modes_nm : mapping of str to ndarray, (modes,)
-        Parts of the wavefront by name, zero in the modes of the others.
-    effects : mapping of str to Effect
-        With all parameters held.
+    Diversity and introduced defocus in the `settings` are left out; `modes_nm` are parts of the wavefront by
+    name, (modes,) each, zero in the modes of the others; all parameters of the `effects` are held.
     """
     model = light_path(replace(settings, known=KnownWavefront()), nolls)
     nothing = np.zeros(len(nolls))

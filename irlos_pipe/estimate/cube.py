@@ -20,7 +20,8 @@ from irlos_pipe.frames.blocks import blocks, frame_flux, frame_variance, mean_fr
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.screening import star_peaks
 
-FRAMES_OF_SCATTER = 16  # whose scatter says how uncertain their mean is; of fewer, the noise model does
+# Frames from which their scatter gives the error of the mean; of fewer, the noise model does.
+FRAMES_OF_SCATTER = 16
 LOCAL_PX = 5  # side of the square over which scatter is averaged
 
 
@@ -32,8 +33,6 @@ class Frames:
     ----------
     images_e : tensor, (frames, rows, columns)
     good : tensor of bool, (rows, columns)
-        True for good pixels.
-    noise : NoiseModel
     misfit : float
         By which the variance of the mean is larger than that, because a model misfits (see `few_frames`).
     motion : Motion or None
@@ -58,7 +57,7 @@ class Frames:
 
     @cached_property
     def noise_ratio(self) -> float:
-        """Scatter between the frames over the noise as told, median of the pixels; NaN of a single frame.
+        """Scatter between the frames over the noise as declared, median of the pixels; NaN of a single frame.
 
         Speckles and image motion add to the noise, nothing takes from it: a ratio well below 1 contradicts
         gain or read noise.
@@ -70,7 +69,7 @@ class Frames:
 
     @property
     def show_scatter(self) -> bool:
-        """Whether the frames are enough to tell the errors of their mean from their scatter."""
+        """Whether the frames are enough for their scatter to give the errors of their mean."""
         return len(self.images_e) >= FRAMES_OF_SCATTER
 
     @property
@@ -105,18 +104,10 @@ def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
 
 
 def autocorrelation_time(series: np.ndarray) -> np.ndarray:
-    """Return the integrated autocorrelation time of every column, in frames.
+    """Return the integrated autocorrelation time of every column, in frames, (columns,).
 
-    ``τ = 1 + 2 Σ ρ(l)``, summed in pairs of lags until a pair is no longer positive
-    (initial positive sequence, Geyer 1992, Stat. Sci. 7, 473); at least 1.
-
-    Parameters
-    ----------
-    series : ndarray, (frames, columns)
-
-    Returns
-    -------
-    ndarray, (columns,)
+    ``τ = 1 + 2 Σ ρ(l)`` of `series` (frames, columns), summed in pairs of lags until a pair is no longer
+    positive (initial positive sequence, Geyer 1992, Stat. Sci. 7, 473); at least 1.
     """
     frames = len(series)
     if frames < 4:
@@ -131,10 +122,9 @@ def autocorrelation_time(series: np.ndarray) -> np.ndarray:
 
 
 def covariance_of_mean(series: np.ndarray) -> np.ndarray:
-    """Return the covariance of the mean of correlated rows, (columns, columns).
+    """Return the covariance of the mean, (columns, columns), of correlated `series` (frames, columns).
 
-    The sample covariance over N, each column's error inflated by the root of its
-    autocorrelation time.
+    The sample covariance over N, each column's error inflated by the root of its autocorrelation time.
 
     Raises
     ------
@@ -151,12 +141,13 @@ def covariance_of_mean(series: np.ndarray) -> np.ndarray:
 # RMS motion in λ/D up to which frames stay as they are. The part of the OTF by which motion of this size
 # differs from a Gaussian one of the same variance is (2π · 0.1 · ½)⁴ / 24 at most, 4e-4 at half the cut-off.
 STILL = 0.1
-SAMPLED_PX = 2.0  # λ/D from which pixels sample the image
-PASSED = 1.1  # of the cut-off at the mean wavelength, which bands have on their blue side
+SAMPLED_PX = 2.0  # pixels per λ/D from which the image is sampled
+# Frequencies kept, over the cut-off at the mean wavelength: bands reach further on their blue side.
+PASSED = 1.1
 SHOWN = 8.0  # peak over noise from which a frame shows where the star is
-ROUNDS = 3  # of template and places, and of the mean image at rest; either gains a digit in each
-SEEN = 0.75  # part of the frames that have to show a pixel; in the others the mean stands in its place
-ORDERED = 0.8  # part of the variance of the places that a drift or a step has to explain to be named
+ROUNDS = 3  # rounds of template and places, and of the mean image at rest; each gains a digit
+SEEN = 0.75  # part of the frames that must show a pixel; in the others the mean stands in its place
+ORDERED = 0.8  # part of the variance of the places that a drift or a step must explain to be named
 
 
 @dataclass(frozen=True)
@@ -211,19 +202,8 @@ def steadied(
 ) -> tuple[np.ndarray, np.ndarray, Motion | None]:
     """Return the frames with the star at one place, within half a pixel of the mean one, if it moves.
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-    good : ndarray of bool, (rows, columns)
-    noise : NoiseModel
-    resolution_px : float
-        λ/D in pixels.
-
-    Returns
-    -------
-    images_e, good : ndarray
-        Those given where the star does not move.
-    motion : Motion or None
+    λ/D has `resolution_px` pixels. Where the star does not move, `images_e` (frames, rows, columns) and
+    `good` (rows, columns) are those given, and there is no motion.
     """
     motion = _motion(images_e, good, noise, STILL * resolution_px) if len(images_e) > 1 else None
     if motion is None:

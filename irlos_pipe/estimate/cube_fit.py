@@ -26,7 +26,7 @@ from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
 from irlos_pipe.optics.light_path import LightPath
 
-FIRST = torch.zeros(1, dtype=torch.int64)  # member of a batch
+FIRST = torch.zeros(1, dtype=torch.int64)  # the only member of a batch of one
 
 Fit = tuple[ImageFit, Solution]
 
@@ -37,9 +37,6 @@ class CubeFit:
 
     Attributes
     ----------
-    frames : Frames
-    psf : LightPath
-    options : CalibrationOptions
     start_nm : ndarray, (modes,), or None
         Where every fit begins, from Noll 2 on; else each begins from none, and from elsewhere if it ends in
         a wrong minimum.
@@ -54,14 +51,7 @@ class CubeFit:
     report: Report | None
 
     def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
-        """Fit with these effects, from scratch or from the modes of another fit.
-
-        Parameters
-        ----------
-        effects : sequence of Effect
-        near : tuple of ImageFit and Solution, optional
-            The other fit.
-        """
+        """Fit with these effects, from scratch or from the modes of another fit, `near`."""
         problem = self._problem(ImageModel(self.psf, effects))
         if self.start_nm is None:
             start = scheme_of(self.options).start(self.frames, problem)
@@ -77,23 +67,13 @@ class CubeFit:
         return problem, solution
 
     def starts(self, problem: ImageFit) -> list[torch.Tensor]:
-        """Return where a fit may begin that knows nothing, and one with the low modes of single frames.
-
-        Parameters
-        ----------
-        problem : ImageFit
-            Of this cube.
-        """
+        """Return where a fit that knows nothing may begin, and one with the low modes of single frames."""
         return [scheme_of(self.options).start(self.frames, problem), self._second_start(problem)]
 
     def released(self, effects: Sequence[Effect], held: Fit) -> tuple[ImageFit, torch.Tensor]:
-        """Return the problem with these effects, and where a fit with some of them held is in it.
+        """Return the problem with these effects, and where a fit with some of them, `held`, is in it.
 
-        Parameters
-        ----------
-        effects : sequence of Effect
-        held : tuple of ImageFit and Solution
-            The fit: those that are free there are so here as well.
+        Those that are free there are so here as well.
         """
         problem = self._problem(ImageModel(self.psf, effects))
         old, new = held[0].layout, problem.layout
@@ -146,34 +126,20 @@ class CubeFit:
 
 
 def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> NominalChi2:
-    """Return χ²/ν of the mean image of a cube about a model that lacks nothing.
-
-    Parameters
-    ----------
-    frames : Frames
-    problem : ImageFit
-    values : tensor, (1, parameters)
-        Where the model is.
-    """
+    """Return χ²/ν of the mean image about a model that lacks nothing, at `values` (1, parameters)."""
     _, jacobian = problem.predict_and_jacobian(values)
     return nominal_chi2(frames, jacobian[0], problem.prior_precision[0])
 
 
 HISTORY = 20
-GRADIENT_TOLERANCE = 1e-2  # in units of one standard error
+GRADIENT_TOLERANCE = 1e-2  # per standard error of a parameter
 
 
 def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int = 300) -> Solution:
     """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
 
-    The variables are scaled by the curvature at the start, so that nm, electrons and
+    The variables are scaled by the curvature at the `start` (batch, parameters), so that nm, electrons and
     variances are of one size.
-
-    Parameters
-    ----------
-    problem : ImageFit
-    start : tensor, (batch, parameters)
-    max_iterations : int
     """
     everyone = torch.arange(len(start))
     _, _, hessian = problem.normal_equations(start, everyone)

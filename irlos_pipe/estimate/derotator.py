@@ -28,7 +28,6 @@ class Series:
 
     Attributes
     ----------
-    nolls : tuple of int
     angles_deg : ndarray, (cubes,)
         By which the wavefront before the derotator is turned.
     zernike_nm : ndarray, (cubes, modes)
@@ -99,7 +98,6 @@ class Split:
 
     Attributes
     ----------
-    nolls : tuple of int
     separable : ndarray of bool, (modes,)
     rotating, fixed : Part
         Of separable modes; `rotating` in the frame before the derotator, that of angle 0.
@@ -108,7 +106,6 @@ class Split:
     predicted_nm : ndarray, (cubes, modes)
     chi2 : float
         Against the errors of the single estimates.
-    freedom : int
     sense : int
         +1: the rotating part turns anticlockwise with the angle.
     """
@@ -138,11 +135,7 @@ def usable_modes(nolls: Sequence[int], highest_noll: int | None = None) -> np.nd
 def split_series(series: Series, sense: int) -> Split:
     """Separate the part that turns with the derotator from the part that does not.
 
-    Parameters
-    ----------
-    series : Series
-        Without tip and tilt, every (n, |m|) complete; see `usable_modes`.
-    sense : {1, -1}
+    The `series` is without tip and tilt, every (n, |m|) complete, see `usable_modes`; the `sense` is 1 or -1.
 
     Raises
     ------
@@ -211,7 +204,6 @@ class Senses:
 
     Attributes
     ----------
-    best : Split
     delta_chi2 : float
         χ² of the other sense minus that of the best; near 0 where the angles do not show it.
     """

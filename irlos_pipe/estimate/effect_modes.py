@@ -21,18 +21,9 @@ from irlos_pipe.optics.grids import PupilGrid
 def effects_in_modes_nm(
     effects: EffectSet, values: torch.Tensor, nolls: Sequence[int]
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the part of each mode that the effects hold, and its derivatives.
+    """Return the part of each mode that the effects hold, (modes,), and its derivatives.
 
-    Parameters
-    ----------
-    effects : EffectSet
-    values : tensor, (effect parameters,)
-    nolls : sequence of int
-
-    Returns
-    -------
-    added_nm : tensor, (modes,)
-    slopes : tensor, (modes, effect parameters)
+    These are (modes, effect parameters), at `values` (effect parameters,).
     """
     if not effects.at("pupil"):
         return torch.zeros(len(nolls)), torch.zeros(len(nolls), len(values))
@@ -47,17 +38,9 @@ def effects_in_modes_nm(
 
 
 def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return what effects add to the modes at parameters `x`, and the derivatives of their sum.
+    """Return what effects add to the modes, (modes,), and the derivatives of their sum, (modes, parameters).
 
-    Parameters
-    ----------
-    problem : ImageFit
-    x : tensor, (parameters,)
-
-    Returns
-    -------
-    added_nm : tensor, (modes,)
-    derivatives : tensor, (modes, parameters)
+    The parameters are `x` (parameters,).
     """
     layout = problem.layout
     added, slopes = effects_in_modes_nm(problem.model.effects, x[layout.effect_values], layout.nolls)
@@ -89,16 +72,9 @@ def starts_as_told(effect: Effect) -> bool:
 def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
     """Return the effect held at what the estimates of single frames show of it, by least squares.
 
-    The mean image shows a drift to second order only, and not its sign; the frames show both.
-
-    Parameters
-    ----------
-    effect : Effect
-        Of the plane `time`, linear in its parameters, all of which are free.
-    nolls : sequence of int
-        Modes of `frames_nm`.
-    frames_nm : ndarray, (frames, modes)
-        At equal intervals of time.
+    The mean image shows a drift to second order only, and not its sign; the frames show both. The `effect` is
+    of the plane `time` and linear in its parameters, all of which are free; the modes `nolls` of `frames_nm`
+    (frames, modes) are estimates at equal intervals of time.
 
     Raises
     ------

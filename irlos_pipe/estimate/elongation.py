@@ -73,7 +73,7 @@ class GaussianFit(Problem):
     """Rotated 2-D Gaussians fitted to images, for `solve`.
 
     Parameters are x, y [px], ln σ1, ln σ2 [px], amplitude, background; every image in units of
-    its own brightest pixel, pixels weighted alike.
+    its own brightest pixel, all pixels with the same weight.
     """
 
     def __init__(self, images_e: torch.Tensor, good: torch.Tensor, angle_deg: float):
@@ -117,7 +117,6 @@ class GaussianFit(Problem):
         return 1e-6 * value.clamp_min(1e-6)
 
     def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`."""
         first, second, gauss = self._shape(p)
         residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
         body = p[:, 4:5] * gauss
@@ -151,12 +150,8 @@ def fit_gaussians(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) 
 def axis_ratios(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) -> np.ndarray:
     """Return the ratio σ1/σ2 of every image, (images,); NaN where the fit failed.
 
-    Parameters
-    ----------
-    images_e : tensor, (images, rows, columns)
-    good : tensor of bool, (rows, columns)
-    angle_deg : float
-        Direction of the first axis, from +x towards +y.
+    The first axis points by `angle_deg` from +x towards +y; of `images_e` (images, rows, columns), the `good`
+    pixels (rows, columns) count.
     """
     blocks = images_e.split(IMAGES_AT_ONCE)
     (ratio,) = joined_map(lambda block: (_ratios(block, good, angle_deg),), blocks, len(images_e))
@@ -169,14 +164,9 @@ def _ratios(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) -> tor
 
 
 def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:
-    """Calibrate A and B with model images over a range of defocus.
+    """Calibrate A and B with images of a `model` of Noll 4 alone over a range of defocus.
 
-    Parameters
-    ----------
-    model : PsfModel
-        With Noll 4 as its only mode.
-    optics : Optics
-        What effects make of the light path.
+    What effects make of the light path is in `optics`.
     """
     angle = diversity_angle_deg(model.settings.known.diversity_nm)
     images = model.images(torch.as_tensor(SPAN_NM)[:, None], optics).cpu()

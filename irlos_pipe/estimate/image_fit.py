@@ -25,7 +25,7 @@ from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
-MOST_LEVERAGE = 0.9  # of a pixel on its own fit; beyond it nothing is known of its noise
+MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing is known of its noise
 Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 
@@ -37,12 +37,10 @@ class ImageFit(Problem):
     model : ImageModel
         The modes of its PSF are the fitted ones. Its free effect parameters are either those of
         `layout.effects`, fitted along, or stay at `held`.
-    layout : Layout
     images_e : tensor, (batch, repeats, pixels)
         Data; the images along `repeats` share one parameter vector.
     variance_e2 : tensor, broadcastable to `images_e`
         Variance of the data; infinite for masked pixels.
-    loss : Loss
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
@@ -138,7 +136,6 @@ class ImageFit(Problem):
         return self._map(self._objective, x, which)[0] + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`."""
         value, gradient, hessian = self._map(self._normal, x, which)
         return value + self._prior_value(x, which), gradient, hessian
 
@@ -181,13 +178,8 @@ class ImageFit(Problem):
     def curvature_weights(self, x: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
         """Return the weights of the pixels in the Hessian at `x`, (members, pixels), float64.
 
-        Over images that share a member they are summed; those of a robust loss hold its curvature.
-
-        Parameters
-        ----------
-        x : tensor, (members, parameters)
-        model_e : tensor, (members, pixels)
-            The model's images there.
+        Over images that share a member they are summed; those of a robust loss hold its curvature. The
+        model's images at `x` (members, parameters) are `model_e` (members, pixels).
         """
         residual, root = self._whitened(model_e, torch.arange(len(x)))
         if self.loss.quadratic:
@@ -300,7 +292,6 @@ class Layout:
 
     Attributes
     ----------
-    nolls : tuple of int
     effects : tuple of Parameter
         Free parameters of the effects; empty where they are held.
     prior_mean_nm, prior_sigma_nm : tensor, (modes,) or (batch, modes), optional
@@ -353,11 +344,7 @@ class Layout:
     def start(self, images_e: torch.Tensor, modes_nm: torch.Tensor | Sequence[float] = ()) -> torch.Tensor:
         """Return start vectors for images (batch, pixels): flux from the sum, effects from their declaration.
 
-        Parameters
-        ----------
-        images_e : tensor, (batch, pixels)
-        modes_nm : tensor, (batch, modes) or (modes,), optional
-            Start of the Zernike coefficients; zero by default.
+        Zernike coefficients start at `modes_nm`, (batch, modes) or (modes,); by default at zero.
         """
         x = torch.zeros(len(images_e), self.size, dtype=torch.float64)
         if len(modes_nm):

@@ -5,7 +5,7 @@ else the wavefront does (the intensity-weighted mean of a transform's coordinate
 phase), as long as the window holds all the light. It does not, and read noise forbids to sum it all: pixels
 below a threshold are left out, at the price of a gain that is not quite one.
 
-Which modes a mean image determines, beside the prior, the eigenvalues of its Fisher matrix tell.
+Eigenvalues of the Fisher matrix say which modes a mean image determines better than the prior.
 """
 
 from __future__ import annotations
@@ -31,14 +31,8 @@ def gradient_matrix(geometry: PupilGeometry, nolls: Sequence[int] = NOLLS) -> np
     """Return the displacement of the four images per nm RMS of each mode, (8, modes) [mas/nm].
 
     Rows are x and y of every lenslet: the mean slopes over a quarter of an annulus from r to R, whose mean x
-    and y are ``4 (R³ - r³) / 3π (R² - r²)``; vanes are left out.
-
-    Parameters
-    ----------
-    geometry : PupilGeometry
-        Its diameter and central hole.
-    nolls : sequence of int
-        From 2 to 6.
+    and y are ``4 (R³ - r³) / 3π (R² - r²)``; vanes are left out. The `geometry` gives diameter and central
+    hole, `nolls` are from 2 to 6.
     """
     outer, inner = geometry.diameter_m / 2, geometry.obscuration_m / 2
     middle = 4 * (outer**3 - inner**3) / (3 * np.pi * (outer**2 - inner**2)) / outer
@@ -58,13 +52,8 @@ def gradient_matrix(geometry: PupilGeometry, nolls: Sequence[int] = NOLLS) -> np
 def centroids_mas(images_e: np.ndarray, pixel_scale_mas: float, noise_e: float) -> np.ndarray:
     """Return the centres of light of the four images, (frames, 4, 2) as (x, y) from the window's centre.
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, 2 rows, 2 columns)
-        Side by side.
-    pixel_scale_mas : float
-    noise_e : float
-        Of a dark pixel.
+    The images lie side by side in `images_e` (frames, 2 rows, 2 columns); a dark pixel has a noise of
+    `noise_e`.
     """
     frames, rows, columns = len(images_e), images_e.shape[1] // 2, images_e.shape[2] // 2
     apart = images_e.astype(float).reshape(frames, 2, rows, 2, columns)
@@ -95,11 +84,10 @@ def modes_of_centroids_nm(
 
 @dataclass(frozen=True)
 class Identified:
-    """What the data say of modes beside a prior.
+    """What the data say of modes in comparison with a prior.
 
     Attributes
     ----------
-    nolls : tuple of int
     information : ndarray, (modes,)
         Eigenvalues of the Fisher matrix in units of the prior, descending: above 1, the data say more of a
         combination of modes than the prior.
@@ -133,17 +121,9 @@ def identified(
 ) -> Identified:
     """Return what the mean of `frames` says of the modes of a `model`, photon and read noise alone.
 
-    Flux, background and the free parameters of the effects, with their priors, are marginalised.
-
-    Parameters
-    ----------
-    model : ImageModel
-    modes_nm : mapping of int to float
-        The wavefront, Noll: nm RMS; modes that are left out are 0.
-    values : tensor, (effect parameters,)
-    frames : Frames
-    prior_sigma_nm : ndarray, (modes,)
-        Standard deviation of the prior of every mode.
+    Flux, background and the free parameters of the effects, with their priors, are marginalised. The
+    wavefront is `modes_nm`, Noll: nm RMS, modes that are left out are 0; effect parameters are at `values`
+    (effect parameters,); every mode has a prior of `prior_sigma_nm` (modes,).
     """
     nolls = model.psf.nolls
     wavefront = torch.tensor([[modes_nm.get(noll, 0.0) for noll in nolls]], dtype=torch.float64)

@@ -26,8 +26,8 @@ from irlos_pipe.numerics.solution import Solution, joined, mixed
 
 DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
-IMAGES_AT_ONCE = 128  # a dozen copies of them are made on the way
-COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
+IMAGES_AT_ONCE = 128  # images in a piece: a dozen copies of them are made on the way
+COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with variances that follow the model
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,6 @@ class LiftResult:
 
     Attributes
     ----------
-    nolls : tuple of int
     zernike_nm : tensor, (images, modes)
         Beyond the known wavefront.
     covariance_nm2 : tensor, (images, modes, modes)
@@ -56,7 +55,6 @@ class LiftResult:
 
     @classmethod
     def joined(cls, parts: Sequence[LiftResult]) -> LiftResult:
-        """Join several batches."""
         solution = Solution.joined([part.solution for part in parts])
         return joined(parts, solution=solution)
 
@@ -91,24 +89,10 @@ def lift(
 ) -> LiftResult:
     """Estimate the modes of `model` in every image.
 
-    Parameters
-    ----------
-    model : ImageModel
-        Its effects have no free parameters; its known wavefront has the diversity and, if calibrated, the
-        NCPAs.
-    images_e : tensor, (images, rows, columns)
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
-    start_nm : tensor, (images, modes)
-    options : LiftOptions
-    beyond : bool
-        Whether images whose estimate has run into the limits of a table are estimated again without it.
-    report : callable, optional
-        See `solve`.
-
-    Returns
-    -------
-    LiftResult
+    The effects of the `model` have no free parameters; its known wavefront has the diversity and, if
+    calibrated, the NCPAs. Images are (images, rows, columns), `good` is (rows, columns), `start_nm` (images,
+    modes). Unless `beyond` is False, images whose estimate has run into the limits of a table are estimated
+    again without it. For `report` see `solve`.
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
     result = _in_pieces(model, images_e, good, noise, start_nm, options, report)
@@ -138,7 +122,7 @@ def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
 
 
 def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
-    """A fit with the variances of the images, and unless these are wanted another with those of the model."""
+    """A fit with the variances of the images and, unless these are requested, one with those of the model."""
     nolls = model.psf.nolls
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
     x = layout.start(images_e.flatten(1) * good.flatten(), start_nm)
@@ -189,13 +173,8 @@ def image_problem(
 ) -> ImageFit:
     """Pose a problem of one image and one parameter vector each, for a whole batch.
 
-    Parameters
-    ----------
-    model, layout : ImageModel, Layout
-    images_e, variance_e2 : tensor, (images, rows, columns)
-    good : tensor of bool, (rows, columns)
-    alike : Alike, optional
-        Where the images are realisations of a few frames.
+    Images and variances are (images, rows, columns), `good` is (rows, columns); `alike` says where the images
+    are realisations of a few frames.
     """
     variance = masked_variance(variance_e2, good)[:, None].flatten(2)
     device = model.psf.device

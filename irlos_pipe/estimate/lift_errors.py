@@ -61,12 +61,8 @@ class FrameErrors:
     def sigma_nm(self, photon_nm: np.ndarray, calibration_nm: float | np.ndarray = 0.0) -> np.ndarray:
         """Return the standard errors of estimates [nm].
 
-        Parameters
-        ----------
-        photon_nm : ndarray
-            Those by photon and read-out noise alone.
-        calibration_nm : float or ndarray, (frames,)
-            By the errors of the NCPAs, which all frames share, see `optics_error`.
+        Those by photon and read-out noise alone are `photon_nm`; all frames share the errors of the NCPAs,
+        and by these `calibration_nm`, see `optics_sigma_nm`.
         """
         return np.sqrt((self.growth * photon_nm) ** 2 + self.instant_nm**2 + calibration_nm**2)
 
@@ -74,12 +70,8 @@ class FrameErrors:
 def excess_scatter_nm(introduced_nm: np.ndarray, estimated_nm: np.ndarray, photon_nm: np.ndarray) -> float:
     """Return the standard deviation of a ramp's estimates at one offset beyond photon noise.
 
-    With too few frames per offset, that about the straight line.
-
-    Parameters
-    ----------
-    introduced_nm, estimated_nm, photon_nm : ndarray, (frames,)
-        Failed estimates are NaN; `photon_nm` are errors by photon noise.
+    With too few frames per offset, that about the straight line. The arguments have the shape (frames,);
+    failed estimates are NaN, and `photon_nm` are errors by photon noise.
     """
     good = np.isfinite(estimated_nm) & np.isfinite(photon_nm)
     introduced, estimated = introduced_nm[good], estimated_nm[good]
@@ -97,12 +89,7 @@ def instant_error_nm(introduced_nm: np.ndarray, estimated_nm: np.ndarray, photon
 
     Standard deviation of estimated minus introduced defocus: the AO residual's own defocus, and what a
     residual of another strength than the calibrated one makes of the defocus while it lasts. The scatter at
-    one offset knows only what changes faster than the focus stage moves.
-
-    Parameters
-    ----------
-    introduced_nm, estimated_nm, photon_nm : ndarray, (frames,)
-        Failed estimates are NaN; `photon_nm` are errors by photon noise.
+    one offset knows only what changes faster than the focus stage moves. Arguments as of `excess_scatter_nm`.
     """
     good = np.isfinite(estimated_nm) & np.isfinite(photon_nm)
     error = (estimated_nm - introduced_nm)[good]
@@ -121,19 +108,8 @@ def nominal_frame_chi2(
 ) -> float:
     """Return the mean χ²/ν of frames about a right model, from what differs between frames at one offset.
 
-    Parameters
-    ----------
-    images_e, model_e : tensor, (frames, rows, columns)
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
-    introduced_nm : ndarray, (frames,)
-    parameters : int
-        Fitted to every frame.
-
-    Returns
-    -------
-    float
-        NaN where no offset has two frames.
+    So many `parameters` were fitted to each of the images (frames, rows, columns) on their `good` pixels
+    (rows, columns) at `introduced_nm` (frames,). NaN where no offset has two frames.
     """
     freedom = max(int(good.sum()) - parameters, 1)
     total, count = 0.0, 0
@@ -149,7 +125,7 @@ def nominal_frame_chi2(
     return total / count / freedom if count else float("nan")
 
 
-MOST_OFFSETS = 5  # at which it is computed; between them it is interpolated
+MOST_OFFSETS = 5  # offsets at which it is computed, at most; between them it is interpolated
 
 
 def optics_sigma_nm(
@@ -162,18 +138,8 @@ def optics_sigma_nm(
 ) -> np.ndarray:
     """Return the standard error of every frame's defocus by that of the known wavefront, (frames,) [nm].
 
-    Parameters
-    ----------
-    model : ImageModel
-        Of the frames, without free effect parameters.
-    result : LiftResult
-        Of the frames.
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
-    nolls : sequence of int
-        Modes of the known wavefront.
-    covariance_nm2 : ndarray, (modes, modes)
-        Of their errors.
+    The `model` of the frames has no free effect parameters, `result` is their fit on the `good` pixels (rows,
+    columns). The modes `nolls` of the known wavefront have errors of `covariance_nm2` (modes, modes).
     """
     defocus_nm = result.mode(DEFOCUS)[0].numpy()
     chosen = spread_over(defocus_nm)
@@ -192,10 +158,7 @@ def optics_sigma_nm(
 def spread_over(defocus_nm: np.ndarray) -> np.ndarray:
     """Return the frames at which the error is computed, in order of their defocus, (offsets,).
 
-    Parameters
-    ----------
-    defocus_nm : ndarray, (frames,)
-        Estimates; NaN where they failed.
+    Failed estimates of `defocus_nm` (frames,) are NaN.
     """
     usable = np.flatnonzero(np.isfinite(defocus_nm))
     if not len(usable):
@@ -214,19 +177,9 @@ def defocus_slopes(
 ) -> np.ndarray:
     """Return by how much one frame's estimate of defocus errs per error of each known mode, (modes,).
 
-    ``(JᵀWJ)⁻¹ JᵀW`` is one factor per pixel for the defocus; K is applied to it backwards, so that its
-    many columns are never computed.
-
-    Parameters
-    ----------
-    model : ImageModel
-        With the modes that LIFT fits.
-    wide : ImageModel
-        The same with the known modes as parameters.
-    result : LiftResult
-    frame : int
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
+    ``(JᵀWJ)⁻¹ JᵀW`` is one factor per pixel for the defocus; K is applied to it backwards, so that its many
+    columns are never computed. The `model` has the modes that LIFT fits, the `wide` one the known modes as
+    parameters too; `good` pixels are (rows, columns).
     """
     fitted_nm, values = result.zernike_nm[frame : frame + 1].double(), result.solution.values[frame, -2:]
     flux_e, background_e = values[:, None]

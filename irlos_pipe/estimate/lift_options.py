@@ -41,11 +41,9 @@ class LiftOptions:
 
     @property
     def loss_function(self) -> Loss:
-        """The loss."""
         return LOSSES[self.loss]
 
     def of(self, which: torch.Tensor) -> LiftOptions:
-        """Return the same for some of the images."""
         mean_nm, alike = self.prior_mean_nm, self.alike
         return replace(
             self,

@@ -1,6 +1,6 @@
 """The problems that LIFT presents to the solver: photon noise, and realisations of a few frames.
 
-Images that are noise realisations of a few frames are much alike. Their derivatives are computed once
+Images that are noise realisations of a few frames are very similar. Their derivatives are computed once
 per frame and serve as curvature for all its realisations, whose gradients are exact and cost a fifth of
 a Jacobian; what the curvature lacks the solver learns.
 """
@@ -16,7 +16,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit, Layout, Piece
 from irlos_pipe.frames.noise import NoiseModel
 
-MIN_FRAMES = 4  # in a piece
+MIN_FRAMES = 4  # frames in a piece, at least
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,14 @@ class Alike:
     frame: torch.Tensor
 
     def of(self, which: torch.Tensor) -> Alike:
-        """Return the same for some of the images."""
         return replace(self, frame=self.frame[which])
 
 
 def alike(model: ImageModel, reference_nm: torch.Tensor, frame: torch.Tensor) -> Alike | None:
     """Derivatives at wavefronts near those of the images; None where single fits are quick, or the only way.
 
-    Parameters
-    ----------
-    model : ImageModel
-    reference_nm : tensor, (frames, modes)
-    frame : tensor of int, (images,)
+    The wavefronts `reference_nm` (frames, modes) are those of frames, and `frame` (images,) says of which one
+    each image is a realisation.
     """
     if model.general is not model or not model.can_pull_back:
         return None
@@ -55,19 +51,13 @@ def alike(model: ImageModel, reference_nm: torch.Tensor, frame: torch.Tensor) ->
 
 
 class AlikeFit(ImageFit):
-    """`ImageFit` with the curvature of other images; single images, least squares, no free effects.
-
-    Parameters
-    ----------
-    alike : Alike
-    """
+    """`ImageFit` with the curvature of other images; single images, least squares, no free effects."""
 
     def __init__(self, *arguments, alike: Alike):
         super().__init__(*arguments)
         self._alike = alike
 
     def members(self, which: torch.Tensor) -> Self:
-        """See `ImageFit.members`."""
         return super().members(which)._with(_alike=self._alike.of(which))
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
@@ -94,13 +84,8 @@ class PhotonFit(ImageFit):
     """`ImageFit` of single images by their quasi-likelihood, see `NoiseModel`.
 
     Its slopes are those of least squares with the variances of the model as it is: the minimum is where
-    endless re-weighting would end, but the objective is smooth and falls with every step.
-
-    Parameters
-    ----------
-    images_e : tensor, (batch, 1, pixels)
-    good : tensor of bool, (pixels,)
-    noise : NoiseModel
+    endless re-weighting would end, but the objective is smooth and falls with every step. Images are (batch,
+    1, pixels), `good` is (pixels,).
     """
 
     per_member = (*ImageFit.per_member, "_least")

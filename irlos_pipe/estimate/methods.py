@@ -1,6 +1,6 @@
 """The ways to fit the images of a cube: their mean, every frame, or all frames together.
 
-The frames of a cube are much alike: what their fits share is computed once. The curvature at a few frames
+The frames of a cube are very similar: what their fits share is computed once. The curvature at a few frames
 serves all others, and what it misses is learnt from the gradients along the way (`quasi_newton`). Plain least
 squares come first, as their curvature hardly changes. Only frames that are not done then get a linearisation
 of their own.
@@ -31,7 +31,7 @@ from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
+ROUGH_ITERATIONS = 6  # iterations of the few frames whose median is the start of all others
 Report = Callable[[int], None]
 
 
@@ -92,15 +92,12 @@ class MeanImage(Scheme):
     """The mean image by one vector; it is so precise that rounding of float32 would stall its fit."""
 
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Scheme.data`."""
         return frames.mean_e[None, None], mean_variance_e2(frames)[None, None]
 
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
-        """See `Scheme.psf_model`."""
         return light_path(settings, nolls, device=device, dtype=torch.float64, rough_derivatives=True)
 
     def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
-        """See `Scheme.twin`."""
         return check_twin(problem, solution.values[:1], float(solution.objective[0]), law)
 
 
@@ -108,11 +105,9 @@ class EveryFrame(Scheme):
     """Every frame by a vector of its own, and the coefficients averaged."""
 
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Scheme.data`."""
         return frames.images_e[:, None], frames.noise.variance_e2(frames.mean_e)[None, None]
 
     def fits(self, frames: Frames) -> int:
-        """See `Scheme.fits`."""
         return len(frames.images_e)
 
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
@@ -128,11 +123,9 @@ class EveryFrame(Scheme):
     def solve(
         self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report | None
     ) -> Solution:
-        """See `Scheme.solve`."""
         return fit_frames(problem, start, max_iterations=max_iterations, report=report)
 
     def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
-        """See `Scheme.estimates`."""
         modes = problem.layout.modes
         usable = np.array([status != INVALID for status in solution.status])
         values = solution.values[torch.as_tensor(usable)].mean(0, keepdim=True)
@@ -144,7 +137,6 @@ class AllFrames(Scheme):
     """All frames, brought to the same flux, by one vector."""
 
     def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Scheme.data`."""
         images, flux = frames.images_e, frames.flux_e
         variance = frames.noise.variance_e2(frames.mean_e)
         return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
@@ -155,17 +147,8 @@ def start_at_centroids(
 ) -> torch.Tensor:
     """Return the start with tip and tilt from the centroids and no aberrations, or with given first modes.
 
-    Parameters
-    ----------
-    frames : Frames
-    problem : ImageFit
-        Of these frames.
-    start_nm : tensor or ndarray, (modes,), optional
-        From Noll 2 on.
-
-    Returns
-    -------
-    tensor, (batch, parameters)
+    The `problem` is that of these `frames`, and `start_nm` (modes,) begins with Noll 2. Returns (batch,
+    parameters).
     """
     x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
     for block in blocks(len(x)):
@@ -188,14 +171,8 @@ def _centred(images: torch.Tensor, good: torch.Tensor, problem: ImageFit) -> tor
 def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
     """Return estimates of one vector for all frames, and of every frame by one linear step from it.
 
-    The mean of the latter is the solution, their scatter carries photon noise, speckle and real changes.
-
-    Parameters
-    ----------
-    frames : Frames
-    problem : ImageFit
-        Of these frames, with one member.
-    solution : Solution
+    The mean of the latter is the solution, their scatter carries photon noise, speckle and real changes. The
+    `problem` of these `frames` has one member.
     """
     x, layout = solution.values[:1], problem.layout
     added, read = whole_wavefront(problem, x[0])
@@ -221,7 +198,7 @@ def scheme_of(options: CalibrationOptions) -> Scheme:
 
 FEW = 10  # frames whose mean curvature stands for that of all
 LEAST_SQUARES_EVALUATIONS = 4
-EVALUATIONS = 50  # most frames are done by then
+EVALUATIONS = 50  # after so many, most frames have converged
 
 
 @torch.no_grad()
@@ -232,22 +209,11 @@ def fit_frames(
     max_iterations: int,
     report: Callable[[int], None] | None = None,
 ) -> Solution:
-    """Minimise a batch of fits of single frames without bounds.
+    """Minimise a batch of fits of single frames from `start` (frames, parameters), without bounds.
 
-    Parameters
-    ----------
-    problem : ImageFit
-    start : tensor, (frames, parameters)
-    max_iterations : int
-        Evaluations of a frame after the first linearisation of its own, at most.
-    report : callable, optional
-        Called with the number of frames that were finished.
-
-    Returns
-    -------
-    Solution
-        `iterations` counts evaluations; `covariance` is the mean of a few frames' for those that never had
-        a linearisation of their own.
+    After the first linearisation of its own a frame is evaluated `max_iterations` times at most. `report`
+    gets the number of frames that were finished. In the solution, `iterations` counts evaluations;
+    `covariance` is the mean of a few frames' for those that never had a linearisation of their own.
     """
     squares = problem.with_loss(replace(GAUSSIAN, whitened=problem.loss.whitened))
     found = polish(squares, _with_shared_curvature(squares, start), LEAST_SQUARES_EVALUATIONS)

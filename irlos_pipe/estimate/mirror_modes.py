@@ -19,7 +19,7 @@ import numpy as np
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.optics.wavefront import modes_at
 
-RANK = 1e-6  # of the largest singular value: what is smaller cannot be told from nothing
+RANK = 1e-6  # part of the largest singular value below which one counts as zero
 LEFT_OUT = (1, *TIP_TILT)
 
 
@@ -52,17 +52,9 @@ def mirror_offsets(
 ) -> MirrorOffsets:
     """Return the offsets of a mirror's modes that cancel a part `gain` of a wavefront.
 
-    Parameters
-    ----------
-    maps_nm : ndarray, (modes, n, n)
-        OPD of a unit of each mode [nm]; n samples across the diameter, row index is y.
-    nolls : sequence of int
-    zernike_nm : ndarray, (Zernike modes,)
-        The estimated wavefront.
-    covariance_nm2 : ndarray, (Zernike modes, Zernike modes)
-    lit : ndarray of bool, (n, n)
-        The clear pupil.
-    gain : float
+    The OPD of a unit of each mode is `maps_nm` (modes, n, n), n samples across the diameter, row index is y;
+    the clear pupil is `lit` (n, n). The estimated wavefront is `zernike_nm` (Zernike modes,), its covariance
+    (Zernike modes, Zernike modes).
 
     Raises
     ------

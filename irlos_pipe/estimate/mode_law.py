@@ -21,8 +21,8 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import TIP_TILT
 
 LIMITS = ((1e-2, 1e-3, 1e-3), (1e4, 3.0, 1e3))
-SMALL_PART = 0.1  # of C: an exponential below it has vanished in the plateau
-CURVATURE_STEP = 1e-3  # of the logarithm of a parameter
+SMALL_PART = 0.1  # part of C below which an exponential has vanished in the plateau
+CURVATURE_STEP = 1e-3  # step of the logarithm of a parameter over which curvature is differentiated
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,6 @@ class ModeScatter:
 
     Attributes
     ----------
-    nolls : tuple of int
     std_nm : ndarray, (modes,)
         Root mean square of the estimates over the cubes, about zero: the expected NCPA is none.
     noise_nm : ndarray, (modes,)
@@ -89,14 +88,7 @@ class ModeLaw:
 
 
 def mode_scatter(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray) -> ModeScatter:
-    """Measure the scatter over cubes.
-
-    Parameters
-    ----------
-    nolls : sequence of int
-    zernike_nm, sigma_nm : ndarray, (cubes, modes)
-        Estimates with their errors, one row per set of NCPAs.
-    """
+    """Measure the scatter of estimates and their errors (cubes, modes), one row per set of NCPAs."""
     return ModeScatter(
         tuple(nolls),
         np.sqrt(np.mean(np.square(zernike_nm), axis=0)),
@@ -116,17 +108,10 @@ def equalised_tilts(scatter: ModeScatter) -> ModeScatter:
 
 
 def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remove_noise: bool) -> ModeLaw:
-    """Fit the law by maximum likelihood.
+    """Fit the law by maximum likelihood to the modes to `keep`, (modes,) of bool.
 
-    Parameters
-    ----------
-    scatter : ModeScatter
-    keep : ndarray of bool, (modes,)
-        Modes that are used.
-    start : NcpaLaw
-        Where the search begins.
-    remove_noise : bool
-        Law of the NCPAs, with the noise in the likelihood; otherwise that of the estimates.
+    The search begins at `start`. With `remove_noise`, the law is that of the NCPAs, the noise in the
+    likelihood; otherwise that of the estimates.
 
     Raises
     ------

@@ -110,17 +110,8 @@ def scan_mode_numbers(
 ) -> ModeScan:
     """Calibrate either half of a cube with different numbers of modes.
 
-    Parameters
-    ----------
-    frames, settings, effects, device
-        See `calibrate`.
-    options : CalibrationOptions
-        Its `highest_noll` is replaced.
-    highest_nolls : sequence of int
-    nolls : sequence of int
-        Modes to compare, from 2 on.
-    report : callable, optional
-        Called with 1 after every fit.
+    The numbers compared are `nolls`, from 2 on, in place of `highest_noll` of the `options`; `report` gets a
+    1 after every fit. Other arguments are those of `calibrate`.
     """
     one, other = halves(len(frames.images_e))
     fits = [
@@ -154,13 +145,8 @@ def fit_mode_numbers(
 ) -> list[Calibration]:
     """Return calibrations with different numbers of modes, in the order of `highest_nolls`.
 
-    Every fit starts from that with the next larger number: a model that lacks modes easily falls into
-    a wrong minimum, and this is not what is asked here.
-
-    Parameters
-    ----------
-    frames, settings, options, highest_nolls, effects, device, report
-        See `scan_mode_numbers`.
+    Every fit starts from that with the next larger number: a model that lacks modes easily falls into a wrong
+    minimum, and this is not what is asked here. Other arguments are those of `scan_mode_numbers`.
     """
     fits: list[Calibration] = []
     for highest in reversed(highest_nolls):
@@ -178,15 +164,9 @@ def _picked(fit: Calibration, nolls: Sequence[int]) -> np.ndarray:
 
 
 def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.ndarray:
-    """Return χ²/ν of blocks of frames against the model of other frames, (blocks,).
+    """Return χ²/ν of blocks of frames, `unseen` (blocks, frames), against the model of others, (blocks,).
 
     Flux and background of a block are its own: they change and say nothing about the modes.
-
-    Parameters
-    ----------
-    frames : Frames
-    fit : Calibration
-    unseen : ndarray of int, (blocks, frames)
     """
     good = frames.good.numpy()
     half = _of(frames, unseen)
@@ -207,11 +187,8 @@ def _of(frames: Frames, numbers: np.ndarray) -> Frames:
 def choose(misfit: np.ndarray) -> Choice:
     """Take the smallest number whose held-out misfit is within its error of the least one.
 
-    Parameters
-    ----------
-    misfit : ndarray, (numbers, blocks)
-        In the order of rising numbers; blocks of several cubes may stand side by side. Differences
-        of the same block are compared, so that what all numbers share falls out.
+    The `misfit` (numbers, blocks) is in the order of rising numbers; blocks of several cubes may stand side
+    by side. Differences of the same block are compared, so that what all numbers share falls out.
     """
     best = int(np.argmin(misfit.mean(axis=1)))
     difference = misfit - misfit[best]

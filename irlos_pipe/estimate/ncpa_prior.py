@@ -18,7 +18,6 @@ class NcpaPrior:
 
     Attributes
     ----------
-    law : NcpaLaw
     scale : float
         Factor on the law; above 1 the prior only steadies what the data do not determine.
     """

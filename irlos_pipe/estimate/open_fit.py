@@ -34,16 +34,15 @@ from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import noll_to_nm
 
-MOST_ORDERS = 20  # Noll 231: the budget of time
+MOST_ORDERS = 20  # radial orders, up to Noll 231: what the time allows
 # Falls of χ² per mode still ahead at which the law may be fitted, and at which the fit is done: RMS steps of
 # one standard error, and of a sixth.
 ROUGHLY, SETTLED = 1.0, 0.03
-FINISHING = 2  # iterations with its own Hessian, which the errors need
+FINISHING = 2  # last iterations, with a Hessian of their own, which the errors need
 JOINED = 0.5  # λ/D at the edge of the window: colours in the Hessian that lie less apart are one
 
 
 def last_noll_of(order: int) -> int:
-    """Return the last Noll index of a radial order."""
     return (order + 1) * (order + 2) // 2
 
 
@@ -64,8 +63,6 @@ class Opened:
 
     Attributes
     ----------
-    problem : OpenFit
-    solution : Solution
     law : TailLaw
         Prior of the modes beyond the closed basis, as fitted.
     """
@@ -140,9 +137,7 @@ def open_basis(
     Parameters
     ----------
     closed : ImageFit
-        The mean image by modes from Noll 2 on.
-    values : tensor, (1, parameters)
-        Where it is.
+        The mean image by modes from Noll 2 on; it stands at `values`, (1, parameters).
     beyond_nm : mapping, optional
         Where the modes beyond begin, Noll index to nm RMS; by default at nothing.
     law : TailLaw, optional
@@ -174,19 +169,8 @@ def settled(
 ) -> Opened | None:
     """Fit the law of the tail where a fit of all modes roughly ended, and from there all modes by it.
 
-    Parameters
-    ----------
-    problem, quick : OpenFit
-        The fit with a `law`, and the same hastened.
-    rough : Solution
-        Of `quick`.
-    law : TailLaw
-    max_iterations : int
-
-    Returns
-    -------
-    Opened or None
-        None where numbers are not finite.
+    The fit `problem` has a `law`, `quick` is the same hastened, and `rough` the solution of that. None where
+    numbers are not finite.
     """
     modes = len(problem.layout.nolls)
     law = _law_at(problem, rough, law)
@@ -220,13 +204,8 @@ def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:
 def widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:
     """Return parameters in another layout, (batch, parameters).
 
-    Parameters
-    ----------
-    values : tensor, (batch, parameters)
-    old, new : Layout
-        With the same effects; the modes of `old` are the first of `new`.
-    beyond_nm : mapping
-        Modes that `old` lacks, Noll index to nm RMS; others are 0.
+    Both layouts have the same effects, and the modes of `old` are the first of `new`. Those that it lacks
+    start at `beyond_nm`, Noll index to nm RMS; others are 0. The `values` are (batch, parameters).
     """
     x = torch.zeros(len(values), new.size, dtype=torch.float64)
     x[:, : len(new.nolls)] = torch.tensor([beyond_nm.get(noll, 0.0) for noll in new.nolls])
@@ -269,18 +248,9 @@ def fit_tail_law(
 ) -> TailLaw:
     """Fit the law by evidence at the optimum found with another one.
 
-    Parameters
-    ----------
-    law : TailLaw
-        Where the search begins, and what modes it is about.
-    nolls : sequence of int
-        Modes, the first parameters.
-    values : ndarray, (parameters,)
-        The optimum.
-    hessian : ndarray, (parameters, parameters)
-        Of half of χ² there, priors included.
-    precision : ndarray, (parameters,)
-        Of the priors.
+    The search begins at `law`, which says what modes it is about; `nolls` are the modes, the first
+    parameters. At the optimum `values` (parameters,), half of χ² has the `hessian` (parameters, parameters),
+    priors included, and these the `precision` (parameters,).
     """
     tail = np.zeros(len(values), bool)
     tail[: len(nolls)] = np.asarray(nolls) >= law.first_noll

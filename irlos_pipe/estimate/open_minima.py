@@ -11,8 +11,8 @@ times too large. The image has many such minima, each a little better than the n
   (basin hopping; Wales & Doye 1997, J. Phys. Chem. A 101, 5111).
 
 A fit of 230 modes from nearby costs about a second, as its steps share Hessians. Where the model lacks
-something else, softened weights lead back to where the fit has ended, or one wrongly told fact explains what
-the best minimum misses (`lacking`), and shakes are left out: they gain a few per cent of χ² in a hundred
+something else, softened weights lead back to where the fit has ended, or one wrongly declared fact explains
+what the best minimum misses (`lacking`), and shakes are left out: they gain a few per cent of χ² in a hundred
 seconds. They also end where they have taken `SHAKEN_TIMES` as many iterations as the softened weights: a
 count, and not a time, so that the end is the same on every machine.
 """
@@ -34,13 +34,13 @@ from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
 
 SEED = 20
-SHAKES, PATIENCE = 16, 8  # from one start at most, and in a row without a better minimum
-SHAKEN_TIMES = 4  # as many iterations for shakes as for softened weights, at most
-EXPLAINED = 0.5  # of the misfit by one fact: more, and no other minimum is what lacks
-LEFT = 0.5  # of χ²/ν of the closed basis: more, and modes beyond it are not what that lacks
+SHAKES, PATIENCE = 16, 8  # shakes from one start at most, and in a row without a better minimum
+SHAKEN_TIMES = 4  # shakes take at most so many times the iterations of softened weights
+EXPLAINED = 0.5  # part of the misfit that one fact explains: above it, no other minimum is missing
+LEFT = 0.5  # part of χ²/ν of the closed basis: above it, modes beyond are not what that lacks
 ITERATIONS = 40  # of every fit on the way
-PRIOR_PART = 0.3  # of the standard deviation of the prior, for shakes by it
-BACK_NM = 10.0  # RMS in Noll 4–30 to the minimum there was: those of other minima are 20 to 200
+PRIOR_PART = 0.3  # part of the standard deviation of the prior, for shakes by it
+BACK_NM = 10.0  # RMS in Noll 4–30 within which a fit has led back; other minima are 20 to 200 away
 SOFTER = 500.0  # times χ²/ν: the factor on the variance that widens errors to the distance of other minima
 
 
@@ -67,20 +67,11 @@ BY_LIGHT: Path = (*(Softening(part=part) for part in (1.0, 0.5, 0.2, 0.1, 0.05, 
 def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) -> Opened:
     """Return a fit of all modes, or the likeliest of several minima where it has ended in a wrong one.
 
-    It has if χ²/ν is above nominal although the modes beyond the closed basis explain most of what that
-    misses; else the model lacks something that no other minimum would bring. The search ends at the first
-    nominal χ²/ν, after four fits with softened weights if all of them lead back or one fact explains what the
-    best of them misses, and else after `SHAKES` shakes of each at most.
-
-    Parameters
-    ----------
-    task : CubeFit
-    closed : tuple of ImageFit and Solution
-        The fit of the closed basis.
-    opened : Opened
-        That of all modes from there.
-    most : float
-        Up to which χ²/ν is nominal.
+    It has if χ²/ν is above nominal, `most`, although the modes beyond the closed basis explain most of what
+    the fit of that basis, `closed`, misses; else the model lacks something that no other minimum would bring.
+    The fit of all modes from there is `opened`. The search ends at the first nominal χ²/ν, after four fits
+    with softened weights if all of them lead back or one fact explains what the best of them misses, and else
+    after `SHAKES` shakes of each at most.
     """
     problem, values = opened.problem, opened.solution.values[:1]
     chi2_nu = float(problem.reduced_chi2(values)[0])
@@ -170,14 +161,7 @@ def _objective(solution: Solution) -> float:
 
 
 def by_prior(problem: OpenFit, x: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
-    """Return a place with the modes beyond focus disturbed by a part of their prior, (1, parameters).
-
-    Parameters
-    ----------
-    problem : OpenFit
-    x : tensor, (1, parameters)
-    rng : Generator
-    """
+    """Return the place `x`, (1, parameters), with modes beyond focus disturbed by a part of their prior."""
     nolls = torch.tensor(problem.layout.nolls)
     precision = problem.prior_precision[0, problem.layout.modes]
     free = (nolls > DEFOCUS) & (precision > 0)
@@ -186,15 +170,9 @@ def by_prior(problem: OpenFit, x: torch.Tensor, rng: np.random.Generator) -> tor
 
 
 def by_curvature(problem: OpenFit, x: torch.Tensor, rng: np.random.Generator) -> torch.Tensor:
-    """Return a place with the modes drawn from what weights softened by the misfit allow, (1, parameters).
+    """Return the place `x`, (1, parameters), with modes drawn from what weights softened by the misfit allow.
 
     The image changes little where the modes change most.
-
-    Parameters
-    ----------
-    problem : OpenFit
-    x : tensor, (1, parameters)
-    rng : Generator
     """
     factor = SOFTER * float(problem.reduced_chi2(x)[0])
     modes = problem.layout.modes

@@ -1,8 +1,8 @@
 """The other side of what has a distance and a direction, in the fit of all modes.
 
-Opposite sides of a displaced stop look alike to first order, and which is the right one shows only once all
-modes are in the model. So the fit is repeated from the opposite side, and from every side where the stop came
-to rest at its place.
+Opposite sides of a displaced stop are degenerate to first order, and which is the right one shows only once
+all modes are in the model. So the fit is repeated from the opposite side, and from every side where the stop
+came to rest at its place.
 """
 
 from __future__ import annotations
@@ -21,11 +21,7 @@ from irlos_pipe.numerics.solution import INVALID
 def likelier_side(opened: Opened, max_iterations: int) -> Opened:
     """Return a fit of all modes, or a likelier one with a fact of the instrument on another side.
 
-    Parameters
-    ----------
-    opened : Opened
-    max_iterations : int
-        See `open_basis`.
+    For `max_iterations` see `open_basis`.
     """
     problem, best = opened.problem, opened
     starts = list(_other_sides(problem, opened.solution.values[:1]))

@@ -11,7 +11,7 @@ import torch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
 
-MIN_OBSERVABILITY = 1e-6  # of a column's power beside the others
+MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not explain, at least
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,9 @@ class RampSummary:
 
     Attributes
     ----------
-    slope, slope_sigma : float
     offset_nm, offset_sigma_nm : float
-        Where nothing is introduced. Errors of frames at one introduced defocus may be alike: for the standard
-        error each of these counts once.
+        Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
+        standard error each offset counts once.
     rms_nm : float
         RMS of estimated minus introduced defocus.
     residual_rms_nm : float
@@ -66,13 +65,9 @@ def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
 def summarise(
     introduced_nm: np.ndarray, estimated_nm: np.ndarray, second_part: np.ndarray | None = None
 ) -> RampSummary:
-    """Summarise a ramp whose frames are in order of recording; failed estimates are NaN.
+    """Summarise a ramp whose frames (frames,) are in order of recording; failed estimates are NaN.
 
-    Parameters
-    ----------
-    introduced_nm, estimated_nm : ndarray, (frames,)
-    second_part : ndarray of bool, (frames,), optional
-        True for the frames of a second run, whose focus reference may differ from that of the first.
+    The focus reference of a second run, where `second_part` is True, may differ from that of the first.
 
     Raises
     ------
@@ -105,12 +100,9 @@ def summarise(
 
 
 def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummary:
-    """Summarise frames of one defocus that nobody knows; what needs several offsets is NaN.
+    """Summarise frames (frames,) of one defocus that nobody knows; what needs several offsets is NaN.
 
-    Parameters
-    ----------
-    introduced_nm, estimated_nm : ndarray, (frames,)
-        Failed estimates are NaN.
+    Failed estimates are NaN.
 
     Raises
     ------
@@ -149,7 +141,7 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:
 def _steps(
     introduced: np.ndarray, estimated: np.ndarray, direction: np.ndarray, part: np.ndarray
 ) -> tuple[float, float, float, float]:
-    """Coefficients of direction and part beside slope and offset, each with its standard error.
+    """Coefficients of direction and part, fitted jointly with slope and offset, each with its standard error.
 
     What the ramp does not determine is NaN: a column that does not vary, or one that the others make up.
     """
@@ -196,12 +188,7 @@ def fit_focus_stage(
 ) -> FocusStage:
     """Estimate the free errors by least squares: what is introduced is linear in all of them.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        That act on a ramp.
-    commanded_nm, estimated_nm : ndarray, (frames,)
-        In order of recording; failed estimates are NaN.
+    The `effects` act on a ramp, whose defocus (frames,) is in order of recording; failed estimates are NaN.
 
     Raises
     ------

@@ -32,21 +32,16 @@ from irlos_pipe.numerics.solution import CONVERGED, MAX_ITERATIONS
 from irlos_pipe.optics.light_path import LightPath
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
-SHARED_FRAMES = 24  # of a ramp that determine what all frames share: more take long and add little
-MIN_FRAMES = 3  # whose fits take longer than making a table of images
-CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
+SHARED_FRAMES = 24  # frames that determine what all share, at most: more take long and add little
+MIN_FRAMES = 3  # frames from which a table of images saves more time than it takes to make
+CONTRADICTION_NM = 100.0  # distance from the defocus scan from which a fit gets a second try, too
 
 
 @dataclass(frozen=True)
 class RampData:
     """Frames of a ramp in order of recording.
 
-    Attributes
-    ----------
-    images_e : tensor, (frames, rows, columns)
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
-    introduced_nm : ndarray, (frames,)
+    Shapes: `images_e` (frames, rows, columns), `good` (rows, columns) of bool, `introduced_nm` (frames,).
     """
 
     images_e: torch.Tensor
@@ -55,7 +50,6 @@ class RampData:
     introduced_nm: np.ndarray
 
     def of(self, which: torch.Tensor) -> RampData:
-        """Return `which` of the frames."""
         return replace(self, images_e=self.images_e[which], introduced_nm=self.introduced_nm[which.numpy()])
 
 
@@ -65,7 +59,6 @@ class RampFit:
 
     Attributes
     ----------
-    result : LiftResult
     model : ImageModel
         The one used, its effects held at what was found.
     effects : dict
@@ -118,18 +111,8 @@ def fit_ramp(
 ) -> RampFit:
     """Estimate every frame; effects with free parameters are first fitted to the whole ramp.
 
-    Parameters
-    ----------
-    model : LightPath
-    data : RampData
-    start_nm : tensor, (frames, modes)
-    options : LiftOptions
-    effects : sequence of Effect
-        Fixed ones stay, free parameters are shared by all frames.
-    seen : ndarray of bool, (frames,), optional
-        Frames that determine these; by default all.
-    report : callable, optional
-        See `solve`.
+    Fixed `effects` stay, free parameters are shared by all frames; the frames `seen` (frames,), by default
+    all, determine these. Estimates start at `start_nm` (frames, modes); for `report` see `solve`.
     """
     free = EffectSet(effects, model.grids)
     which = torch.nonzero(torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen))[:, 0]
@@ -164,12 +147,8 @@ def _spread(frames: int) -> torch.Tensor:
 def second_try(model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions) -> LiftResult:
     """Restart frames that failed, fit badly or contradict the defocus scan; keep whichever fits better.
 
-    To stand out, a bad fit needs good ones beside it; the scan judges every frame by itself.
-
-    Parameters
-    ----------
-    model, data, result, options
-        See `fit_ramp`; `result` is that of the first try.
+    To stand out, a bad fit needs good ones next to it; the scan judges every frame by itself. Arguments are
+    those of `fit_ramp`, `result` is that of the first try.
     """
     if not {2, 3, 4} <= set(model.psf.nolls):
         return result
@@ -254,7 +233,6 @@ class SharedFit:
     covariance : tensor, (shared, shared)
         Per-image parameters marginalised, the misfit counted as noise.
     x : tensor, (images, parameters)
-    status : str
     """
 
     values: torch.Tensor
@@ -266,16 +244,8 @@ class SharedFit:
 def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     """Fit the free effect parameters of a problem's model to all its images together.
 
-    Parameters
-    ----------
-    problem : ImageFit
-        One parameter vector per image; its effects have free parameters, which start at `problem.held`.
-    x : tensor, (images, parameters)
-        Start of the per-image parameters.
-
-    Returns
-    -------
-    SharedFit
+    The `problem` has one parameter vector per image, which starts at `x` (images, parameters); its effects
+    have free parameters, which start at `problem.held`.
     """
     parameters = problem.model.effects.parameters
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)

@@ -4,13 +4,13 @@
 the wavefront has bent to imitate the fact, the step is too short.
 
 A mirrored image is the image of a mirrored wavefront through a mirrored pupil. Modes follow any wavefront, so
-only the pupil tells. About the fit with the pupil as told, the mean image is
+only the pupil shows it. About the fit with the pupil as declared, the mean image is
 
     I = I_fit + a (I_mirrored − I_fit) + what the parameters follow,
 
-where I_mirrored has the same wavefront behind the mirrored pupil: a is 0 for the pupil as told, and 1 for the
-mirrored one. It is estimated by weighted least squares, without what the fitted parameters would follow; its
-error is the scatter of the same estimate over the frames, their autocorrelation included.
+where I_mirrored has the same wavefront behind the mirrored pupil: a is 0 for the pupil as declared, and 1 for
+the mirrored one. It is estimated by weighted least squares, without what the fitted parameters would follow;
+its error is the scatter of the same estimate over the frames, their autocorrelation included.
 
 Frames may be a mixture of two kinds: stars, pointings, wavefronts. A mixture scatters by more than its parts,
 so that its scatter excuses what a single model misfits. But it does not scatter as noise does: along the
@@ -39,8 +39,8 @@ from irlos_pipe.frames.blocks import sample_frames
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-ALIKE = 0.9  # of what the best one explains: others cannot be told from it
-WORTH_NAMING = 0.2  # part of the misfit
+ALIKE = 0.9  # part of what the best fact explains from which another is degenerate with it
+WORTH_NAMING = 0.2  # part of the misfit that a fact must explain to be named
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Lacking:
     part : float
         Of the misfit, that the best fact would explain.
     text : str
-        That fact in words, and those that look alike; empty where none is worth naming.
+        That fact in words, and those degenerate with it; empty where none is worth naming.
     """
 
     part: float
@@ -62,14 +62,8 @@ class Lacking:
 def lacking(problem: ImageFit, x: torch.Tensor, excess: float) -> Lacking:
     """Return the facts that would explain most of the misfit of an image.
 
-    Parameters
-    ----------
-    problem : ImageFit
-        One member.
-    x : tensor, (1, parameters)
-        Its optimum.
-    excess : float
-        Part of χ² that is misfit: what a model leaves that lacks nothing is the rest.
+    The `problem` has one member, with its optimum at `x` (1, parameters). The part `excess` of χ² is misfit:
+    what a model leaves that lacks nothing is the rest.
     """
     null = null_model(problem, x)
     frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
@@ -99,9 +93,9 @@ def _facts(settings: PsfSettings) -> list[Effect]:
 
 
 LEAST_FRAMES = 4
-SIGNIFICANT = 4.0  # standard errors
+SIGNIFICANT = 4.0  # standard errors from which an amplitude counts
 LARGEST_SIGMA = 0.25
-LEAST_EFFECT = 1e-100  # of a parameter on the image, instead of none
+LEAST_EFFECT = 1e-100  # effect of a parameter on the image, instead of none: avoids division by zero
 MIRROR = Placement(mirrored=True)
 
 
@@ -114,7 +108,7 @@ class Mirrored:
 
     @property
     def tells(self) -> bool:
-        """Whether the error is small enough to tell the mirrored pupil from that as told."""
+        """Whether the error is small enough to distinguish the mirrored pupil from the declared one."""
         return self.sigma <= LARGEST_SIGMA
 
     @property
@@ -129,15 +123,9 @@ class Mirrored:
 
 
 def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrored | None:
-    """Return how much of the mirrored pupil the mean image shows; None where nothing tells.
+    """Return how much of the mirrored pupil the mean image shows; None where nothing determines it.
 
-    Parameters
-    ----------
-    frames : Frames
-    problem : ImageFit
-        With which their mean was fitted.
-    values : tensor, (1, parameters)
-        Of the fit.
+    The mean of the `frames` was fitted with `problem`, at `values` (1, parameters).
     """
     if len(frames.images_e) < LEAST_FRAMES:
         return None
@@ -180,20 +168,13 @@ def _mirrored_problem(problem: ImageFit) -> ImageFit:
 FRAMES_OF_A_KIND = (
     20  # Gaussian scatter of 16 has a kurtosis below 1.3 in one of 1000 cubes, of 20 in one of 5000
 )
-LEADING = 0.3  # part of the variance from which one direction is looked at
+LEADING = 0.3  # part of the variance from which a single direction is examined
 
 
 def kurtosis_of_frames(frames: Frames) -> float:
     """Return the kurtosis of the frames along the direction in which they differ most.
 
-    Parameters
-    ----------
-    frames : Frames
-
-    Returns
-    -------
-    float
-        NaN for fewer than `FRAMES_OF_A_KIND`, or where no direction leads.
+    NaN for fewer than `FRAMES_OF_A_KIND`, or where no direction leads.
     """
     some = frames.images_e[torch.as_tensor(sample_frames(len(frames.images_e)))].flatten(1).double()
     if len(some) < FRAMES_OF_A_KIND:

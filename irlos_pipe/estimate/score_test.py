@@ -23,7 +23,8 @@ from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, PupilMode
 
 ABSORBED = 0.003  # part of a derivative's power below which the fitted parameters imitate the effect
-MEANINGLESS = 1e-9  # of the largest derivative: a parameter without meaning here, a colour of one wavelength
+# Of the largest derivative: below it a parameter has no meaning, as a colour of one wavelength.
+MEANINGLESS = 1e-9
 
 
 class NullModel:
@@ -92,7 +93,7 @@ class LinearEstimate:
 
     @classmethod
     def of(cls, null: NullModel, candidate: Effect, shapes: torch.Tensor) -> LinearEstimate:
-        """The estimate of `candidate` beside `null` from its whitened derivatives `shapes`, (pixels, m)."""
+        """The estimate of `candidate` jointly with `null`, by whitened derivatives `shapes`, (pixels, m)."""
         power, left = (shapes**2).sum(0), torch.diagonal(null.norm2(shapes))
         seen = left / power.clamp_min(1e-300)
         usable = (power > MEANINGLESS * power.max()) & (seen > ABSORBED)
@@ -119,15 +120,8 @@ def derivatives(
 ) -> torch.Tensor:
     """Derivatives of the mean image with respect to a candidate's parameters at null, (m, pixels).
 
-    Parameters
-    ----------
-    problem : ImageFit
-        One member.
-    x : tensor, (1, parameters)
-        Its optimum.
-    frozen : sequence of Effect
-        Effects of the problem there, see `frozen_effects`.
-    candidate : Effect
+    The `problem` has one member, with its optimum at `x` (1, parameters), and there the effects `frozen`, see
+    `frozen_effects`.
     """
     model, layout = problem.model, problem.layout
     sampling = candidate.plane == "sampling"
@@ -143,7 +137,7 @@ def derivatives(
 
 
 def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> FixedEffect:
-    """`effect` with all its parameters free, at its best candidate beside `problem` at its optimum `x`."""
+    """`effect` with all its parameters free, at its best candidate about the optimum `x` of `problem`."""
     settings = problem.model.psf.settings
     null = null_model(problem, x)
     frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
@@ -180,11 +174,9 @@ class _FrozenTransfer(OtfEffect):
 
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
-        """See `Effect.further_paths`."""
         return self._further_paths
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.apply`."""
         return factor * self.factor
 
 
@@ -196,7 +188,6 @@ class _FrozenCopy(_FrozenTransfer, CopyOfStar):
         self._defocus_nm = defocus_nm
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
-        """See `CopyOfStar.defocus_nm`."""
         return self._defocus_nm
 
 
@@ -212,7 +203,6 @@ class _FrozenPupil(PupilEffect):
         self.factor = effect.apply(NOTHING, dark + 1, grid) - self.added
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
         return field * self.factor + self.added
 
 

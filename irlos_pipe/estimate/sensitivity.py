@@ -98,7 +98,6 @@ def dim(
         Between 0 and 1.
     noise : NoiseModel
         Of the frames.
-    generator : torch.Generator
     faint : NoiseModel, optional
         Of those of the dimmer star; that of the frames if left out. Where it has less than scaling leaves,
         nothing is taken away.
@@ -140,7 +139,6 @@ def scan(
 
     Parameters
     ----------
-    model : ImageModel
     data : RampData
         Measured frames, of a star of magnitude `mag_j`.
     signal_e : tensor, (frames, rows, columns)
@@ -150,8 +148,6 @@ def scan(
     realisations : int
         Of every frame at every magnitude.
     start_nm : tensor, (frames, modes)
-    criterion : Criterion
-    seed : int
     faint : NoiseModel, optional
         Of the dimmed frames; that of the measured ones if left out.
     one_read : NoiseModel, optional
@@ -161,10 +157,6 @@ def scan(
         that a fit for which several minima compete may end in another.
     report : callable, optional
         See `solve`.
-
-    Returns
-    -------
-    Curve
     """
     introduced, focus = np.tile(data.introduced_nm, realisations), model.psf.nolls.index(4)
     true = start_nm.clone()
@@ -205,14 +197,8 @@ def curve_of(
 ) -> Curve:
     """Return the curve of single errors, which may come from several scans over the same magnitudes.
 
-    Parameters
-    ----------
-    nolls : sequence of int
-    magnitudes : ndarray
-    abs_error_nm : ndarray, (magnitudes, trials)
-        NaN where the estimate failed.
-    crb_nm, one_read_crb_nm : ndarray, (magnitudes,)
-    criterion : Criterion
+    The errors `abs_error_nm` (magnitudes, trials) are NaN where the estimate failed; bounds are
+    (magnitudes,).
     """
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
@@ -226,13 +212,7 @@ def curve_of(
 def limiting_magnitude(
     magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray, criterion: Criterion
 ) -> float:
-    """Find the faintest of the `magnitudes` before the `criterion` is missed, interpolated in log error.
-
-    Parameters
-    ----------
-    magnitudes, median_nm, failure_fraction : ndarray, (magnitudes,)
-    criterion : Criterion
-    """
+    """Find the faintest of the `magnitudes` before the `criterion` is missed, interpolated in log error."""
     fine = (median_nm <= criterion.median_nm) & (failure_fraction <= criterion.failure_fraction)
     if not fine[0]:
         return float("nan")
@@ -265,18 +245,9 @@ def cramer_rao_nm(
 ) -> torch.Tensor:
     """Return the smallest standard errors of the modes with flux and background free, (images, modes) [nm].
 
-    ``σ² = diag((Jᵀ V⁻¹ J)⁻¹)``, the variance V from the noise-free image; the small information
-    that V itself carries is left out, as LIFT does not use it.
-
-    Parameters
-    ----------
-    model : ImageModel
-        Without free effect parameters.
-    modes_nm : tensor, (images, modes)
-    flux_e : tensor, (images,)
-    noise : NoiseModel
-    background_e : float
-        In every pixel.
+    ``σ² = diag((Jᵀ V⁻¹ J)⁻¹)``, the variance V from the noise-free image; the small information that V itself
+    carries is left out, as LIFT does not use it. The `model` has no free effect parameters; `modes_nm`
+    (images, modes) and `flux_e` (images,) are those of the images, `background_e` is in every pixel.
     """
     flux = flux_e.double()
     image, columns = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))

@@ -37,12 +37,10 @@ POINTING = 2  # Noll 2 and 3, the first modes
 
 @dataclass(frozen=True)
 class Setup:
-    """Frames that were taken alike.
+    """Frames that were taken in the same way.
 
     Attributes
     ----------
-    frames : Frames
-    settings : PsfSettings
     common : sequence of Effect
         Those of the wavefront as they act here, in the same order in every set-up.
     own : sequence of Effect
@@ -65,7 +63,6 @@ class SetupsFit(Problem):
 
     Parameters
     ----------
-    setups : sequence of Setup
     parts : sequence of ImageFit
         Their mean images, with the same modes.
     """
@@ -96,16 +93,13 @@ class SetupsFit(Problem):
         return self._spread([x[0] for x in parts_x])[None]
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """See `Problem.negligible`."""
         return CHI2_TOLERANCE * (2 * value / self.freedom).clamp_min(1.0)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """See `Problem.objective`."""
         own = [part.objective(self.part_of(x, n), which) for n, part in enumerate(self.parts)]
         return torch.stack(own).sum(0) + self._prior(x)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`."""
         value, gradient = self._prior(x), self.prior_precision * (x - self.prior_mean)
         hessian = torch.diag(self.prior_precision)[None].clone()
         for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
@@ -144,19 +138,9 @@ def calibrate_setups(
 ) -> Calibration:
     """Estimate the static wavefront of recordings in several set-ups, in a closed basis.
 
-    Parameters
-    ----------
-    setups : sequence of Setup
-        Window and pixel scale are the same in all. The wavefront is stated as the first one has it.
-    options : CalibrationOptions
-        Prior, number of modes and iterations.
-    device : str
-
-    Returns
-    -------
-    Calibration
-        Of the first set-up, with the standard errors of the effects; χ²/ν, its nominal value and the misfit
-        by which errors grow are those of all together.
+    Window and pixel scale are the same in all `setups`; of the `options`, prior, number of modes and
+    iterations count. The wavefront is stated as the first set-up has it, with the standard errors of the
+    effects; χ²/ν, its nominal value and the misfit by which errors grow are those of all together.
     """
     began = time.perf_counter()
     first = setups[0]
@@ -232,11 +216,8 @@ def _errors(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Covariance of all parameters from the scatter of the frames of every set-up, and that of the first's.
 
-    Returns
-    -------
-    covariance : tensor, (size, size)
-    changes : tensor, (frames of the first set-up, size)
-        By which each of its frames by itself would move the parameters, their mean taken out.
+    The latter is by how much each frame of the first set-up by itself would move the parameters, their mean
+    taken out, (frames of the first set-up, size); the covariance is (size, size).
     """
     total, changes = torch.zeros_like(covariance), []
     for number, (setup, part) in enumerate(zip(setups, problem.parts, strict=True)):

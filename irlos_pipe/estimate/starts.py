@@ -27,7 +27,7 @@ from irlos_pipe.optics.light_path import AS_BUILT, LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
-FEW_FRAMES = 10  # whose median is a start
+FEW_FRAMES = 10  # single frames whose median is a start
 FEW_FRAMES_ITERATIONS = 60
 START_HIGHEST_NOLL = 30  # modes of a start from single frames
 
@@ -35,12 +35,8 @@ START_HIGHEST_NOLL = 30  # modes of a start from single frames
 def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
     """Return tip and tilt that move the model to the centroid of the bright pixels, (frames, 2) [nm RMS].
 
-    Pixels below a fifth of the brightest are left out, so that noise and halo do not pull.
-
-    Parameters
-    ----------
-    images_e : tensor, (frames, rows, columns)
-    settings : PsfSettings
+    Of `images_e` (frames, rows, columns), pixels below a fifth of the brightest are left out, so that noise
+    and halo do not pull.
     """
     images_e = one_star(images_e, settings)
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
@@ -65,18 +61,8 @@ def scan_start_nm(
 ) -> torch.Tensor:
     """Return tip, tilt and defocus of the template that resembles each image most, other modes 0.
 
-    Parameters
-    ----------
-    model : LightPath
-        Noll 2, 3 and 4 among its modes.
-    images_e : tensor, (images, rows, columns)
-    good : tensor of bool, (rows, columns)
-    optics : Optics
-        What effects make of the light path.
-
-    Returns
-    -------
-    tensor, (images, modes), float64 [nm RMS]
+    The modes of the `model` include Noll 2, 3 and 4, `optics` is what effects make of the light path. From
+    `images_e` (images, rows, columns) and `good` pixels (rows, columns): (images, modes), float64 [nm RMS].
     """
     focus = model.nolls.index(4)
     coefficients = torch.zeros(len(SCAN_NM), len(model.nolls), dtype=torch.float64)
@@ -132,20 +118,9 @@ def median_of_frames_nm(
 ) -> torch.Tensor:
     """Return the median of the coefficients of a few frames spread over a cube, each fitted by itself.
 
-    Parameters
-    ----------
-    model : LightPath
-        With Noll 2 and 3 as its first modes.
-    images_e : tensor, (frames, rows, columns)
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
-    max_iterations : int
-        Of every fit.
-
-    Returns
-    -------
-    tensor, (modes,), float64 [nm RMS]
-        Zero where no frame could be fitted.
+    The first modes of the `model` are Noll 2 and 3, `max_iterations` are those of every fit. From `images_e`
+    (frames, rows, columns) and `good` pixels (rows, columns): (modes,), float64 [nm RMS], zero where no frame
+    could be fitted.
     """
     chosen = torch.linspace(0, len(images_e) - 1, min(FEW_FRAMES, len(images_e))).round().long()
     some = images_e[chosen]
@@ -162,14 +137,8 @@ def a_wave_off(problem: ImageFit, x: torch.Tensor) -> list[torch.Tensor]:
     """Return starts with one part of the pupil a wave nearer or further, the nearest minima of a broad band.
 
     At one wavelength they have the same image, in a band an image a little worse than that of the right one:
-    a fit that ended there has a wall before it on all sides.
-
-    Parameters
-    ----------
-    problem : ImageFit
-        Of one member.
-    x : tensor, (1, parameters)
-        Where a fit ended.
+    a fit that ended there has a wall before it on all sides. The `problem` has one member, whose fit ended at
+    `x` (1, parameters).
     """
     wave_nm = problem.model.psf.settings.mean_nm
     first, effects = problem.layout.effect_values.start, problem.model.effects

@@ -25,18 +25,12 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
 
-FOCUS_REACH_NM = 400.0  # beyond the starts; few fits move further
-TILT_REACH_NM = 250.0  # between two and three pixels
+FOCUS_REACH_NM = 400.0  # beyond the starts: few fits move further
+TILT_REACH_NM = 250.0  # beyond the starts, between two and three pixels
 
 
 class TabulatedModel(ImageModel):
-    """An `ImageModel` without free parameters, quick within a reach.
-
-    Parameters
-    ----------
-    general : ImageModel
-    reach : Reach
-    """
+    """An `ImageModel` without free parameters, quick within a reach."""
 
     def __init__(self, general: ImageModel, reach: Reach):
         psf = FocusTable(general.psf, general.optics, reach)
@@ -75,8 +69,8 @@ def _reach(nolls: tuple[int, ...], start_nm: torch.Tensor) -> Reach:
 
 CURVE_NM = np.linspace(-900.0, 900.0, 37)
 HELD_NM = 0.01  # width of the prior that holds the defocus
-APART_NM = 75.0  # solutions that are less than this apart are one
-MOST_MINIMA = 4  # of the curve that free fits start from
+APART_NM = 75.0  # solutions closer than this are one
+MOST_MINIMA = 4  # minima of the curve from which free fits start, at most
 
 
 @dataclass(frozen=True)
@@ -118,15 +112,8 @@ def focus_curve(
 ) -> FocusCurve:
     """Fit an image with its defocus held at the values of `CURVE_NM`, and freely from the minima of that.
 
-    Parameters
-    ----------
-    model : ImageModel
-        Its effects have no free parameters.
-    image_e : tensor, (rows, columns)
-    good : tensor of bool, (rows, columns)
-    noise : NoiseModel
-    modes_nm : tensor, (modes,)
-        The best fit, which the others start from.
+    The effects of the `model` have no free parameters; all fits of `image_e` on the `good` pixels (rows,
+    columns) start from the best one, `modes_nm` (modes,).
     """
     column = model.psf.nolls.index(DEFOCUS)
     starts = modes_nm.repeat(len(CURVE_NM) + 1, 1)

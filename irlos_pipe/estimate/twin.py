@@ -48,7 +48,7 @@ class TwinCheck:
 
     @property
     def preferred(self) -> str:
-        """`solution`, `twin`, or `undecided` where neither data nor law tell."""
+        """`solution`, `twin`, or `undecided` where neither data nor law decide."""
         if self.distance_nm < 1.0 or self.evidence > DECISIVE:
             return "solution"
         return "twin" if self.evidence < -DECISIVE else "undecided"
@@ -57,12 +57,7 @@ class TwinCheck:
 def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]) -> torch.Tensor:
     """Return the coefficients, (batch, modes), that give a centro-symmetric pupil the same image [nm].
 
-    Parameters
-    ----------
-    modes_nm : tensor, (batch, modes)
-    nolls : sequence of int
-    known_nm : mapping of int to float
-        The known wavefront in the light path, which does not change.
+    The known wavefront in the light path, `known_nm`, does not change.
     """
     twin = modes_nm.clone()
     for column, noll in enumerate(nolls):
@@ -74,16 +69,8 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
 def check_twin(problem: ImageFit, x: torch.Tensor, objective: float, law: NcpaLaw | None = None) -> TwinCheck:
     """Refit the first member of a problem from its twin and compare.
 
-    Parameters
-    ----------
-    problem : ImageFit
-        With one member.
-    x : tensor, (1, parameters)
-        The solution found.
-    objective : float
-        Its objective.
-    law : NcpaLaw, optional
-        Of the instrument's NCPAs.
+    The `problem` has one member, whose solution `x` (1, parameters) has this `objective`; `law` is that of
+    the instrument's NCPAs.
     """
     modes, nolls = problem.layout.modes, problem.layout.nolls
     start = x.clone()

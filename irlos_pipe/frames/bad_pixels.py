@@ -146,7 +146,7 @@ def _worst_first(
         if not worst.any():
             break
         found |= worst
-    # a good pixel between or beside bad ones may have been blamed first
+    # a good pixel between or beside bad ones may have been found deviant first
     return found & (value > limit)
 
 

@@ -45,7 +45,7 @@ from irlos_pipe.frames.screening import (
 
 DEVIATION = 1.4826  # standard deviation over the median of the absolute one
 LEVEL_SIGMA = 8.0
-FRAMES_TO_COMPARE = 3  # whose median a single one does not move
+FRAMES_TO_COMPARE = 3  # frames whose median a single one does not move
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,6 @@ class Cleaned:
     reasons : ndarray of str, (frames,)
         Why a frame cannot be used; empty if it can.
     good : ndarray of bool, (rows, columns)
-        True for good pixels.
     hits : Hits
         Clipped values and cosmic hits, already replaced in the images.
     clipped : ndarray of bool, (rows, columns)
@@ -113,17 +112,9 @@ def clean(
 ) -> Cleaned:
     """Calibrate a recording, find its bad pixels and cosmic hits, and judge its frames.
 
-    Parameters
-    ----------
-    raw : RawFrames
-        Counts and calibration images.
-    detector : Detector
-        Declared constants of the detector.
-    thresholds, limits : Thresholds, Limits
-        Limits beyond which a pixel is bad, and a frame is not used.
-    sampling_px : float
-        Pixels per lambda/D at the shortest wavelength. Undersampled images (2x2 modes) are not
-        searched for hits and deviant pixels, since a star is as sharp as those.
+    The constants of the `detector` are as declared; `thresholds` and `limits` are those beyond which a pixel
+    is bad, and a frame is not used. Undersampled images (2x2 modes), by `sampling_px`, pixels per lambda/D at
+    the shortest wavelength, are not searched for hits and deviant pixels, since a star is as sharp as those.
     """
     by = Criteria(sampling_px, NoiseModel.of_detector(detector), thresholds)
     reasons = recorder_faults(raw.adu, raw.frame_counter)
@@ -230,7 +221,7 @@ def _odd(
 
 
 def _background_variance_e2(maps: CalibrationMaps, detector: Detector, noise: MeasuredNoise) -> float:
-    """Variance beyond read noise and star: measured, else from the sky as recorded or told."""
+    """Variance beyond read noise and star: measured, else from the sky as recorded or declared."""
     sky = maps.background_adu
     sky_e = 0.0 if sky is None else max(0.0, float(np.nanmedian(sky)) * detector.e_per_adu)
     known_e2 = max(sky_e, detector.background_e) * detector.excess_noise_factor

@@ -18,8 +18,8 @@ from irlos_pipe.frames.bad_pixels import Criteria, deviant_pixels, optical_limit
 from irlos_pipe.frames.blocks import blocks, sample_frames
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE
 
-ODD = 2.0  # times what noise and optics excuse: right frames reach 0.6, damaged rows of a frame 1 to 100
-BRIGHT = 0.5  # of the peak: what is fainter than that is not clipped while the peak grows
+ODD = 2.0  # times what noise and optics excuse: intact frames reach 0.6, damaged rows of a frame 1 to 100
+BRIGHT = 0.5  # part of the peak: what is fainter is not clipped while the peak grows
 FALSE_ALARM = 1e-6  # chance that the values of a good pixel lie together as close
 WIDTHS = ((0.1, 1.0), (0.5, 4.0))  # in sigma: how close values are, among those how far around
 
@@ -44,7 +44,6 @@ class Hits:
         return Hits(self.frame[keep], self.row[keep], self.column[keep])
 
     def and_those(self, others: Hits) -> Hits:
-        """Return these hits and `others`."""
         joined = (self.frame, others.frame), (self.row, others.row), (self.column, others.column)
         return Hits(*map(np.concatenate, joined))
 
@@ -71,8 +70,8 @@ def odd_frames(
 ) -> np.ndarray:
     """Return which of the `frames` have detail that no light makes and the others lack, (frames,).
 
-    A damaged row of one frame is such detail. What all frames have, as where the noise is told too small, is
-    the fault of none. Pixels of the `core` (rows, columns) do not count: a star that moves beside clipped
+    A damaged row of one frame is such detail. What all frames have, as where the noise is declared too small,
+    is the fault of none. Pixels of the `core` (rows, columns) do not count: a star that moves next to clipped
     pixels breaks their usual relation, and what hits them is counted by itself. The arguments `images_e`,
     `good` and `by` are those of `cosmic_hits`, whose hits are no longer in the images.
     """

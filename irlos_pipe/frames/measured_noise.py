@@ -18,15 +18,15 @@ from irlos_pipe.frames.neighbour_prediction import Prediction
 from irlos_pipe.frames.noise import NoiseModel
 
 PREDICTION_ERROR = 0.01  # of the local brightness; a pixel where it dominates the noise is left out
-DOMINATES = (0.1, 10.0)  # times the variance expected: of a single frame, and over time
-MIN_PIXELS = 100  # times frames
-FEWEST = 10  # pixels, for two or three terms
-PHOTON_ERROR = 0.02  # of the photon noise that a single frame is relieved of before its floor is measured
+DOMINATES = (0.1, 10.0)  # times the expected variance: of a single frame, and over time
+MIN_PIXELS = 100  # pixels times frames that determine the noise, at least
+FEWEST = 10  # pixels, at least, for two or three terms
+PHOTON_ERROR = 0.02  # relative error of the photon noise that is subtracted from a single frame
 ROUNDS = 5
-SELECTIONS = 20  # at most, of the pixels that count
-SIGNIFICANT = 5.0  # sigma
+SELECTIONS = 20  # rounds, at most, of choosing the pixels that count
+SIGNIFICANT = 5.0  # standard errors
 FINE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # along both axes: leaves what is finer than 3 pixels
-FAINTEST = 5.0  # percent of the pixels, where a noise beyond the declared one shows
+FAINTEST = 5.0  # percentile of the pixels at which noise beyond the declared one shows
 FAINT = 0.25  # part of the window, the faintest, where the star's own structure is least
 CHI2_MEDIAN = 0.4549  # of one degree of freedom
 
@@ -64,21 +64,14 @@ def measure_noise(
 
     The difference of a pixel from the prediction by its neighbours is blind to speckles and image motion, so
     that the photon-transfer method works on sky; what is left of them, and of an unequal response, grows like
-    the brightness and is the third term; where it is not significant, the fit does without it and without
-    the pixels that it concerns most. The floor holds the read noise and the photon noise of dark current
-    and sky. Of a single frame the difference itself takes the place of its scatter over time, where the star
-    is so faint that its own structure does not count; that tells the floor only.
+    the brightness and is the third term; where it is not significant, the fit does without it and without the
+    pixels that it concerns most. The floor holds the read noise and the photon noise of dark current and sky.
+    Of a single frame the difference itself takes the place of its scatter over time, where the star is so
+    faint that its own structure does not count; that gives the floor only.
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-        Finite [e-].
-    good : ndarray of bool, (rows, columns)
-        True for good pixels.
-    prediction : Prediction
-        Of each pixel by its good neighbours.
-    declared : NoiseModel
-        As told. Only a single frame is compared with it: its star's photon noise is taken out.
+    The `images_e` (frames, rows, columns) are finite [e-], `good` pixels (rows, columns) True; `prediction`
+    is that of each pixel by its good neighbours. Only a single frame is compared with the noise as
+    `declared`: its star's photon noise is taken out.
     """
     if not len(images_e):
         return MeasuredNoise()
@@ -138,11 +131,11 @@ def _parts(signal: np.ndarray, prediction: Prediction) -> tuple[np.ndarray, np.n
 
 
 def _photon_transfer(scatter: _Scatter, good: np.ndarray) -> list[tuple[float, float]]:
-    """Floor and slope, each with its error; NaN where too few pixels tell.
+    """Floor and slope, each with its error; NaN where too few pixels determine them.
 
-    Which pixels count, and for how much, hangs on the noise that is sought. It begins with the least that can
-    be, from the scatter itself and not from what was told: frames in other units then have the same noise in
-    other units, and pixels that image motion rules are not taken for noise.
+    Which pixels count, and for how much, depends on the noise that is sought. It begins with the least that
+    can be, from the scatter itself and not from the declared noise: frames in other units then have the same
+    noise in other units, and pixels that image motion rules are not taken for noise.
     """
     found = [(float("nan"), float("nan"))] * 2
     seen, slope = _least(scatter, good)
@@ -184,7 +177,7 @@ def _least(scatter: _Scatter, good: np.ndarray) -> tuple[float, float]:
 def _floor_of_one(
     image: np.ndarray, good: np.ndarray, prediction: Prediction, declared: NoiseModel
 ) -> MeasuredNoise:
-    """The floor of a single frame, relieved of the photon noise that is told."""
+    """The floor of a single frame, without the declared photon noise."""
     # the pixel's own noise would weigh it
     flat, photons, structure = _parts(np.maximum(prediction.of(image), 0), prediction)
     variance = (image - prediction.of(image)) ** 2

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 REACH_PX = 3  # neighbours are the other pixels of a (2 * REACH_PX + 1) square
-NEAR_PX = 2  # neighbours whose brightness tells how bright a pixel could be
+NEAR_PX = 2  # neighbours whose brightness says how bright a pixel could be
 NUGGET = 1e-4  # variance over signal squared that the weights allow for: noise, 1 % of unequal response
 CUTOFF_MARGIN = 1.1  # room for an error of the pixel scale
 MIN_SAMPLING_PX = 2.4  # pixels per lambda/D below which neighbours no longer determine a pixel
@@ -65,18 +65,12 @@ class Prediction:
 
 
 def neighbour_prediction(good: np.ndarray, sampling_px: float) -> Prediction:
-    """Return the best linear prediction of each pixel from the good pixels around it.
+    """Return the best linear prediction of each pixel from the `good` pixels (rows, columns) around it.
 
-    The weights solve ``(C + nugget) w = c`` (simple kriging). The covariance of two pixels at
-    distance r is the diffraction pattern ``[2 J1(z)/z]^2``, ``z = pi r / sampling``: its spectrum
-    is the telescope's transfer function, which ends at D/lambda.
-
-    Parameters
-    ----------
-    good : ndarray of bool, (rows, columns)
-        Pixels to predict from.
-    sampling_px : float
-        Pixels per lambda/D at the shortest wavelength.
+    The weights solve ``(C + nugget) w = c`` (simple kriging). The covariance of two pixels at distance r is
+    the diffraction pattern ``[2 J1(z)/z]^2``, ``z = pi r / sampling``: its spectrum is the telescope's
+    transfer function, which ends at D/lambda. `sampling_px` are pixels per lambda/D at the shortest
+    wavelength.
     """
     offsets = _neighbour_offsets()
     inside, index = _neighbours(good.shape)

@@ -52,16 +52,11 @@ class NoiseModel:
         return self.scatter_e2(signal_e) + self.shared_e2
 
     def minus_quasi_likelihood(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
-        """``∫ (t - d)/V(t) dt`` from 0 to m, per pixel; V is constant below 0.
+        """``∫ (t - d)/V(t) dt`` from 0 to m, per pixel, for data d and model m [e-]; V is constant below 0.
 
-        Its slope with respect to the model is ``-(d - m)/V(m)``, that of ``(d - m)²/2V`` with the variance
-        of the model as it is. Beyond its value at m = d it stands for that half χ²; for pure photon noise
-        the difference is half the deviance of Poisson's law.
-
-        Parameters
-        ----------
-        images_e, model_e : tensor
-            Data d and model m [e-].
+        Its slope with respect to the model is ``-(d - m)/V(m)``, that of ``(d - m)²/2V`` with the variance of
+        the model as it is. Beyond its value at m = d it stands for that half χ²; for pure photon noise the
+        difference is half the deviance of Poisson's law.
 
         References
         ----------

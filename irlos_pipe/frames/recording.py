@@ -13,7 +13,7 @@ import numpy as np
 
 from irlos_pipe.frames.blocks import mean_frame, picked
 
-# sources of values
+# Sources of values.
 RECIPE, SIDECAR, HEADER, PROFILE, FRAMES = "recipe", "side-car", "header", "instrument profile", "measured"
 MODE = "read-out mode by the instrument profile"
 PER_FRAME = ("images_e", "used", "reason", "time_s", "frame_counter", "introduced_defocus_nm")
@@ -65,7 +65,6 @@ class RawFrames:
 
     @property
     def frames(self) -> int:
-        """Number of frames."""
         return self.adu.shape[0]
 
     @property
@@ -92,7 +91,7 @@ class Detector:
     reads : int
         That a frame is the sum of; `read_noise_e` is that of all together.
     background_e : float
-        Light of the sky and dark current in a pixel of a frame, as told [e-].
+        Light of the sky and dark current in a pixel of a frame, as declared [e-].
     """
 
     e_per_adu: float
@@ -198,7 +197,6 @@ class Recording:
     reason : ndarray of str, (frames,)
         Why a frame was rejected; empty for used frames.
     good : ndarray of bool, (rows, columns)
-        True for good pixels.
     time_s, frame_counter, introduced_defocus_nm : ndarray, (frames,)
         Time since the first frame, counter of the recorder, introduced defocus [nm RMS].
     background_variance_e2 : float

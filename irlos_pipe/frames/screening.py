@@ -27,7 +27,7 @@ ODD = "detail finer than the optics make"
 REASON_TYPE = "<U40"
 MIN_FRAMES_FOR_FLUX = 5
 MIN_FRAMES_TO_COMBINE = 3
-COMBINED_VARIANCE = 0.25  # of that of the others: the mean of five frames, and more, has less
+COMBINED_VARIANCE = 0.25  # variance over that of the others: the mean of five or more frames has less
 
 
 @dataclass(frozen=True)

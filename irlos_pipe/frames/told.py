@@ -1,6 +1,6 @@
-"""What was told of a recording against what its frames show.
+"""What was declared of a recording against what its frames show.
 
-A contradiction beyond doubt fails the quality check; a doubtful one is worth a warning that says what hangs
+A contradiction beyond doubt fails the quality check; a doubtful one is worth a warning that says what depends
 on it. Of the detector's constants, what a person or a header says stands; a value that is only the profile's
 gives way to the frames where these contradict it.
 """
@@ -31,30 +31,31 @@ CADENCE_DOUBTFUL = (0.9, 1.1)
 NOISE_IMPOSSIBLE = (0.25, 4.0)
 CUTOFF_DOUBTFUL, CUTOFF_IMPOSSIBLE = (0.7, 1.12), (0.0, 1.25)
 SCALE_PLAUSIBLE_MAS = (1.0, 100.0)
-SMALLEST_NM = 5.0  # of a diversity or a ramp; anything smaller is likely to be in micrometres
+SMALLEST_NM = 5.0  # of a diversity or a ramp; anything smaller is probably in micrometres
 HIGHEST_NOLL = 37  # of a diversity: a lens or a deformable mirror of low order
-# the end of the spectrum
+# The end of the spectrum.
 RINGS_PER_PX = 2.0  # rings of the spectrum per sample: half a sample wide
-BEYOND = 1.25  # times the expected cut-off, from where on there is nothing but noise
+BEYOND = 1.25  # times the expected cut-off, from where there is only noise
 ABOVE_NOISE = 3.0  # ring means that count as signal, over those of the noise
 LOBE = 2.0  # half of the width of the main lobe of the taper (Hann), in samples of the spectrum
-LEAST_SNR = 1e3  # amplitude at zero frequency over noise: of a fainter image the end is not seen
-# constants of the detector
+LEAST_SNR = 1e3  # amplitude at zero frequency over noise, below which the end of the spectrum is not seen
+# Constants of the detector.
 GAIN, READ_NOISE, EXCESS = "detector.e_per_adu", "detector.read_noise_e", "detector.excess_noise_factor"
-MAX_SLOPE_ERROR = 0.1  # of the slope: a gain that is known worse is no better than the profile's
-NOTABLE = 0.1  # a smaller difference, relative, is neither believed nor worth a warning
+# Relative error of the slope above which a measured gain is no better than the profile's.
+MAX_SLOPE_ERROR = 0.1
+NOTABLE = 0.1  # relative difference below which a measurement is neither adopted nor worth a warning
 
 
 @dataclass(frozen=True)
 class Told:
-    """One thing told, as a number that the frames or plain sense confine.
+    """One declared value, as a number that the frames or plain sense confine.
 
     Attributes
     ----------
     doubtful, impossible : (float, float)
         Ranges outside which it is worth a warning, and is wrong.
     text : str
-        What the value is, and what hangs on it.
+        What the value is, and what depends on it.
     """
 
     name: str
@@ -75,7 +76,7 @@ class Told:
 
 
 def told_of(recording: Recording, noise: MeasuredNoise, facility: Facility, step_s: float) -> list[Told]:
-    """Return what can be judged of what was told of a `recording`.
+    """Return what was declared of a `recording`, as far as it can be judged.
 
     `noise` is that of its frames, `step_s` the time from frame to frame by the clock of the recorder, NaN
     where it is not known; the `facility` has pupil and zero point.
@@ -91,7 +92,7 @@ def told_of(recording: Recording, noise: MeasuredNoise, facility: Facility, step
 
 
 def _known(recording: Recording, key: str) -> float:
-    """A number that somebody or the file itself told; NaN where it is only the profile's."""
+    """A number that a person or the file itself declared; NaN where it is only the profile's."""
     acquisition = recording.acquisition
     value = getattr(acquisition, key)
     told = acquisition.sources.get(key, PROFILE) != PROFILE
@@ -166,7 +167,7 @@ def cutoff_ratio(mean_e: np.ndarray, good: np.ndarray, expected_per_px: float) -
 
     The noise level is that of the highest frequencies of the image itself, so that hot pixels and an unequal
     response, whose spectrum is flat, do not count as signal; only `good` pixels are looked at. NaN where
-    nothing lies beyond the cut-off, or the image is too faint to tell.
+    nothing lies beyond the cut-off, or the image is too faint to judge.
     """
     if BEYOND * expected_per_px > 0.45 or min(mean_e.shape) < 16:
         return float("nan")
@@ -191,7 +192,7 @@ def cutoff_ratio(mean_e: np.ndarray, good: np.ndarray, expected_per_px: float) -
 
 @dataclass(frozen=True)
 class Constant:
-    """One constant of the detector, as used and as measured beside it.
+    """One constant of the detector, as used and as measured.
 
     Attributes
     ----------
@@ -202,7 +203,7 @@ class Constant:
     source : str
         Where that comes from.
     measured, error : float
-        From the frames, with its 1-sigma error; NaN where they do not tell.
+        From the frames, with its 1-sigma error; NaN where they do not determine it.
     """
 
     name: str
@@ -221,8 +222,8 @@ class Constant:
 def constants(detector: Detector, sources: Mapping[str, str], noise: MeasuredNoise) -> list[Constant]:
     """Return gain, read noise and excess noise of a `detector`, with what the frames say of each.
 
-    Frames tell only the ratio of excess noise and gain: each is measured as if the other were right. The read
-    noise includes the photon noise of dark current and sky. The `noise` is that of frames converted to
+    Frames determine only the ratio of excess noise and gain: each is measured as if the other were right. The
+    read noise includes the photon noise of dark current and sky. The `noise` is that of frames converted to
     electrons with this detector; `sources` say where its values come from, by side-car key.
     """
     slope, slope_error = noise.excess_noise_factor, noise.excess_noise_error
@@ -244,8 +245,8 @@ def believed(
 ) -> tuple[Detector, dict[str, str]]:
     """Return the `detector` with the profile's values replaced where the frames contradict them, and sources.
 
-    Where the gain is not told it gives way, else the excess noise does if that is not told. `sources` and
-    `noise`: see `constants`.
+    An undeclared gain gives way, else an undeclared excess noise does. `sources` and `noise`: see
+    `constants`.
     """
     found = {one.name: one for one in constants(detector, sources, noise)}
     new, origin = detector, dict(sources)

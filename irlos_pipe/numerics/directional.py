@@ -20,7 +20,6 @@ class Directional:
 
     Parameters
     ----------
-    function : callable
     values : tensor
         Where; real.
     """

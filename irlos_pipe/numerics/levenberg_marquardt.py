@@ -22,11 +22,11 @@ from irlos_pipe.numerics.problem import ROUNDING, CheapGradientProblem, Problem
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
-MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are made on the way
+MEMBERS_AT_ONCE = 256  # members whose matrices are solved at once: some ten copies of each are made
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 MIN_CURVATURE = 1e-3  # curvature along a parameter over the largest of those in the same unit
-LEAST_CURVATURE = 1e-186  # of a parameter that nothing depends on: its variance is 1e200
-TRIALS = 12  # of a step, with ten times the damping each
+LEAST_CURVATURE = 1e-186  # curvature along a parameter that nothing depends on: its variance is 1e200
+TRIALS = 12  # trials of a step, with ten times the damping each
 SLOW = 10.0  # times the negligible fall: where iterations are used up, a tenth of a standard error will do
 SPENT = 12  # steps of a problem with cheap gradients after which its Hessian is renewed
 
@@ -41,18 +41,8 @@ def solve(
 ) -> Solution:
     """Minimise a batch of problems from `start`, (batch, parameters).
 
-    Parameters
-    ----------
-    problem : Problem
-    start : tensor, (batch, parameters)
-    max_iterations : int
-    report : callable, optional
-        Called with the number of members that finished in each iteration (progress bars).
-
-    Returns
-    -------
-    Solution
-        Members that meet non-finite numbers are flagged `invalid`, never silently NaN.
+    `report` gets the number of members that finished in each iteration (progress bars). In the solution,
+    members that meet non-finite numbers are flagged `invalid`, never silently NaN.
     """
     state = _State(problem, start.double().clone())
     for _ in range(max_iterations):
@@ -121,7 +111,7 @@ class _State:
     def _renewed(self, which: np.ndarray) -> tuple[np.ndarray, ...]:
         """Equations with the Hessian of the place; a gradient by itself is exact, where theirs may be rough.
 
-        A rough one foretells falls that do not come, and the iterations go round in circles.
+        A rough one predicts falls that do not come, and the iterations go round in circles.
         """
         x = self.x[which]
         value, gradient, hessian = self._evaluated(x, which)
@@ -245,7 +235,7 @@ class _State:
     def _factor(self, which: np.ndarray, value: np.ndarray) -> np.ndarray:
         """Factor on the damping after an accepted step that led to `value`.
 
-        Lower where the quadratic model foretold the fall, raise where it did not: in a noisy image the
+        Lower where the quadratic model predicted the fall, raise where it did not: in a noisy image the
         curvature that Gauss–Newton neglects can be as large as what it keeps. Full steps then leap across
         the minimum and back, and the objective hardly falls.
         """
@@ -286,7 +276,6 @@ class _State:
         return -_solve(hessian, gradient, damping, neglected, self.problem.same_unit)
 
     def solution(self) -> Solution:
-        """The batch as it stands."""
         x, hessian, iterations, value = map(
             torch.from_numpy, (self.x, self.hessian, self.iterations, self.value)
         )
@@ -301,12 +290,12 @@ def _secant(neglected: np.ndarray, hessian: np.ndarray, step: np.ndarray, change
     """
     step, change = step[..., None], change[..., None]
     unexplained, explained = change - hessian @ step, neglected @ step
-    along, known, wanted = ((step * v).sum((1, 2), keepdims=True) for v in (change, explained, unexplained))
+    along, known, required = ((step * v).sum((1, 2), keepdims=True) for v in (change, explained, unexplained))
     with np.errstate(divide="ignore", invalid="ignore"):
-        size = np.nan_to_num(np.abs(wanted / known), nan=1.0).clip(max=1.0)
+        size = np.nan_to_num(np.abs(required / known), nan=1.0).clip(max=1.0)
         direction = change / along
         cross = (unexplained - size * explained) * direction.swapaxes(1, 2)
-        square = (wanted - size * known) * direction * direction.swapaxes(1, 2)
+        square = (required - size * known) * direction * direction.swapaxes(1, 2)
         found = size * neglected + cross + cross.swapaxes(1, 2) - square
     return np.where(along > 0, found, neglected)
 

@@ -17,7 +17,7 @@ HUBER_KNEE = 2.0  # residuals beyond this many sigma count linearly
 L1_ROUNDING = 1.0  # the kink of |r| is rounded over this many sigma: noise blurs a sharper one anyway
 
 
-STEP = 1e-4  # σ, over which ψ is differentiated: its curvature is of the order of one
+STEP = 1e-4  # step in σ over which ψ is differentiated; its curvature is of the order of one
 LossName = Literal["gaussian", "huber", "l1"]
 
 
@@ -27,10 +27,9 @@ class Loss:
 
     Attributes
     ----------
-    name : str
     whitened : bool
-        True if residuals are divided by their standard error, False if they count in
-        electrons alike (as the mean absolute error of the paper does).
+        True if residuals are divided by their standard error, False if all count in
+        electrons (as in the mean absolute error of the paper).
     value, weight : callable
         ``ρ(r)`` and ``ρ'(r)/r``.
     curvature : callable

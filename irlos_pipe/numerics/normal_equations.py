@@ -12,9 +12,9 @@ import torch
 from irlos_pipe.numerics.loss import Loss
 
 TILE = 16  # rows in which matrix products are quick: with 31 of them a product takes twice as long as with 32
-FEW = 12  # rows that are quick anyway
+FEW = 12  # rows that are quick without padding
 NEWTON_STEPS = 2
-FRACTIONS = (1.0, 0.5, 0.25)  # of a Newton step: where residuals are few it leaps too far
+FRACTIONS = (1.0, 0.5, 0.25)  # parts of a Newton step: where residuals are few it leaps too far
 
 
 def normal_equations(
@@ -22,16 +22,8 @@ def normal_equations(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return gradient (b, p), summed in float64, and Hessian (b, p, p), as precise as the derivatives.
 
-    The Hessian only shapes steps.
-
-    Parameters
-    ----------
-    columns : tensor, (b, p, pixels)
-        Derivatives of the images.
-    residual : tensor, (b, repeats, pixels)
-        Whitened.
-    root : tensor, (b, repeats or 1, pixels)
-        Square roots of the weights.
+    The Hessian only shapes steps. Derivatives of the images are `columns` (b, p, pixels), the whitened
+    `residual` is (b, repeats, pixels), and `root` (b, repeats or 1, pixels) are square roots of the weights.
     """
     size = columns.shape[1]
     if residual.shape[1] > 1:  # images that share derivatives, like one image with their mean residual
@@ -67,7 +59,6 @@ class Linearised:
         Whitened, float64; for a robust loss rounded to the precision of the columns.
     root : tensor, (b, repeats or 1, pixels)
         Square roots of the weights, float64.
-    loss : Loss
     precision, offset : tensor, (b, parameters)
         Of the Gaussian prior, and how far the parameters are from its mean.
     """

@@ -25,18 +25,9 @@ SHORTER = (0.1, 0.5)  # factors on the length of a step that went too far
 def polish(problem: Descent, found: Solution, max_evaluations: int) -> Solution:
     """Continue from a solution by at most `max_evaluations` gradients of every member.
 
-    Parameters
-    ----------
-    problem : Descent
-    found : Solution
-        Its covariance is taken as the inverse Hessian to begin with.
-    max_evaluations : int
-
-    Returns
-    -------
-    Solution
-        With the covariance of the one given, and evaluations counted as iterations. Members that were
-        `invalid` are left as they are; others can be `stalled`, or out of evaluations (`max_iterations`).
+    The covariance of `found` is the inverse Hessian to begin with, and that of the result; evaluations are
+    counted as iterations. Members that were `invalid` are left as they are; others can be `stalled`, or out
+    of evaluations (`max_iterations`).
     """
     members = torch.tensor([i for i, status in enumerate(found.status) if status != INVALID]).long()
     pieces = ordered_map(

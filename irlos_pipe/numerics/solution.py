@@ -42,7 +42,6 @@ class Solution:
 
     @classmethod
     def joined(cls, parts: Sequence[Solution]) -> Solution:
-        """Join several batches."""
         return joined(parts, status=[s for part in parts for s in part.status])
 
     @property

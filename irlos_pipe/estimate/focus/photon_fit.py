@@ -24,8 +24,8 @@ from irlos_pipe.optics.focus_images import FocusImages
 from irlos_pipe.optics.focus_table import FocusTable
 
 ITERATIONS = 20
-HALVINGS = 6  # of a step that would raise the objective
-# Foretold fall over the rise that rounding may make, at which a stuck fit is done: a tenth of an error.
+HALVINGS = 6  # halvings, at most, of a step that would raise the objective
+# Predicted fall over the rise that rounding may make, at which a stuck fit is done: a tenth of an error.
 WITHIN_ROUNDING = 10.0
 
 
@@ -47,11 +47,8 @@ class Found(NamedTuple):
         Inverse Fisher matrix.
     objective : float
         Minus the quasi-likelihood, up to a constant of the image.
-    chi2_nu : float
     misfit : float
         Light that the model does not explain, beyond noise: RMS over the pixels, over that of the star.
-    iterations : int
-    converged : bool
     """
 
     x: np.ndarray
@@ -64,15 +61,8 @@ class Found(NamedTuple):
 
 
 class PhotonFit:
-    """Fits of single images, one after the other.
-
-    Parameters
-    ----------
-    images : FocusImages
-    good : ndarray of bool, (rows, columns)
-    iterations : int
-        At most.
-    """
+    """Fits of single images on `good` pixels (rows, columns), one after the other, in so many
+    `iterations`."""
 
     def __init__(self, images: FocusImages, good: np.ndarray, iterations: int = ITERATIONS):
         self._iterations = iterations
@@ -85,16 +75,7 @@ class PhotonFit:
         self._single_weight = np.empty(pixels, np.float32)
 
     def __call__(self, image_e: np.ndarray, start_nm: tuple[float, float, float], noise: Noise) -> Found:
-        """Fit an image.
-
-        Parameters
-        ----------
-        image_e : ndarray, (rows · columns,), float64
-            Bad pixels finite.
-        start_nm : (float, float, float)
-            Tip, tilt and focus.
-        noise : Noise
-        """
+        """Fit `image_e`, (rows · columns,) in float64 with finite bad pixels, from tip, tilt and focus."""
         x = np.array([*np.clip(start_nm, *self._images.limits_nm), 0.0, 0.0])
         self._images(*x[:3])
         x[3:] = self._brightness(image_e)
@@ -196,8 +177,8 @@ def _inverse(fisher: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(fisher * scale * scale[:, None], hermitian=True) * scale * scale[:, None]
 
 
-STEP_NM = 100.0  # between templates: the fit finds home from half of it
-APART = 2  # templates between a maximum and what counts as another one
+STEP_NM = 100.0  # between templates: a fit converges from half of it
+APART = 2  # templates on either side, among which a maximum must be the highest
 CUT = 0.4  # frequencies kept [cycles/px]: more than a table's images have
 
 
@@ -219,12 +200,7 @@ class Candidate(NamedTuple):
 
 
 class FocusScan:
-    """Templates of a `FocusTable` over its whole reach.
-
-    Parameters
-    ----------
-    table : FocusTable
-    """
+    """Templates of a `FocusTable` over its whole reach."""
 
     def __init__(self, table: FocusTable):
         low, high = table.reach.focus_nm

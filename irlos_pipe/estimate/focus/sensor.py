@@ -27,7 +27,7 @@ from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_fa
 
 REACH_NM = 1000.0  # of defocus either way: images up to 900 nm have a template and room on both sides
 ROUGHLY_DECISIVE = 60.0  # Δχ² of the scan from which another maximum needs no fit of its own
-RIVALS = 3  # maxima tried at most where the first is wrong
+RIVALS = 3  # other maxima that are tried, at most, where the first is wrong
 # A misfit below which images are not tried in other orientations, and the part of χ²/ν to which one of these
 # must bring it. Images read out transposed or flipped have a misfit of a tenth and more, and one orientation
 # in which χ²/ν is a ninth or less. In a seeing burst right images have such a misfit, too, and no better
@@ -79,15 +79,12 @@ class Measurement(NamedTuple):
         Defocus beyond the known wavefront, and its error from photons and read-out [nm RMS].
     valid : bool
         Whether there are no `reasons` against it.
-    reasons : tuple of str
-    tip_nm, tilt_nm : float
     flux_e, background_e : float
         Through the clear pupil, and per pixel.
     chi2_nu, misfit : float
         See `Found`.
-    iterations : int
     beside : Unexplained or None
-        What the image has beside the model.
+        What the model does not explain of the image.
     """
 
     defocus_nm: float
@@ -118,7 +115,6 @@ class Focus:
     good : ndarray of bool, (rows, columns)
     noise : NoiseModel
         Of one read.
-    limits : Limits
     reach_nm : float
         Largest defocus either way [nm RMS].
 
@@ -175,7 +171,7 @@ class Focus:
         return measured._replace(beside=self.beside(found, reads))
 
     def beside(self, found: Found, reads: int = 1) -> Unexplained:
-        """Take apart what the last image has beside its solution, `found` in the sum of some `reads`."""
+        """Take apart what `found`, the solution of the last sum of some `reads`, does not explain."""
         model_e = self.model_e(found)
         slopes_e = self._images.slopes[:3] * found.x[3]
         noise = self._noise_of(reads)
@@ -216,7 +212,7 @@ class Focus:
     def _rivals(self, candidates: list[Candidate], first: Found, noise: Noise) -> list[Candidate]:
         """Further maxima of the scan: the next if it cannot be excluded, several if the first fit failed.
 
-        None where there is no star. The scan weights all pixels alike; its Δχ² is that of the mean variance
+        None where there is no star. The scan weights all pixels equally; its Δχ² is that of the mean variance
         of the pixels with light.
         """
         others = candidates[1 : 1 + RIVALS]
@@ -304,15 +300,7 @@ PARAMETERS = 5
 def lift_singly(
     focus: Focus, images_e: np.ndarray, report: Callable[[int], object] | None = None
 ) -> LiftResult:
-    """Measure every image by itself.
-
-    Parameters
-    ----------
-    focus : Focus
-    images_e : ndarray, (images, rows, columns)
-    report : callable, optional
-        Called with 1 after every image.
-    """
+    """Measure each of `images_e` (images, rows, columns) by itself; `report` gets a 1 after every image."""
     count = len(images_e)
     values, covariance = (
         np.full((count, PARAMETERS), np.nan),

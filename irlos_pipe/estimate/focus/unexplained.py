@@ -2,7 +2,7 @@
 
 Right exposures differ from the model by image motion within them and by the AO residual of the moment, which
 moves light from the core into the halo and makes speckles. Motion and halo have known shapes: second
-differences of the model image, and the model image blurred. What is left beside them is small in right
+differences of the model image, and the model image blurred. What remains besides is small in right
 exposures, in whatever seeing, and not where the optics or the detector are others.
 """
 
@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-HALO_PX = 4.0  # over which the light of the core is spread to stand for the halo
+HALO_PX = 4.0  # sigma of the Gaussian over which the light of the core is spread to stand for the halo
 FOCUS, ALONG_X, ALONG_Y, ACROSS, HALO = 2, 5, 6, 7, 8  # rows of the shapes
 
 
 class Residual(NamedTuple):
-    """What is left of an image beside the model, and then beside motion and halo.
+    """What is left of an image by the model, and then by motion and halo as well.
 
     Attributes
     ----------
@@ -44,16 +44,11 @@ class Residual(NamedTuple):
         return float(np.min(self.variance_e2) / max(self.star_e.sum(), 1e-300))
 
     def structure(self, level: float) -> Structure:
-        """Return how much light is beside the model.
+        """Return how much light the model does not explain, with weights that are best at a `level` of noise.
 
         Speckles that lie on the star's light have a variance of that times the light of the halo. So squares
         are summed with ``w = (I / V)²``, which sees them best, and divided by ``Σ w I · Σ I``: for speckles
         the result depends neither on how wide the image is nor on how bright.
-
-        Parameters
-        ----------
-        level : float
-            Of the noise for which the weights are the best.
         """
         flux_e = self.star_e.sum()
         weight = (self.star_e / (self.factor * self.star_e + level * flux_e)) ** 2
@@ -76,7 +71,7 @@ class Structure(NamedTuple):
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What is beside the model in one image.
+    """What the model does not explain in one image.
 
     Attributes
     ----------
@@ -87,7 +82,6 @@ class Unexplained:
         Part of the light that is in the halo, and in the core by the model, and its error.
     shift_nm, shift_sigma_nm : float
         By how much the defocus changes if motion and halo are free, and how much of that noise makes [nm].
-    rest : Residual
     """
 
     blur_px2: float
@@ -109,15 +103,9 @@ def unexplained(
 ) -> Unexplained:
     """Take the residual of a fit apart.
 
-    Parameters
-    ----------
-    residual_e, star_e : ndarray, (rows, columns)
-        Image minus model, and the light of the star in the model [e-].
-    slopes_e : ndarray, (3, rows · columns)
-        Derivatives of the model by tip, tilt and focus [e-/nm].
-    good : ndarray of bool, (rows, columns)
-    factor, floor_e2 : float
-        See `Noise`.
+    Image minus model, `residual_e`, and the light of the star in the model, `star_e`, are (rows, columns)
+    [e-], as the `good` pixels; `slopes_e` (3, rows · columns) are the derivatives by tip, tilt and focus
+    [e-/nm]. For `factor` and `floor_e2` see `Noise`.
     """
     pixels = star_e.size
     shapes = np.empty((9, pixels))
