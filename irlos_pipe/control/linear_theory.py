@@ -19,20 +19,11 @@ ALIASES = 30  # replicas of the spectrum on each side; the mean over a frame dam
 
 @dataclass(frozen=True)
 class Integrator:
-    """An integrating controller with delay, as linear theory sees it.
-
-    Attributes
-    ----------
-    gain : float
-    frame_s : float
-        Exposure time, and time between two frames.
-    delay : int
-        Whole frames between the end of an exposure and the command that follows from it.
-    """
+    """An integrating controller with delay, as linear theory sees it."""
 
     gain: float
-    frame_s: float = 1.0
-    delay: int = 1
+    frame_s: float = 1.0  # exposure time, and time between two frames
+    delay: int = 1  # whole frames between the end of an exposure and the command that follows from it
 
     @property
     def largest_stable_gain(self) -> float:

@@ -30,30 +30,15 @@ PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or
 
 @dataclass(frozen=True)
 class Accepted:
-    """A name, and how it compared.
-
-    Attributes
-    ----------
-    refit : Refit
-    preference : float
-        Vuong's statistic on the held-out frames, against the model before.
-    gap : Gap
-        On the held-out frames, of the models without and with it.
-    alternatives : sequence of Alternative
-    ranking : sequence of Ranked
-    rivals : sequence of Refit
-        Fits of the alternatives.
-    label : str
-        In the model with which a search ended; unless known, it is the last of its kind there.
-    """
+    """A name, and how it compared."""
 
     refit: Refit
-    preference: float
-    gap: Gap
+    preference: float  # Vuong's statistic on the held-out frames, against the model before
+    gap: Gap  # on the held-out frames, of the models without and with it
     alternatives: Sequence[Alternative]
     ranking: Sequence[Ranked]
-    rivals: Sequence[Refit] = ()
-    label: str = ""
+    rivals: Sequence[Refit] = ()  # fits of the alternatives
+    label: str = ""  # in the model with which a search ended; unless known, it is the last of its kind there
 
     @property
     def name(self) -> str:
@@ -74,33 +59,20 @@ class Search:
     ----------
     null, final : Optimum
         Before and after all names.
-    drift : Drift or None
-        None where the model has one already.
-    accepted : list of Accepted
-        Names in the order found, the drift not among them.
-    scores : list of Score
-        Of all families, at the last model for which a name was looked for.
-    meaningless : list of str
-        Effects that mean nothing for this cube.
-    adjusted : list of str
-        Effects of the final model that make it fit better and are not sure enough to be named.
-    nearest : Accepted or None
-        The name that comes nearest, where none was found after all.
-    all_modes : Opening or None
-        The last fit of all visible modes; None where the wavefront was not opened.
-    tolerant : bool
-        Whether the facts of the instrument were free, as more was wrong than single names could tell.
     """
 
     null: Optimum
     final: Optimum
-    drift: Drift | None
-    accepted: list[Accepted]
-    scores: list[Score]
-    meaningless: list[str]
+    drift: Drift | None  # None where the model has one already
+    accepted: list[Accepted]  # names in the order found, the drift not among them
+    scores: list[Score]  # of all families, at the last model for which a name was looked for
+    meaningless: list[str]  # effects that mean nothing for this cube
+    # Effects of the final model that make it fit better and are not sure enough to be named.
     adjusted: Sequence[str] = ()
-    nearest: Accepted | None = None
+    nearest: Accepted | None = None  # the name that comes nearest, where none was found after all
+    # The last fit of all visible modes; None where the wavefront was not opened.
     all_modes: Opening | None = None
+    # Whether the facts of the instrument were free, as more was wrong than single names could tell.
     tolerant: bool = False
 
     @cached_property
@@ -120,8 +92,6 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     ----------
     ranked : sequence of Refit
         The best first.
-    cube : Cube
-    options : Options
     first : bool
         Whether no name was found before.
     """
@@ -170,10 +140,8 @@ def by_motion(
 
     Parameters
     ----------
-    ranked : sequence of Refit
     judges : sequence of HeldOutEvaluation
         Of each.
-    cube : Cube
     """
     if not cube.training.in_time:
         return ranked, judges
@@ -272,7 +240,6 @@ def no_longer_needed(
 
     Parameters
     ----------
-    fitter : Fitter
     current : Optimum
         With all names.
     accepted : sequence of Accepted
@@ -297,11 +264,8 @@ def narrowed(
 
     Parameters
     ----------
-    fitter : Fitter
-    cube : Cube
     current : Optimum
         With all names.
-    found : sequence of Accepted
     """
     names = list(found)
     for place, one in enumerate(found):

@@ -58,11 +58,8 @@ def conclude(
 
     Parameters
     ----------
-    cube : Cube
     search : Search
         What was found in it.
-    noise : NoiseVerdict
-    options : Options
     screened : sequence of Screened
         Pixels masked in the frames.
     """
@@ -337,8 +334,6 @@ def tried(search: Search, options: Options, hidden: Sequence[Score], *, named: b
 
     Parameters
     ----------
-    search : Search
-    options : Options
     hidden : sequence of Score
         Effects that the free parameters absorb, or that would be seen only beyond their bounds.
     named : bool

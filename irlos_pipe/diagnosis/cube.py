@@ -28,20 +28,11 @@ class Errors:
 
     Light that a model has in the wrong place interferes with the image as speckles do: its variance follows
     theirs, or that of photons.
-
-    Attributes
-    ----------
-    misfit : float
-        Factor by which variances grow for errors of the model.
-    alike_px : float
-        Pixels that these change together.
-    flat_rms : float
-        Relative error of the flat, pixel by pixel.
     """
 
-    misfit: float = 1.0
-    alike_px: float = 1.0
-    flat_rms: float = 0.0
+    misfit: float = 1.0  # factor by which variances grow for errors of the model
+    alike_px: float = 1.0  # pixels that these change together
+    flat_rms: float = 0.0  # relative error of the flat, pixel by pixel
 
 
 @dataclass(frozen=True)
@@ -50,27 +41,20 @@ class Stack:
 
     Attributes
     ----------
-    frames : Frames
-    when : ndarray, (frames,)
-        Time, 0 at the first and 1 at the last frame of the whole cube.
     mean_e, variance_e2 : tensor, (pixels,)
         Mean image, and its variance from the scatter between frames; infinite for bad pixels.
-    photon_limited : bool
-        Whether the noise model alone says how uncertain the mean is.
     flat_error_e2, model_error_e2 : tensor, (pixels,), or 0
         Parts of the variance that stand for errors of the flat and of the model, which all frames share.
-    alike_px : float
-        Pixels that errors of the model change together.
     """
 
     frames: Frames
-    when: np.ndarray
+    when: np.ndarray  # (frames,), time, 0 at the first and 1 at the last frame of the whole cube
     mean_e: torch.Tensor
     variance_e2: torch.Tensor
-    photon_limited: bool = False
+    photon_limited: bool = False  # whether the noise model alone says how uncertain the mean is
     flat_error_e2: torch.Tensor | float = 0.0
     model_error_e2: torch.Tensor | float = 0.0
-    alike_px: float = 1.0
+    alike_px: float = 1.0  # pixels that errors of the model change together
 
     @classmethod
     def of(cls, frames: Frames, when: np.ndarray) -> Stack:
@@ -148,18 +132,14 @@ class Stacks:
 
     Attributes
     ----------
-    parts : tuple of Stack
     held_out : {"frames", "pixels"}
         What is held out.
-    in_time : bool
-        Whether the frames show what changes with time.
-    own_refitted : bool
-        Whether tip, tilt, flux and background of the held-out data are their own.
     """
 
     parts: tuple[Stack, ...]
     held_out: ClassVar[HeldOutKind] = "frames"
-    in_time: ClassVar[bool] = True
+    in_time: ClassVar[bool] = True  # whether the frames show what changes with time
+    # Whether tip, tilt, flux and background of the held-out data are their own.
     own_refitted: ClassVar[bool] = True
 
     @property
@@ -213,11 +193,9 @@ class Stacks:
         return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
 
     def with_errors(self, errors: Errors) -> Stacks:
-        """See `Stack.with_errors`."""
         return replace(self, parts=tuple(part.with_errors(errors) for part in self.parts))
 
     def without_model_error(self) -> Stacks:
-        """See `Stack.without_model_error`."""
         return replace(self, parts=tuple(part.without_model_error() for part in self.parts))
 
     def __len__(self) -> int:
@@ -276,7 +254,6 @@ class Cube:
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
 
     def with_errors(self, errors: Errors) -> Cube:
-        """See `Stack.with_errors`."""
         return Cube(self.training.with_errors(errors), self.held_out.with_errors(errors))
 
 

@@ -55,7 +55,6 @@ class Covariances:
 
     Parameters
     ----------
-    stack : Stacks
     models : sequence of Fitted
         Fits of the model, that with most besides first. The last one has all effects.
     """
@@ -65,12 +64,7 @@ class Covariances:
         self._found: dict[int, np.ndarray] = {}
 
     def of(self, label: str) -> np.ndarray:
-        """Of all parameters of the effect with a `label`; zero for what is held.
-
-        Parameters
-        ----------
-        label : str
-        """
+        """Of all parameters of the effect with a `label`; zero for what is held."""
         free = self.models[-1].effect(label).parameters
         number, fitted = next(pair for pair in enumerate(self.models) if _frees(pair[1], label, free))
         covariance = self._whole(number)

@@ -27,22 +27,12 @@ from irlos_pipe.numerics.solution import Solution
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model as a fit left it.
-
-    Attributes
-    ----------
-    problem : JointFit
-    solution : Solution
-    chi2 : float
-        Of the mean training images.
-    views : sequence of View
-        Of the recordings.
-    """
+    """A model as a fit left it."""
 
     problem: JointFit
     solution: Solution
-    chi2: float
-    views: Sequence[View]
+    chi2: float  # of the mean training images
+    views: Sequence[View]  # of the recordings
 
     @property
     def x(self) -> torch.Tensor:
@@ -129,7 +119,6 @@ def begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
 
     Parameters
     ----------
-    effect : Effect
     values : ndarray, (free parameters,)
     """
     if not effect.parameters:
@@ -240,7 +229,6 @@ class JointFit(CheapGradientProblem):
     # -- Problem -----------------------------------------------------------------------------
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """See `ImageFit.negligible`."""
         return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:

@@ -71,8 +71,6 @@ class Fitter:
 
         Parameters
         ----------
-        effects : sequence of Effect
-        near : Fitted, optional
         iterations : int
             At most.
         """

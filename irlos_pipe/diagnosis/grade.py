@@ -46,26 +46,13 @@ AT_ITS_PLACE = {PHOTONS: 0.95, SPECKLES: 0.9, UNSEEN: 0.9}
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the rest says of the names.
-
-    Attributes
-    ----------
-    grade : str
-    left : bool
-        Whether a significant part of what was missing is still missing.
-    search : Search
-        What was found, with the names that are believed.
-    shares : sequence of float
-        Of every name, see `share_at_its_place`.
-    why_unknown : str
-        What speaks against the names; empty if nothing does.
-    """
+    """What the rest says of the names."""
 
     grade: Grade
-    left: bool
-    search: Search
-    shares: Sequence[float]
-    why_unknown: str = ""
+    left: bool  # whether a significant part of what was missing is still missing
+    search: Search  # what was found, with the names that are believed
+    shares: Sequence[float]  # of every name, see `share_at_its_place`
+    why_unknown: str = ""  # what speaks against the names; empty if nothing does
 
 
 def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, options: Options) -> Judgement:
@@ -73,13 +60,10 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, o
 
     Parameters
     ----------
-    search : Search
-    noise : NoiseVerdict
     fine : FineStructure
         Of the final model.
     gap : Gap
         Of the models without and with the names.
-    options : Options
     """
     left = is_left(search, noise, gap, options.sure)
     if left and (noise.kind == PHOTONS or not closes(gap)):  # on sky some χ² is always left
@@ -134,8 +118,6 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
 
     Parameters
     ----------
-    search : Search
-    noise : NoiseVerdict
     gap : Gap
         Of the models without and with the names.
     sure : float
@@ -150,12 +132,7 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
 
 
 def closes(gap: Gap) -> bool:
-    """Whether names close the gap of held-out frames, or come near its floor.
-
-    Parameters
-    ----------
-    gap : Gap
-    """
+    """Whether names close the gap of held-out frames, or come near its floor."""
     return not (gap.closed < CLOSED and gap.after > AT_FLOOR * gap.floor)
 
 
@@ -203,10 +180,6 @@ def copies_in_a_row(fitted: Fitted) -> int:
     """Number of copies of the star in one direction, if they are too many for stars and ghosts; or 0.
 
     Along rows or columns, on both sides of the star, the detector makes them: there fewer are too many.
-
-    Parameters
-    ----------
-    fitted : Fitted
     """
     copies = [label for label in fitted.problem.effects.labels if fitted.effect(label).base.copies_star]
     angles = [fitted.effect(label).base.describe(fitted.values_of(label))["pa_deg"] for label in copies]
@@ -218,12 +191,7 @@ def copies_in_a_row(fitted: Fitted) -> int:
 
 
 def one_place_twice(fitted: Fitted) -> str:
-    """Name of an effect that is twice in one place of the pupil, where two make another shape; or nothing.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    """
+    """Name of an effect that is twice in one place of the pupil, where two make another shape; or nothing."""
     labels = fitted.problem.effects.labels
     places = [label for label in labels if isinstance(fitted.effect(label).base, PupilPlace)]
     for one, other in combinations(places, 2):
@@ -246,7 +214,6 @@ def much_is_left(search: Search, kind: str, sure: float) -> bool:
 
     Parameters
     ----------
-    search : Search
     kind : str
         Of the noise.
     sure : float
@@ -266,7 +233,6 @@ def share_at_its_place(one: Refit, final: Optimum) -> float:
 
     Parameters
     ----------
-    one : Refit
     final : Optimum
         Of a model with the name.
     """

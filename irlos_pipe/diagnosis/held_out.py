@@ -27,13 +27,11 @@ class Gap:
     ----------
     before, after : float
         With the old and the new model.
-    floor : float
-        With a perfect model, from noise alone.
     """
 
     before: float
     after: float
-    floor: float
+    floor: float  # with a perfect model, from noise alone
 
     @property
     def shrink(self) -> float:
@@ -55,7 +53,6 @@ class HeldOutEvaluation:
     ----------
     stack : Stacks
         Held out.
-    fitted : Fitted
     """
 
     def __init__(self, stack: Stacks, fitted: Fitted):
@@ -74,7 +71,6 @@ class HeldOutEvaluation:
 
     @property
     def gap(self) -> float:
-        """See `Gap`."""
         good = self.stack.root > 0
         return float((self.stack.mean_e - self.mean_e)[good].abs().sum() / self.stack.mean_e[good].sum())
 

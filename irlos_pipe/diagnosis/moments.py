@@ -17,31 +17,16 @@ Placement = frozenset[int] | None  # moments in which an effect acts; None: all
 
 @dataclass(frozen=True)
 class Moment:
-    """One star at one time.
+    """One star at one time."""
 
-    Attributes
-    ----------
-    name : str
-        For people.
-    star : str
-        Equal names are the same star.
-    conditions : Conditions
-        Of its first recording.
-    """
-
-    name: str
-    star: str
-    conditions: Conditions
+    name: str  # for people
+    star: str  # equal names are the same star
+    conditions: Conditions  # of its first recording
 
 
 @dataclass(frozen=True)
 class Moments:
-    """All moments, by number.
-
-    Attributes
-    ----------
-    by_number : mapping of int to Moment
-    """
+    """All moments, by number."""
 
     by_number: Mapping[int, Moment]
 
@@ -100,7 +85,6 @@ def placed(by_moment: Mapping[int, Sequence[Effect]], moments: Moments) -> list[
     ----------
     by_moment : mapping of int to sequence of Effect
         The same effects as the conditions of every moment make them.
-    moments : Moments
 
     Returns
     -------

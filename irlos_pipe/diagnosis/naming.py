@@ -41,23 +41,13 @@ KNOWN = 1.2  # χ²/ν up to which photons still set the errors
 
 @dataclass(frozen=True)
 class AllowingTask(Task):
-    """A search beside variances that allow for what a model misses.
+    """A search beside variances that allow for what a model misses."""
 
-    Attributes
-    ----------
-    kind : str
-        Of the noise.
-    flat_rms : float
-        Error of the flat, the least that a model left: a wrong one makes fine structure of its own.
-    misfit : float
-        χ²/ν for which the variances allow.
-    all_modes : Opening or None
-        The last fit of all visible modes, of which the light paths have those beyond the closed basis.
-    """
-
-    kind: str
+    kind: str  # of the noise
+    # Error of the flat, the least that a model left: a wrong one makes fine structure of its own.
     flat_rms: float = np.inf
-    misfit: float = np.inf
+    misfit: float = np.inf  # χ²/ν for which the variances allow
+    # The last fit of all visible modes, of which the light paths have those beyond the closed basis.
     all_modes: Opening | None = None
 
     def with_errors(self, fitted: Fitted) -> tuple[Self, Optimum]:
@@ -78,7 +68,6 @@ class AllowingTask(Task):
         return replace(self, cube=cube, fitter=fitter, flat_rms=errors.flat_rms, misfit=errors.misfit)
 
     def errors_of(self, fitted: Fitted) -> Errors:
-        """See `errors_of`."""
         return errors_of(self.cube.training, fitted, self.conditions.settings, self.flat_rms)
 
     def opened(self, current: Optimum) -> tuple[Self, Optimum]:
@@ -112,8 +101,6 @@ def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings, most_flat: f
 
     Parameters
     ----------
-    stack : Stacks
-    fitted : Fitted
     settings : PsfSettings
         Of the first recording.
     most_flat : float
@@ -259,12 +246,6 @@ class NamingTask(AllowingTask):
 
 
 def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
-    """Labels of the effects of a model beyond those that it was told.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    told : sequence of Effect
-    """
+    """Labels of the effects of a model beyond those that it was told."""
     known = {*labels_of(told)}
     return [label for label in fitted.problem.effects.labels if label not in known]

@@ -21,20 +21,11 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 
 @dataclass(frozen=True)
 class Excess:
-    """χ² of the mean image beyond what noise leaves there.
-
-    Attributes
-    ----------
-    chi2 : float
-    sigma : float
-        Its standard error in the absence of any.
-    expected : float
-        χ² from noise alone.
-    """
+    """χ² of the mean image beyond what noise leaves there."""
 
     chi2: float
-    sigma: float
-    expected: float
+    sigma: float  # its standard error in the absence of any
+    expected: float  # χ² from noise alone
 
     @property
     def significance(self) -> float:
@@ -48,13 +39,7 @@ class Excess:
 
 
 class Optimum(NullModel):
-    """Whitened residual of the mean training images and of their frames.
-
-    Parameters
-    ----------
-    stack : Stacks
-    fitted : Fitted
-    """
+    """Whitened residual of the mean training images and of their frames."""
 
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.fitted = fitted

@@ -22,21 +22,11 @@ from irlos_pipe.estimate.open_fit import TailLaw, open_basis
 
 @dataclass(frozen=True)
 class Opening:
-    """A fit of all visible modes of one recording.
+    """A fit of all visible modes of one recording."""
 
-    Attributes
-    ----------
-    fitted : Fitted
-        All modes free, those beyond the closed basis with the law that was fitted.
-    closed : Fitted
-        The problem of the closed basis, without the others, from which it began.
-    law : TailLaw
-        Of the modes beyond the closed basis.
-    """
-
-    fitted: Fitted
-    closed: Fitted
-    law: TailLaw
+    fitted: Fitted  # all modes free, those beyond the closed basis with the law that was fitted
+    closed: Fitted  # the problem of the closed basis, without the others, from which it began
+    law: TailLaw  # of the modes beyond the closed basis
 
     @classmethod
     def of(
@@ -53,7 +43,6 @@ class Opening:
         ----------
         fitter : Fitter
             Whose light paths have none of the modes beyond the closed basis.
-        effects : sequence of Effect
         near : Fitted
             Where the closed basis begins.
         beyond_nm : mapping
@@ -99,12 +88,7 @@ class Opening:
         return freedom * float(np.log(scale)) + chi2 / scale + self.fitted.penalty
 
     def optimum(self, stack: Stacks) -> Optimum:
-        """The residual, for score tests beside all modes.
-
-        Parameters
-        ----------
-        stack : Stacks
-        """
+        """The residual, for score tests beside all modes."""
         return Optimum(stack, self.fitted)
 
     def with_known_modes(self) -> Fitted:

@@ -33,7 +33,6 @@ def opposite_side(fitter: Fitter, final: Optimum, label: str, sure: float) -> Op
 
     Parameters
     ----------
-    fitter : Fitter
     final : Optimum
         Of the model with the effect.
     label : str
@@ -85,7 +84,6 @@ def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[Fix
 
     Parameters
     ----------
-    fitter : Fitter
     final : Optimum
         With which a diagnosis ended.
     known : sequence of str

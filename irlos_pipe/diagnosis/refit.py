@@ -31,24 +31,12 @@ CLEARLY_LESS = 25.0  # of calibrated χ²
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A family fitted beside the effects that the model has.
+    """A family fitted beside the effects that the model has."""
 
-    Attributes
-    ----------
-    score : Score
-        From which the fit started.
-    origin : Optimum
-        Without it.
-    fitted : Fitted
-        With it.
-    label : str, optional
-        Of the effect in the model; the last of its kind unless said.
-    """
-
-    score: Score
-    origin: Optimum
-    fitted: Fitted
-    label: str = ""
+    score: Score  # from which the fit started
+    origin: Optimum  # without it
+    fitted: Fitted  # with it
+    label: str = ""  # of the effect in the model; the last of its kind unless said
 
     def __post_init__(self):
         kinds = [effect.name for effect in self.origin.fitted.effects]
@@ -141,10 +129,8 @@ def refits(
 
     Parameters
     ----------
-    fitter : Fitter
     origin : Optimum
         Of the model without them.
-    scores : sequence of Score
     report : callable
         Called with the number of finished fits.
     """
@@ -274,7 +260,6 @@ def other_forms(fitter: Fitter, found: Sequence[Refit], *, wider: bool) -> list[
 
     Parameters
     ----------
-    fitter : Fitter
     found : sequence of Refit
         Those that act in one moment alone have none.
     wider : bool

@@ -28,31 +28,19 @@ class Rest:
 
     Attributes
     ----------
-    light_fraction : float
-        Part of the light that is misplaced beyond what noise alone shows.
     x_mas, y_mas : float
         Of its strongest part, from the star, to the right and up.
-    extent_mas : float
-        Diameter of a disc as large as the strongest part.
-    excess : bool
-        Whether there is too much light in its strongest part, not too little.
-    symmetry : str
-        Under a half turn about the star.
-    time : str
-        Whether the two halves of the frames leave the same.
-    finer_than_diffraction : bool
-    flat_rms : float
-        Relative error of the flat that would make what is finer; 0 where none is told apart.
     """
 
-    light_fraction: float
+    light_fraction: float  # part of the light that is misplaced beyond what noise alone shows
     x_mas: float
     y_mas: float
-    extent_mas: float
-    excess: bool
-    symmetry: Symmetry
-    time: Time
+    extent_mas: float  # diameter of a disc as large as the strongest part
+    excess: bool  # whether there is too much light in its strongest part, not too little
+    symmetry: Symmetry  # under a half turn about the star
+    time: Time  # whether the two halves of the frames leave the same
     finer_than_diffraction: bool
+    # Relative error of the flat that would make what is finer; 0 where none is told apart.
     flat_rms: float = 0.0
 
     @property
@@ -82,13 +70,10 @@ def rest_of(
 
     Parameters
     ----------
-    judge : HeldOutEvaluation
     floor : float
         Gap that noise alone leaves.
-    fine : FineStructure
     sure : float
         Significance from which fine structure counts, in Gaussian σ.
-    settings : PsfSettings
     flat_rms : float
         Of the final model, see `fine_structure.flat_rms`.
     """

@@ -73,7 +73,6 @@ class SecondRecordings:
 
         Parameters
         ----------
-        one : Refit
         others : sequence of Refit
             From the same origin.
         """

@@ -39,20 +39,15 @@ class OwnValue:
 
     Attributes
     ----------
-    moment : str
-        Its name.
-    number : int
     public, sigma : dict
         Parameters and standard errors under public names.
-    significance : float
-        Of its presence, in Gaussian σ.
     """
 
-    moment: str
+    moment: str  # its name
     number: int
     public: dict[str, Any]
     sigma: dict[str, Any]
-    significance: float
+    significance: float  # of its presence, in Gaussian σ
 
 
 @dataclass(frozen=True)
@@ -61,25 +56,16 @@ class Sharing:
 
     Attributes
     ----------
-    labels : sequence of str
-        Of the effect in the model: one for all moments, or several that act in some.
     finding : {"common", "differs", "open"}
         ``open`` where fewer than two moments show it and the others do not exclude it.
-    significance : float
-        Of the differences between the moments, in Gaussian σ.
-    chi2_fall : float
-        By which χ² falls with a value for each moment, for so many further `parameters`.
-    preference : float
-        Vuong's statistic on the held-out data for a value of each moment against one for all.
-    values : sequence of OwnValue
     """
 
-    labels: Sequence[str]
+    labels: Sequence[str]  # of the effect in the model: one for all moments, or several that act in some
     finding: Finding
-    significance: float
-    chi2_fall: float
+    significance: float  # of the differences between the moments, in Gaussian σ
+    chi2_fall: float  # by which χ² falls with a value for each moment, for so many further `parameters`
     parameters: int
-    preference: float
+    preference: float  # Vuong's statistic on the held-out data for a value of each moment against one for all
     values: Sequence[OwnValue]
 
     @property
@@ -95,7 +81,6 @@ class Change:
 
     Attributes
     ----------
-    moment : str
     rms_nm, sigma_nm : float
         Root mean square over the modes of the changes and of their standard errors [nm].
     """
@@ -107,20 +92,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Together:
-    """What the moments of a diagnosis share.
-
-    Attributes
-    ----------
-    moments : Moments
-    sharing : sequence of Sharing
-        Of every effect that was named, in the order of the steps.
-    changes : sequence of Change
-        Of the wavefront, for every moment.
-    """
+    """What the moments of a diagnosis share."""
 
     moments: Moments
-    sharing: Sequence[Sharing]
-    changes: Sequence[Change]
+    sharing: Sequence[Sharing]  # of every effect that was named, in the order of the steps
+    changes: Sequence[Change]  # of the wavefront, for every moment
 
 
 def sharing(
@@ -134,9 +110,6 @@ def sharing(
         Of the effect in the model: of one for all moments, or of several that act in some.
     fitted : Fitted
         The model.
-    fitter : Fitter
-    cube : Cube
-    moments : Moments
     sure : float
         Significance from which values differ.
     """
@@ -261,12 +234,8 @@ def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, optio
 
     Parameters
     ----------
-    search : Search
-    fitter : Fitter
-    cube : Cube
     moments : Moments
         Several.
-    options : Options
     """
     fitted = search.final.fitted
     fitter = fitter.of(search.final.stack, fitted.views)

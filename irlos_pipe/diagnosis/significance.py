@@ -23,7 +23,6 @@ def significance_of(
 
     Parameters
     ----------
-    optimum : Optimum
     shapes : tensor, (pixels, m)
         Whitened derivatives.
     normal, projection : tensor, (m, m) and (m,)

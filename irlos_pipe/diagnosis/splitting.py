@@ -45,7 +45,6 @@ class HeldOutFrames(HoldOut):
     """Blocks of time that interleave with the others."""
 
     def split(self, frames: Frames, share: float = 0.25) -> Cube:
-        """See `HoldOut.split`."""
         frames = averaged(frames, MOST_FRAMES)
         count = len(frames.images_e)
         blocks_of_time = min(BLOCKS, count // 2)
@@ -62,15 +61,9 @@ class HeldOutFrames(HoldOut):
 
 @dataclass(frozen=True)
 class HeldOutPixels(HoldOut):
-    """Squares of pixels.
+    """Squares of pixels."""
 
-    Attributes
-    ----------
-    side_px : int
-        Of a square; about λ/D, which makes squares independent parts of an image.
-    """
-
-    side_px: int
+    side_px: int  # of a square; about λ/D, which makes squares independent parts of an image
 
     def split(self, frames: Frames, share: float = 0.25) -> Cube:
         """See `HoldOut.split`: of squares alike in brightness the same share, at random."""
@@ -102,7 +95,6 @@ def averaged(frames: Frames, most: int) -> Frames:
 
     Parameters
     ----------
-    frames : Frames
     most : int
         Number of means.
     """
@@ -141,14 +133,9 @@ def _drawn(squares: np.ndarray, image_e: np.ndarray, share: float) -> np.ndarray
 
 @dataclass(frozen=True)
 class PatchStack(Stack):
-    """Some pixels of one recording.
+    """Some pixels of one recording."""
 
-    Attributes
-    ----------
-    patches : tensor of int, (pixels,)
-        The patch of each pixel, -1 where it is not used.
-    """
-
+    # (pixels,), the patch of each pixel, -1 where it is not used.
     patches: torch.Tensor = field(default_factory=lambda: torch.empty(0, dtype=torch.int64))
 
     @cached_property
@@ -176,23 +163,15 @@ class PatchStack(Stack):
 
 @dataclass(frozen=True)
 class PixelStacks(Stacks):
-    """Some pixels of one or several recordings.
-
-    Attributes
-    ----------
-    parts : tuple of PatchStack
-    misfit : float
-        χ²/ν of the model at hand where it is more than 1, by which variances grow.
-    """
+    """Some pixels of one or several recordings."""
 
     parts: tuple[PatchStack, ...]
-    misfit: float = 1.0
+    misfit: float = 1.0  # χ²/ν of the model at hand where it is more than 1, by which variances grow
     held_out: ClassVar[HeldOutKind] = "pixels"
     in_time: ClassVar[bool] = False
     own_refitted: ClassVar[bool] = False
 
     def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
-        """See `Stacks.covariance_of`."""
         return self.misfit * shapes.mT @ shapes
 
     def chance(self, basis: torch.Tensor) -> tuple[float, float]:
@@ -205,7 +184,6 @@ class PixelStacks(Stacks):
         return self.variance_e2.sqrt()
 
     def against(self, residual: torch.Tensor, parameters: int) -> PixelStacks:
-        """See `Stacks.against`."""
         freedom = max(1, int((self.root > 0).sum()) - parameters)
         return replace(self, misfit=max(1.0, float(residual @ residual) / freedom))
 

@@ -24,7 +24,6 @@ def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:
 
     Parameters
     ----------
-    near : Fitted
     zernike_nm : mapping
         Noll index to nm RMS; its tip and tilt count for nothing.
     """
@@ -40,7 +39,6 @@ def other_wavefronts(near: Fitted, known_nm: Mapping[int, float]) -> list[Fitted
 
     Parameters
     ----------
-    near : Fitted
     known_nm : mapping
         Of another recording, Noll index to nm RMS; empty if there is none.
     """
@@ -57,12 +55,7 @@ def other_wavefronts(near: Fitted, known_nm: Mapping[int, float]) -> list[Fitted
 
 
 def on_other_sides(fitted: Fitted) -> list[list[Effect]]:
-    """The effects of a model, to begin where it is but for one of them, which begins elsewhere.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    """
+    """The effects of a model, to begin where it is but for one of them, which begins elsewhere."""
     effects = fitted.continued_by_label()
     return [
         [*(effects | {label: begun_at(effects[label], values)}).values()]
@@ -80,7 +73,6 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
 
     Parameters
     ----------
-    fitted : Fitted
     label : str
         Of the effect.
     """
@@ -103,7 +95,6 @@ def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
 
     Parameters
     ----------
-    fitted : Fitted
     effects : mapping
         By label, where a fit would begin.
     """
@@ -119,7 +110,6 @@ def direction_of(fitted: Fitted, label: str) -> int | None:
 
     Parameters
     ----------
-    fitted : Fitted
     label : str
         Of the effect.
     """

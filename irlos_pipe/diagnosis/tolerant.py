@@ -41,15 +41,9 @@ SCALES = (PlateScale.name, Spectrum.name)  # of the image: effects that act near
 
 @dataclass(frozen=True)
 class TolerantTask(NamingTask):
-    """A search with the facts of the instrument free, beside what the model has.
+    """A search with the facts of the instrument free, beside what the model has."""
 
-    Attributes
-    ----------
-    beside_modes : sequence of Score
-        Of the effects that it lacked, of which the modes imitate a part.
-    """
-
-    beside_modes: Sequence[Score] = ()
+    beside_modes: Sequence[Score] = ()  # of the effects that it lacked, of which the modes imitate a part
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
         """Begin again where a plain search left much: facts first, then names.
@@ -244,7 +238,6 @@ class TolerantTask(NamingTask):
         return opening
 
     def _deviance(self, opening: Opening) -> float:
-        """See `Opening.deviance`."""
         return opening.deviance(self.misfit)
 
     def _price(self, fitted: Fitted) -> float:
@@ -300,10 +293,6 @@ def as_wide_as_told(effects: Sequence[Effect]) -> list[Effect]:
     Wavefront, wavelengths and pixels may all be larger by one factor, which the image does not show, and the
     priors of many modes would have them smaller. A filter moves, and the scale of a camera changes, more
     easily than the width of a filter.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
     """
     if not set(SCALES) <= {effect.name for effect in effects if effect.parameters}:
         return [*effects]

@@ -19,18 +19,11 @@ from irlos_pipe.optics.light_path import LightPath
 
 @dataclass(frozen=True)
 class Screened:
-    """A pixel that the screening of the frames masked and no map lists.
-
-    Attributes
-    ----------
-    row, column : int
-    mean_e : float
-        Mean over the frames of what it showed, background subtracted [e-].
-    """
+    """A pixel that the screening of the frames masked and no map lists."""
 
     row: int
     column: int
-    mean_e: float
+    mean_e: float  # mean over the frames of what it showed, background subtracted [e-]
 
 
 @dataclass(frozen=True)
@@ -39,22 +32,14 @@ class Exposures:
 
     Attributes
     ----------
-    frames : Frames
-        In order of time.
-    conditions : Conditions
-        Introduced defocus in the known wavefront of its settings.
-    screened : sequence of Screened
-        Pixels masked in the frames because of what they showed there.
-    moment : int
-        Number of the moment: recordings of another one are of another star or night.
     name, star : str
         Of the moment, for people, and of its star: equal names are the same star.
     """
 
-    frames: Frames
-    conditions: Conditions
-    screened: Sequence[Screened] = ()
-    moment: int = 0
+    frames: Frames  # in order of time
+    conditions: Conditions  # introduced defocus in the known wavefront of its settings
+    screened: Sequence[Screened] = ()  # pixels masked in the frames because of what they showed there
+    moment: int = 0  # number of the moment: recordings of another one are of another star or night
     name: str = ""
     star: str = ""
 

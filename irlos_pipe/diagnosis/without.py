@@ -25,7 +25,6 @@ def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:
 
     Parameters
     ----------
-    fitted : Fitted
     label : str
         Of the effect.
     """
@@ -38,7 +37,6 @@ def needless(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) 
 
     Parameters
     ----------
-    fitted : Fitted
     labels : sequence of str
         Of the effects in question; what is always something is none of them.
     stack : Stacks
@@ -87,7 +85,6 @@ def without_linearly(fitted: Fitted, label: str) -> Fitted:
 
     Parameters
     ----------
-    fitted : Fitted
     label : str
         Of the effect.
     """

@@ -54,8 +54,6 @@ def diagnose(
         wavefront. Effects are stated for the first recording in which they act.
     effects : sequence of Effect
         What the model has already, see `moments.placed`.
-    options : Options
-    device : str
     report : callable, optional
         Called with the number of finished fits, for a progress bar.
     """
@@ -94,7 +92,6 @@ def with_opposite_sides(diagnosis: Diagnosis, fitter: Fitter, final: Optimum, su
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     fitter, final, sure : see `opposite_side`
     """
 
@@ -113,10 +110,8 @@ def deeper_null(search: Search, told: Sequence[Effect], fitter: Fitter) -> Fitte
 
     Parameters
     ----------
-    search : Search
     told : sequence of Effect
         What the model had from the start.
-    fitter : Fitter
     """
     null, final = search.null, search.final.fitted
     if added(final, told):

@@ -33,20 +33,15 @@ class Drift:
 
     Attributes
     ----------
-    nolls : tuple of int
     change_nm, sigma_nm : ndarray, (modes,)
         From the first frame to the last.
-    significance : float
-        In Gaussian σ, pointing left out.
-    recording : int
-        Number of the recording in which it was seen.
     """
 
     nolls: tuple[int, ...]
     change_nm: np.ndarray
     sigma_nm: np.ndarray
-    significance: float
-    recording: int = 0
+    significance: float  # in Gaussian σ, pointing left out
+    recording: int = 0  # number of the recording in which it was seen
 
     def detectable_nm(self, sure: float) -> np.ndarray:
         """Change of each mode alone that would surely be significant, (modes,)."""
@@ -64,8 +59,6 @@ def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
 
     Parameters
     ----------
-    stack : Stacks
-    fitted : Fitted
     sure : float
         Significance from which a drift is worth more than one linear step.
     """
@@ -86,8 +79,6 @@ class LinearStep:
 
     Parameters
     ----------
-    stack : Stack
-    part : ImageFit
     x : tensor, (1, parameters)
     """
 

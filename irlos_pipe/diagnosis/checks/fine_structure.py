@@ -47,10 +47,8 @@ def structure_of(stack: Stack, model_e: torch.Tensor, settings: PsfSettings) -> 
 
     Parameters
     ----------
-    stack : Stack
     model_e : tensor, (pixels,)
         Its mean image by the model [e-].
-    settings : PsfSettings
     """
     beyond = Beyond(stack.frames.good, highest_frequency_per_px(settings))
     if beyond.share < MIN_SHARE:

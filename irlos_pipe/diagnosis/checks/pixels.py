@@ -67,7 +67,6 @@ def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, g
 
     Parameters
     ----------
-    screened : sequence of Screened
     optimum : Optimum
         Of the model at the end, its first recording that of the pixels.
     frames : int

@@ -34,26 +34,14 @@ Shapes = dict[RampEffect, np.ndarray]  # course of every error over the visits, 
 
 @dataclass(frozen=True)
 class RampName:
-    """One error of the stage.
-
-    Attributes
-    ----------
-    effect : RampEffect
-    size, sigma : float
-    significance : float
-        In Gaussian σ, trials counted.
-    explained : float
-        Part of the excess over noise.
-    alternatives : sequence of RampEffect
-        Errors whose courses are the same on this ramp.
-    """
+    """One error of the stage."""
 
     effect: RampEffect
     size: float
     sigma: float
-    significance: float
-    explained: float
-    alternatives: Sequence[RampEffect]
+    significance: float  # in Gaussian σ, trials counted
+    explained: float  # part of the excess over noise
+    alternatives: Sequence[RampEffect]  # errors whose courses are the same on this ramp
 
     @property
     def name(self) -> str:
@@ -89,21 +77,13 @@ class RampDiagnosis:
     Attributes
     ----------
     verdict : {"none", "effect", "unknown"}
-    names : sequence of RampName
-    nearest : sequence of RampName
-        What comes nearest, where the verdict is unknown.
-    chi2_nu : (float, float)
-        Of the visits, before and after.
-    smallest : dict of str to dict
-        Public size of each error not found at which it would have been.
-    untestable : sequence of str
     """
 
     verdict: str
     names: Sequence[RampName]
-    nearest: Sequence[RampName]
-    chi2_nu: tuple[float, float]
-    smallest: dict[str, dict[str, float]]
+    nearest: Sequence[RampName]  # what comes nearest, where the verdict is unknown
+    chi2_nu: tuple[float, float]  # of the visits, before and after
+    smallest: dict[str, dict[str, float]]  # public size of each error not found at which it would have been
     untestable: Sequence[str]
 
     def introduced_nm(self, commanded_nm: np.ndarray) -> np.ndarray:
@@ -139,19 +119,11 @@ def diagnose_ramp(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Linear fit of some errors to the visits.
-
-    Attributes
-    ----------
-    effects : tuple of RampEffect
-    sizes : ndarray, (effects,)
-    covariance : ndarray, (effects, effects)
-    chi2 : float
-    """
+    """Linear fit of some errors to the visits."""
 
     effects: tuple[RampEffect, ...]
-    sizes: np.ndarray
-    covariance: np.ndarray
+    sizes: np.ndarray  # (effects,)
+    covariance: np.ndarray  # (effects, effects)
     chi2: float
 
     @classmethod
@@ -241,15 +213,12 @@ class Visits:
 
     Attributes
     ----------
-    all_nm : ndarray, (all visits,)
-        Offsets in order of recording.
-    good : ndarray of bool, (all visits,)
-        Those with estimates; where the stage turns, the first is left out, as it is not known from where
-        its offset was reached.
     mean_nm, sigma_nm : ndarray, (good visits,)
     """
 
-    all_nm: np.ndarray
+    all_nm: np.ndarray  # (all visits,), offsets in order of recording
+    # (all visits,), those with estimates; where the stage turns, the first is left out, as it is not known
+    # from where its offset was reached.
     good: np.ndarray
     mean_nm: np.ndarray
     sigma_nm: np.ndarray

@@ -38,7 +38,6 @@ def ramp_gap(
     ----------
     model : ImageModel
         Noll 2, 3 and 4 among its modes; no free effects.
-    data : RampData
     start_nm : tensor, (frames, modes)
         Estimates of the modes, for all but the defocus.
     before_nm, after_nm : ndarray, (frames,)
@@ -114,25 +113,15 @@ COMPLETE_CHI2_NU = 1.2  # of images that a model explains; simulated ones have 1
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two fits of a ramp on the frames held out.
+    """Two fits of a ramp on the frames held out."""
 
-    Attributes
-    ----------
-    chi2_nu : (float, float)
-        Mean of the frames, with the model as it was and with the candidate.
-    better : float
-        Part of the frames that the candidate fits better.
-    significance : float
-        Root of the fall of χ² per unit of the χ²/ν that the candidate leaves, which stands for the errors
-        of both models.
-    gap : (float, float)
-        ``Σ|measured − predicted| / Σ measured``.
-    """
-
+    # Mean of the frames, with the model as it was and with the candidate.
     chi2_nu: tuple[float, float]
-    better: float
+    better: float  # part of the frames that the candidate fits better
+    # Root of the fall of χ² per unit of the χ²/ν that the candidate leaves, which stands for the errors of
+    # both models.
     significance: float
-    gap: tuple[float, float]
+    gap: tuple[float, float]  # ``Σ|measured − predicted| / Σ measured``
 
     @property
     def complete(self) -> bool:
@@ -146,14 +135,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class LightPathName:
-    """An effect on the light path that the images want.
-
-    Attributes
-    ----------
-    effect : Effect
-    values : sequence of float
-    comparison : Comparison
-    """
+    """An effect on the light path that the images want."""
 
     effect: Effect
     values: Sequence[float]

@@ -33,20 +33,11 @@ FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position 
 
 @dataclass(frozen=True)
 class Family:
-    """One effect that may be missing.
+    """One effect that may be missing."""
 
-    Attributes
-    ----------
-    variants : tuple of Effect
-        Shapes of the same effect that are tried.
-    positions : int
-        Where the effect was looked for before, of which these are the best.
-    placements : sequence of Placement
-        Of recordings of several moments, those in which the effect may act alone; None: in all.
-    """
-
-    variants: tuple[Effect, ...]
-    positions: int = 1
+    variants: tuple[Effect, ...]  # shapes of the same effect that are tried
+    positions: int = 1  # where the effect was looked for before, of which these are the best
+    # Of recordings of several moments, those in which the effect may act alone; None: in all.
     placements: Sequence[Placement] = (None,)
 
     @property
@@ -62,7 +53,6 @@ def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Famil
 
     Parameters
     ----------
-    conditions : Conditions
     present : iterable of str
         Names of the effects of the model.
 
@@ -85,46 +75,22 @@ def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Famil
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What one candidate would do at the optimum without it.
+    """What one candidate would do at the optimum without it."""
 
-    Attributes
-    ----------
-    candidate : Effect
-        Its free parameters at their null values.
-    sizes : ndarray, (parameters,)
-        Linear estimate of the free parameters, within their bounds.
-    gain : float
-        Predicted fall of χ².
-    inflation : float
-        Fall of χ² per parameter that the scatter of frames leads to expect without the effect.
-    observability : float
-        Part of the derivative's power that the fitted parameters cannot imitate, 1 − R², of the best
-        parameter.
-    significance : float
-        In Gaussian σ, candidates of the family counted as trials.
-    smallest : ndarray, (parameters,)
-        Size of each parameter whose expected gain is one times the inflation, median over the candidates.
-    usable : tuple of str
-        Parameters that these data determine.
-    trials : int
-        Candidates of the family.
-    besides : tuple of Score
-        Best candidates with other parameters of the same effect.
-    elsewhere : tuple of Score
-        Next best candidates far from this one, where a fit may begin as well.
-    """
-
-    candidate: Effect
-    sizes: np.ndarray
-    gain: float
-    inflation: float
+    candidate: Effect  # its free parameters at their null values
+    sizes: np.ndarray  # (parameters,), linear estimate of the free parameters, within their bounds
+    gain: float  # predicted fall of χ²
+    inflation: float  # fall of χ² per parameter that the scatter of frames leads to expect without the effect
+    # Part of the derivative's power that the fitted parameters cannot imitate, 1 − R², of the best parameter.
     observability: float
-    significance: float
+    significance: float  # in Gaussian σ, candidates of the family counted as trials
+    # (parameters,), size of each parameter whose expected gain is one times the inflation, median over the
+    # candidates.
     smallest: np.ndarray
-    usable: tuple[str, ...] = ()
-    trials: int = 1
-    besides: tuple[Score, ...] = ()
-    elsewhere: tuple[Score, ...] = ()
+    usable: tuple[str, ...] = ()  # parameters that these data determine
+    trials: int = 1  # candidates of the family
+    besides: tuple[Score, ...] = ()  # best candidates with other parameters of the same effect
+    elsewhere: tuple[Score, ...] = ()  # next best candidates far from this one, where a fit may begin as well
 
     @property
     def name(self) -> str:
@@ -230,7 +196,6 @@ def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torc
 
     Parameters
     ----------
-    optimum : Optimum
     candidates : sequence of Effect
         Several must be of one plane, pupil or OTF.
     """
@@ -331,17 +296,14 @@ class _Bundle(Effect):
 
     @property
     def null_values(self) -> list[float]:
-        """See `Effect.null_values`."""
         return [value for one in self.bundled for value in one.null_values]
 
     def apply(self, values: torch.Tensor, *light: torch.Tensor, **more: Any) -> torch.Tensor:
-        """See `Effect.apply`."""
         return light[0]
 
     def slopes(
         self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
-        """See `Effect.slopes`."""
         every = [slope for one in self.bundled for slope in _slopes_at_null(one, light, grid)]
         return [every[index] for index in wanted]
 
@@ -402,7 +364,6 @@ def companion_gains(optimum: Optimum, effect: Effect | None = None) -> np.ndarra
 
     Parameters
     ----------
-    optimum : Optimum
     effect : Effect, optional
         The copy of the star, which need not be in all recordings.
     """
