@@ -36,7 +36,6 @@ class SodiumLayer:
         return 1e9 * diameter_m**2 / (16 * np.sqrt(3) * self.range_m**2)
 
     def drift(self, diameter_m: float) -> Drift:
-        """Return the drift of defocus that follows."""
         return Drift(self.slope, self.rms_change_1s_m * self.defocus_per_metre_nm(diameter_m))
 
 

@@ -22,13 +22,7 @@ DECISIVE = 15.0  # natural logarithm of the odds; in 135 simulated hours of clos
 
 
 class Response:
-    """Compares what the loop measures with what it has commanded.
-
-    Parameters
-    ----------
-    delay : int
-        See `ControllerSettings`.
-    """
+    """Compares what the loop measures with what it has commanded."""
 
     def __init__(self, delay: int):
         self._delay = delay
@@ -41,14 +35,8 @@ class Response:
     def verdict(self, measured_nm: float | None, offset_nm: float, passed: int = 1) -> str:
         """Return what is wrong with the response, or an empty string.
 
-        Parameters
-        ----------
-        measured_nm : float or None
-            A valid measurement of the residual; None where there is none.
-        offset_nm : float
-            Commanded before it.
-        passed : int
-            Exposures since the one before.
+        `measured_nm` is a valid measurement of the residual, None where there is none; `offset_nm` was
+        commanded before it, `passed` exposures after the one before.
         """
         self._offsets_nm = (self._offsets_nm + [offset_nm] * min(passed, self._delay + 1))[-self._delay - 1 :]
         if measured_nm is None:

@@ -42,7 +42,6 @@ class Accepted:
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.refit.name
 
     @property
@@ -53,16 +52,10 @@ class Accepted:
 
 @dataclass(frozen=True)
 class Search:
-    """What was found on the way.
+    """What a search found."""
 
-    Attributes
-    ----------
-    null, final : Optimum
-        Before and after all names.
-    """
-
-    null: Optimum
-    final: Optimum
+    null: Optimum  # before all names
+    final: Optimum  # with all names
     drift: Drift | None  # None where the model has one already
     accepted: list[Accepted]  # names in the order found, the drift not among them
     scores: list[Score]  # of all families, at the last model for which a name was looked for
@@ -83,17 +76,10 @@ class Search:
 
 
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:
-    """Choose the best of the fitted names, or None.
+    """Choose the best of the fitted names, which are `ranked` with the best first, or None.
 
-    It must be significant, the held-out frames must agree, and a further name must explain most of what is
-    left.
-
-    Parameters
-    ----------
-    ranked : sequence of Refit
-        The best first.
-    first : bool
-        Whether no name was found before.
+    It must be significant, the held-out frames must agree, and a further name, not the `first`, must explain
+    most of what is left.
     """
     if not ranked or not detected(ranked[0], cube, options.sure):
         return None
@@ -105,10 +91,7 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
 
 
 def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
-    """The best of the fitted names if it is significant and the held-out frames agree, or None.
-
-    `ranked`, `cube`, `options`: see `choose`.
-    """
+    """The best of the `ranked` names if it is significant and the held-out frames agree, or None."""
     if not ranked or not detected(ranked[0], cube, options.sure):
         return None
     return _preferred(ranked, cube)
@@ -138,10 +121,8 @@ def by_motion(
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
     """Decide by the motion of the frames between effects that blur, which a mean image hardly shows.
 
-    Parameters
-    ----------
-    judges : sequence of HeldOutEvaluation
-        Of each.
+    This and the functions below return `ranked` in another order, and `judges`, the evaluation of each, with
+    it.
     """
     if not cube.training.in_time:
         return ranked, judges
@@ -162,8 +143,6 @@ def by_plausibility(
 
     While something else is missing, those are not distinguished that leave as much: an equal double star
     closer than λ/D takes a little more of a companion far away than a vibration does.
-
-    `ranked` and `judges`: see `by_motion`.
     """
     if not ranked[0].implausible:
         return ranked, judges
@@ -175,10 +154,7 @@ def by_plausibility(
 def by_simplicity(
     ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
-    """Prefer to an effect the one of which it is a wider form, if these data do not distinguish them.
-
-    `ranked` and `judges`: see `by_motion`.
-    """
+    """Prefer to an effect the one of which it is a wider form, if these data do not distinguish them."""
     rivals = _rivals(ranked, judges)
     narrower = [i for i, one in enumerate(ranked) if one.name == ranked[0].base.widens and one.name in rivals]
     return _led_by(narrower, ranked, judges)
@@ -193,7 +169,7 @@ def _leaving_as_much(ranked: Sequence[Refit]) -> set[str]:
 
 
 def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:
-    """Names that these data allow beside the first."""
+    """Names that these data allow instead of the first."""
     return {one.name for one in alternatives(ranked, judges)}
 
 
@@ -208,7 +184,7 @@ def _led_by(
 def detected(refit: Refit, cube: Cube, sure: float) -> bool:
     """Whether `refit` lowers χ² beyond chance and is significant, above `sure` σ.
 
-    It is so in the training frames, for all places that were tried, or in those that no fit has seen: the
+    It is so in the training frames, all places of the search counted, or in those that no fit has seen: the
     scatter of few independent frames allows no strong statement about many places.
     """
     if not refit.beyond_chance:
@@ -238,12 +214,7 @@ def no_longer_needed(
 ) -> tuple[Accepted, Fitted] | None:
     """A name found earlier without which the model fits as well, and that fit; None if all are needed.
 
-    Parameters
-    ----------
-    current : Optimum
-        With all names.
-    accepted : sequence of Accepted
-        The last one is not in question.
+    `current` is the model with all names; the last of the `accepted` is not in question.
     """
     for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
@@ -258,14 +229,9 @@ def no_longer_needed(
 def narrowed(
     fitter: Fitter, cube: Cube, current: Optimum, found: Sequence[Accepted]
 ) -> tuple[Optimum, list[Accepted]]:
-    """A model and its names, narrower forms in the place of wider ones that fit no better beside all others.
+    """A model and its names, narrower forms in the place of wider ones that fit no better with all others.
 
     Before image motion is found, a second image is blurred more than it is.
-
-    Parameters
-    ----------
-    current : Optimum
-        With all names.
     """
     names = list(found)
     for place, one in enumerate(found):

@@ -1,4 +1,4 @@
-"""From what a search found to the verdict, and to what was tried of the catalogue and not named."""
+"""From what a search found to the verdict, and to the search log of effects that are not named."""
 
 from __future__ import annotations
 
@@ -54,15 +54,7 @@ def conclude(
     options: Options,
     screened: Sequence[Screened] = (),
 ) -> Diagnosis:
-    """The verdict with all its numbers.
-
-    Parameters
-    ----------
-    search : Search
-        What was found in it.
-    screened : sequence of Screened
-        Pixels masked in the frames.
-    """
+    """The verdict with all its numbers; `screened` pixels were masked in the frames."""
     plain = search.final.under(search.null.stack)
     fine = fine_structure(plain)
     before, after = (HeldOutEvaluation(cube.held_out, one.fitted) for one in (search.null, plain))
@@ -141,7 +133,7 @@ def _flat_rms(final: Optimum) -> float:
 
 
 def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:
-    """`smallest` detectable sizes, and those of wider forms of the same effects, which act alike at best."""
+    """`smallest` detectable sizes, and those of wider forms of the same effects, degenerate at best."""
     wider = {name: kind.widens for name, kind in CATALOGUE.items() if kind.widens in smallest}
     return smallest | {name: smallest[narrower] for name, narrower in wider.items()}
 
@@ -255,7 +247,7 @@ def _sizes(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str
 
 
 def _covariances(search: Search) -> Covariances:
-    """Of the effects of the final model: beside all visible modes, where these were fitted with them."""
+    """Of the effects of the final model: jointly with all visible modes, where these were fitted."""
     models = (
         [search.final.fitted] if search.all_modes is None else [search.all_modes.fitted, search.final.fitted]
     )
@@ -308,7 +300,7 @@ def _pictures(judges: Sequence[HeldOutEvaluation], null: Optimum, final: Optimum
 
 
 def _clear(model: ImageModel) -> np.ndarray:
-    """Where the pupil as told is clear, (n, n)."""
+    """Where the pupil as declared is clear, (n, n)."""
     grid = model.psf.grids.pupil
     return grid.amplitude > HALF_CLEAR * grid.light
 
@@ -332,12 +324,8 @@ ELSEWHERE = {
 def tried(search: Search, options: Options, hidden: Sequence[Score], *, named: bool) -> list[Tried]:
     """Return every effect of the catalogue with what became of it, in the order of the catalogue.
 
-    Parameters
-    ----------
-    hidden : sequence of Score
-        Effects that the free parameters absorb, or that would be seen only beyond their bounds.
-    named : bool
-        Whether what was accepted is named; else it is what comes nearest.
+    The free parameters absorb the `hidden`, or they would be seen only beyond their bounds. What was accepted
+    is `named`, or else it is what comes nearest.
     """
     story = _Story(search, options, [one.name for one in hidden], named)
     return [story.of(name) for name in CATALOGUE]

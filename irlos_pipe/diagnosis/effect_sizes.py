@@ -36,8 +36,8 @@ def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
 def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.ndarray:
     """The `covariance` of free `parameters` without the directions that only the prior holds.
 
-    Petals may move together, which tip, tilt and piston of the whole pupil do as well: the prior keeps
-    such a direction at zero, and its width says nothing about the effect.
+    Petals may move as one, which tip, tilt and piston of the whole pupil do as well: the prior keeps such a
+    direction at zero, and its width says nothing about the effect.
     """
     sigma, variance = np.array([p.prior_sigma for p in parameters]), np.diag(covariance)
     measured = np.isfinite(variance) & (variance > 0)  # not a direction in which the size is zero
@@ -53,10 +53,7 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
 class Covariances:
     """Covariances of the effects and modes of a model.
 
-    Parameters
-    ----------
-    models : sequence of Fitted
-        Fits of the model, that with most besides first. The last one has all effects.
+    Of the fits of the model that with most besides comes first; the last one has all effects.
     """
 
     def __init__(self, stack: Stacks, models: Sequence[Fitted]):
@@ -75,7 +72,8 @@ class Covariances:
         return full
 
     def modes_sigma_nm(self) -> np.ndarray:
-        """Errors of the modes of the last model, beside those that the first has beyond them, (modes,)."""
+        """Errors of the modes of the last model, jointly with those that the first has beyond them, (modes,).
+        """
         variances = np.diag(self._whole(0))[self.models[0].problem.layout.modes]
         return np.sqrt(variances[: len(self.models[-1].problem.layout.nolls)])
 

@@ -37,15 +37,6 @@ class Fitter:
     """Fits the mean images of some recordings with any effects.
 
     Most of the way is gone in float32, which costs two thirds of the time; the end is in float64.
-
-    Parameters
-    ----------
-    views : sequence of View
-        Of each recording.
-    stack : Stacks
-        Their frames.
-    drift_nm : float
-        See `JointFit`.
     """
 
     def __init__(self, views: Sequence[View], stack: Stacks, drift_nm: float = DRIFT_NM):
@@ -67,18 +58,12 @@ class Fitter:
     def explored(
         self, effects: Sequence[Effect], near: Fitted | None = None, iterations: int = EXPLORING
     ) -> Fitted:
-        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates.
-
-        Parameters
-        ----------
-        iterations : int
-            At most.
-        """
+        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), iterations)
 
     def begun(self, effects: Sequence[Effect], near: Fitted) -> Fitted:
-        """`effects` beside modes, flux and background of a fit `near` by, nothing fitted yet."""
+        """`effects` with modes, flux and background of a fit `near` by, nothing fitted yet."""
         problem = self._problem(effects, self.views)
         x = self._start(problem, near)
         return Fitted(problem, replace(near.solution, values=x), float(problem.chi2(x)), self.views)
@@ -101,7 +86,6 @@ class Fitter:
         return self._solved(self._problem(fitted.continued(), self._quick), fitted.x)
 
     def _exact(self, fitted: Fitted) -> Fitted:
-        """The fit continued in float64."""
         return self._solved(self._problem(fitted.continued(), self.views), fitted.x, FINISHING)
 
     def twin(self, fitted: Fitted) -> Fitted:
@@ -207,14 +191,9 @@ def _failed(start: torch.Tensor) -> Solution:
 def most_plausible(
     chi2: Sequence[float], penalty: Sequence[float], worth: Callable[[int, int], float]
 ) -> int:
-    """Index of the best of several fits of one model.
+    """Index of the best of several fits of one model, by χ² of the images and the `penalty` of the priors.
 
-    Parameters
-    ----------
-    chi2, penalty : sequence of float
-        χ² of the images, and what the priors add.
-    worth : callable
-        Fall of χ² between two of them that counts as much as a unit of the penalty.
+    The fall of χ² between two of them that counts as much as a unit of the penalty is their `worth`.
     """
     best = 0
     for one in range(1, len(chi2)):

@@ -157,23 +157,11 @@ class Task:
 
 
 def placed_families(moments: Moments, present: Sequence[Effect]) -> tuple[list[Family], list[str]]:
-    """Families for all moments, and for single stars or moments, that a model does not have there.
+    """Families for all moments, of several, and for single stars or moments, unless `present` there already.
 
     A wider form of an effect is looked for by itself where it belongs to something else: of several stars a
-    companion belongs to one, a ghost to all.
-
-    Parameters
-    ----------
-    moments : Moments
-        Several.
-    present : sequence of Effect
-        What the model has.
-
-    Returns
-    -------
-    list of Family
-    list of str
-        Effects that mean nothing under these conditions.
+    companion belongs to one, a ghost to all. Returned as well are the effects that mean nothing under these
+    conditions.
     """
     found, meaningless = [], []
     for name, kind in CATALOGUE.items():

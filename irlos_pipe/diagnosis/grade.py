@@ -46,7 +46,7 @@ AT_ITS_PLACE = {PHOTONS: 0.95, SPECKLES: 0.9, UNSEEN: 0.9}
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the rest says of the names."""
+    """What the residual says of the names."""
 
     grade: Grade
     left: bool  # whether a significant part of what was missing is still missing
@@ -58,12 +58,7 @@ class Judgement:
 def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, options: Options) -> Judgement:
     """Judge what a search found by what it left.
 
-    Parameters
-    ----------
-    fine : FineStructure
-        Of the final model.
-    gap : Gap
-        Of the models without and with the names.
+    `fine` is the structure that the final model leaves, `gap` that of the models without and with the names.
     """
     left = is_left(search, noise, gap, options.sure)
     if left and (noise.kind == PHOTONS or not closes(gap)):  # on sky some χ² is always left
@@ -114,14 +109,9 @@ def _unexplained(search: Search, left: bool) -> str:
 
 
 def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
-    """Whether something is missing beside the names: by χ², or by the held-out frames.
+    """Whether something is missing besides the names: by χ², or by the held-out frames.
 
-    Parameters
-    ----------
-    gap : Gap
-        Of the models without and with the names.
-    sure : float
-        Significance of a detection.
+    `gap` is that of the models without and with the names.
     """
     left = much_is_left(search, noise.kind, sure)
     if left or not search.accepted:
@@ -139,13 +129,8 @@ def closes(gap: Gap) -> bool:
 def without_ordinary_facts(search: Search) -> Search:
     """What was found, but for facts of the instrument at ordinary values, which a model adjusts.
 
-    Where something is missing that no name explains, the facts take up a part of it: values as any
-    instrument has them do not tell whether they are its own.
-
-    Parameters
-    ----------
-    search : Search
-        Of a model that is not complete.
+    Where something is missing that no name explains, the facts take up a part of it: values as any instrument
+    has them do not tell whether they are its own.
     """
     return _adjusting(search, [one for one in search.accepted if one.refit.base.fact and one.ordinary])
 
@@ -154,13 +139,8 @@ def without_minor_names(search: Search) -> Search:
     """What was found, but for names that close little of the gap without them.
 
     Where speckles are all that is known of the noise and something is missing, whatever is smooth and
-    symmetric takes up a part of it, significantly, in frames that no fit has seen as well. A copy of the
-    star has a place of its own, where little may be left (`share_at_its_place`).
-
-    Parameters
-    ----------
-    search : Search
-        Of a model that is not complete.
+    symmetric takes up a part of it, significantly, in frames that no fit has seen as well. A copy of the star
+    has a place of its own, where little may be left (`share_at_its_place`).
     """
     minor = [one for one in search.accepted if one.gap.closed < BY_ITSELF and not one.refit.base.copies_star]
     return _adjusting(search, minor)
@@ -210,31 +190,18 @@ def _near(angles_deg: Sequence[float], to_deg: float, period_deg: float) -> int:
 
 
 def much_is_left(search: Search, kind: str, sure: float) -> bool:
-    """Whether a significant part of what the model missed at first is still there.
-
-    Parameters
-    ----------
-    kind : str
-        Of the noise.
-    sure : float
-        Significance of a detection.
-    """
+    """Whether a significant part of what the model missed at first is still there, with noise of a `kind`."""
     null, final = search.null.excess, search.remaining
     much = final.significance > sure and final.chi2_nu > LEFT_CHI2_NU[kind]
     return much and final.chi2 > LEFT[kind] * null.chi2
 
 
 def share_at_its_place(one: Refit, final: Optimum) -> float:
-    """Part of a name's own signal that a model explains where that signal lies.
+    """Part of a name's own signal that the `final` model with it explains where that signal lies.
 
-    The signal is the change of the image by the name that no other parameter imitates. Its square weighs
-    the excess of χ² with and without the name: a name that stands in for something else leaves much exactly
-    where it acts.
-
-    Parameters
-    ----------
-    final : Optimum
-        Of a model with the name.
+    The signal is the change of the image by the name that no other parameter imitates. Its square weighs the
+    excess of χ² with and without the name: a name that stands in for something else leaves much exactly where
+    it acts.
     """
     stack = final.stack.without_model_error()
     plain = final.under(stack)

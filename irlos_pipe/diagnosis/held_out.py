@@ -21,16 +21,10 @@ from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
 @dataclass(frozen=True)
 class Gap:
-    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels.
+    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels."""
 
-    Attributes
-    ----------
-    before, after : float
-        With the old and the new model.
-    """
-
-    before: float
-    after: float
+    before: float  # with the old model
+    after: float  # with the new model
     floor: float  # with a perfect model, from noise alone
 
     @property
@@ -47,13 +41,7 @@ class Gap:
 
 
 class HeldOutEvaluation:
-    """A model's residuals on the held-out data.
-
-    Parameters
-    ----------
-    stack : Stacks
-        Held out.
-    """
+    """A model's residuals on the held-out data."""
 
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels

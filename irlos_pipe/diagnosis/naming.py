@@ -1,6 +1,6 @@
 """Names in a search where facts are free: further ones, and those that a model needs in the end.
 
-A name must be significant, leave little of its own signal where it acts, and be wanted by data that no fit
+A name must be significant, leave little of its own signal where it acts, and be preferred by data that no fit
 has seen. What another effect explains as well, and more plausibly, gives that its place.
 
 The wavefront is as open as the window, and variances allow for what the model misses. Light that a model has
@@ -41,7 +41,7 @@ KNOWN = 1.2  # χ²/ν up to which photons still set the errors
 
 @dataclass(frozen=True)
 class AllowingTask(Task):
-    """A search beside variances that allow for what a model misses."""
+    """A search with variances that allow for what a model misses."""
 
     kind: str  # of the noise
     # Error of the flat, the least that a model left: a wrong one makes fine structure of its own.
@@ -60,7 +60,7 @@ class AllowingTask(Task):
         return task, Optimum(task.cube.training, task.fitter.at(fitted))
 
     def allowing(self, fitted: Fitted) -> Self:
-        """The same search beside variances that allow for what a model misses."""
+        """The same search with variances that allow for what a model misses."""
         errors = self.errors_of(fitted)
         known = self.kind == PHOTONS and errors.misfit < KNOWN
         cube = self.cube.with_errors(errors).limited_by(known)
@@ -80,7 +80,7 @@ class AllowingTask(Task):
         return (self, current) if opening is None else self.closed(opening)
 
     def opening(self, near: Fitted, effects: Sequence[Effect]) -> Opening | None:
-        """A fit of all visible modes beside some effects, see `Opening.of`."""
+        """A fit of all visible modes jointly with some effects, see `Opening.of`."""
         before = self.all_modes
         known_nm, law = ({}, None) if before is None else (before.beyond_nm, before.law)
         unknown = {noll: -nm for noll, nm in known_nm.items()}
@@ -99,12 +99,7 @@ class AllowingTask(Task):
 def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings, most_flat: float = np.inf) -> Errors:
     """What flat and model miss, with which in the variances χ²/ν is one.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-        Of the first recording.
-    most_flat : float
-        Error of the flat that it can have at most.
+    The error of the flat is `most_flat` at most; the `settings` are those of the first recording.
     """
     residual_e = stack.mean_e - fitted.image_e
     pairs = zip(stack.parts, fitted.problem.pixels, strict=True)
@@ -121,19 +116,13 @@ HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the m
 
 
 class NamingTask(AllowingTask):
-    """A search that gives names beside variances that allow for what its model misses."""
+    """A search that gives names with variances that allow for what its model misses."""
 
     def further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
-        """The next name: significant, plausible, and wanted by the held-out frames.
+        """The next name: significant, plausible, and preferred by the held-out frames.
 
-        Parameters
-        ----------
-        current : Optimum
-            The model without it.
-        found : list of Score
-            Of the effects there.
-        least : float
-            Part of χ² that a name must explain which leaves much where it acts.
+        The `current` model lacks it; the scores of effects `found` there. A name that leaves much where it
+        acts must explain at `least` this part of χ².
         """
         places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
         least_seen = HARDLY_SEEN if self.misfit > KNOWN else self.options.sure
@@ -149,8 +138,8 @@ class NamingTask(AllowingTask):
     def _wanted(self, ranked: Sequence[Refit]) -> Accepted | None:
         """The first of the ranked names if it is significant and held-out data clearly prefer it.
 
-        Beside errors of a model they must prefer it clearly on sky, too: chance companions in what is left
-        are significant and mean nothing there.
+        With errors of a model they must prefer it clearly on sky, too: chance companions in the residual are
+        significant and mean nothing there.
         """
         one = accepted(ranked, self.cube, self.options)
         return one if one is not None and one.preference > PREFERRED else None
@@ -164,17 +153,9 @@ class NamingTask(AllowingTask):
     ) -> tuple[Self, Optimum, list[Accepted]]:
         """Names for the effects of a model that explain their own and that it needs, also for held-out data.
 
-        One that another effect explains as well, and more plausibly, gives it its place. What is unusual
-        comes first, then what explains most.
-
-        Parameters
-        ----------
-        current : Optimum
-            The model.
-        told : sequence of Effect
-            Its effects that need no name.
-        dropped : sequence of str
-            Names that were not significant beside these.
+        Effects `declared` need no name; those `dropped` were not significant jointly with the others. A name
+        that another effect explains as well, and more plausibly, gives it its place. What is unusual comes
+        first, then what explains most.
         """
         named: list[Accepted] = []
         task, waiting = self, self._sure(current, told)
@@ -199,10 +180,10 @@ class NamingTask(AllowingTask):
         return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
 
     def _sure(self, current: Optimum, told: Sequence[Effect]) -> list[str]:
-        """Labels of the effects beyond those told that all visible modes together do not imitate.
+        """Labels of the effects beyond those declared that all visible modes jointly do not imitate.
 
-        The modes beyond the closed basis are known to a model, as a fit beside its effects has them: without
-        an effect that they imitate it fits badly, whether or not that effect is there.
+        The modes beyond the closed basis are known to a model, as a joint fit with its effects has them:
+        without an effect that they imitate it fits badly, whether or not that effect is there.
         """
         labels = added(current.fitted, told)
         if self.all_modes is None:
@@ -246,6 +227,6 @@ class NamingTask(AllowingTask):
 
 
 def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
-    """Labels of the effects of a model beyond those that it was told."""
+    """Labels of the effects of a model beyond those declared."""
     known = {*labels_of(told)}
     return [label for label in fitted.problem.effects.labels if label not in known]

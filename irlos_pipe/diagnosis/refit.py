@@ -31,7 +31,7 @@ CLEARLY_LESS = 25.0  # of calibrated χ²
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A family fitted beside the effects that the model has."""
+    """A family fitted jointly with the effects that the model has."""
 
     score: Score  # from which the fit started
     origin: Optimum  # without it
@@ -44,12 +44,10 @@ class Refit:
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.score.name
 
     @property
     def gain(self) -> float:
-        """Fall of χ²."""
         return self.origin.fitted.chi2 - self.fitted.chi2
 
     @property
@@ -95,17 +93,14 @@ class Refit:
 
     @property
     def effect(self) -> Effect:
-        """The effect as fitted."""
         return self.fitted.effect(self.label)
 
     @property
     def base(self) -> Effect:
-        """The effect itself."""
         return self.effect.base
 
     @property
     def values(self) -> np.ndarray:
-        """All its parameters."""
         return self.fitted.values_of(self.label)
 
     @property
@@ -127,12 +122,7 @@ def refits(
 ) -> list[Refit]:
     """Fit the most promising families, and return the best first.
 
-    Parameters
-    ----------
-    origin : Optimum
-        Of the model without them.
-    report : callable
-        Called with the number of finished fits.
+    `origin` is the model without them; `report` is called with the number of finished fits.
     """
     found: list[Refit] = []
     for some in _rounds(proposals(scores)):
@@ -149,12 +139,7 @@ def refits(
 
 
 def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> list[Refit]:
-    """Fit what scores propose in float32, for a few iterations; the best first.
-
-    Parameters
-    ----------
-    fitter, origin, scores : see `refits`
-    """
+    """Fit what scores propose in float32, for a few iterations; the best first."""
     near = ordered_map(partial(_near, fitter, origin, iterations=RANKING), scores)
     found = [one for one in near if np.isfinite(one.fitted.chi2)]
     seen = [one for one in found if one.beyond_chance]
@@ -186,7 +171,6 @@ def _near(fitter: Fitter, origin: Optimum, score: Score, iterations: int = EXPLO
 
 
 def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect, iterations: int = EXPLORING) -> Fitted:
-    """A fit from the model before, see `Fitter.explored`."""
     return fitter.explored([*origin.fitted.continued(), effect], origin.fitted, iterations)
 
 
@@ -203,7 +187,6 @@ def _best(found: Sequence[Refit]) -> Refit:
 
 
 def _finished(fitter: Fitter, one: Refit) -> Refit:
-    """`one` after convergence."""
     return replace(one, fitted=fitter.finished(one.fitted))
 
 
@@ -258,12 +241,7 @@ def _leaders(found: Sequence[Refit]) -> list[Refit]:
 def other_forms(fitter: Fitter, found: Sequence[Refit], *, wider: bool) -> list[Refit]:
     """Fits of other forms of what was found, from where that is: a second image may be out of focus.
 
-    Parameters
-    ----------
-    found : sequence of Refit
-        Those that act in one moment alone have none.
-    wider : bool
-        Wider forms; else that of which it is one.
+    They are `wider`, or those of which it is a wider form; what acts in one moment alone has none.
     """
     conditions, every = fitter.views[0].conditions, [one for one in found if one.base.acts_in is None]
     pairs = [
@@ -276,7 +254,7 @@ def other_forms(fitter: Fitter, found: Sequence[Refit], *, wider: bool) -> list[
 
 
 def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:
-    """A fit with another effect in the place of what was fitted, from where the rest is."""
+    """A fit with another effect in the place of what was fitted, from where all else is."""
     others = one.fitted.continued_by_label()
     del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())

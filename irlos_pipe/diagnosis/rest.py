@@ -24,28 +24,21 @@ Time = Literal["static", "moving", "not seen"]
 
 @dataclass(frozen=True)
 class Rest:
-    """What is left between the held-out images and the final model.
-
-    Attributes
-    ----------
-    x_mas, y_mas : float
-        Of its strongest part, from the star, to the right and up.
-    """
+    """The residual between the held-out images and the final model."""
 
     light_fraction: float  # part of the light that is misplaced beyond what noise alone shows
-    x_mas: float
-    y_mas: float
+    x_mas: float  # of its strongest part, from the star, to the right
+    y_mas: float  # the same, up
     extent_mas: float  # diameter of a disc as large as the strongest part
     excess: bool  # whether there is too much light in its strongest part, not too little
     symmetry: Symmetry  # under a half turn about the star
     time: Time  # whether the two halves of the frames leave the same
     finer_than_diffraction: bool
-    # Relative error of the flat that would make what is finer; 0 where none is told apart.
+    # Relative error of the flat that would make what is finer; 0 where none is significant.
     flat_rms: float = 0.0
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
         sign = "brighter" if self.excess else "fainter"
         fine = ", partly finer than the diffraction limit" if self.finer_than_diffraction else ""
         if fine and self.flat_rms:
@@ -68,14 +61,7 @@ def rest_of(
 ) -> Rest:
     """Describe what the final model leaves of the held-out frames of the first recording.
 
-    Parameters
-    ----------
-    floor : float
-        Gap that noise alone leaves.
-    sure : float
-        Significance from which fine structure counts, in Gaussian σ.
-    flat_rms : float
-        Of the final model, see `fine_structure.flat_rms`.
+    Noise alone leaves a gap of `floor`; fine structure counts from `sure` σ; for `flat_rms` see there.
     """
     pixels, window = judge.pixels[0], settings.window
     image = judge.mean_e[pixels].reshape(window).numpy()

@@ -1,8 +1,8 @@
 """Which further recording would show what this one cannot.
 
-Fisher matrices need no frames: at the optimum, every recording that might be taken beside the present
-ones is computed, with as many frames and as much light, and what is then left of an effect's derivative
-beyond the fitted parameters, and of the likeness of two names, says whether it would help.
+Fisher matrices need no frames: at the optimum, every recording that might be taken in addition is computed,
+with as many frames and as much light, and what is then left of an effect's derivative beyond the fitted
+parameters, and of the likeness of two names, says whether it would help.
 """
 
 from __future__ import annotations
@@ -34,13 +34,7 @@ COLOURS = 3
 
 
 class SecondRecordings:
-    """Recordings that might be taken beside those of a diagnosis.
-
-    Parameters
-    ----------
-    optimum : Optimum
-        Of the model as it is at the end.
-    """
+    """Recordings that might be taken in addition to those of a diagnosis, at its final optimum."""
 
     def __init__(self, optimum: Optimum):
         self.optimum, self.present = optimum, optimum.stack
@@ -52,13 +46,7 @@ class SecondRecordings:
         self.beside = dict(zip(self.views, beside, strict=True))
 
     def showing(self, score: Score) -> Advice | None:
-        """The recording with which an untestable effect is seen best; None if none shows it.
-
-        Parameters
-        ----------
-        score : Score
-            Of the effect without it.
-        """
+        """The recording with which an untestable effect is seen best; None if none shows it."""
         found = ((recording, self._score(score, optimum)) for recording, optimum in self.beside.items())
         useful = [
             (recording, one) for recording, one in found if one.testable and within_reach(one, plausible=True)
@@ -71,10 +59,7 @@ class SecondRecordings:
     def separating(self, one: Refit, others: Sequence[Refit]) -> list[tuple[str, float]]:
         """For each of the `others` the recording with which it is least like `one`, and how much it still is.
 
-        Parameters
-        ----------
-        others : sequence of Refit
-            From the same origin.
+        All are from the same origin.
         """
         if not others:
             return []
@@ -112,7 +97,7 @@ class SecondRecordings:
 
 
 def _expected(like: Stack, image_e: torch.Tensor) -> Stack:
-    """A recording with as many frames as another one, as noisy beside its photons."""
+    """A recording with as many frames as another one, and with its noise except photons'."""
     noise, frames = like.frames.noise, len(like)
     louder = like.variance_e2 * frames / noise.variance_e2(like.mean_e)
     variance = noise.variance_e2(image_e) / frames * louder[louder.isfinite()].median()

@@ -66,7 +66,7 @@ class HeldOutPixels(HoldOut):
     side_px: int  # of a square; about λ/D, which makes squares independent parts of an image
 
     def split(self, frames: Frames, share: float = 0.25) -> Cube:
-        """See `HoldOut.split`: of squares alike in brightness the same share, at random."""
+        """Of squares of similar brightness the same share, at random."""
         squares = _squares(tuple(frames.good.shape), self.side_px)
         held = torch.as_tensor(_drawn(squares, (frames.mean_e * frames.good).numpy(), share))
         labels = torch.as_tensor(squares).flatten()
@@ -84,20 +84,14 @@ class HeldOutPixels(HoldOut):
 
 
 def hold_out_of(recordings: Sequence[Exposures]) -> HoldOut:
-    """What to hold out of `recordings` that are diagnosed together; the shortest of them decides."""
+    """What to hold out of `recordings` that are diagnosed jointly; the shortest of them decides."""
     if all(one.frames.show_scatter for one in recordings):
         return HeldOutFrames()
     return HeldOutPixels(max(_resolution_px(one) for one in recordings))
 
 
 def averaged(frames: Frames, most: int) -> Frames:
-    """`frames`, or at most so many means over consecutive ones, as many for each; a rest is left out.
-
-    Parameters
-    ----------
-    most : int
-        Number of means.
-    """
+    """`frames`, or means over as many consecutive ones each, `most` at most; the last few may be left out."""
     each = -(-len(frames.images_e) // most)
     if each == 1:
         return frames
@@ -144,7 +138,7 @@ class PatchStack(Stack):
         return float(len(self._places[0]))
 
     def losses(self, image_e: torch.Tensor, basis: torch.Tensor) -> np.ndarray:
-        """Half of χ² of every patch, (patches,); see `Stack.losses`."""
+        """Half of χ² of every patch, (patches,)."""
         residual = torch.where(self.root > 0, self.mean_e - image_e, 0.0) * self.root
         left = residual - basis @ (basis.mT @ residual)
         return 0.5 * self.summed(left**2).numpy()
@@ -175,12 +169,12 @@ class PixelStacks(Stacks):
         return self.misfit * shapes.mT @ shapes
 
     def chance(self, basis: torch.Tensor) -> tuple[float, float]:
-        """See `Stacks.chance`: from known noise alone."""
+        """From known noise alone."""
         expected = float((self.root > 0).sum()) - float((basis**2).sum())
         return expected, (2 * expected) ** 0.5
 
     def noise_e(self, basis: torch.Tensor) -> torch.Tensor:
-        """See `Stacks.noise_e`: known noise."""
+        """Known noise."""
         return self.variance_e2.sqrt()
 
     def against(self, residual: torch.Tensor, parameters: int) -> PixelStacks:
@@ -188,5 +182,5 @@ class PixelStacks(Stacks):
         return replace(self, misfit=max(1.0, float(residual @ residual) / freedom))
 
     def limited_by(self, photons: bool) -> PixelStacks:
-        """See `Stacks.limited_by`: whether photons limit them is not known."""
+        """Unchanged: whether photons limit them is not known."""
         return self

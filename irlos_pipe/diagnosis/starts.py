@@ -20,13 +20,7 @@ DIRECTIONS = 8  # in which it is asked whether what came to rest at no distance 
 
 
 def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:
-    """`near` with another wavefront where it is known; it points as it did.
-
-    Parameters
-    ----------
-    zernike_nm : mapping
-        Noll index to nm RMS; its tip and tilt count for nothing.
-    """
+    """`near` with another wavefront where it is known, Noll index to nm RMS; it points as it did."""
     x = near.x.clone()
     for place, noll in enumerate(near.problem.layout.nolls):
         if noll not in TIP_TILT:
@@ -37,10 +31,7 @@ def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:
 def other_wavefronts(near: Fitted, known_nm: Mapping[int, float]) -> list[Fitted]:
     """`near` with other wavefronts: none, some at random, less in every radial order, and a known one.
 
-    Parameters
-    ----------
-    known_nm : mapping
-        Of another recording, Noll index to nm RMS; empty if there is none.
+    `known_nm` is that of another recording, Noll index to nm RMS; empty if there is none.
     """
     generator = torch.Generator().manual_seed(STARTS)
     nolls = near.problem.layout.nolls
@@ -67,14 +58,9 @@ def on_other_sides(fitted: Fitted) -> list[list[Effect]]:
 def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     """Other values of an effect with a distance and a direction; none of an effect without.
 
-    What has a distance begins on the opposite side, which to first order looks alike. What began on the wrong
-    side came to rest at no distance, where the image has a kink; it begins where the fit falls most steeply
-    from there, or nowhere else if it rises on all sides.
-
-    Parameters
-    ----------
-    label : str
-        Of the effect.
+    What has a distance begins on the opposite side, which is degenerate to first order. What began on the
+    wrong side came to rest at no distance, where the image has a kink; it begins where the fit falls most
+    steeply from there, or nowhere else if it rises on all sides.
     """
     angle = direction_of(fitted, label)
     if angle is None:
@@ -91,13 +77,7 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
 
 
 def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
-    """The same effects; what came to rest in a fit begins where that falls, see `other_sides`.
-
-    Parameters
-    ----------
-    effects : mapping
-        By label, where a fit would begin.
-    """
+    """The same effects, by label; what came to rest in a fit begins where that falls, see `other_sides`."""
     shared = [label for label in fitted.problem.effects.labels if label in effects]
     resting = [label for label in shared if _rests(fitted, label)]
     places = ((label, values) for label in resting for values in other_sides(fitted, label))
@@ -106,24 +86,12 @@ def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
 
 
 def direction_of(fitted: Fitted, label: str) -> int | None:
-    """Which free parameter of an effect is its direction; None of one without a distance and a direction.
-
-    Parameters
-    ----------
-    label : str
-        Of the effect.
-    """
+    """Which free parameter of an effect is its direction; None of one without a distance and a direction."""
     return direction_among(fitted.effect(label).parameters)
 
 
 def all_around(effects: Sequence[Effect]) -> list[list[Effect]]:
-    """The effects as they are, and with what has a distance and a direction begun on every side.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Where a fit would begin.
-    """
+    """The effects as they are, and with what has a distance and a direction begun on every side."""
     turned = [
         [*effects[:place], begun_at(effect, values), *effects[place + 1 :]]
         for place, effect in enumerate(effects)

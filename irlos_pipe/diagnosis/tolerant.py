@@ -1,11 +1,11 @@
-"""The search where nothing is exactly as told: facts of the instrument free, errors of the model allowed.
+"""The search where nothing is exactly as declared: facts of the instrument free, errors of the model allowed.
 
 At a telescope the pupil, the scale, the band and the wavefront all differ a little from what a profile
 states, and there is a little of every mild effect. One name after the other then explains little, and every
-one of them stands in for the others. Here facts and mild effects are fitted together, the wavefront is taken
+one of them stands in for the others. Here facts and mild effects are fitted jointly, the wavefront is taken
 as far as the window sees it, and what the model still misses enters the variances, so that no name is earned
-by what everything misses. What has a place is looked for beside all that. Last, effects that are not needed
-are taken out, and the others are named if held-out frames want them.
+by what everything misses. What has a place is looked for jointly with all that. Last, dispensable effects are
+taken out, and the others are named if held-out frames prefer them.
 """
 
 from __future__ import annotations
@@ -41,22 +41,15 @@ SCALES = (PlateScale.name, Spectrum.name)  # of the image: effects that act near
 
 @dataclass(frozen=True)
 class TolerantTask(NamingTask):
-    """A search with the facts of the instrument free, beside what the model has."""
+    """A search with the facts of the instrument free, besides what the model has."""
 
     beside_modes: Sequence[Score] = ()  # of the effects that it lacked, of which the modes imitate a part
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
-        """Begin again where a plain search left much: facts first, then names.
+        """Begin again from `effects` where a plain `search` left much: facts first, then names.
 
         The wavefront is opened after the facts, as many modes imitate whatever is small and bright. Names are
         given last.
-
-        Parameters
-        ----------
-        search : Search
-            What was found, and what is left.
-        effects : sequence of Effect
-            From which it began.
         """
         told = [*effects, *self._moving(search)]
         task = self.allowing(search.final.fitted)
@@ -95,7 +88,7 @@ class TolerantTask(NamingTask):
         return [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
 
     def _named(self, current: Optimum, least: float = 0.0) -> tuple[TolerantTask, Optimum]:
-        """The search and its model with further names; they are judged in the end, beside all others.
+        """The search and its model with further names; they are judged in the end, jointly with all others.
 
         Names that leave little where they act come first; others must explain a `least` part of what is left.
         """
@@ -127,14 +120,14 @@ class TolerantTask(NamingTask):
         """The best of a fit and others in which what has a distance and a direction begins elsewhere.
 
         A stop that began on the wrong side of the pupil comes to rest at its centre, where the image has a
-        kink, or stays there: to first order opposite sides look alike.
+        kink, or stays there: to first order opposite sides are degenerate.
         """
         found = ordered_map(lambda turned: self.fitter.explored(turned, fitted), on_other_sides(fitted))
         self.report(len(found))
         return min([fitted, *found], key=lambda one: one.chi2)
 
     def _turned_beside_all_modes(self, opening: Opening) -> Opening:
-        """The best of all modes beside the effects as they are, and beside some that begin elsewhere."""
+        """The best of all modes with the effects as they are, and with some that begin elsewhere."""
         fitted = opening.fitted
         found = ordered_map(lambda turned: self.opening(fitted, turned), on_other_sides(fitted))
         self.report(len(found))
@@ -172,11 +165,12 @@ class TolerantTask(NamingTask):
         return task, current
 
     def opening(self, near: Fitted, effects: Sequence[Effect]) -> Opening | None:
-        """See `AllowingTask.opening`; the band is as wide as told where the pixels are free."""
+        """The band is as wide as declared where the pixels are free."""
         return super().opening(near, as_wide_as_told(effects))
 
     def _begun(self, fitted: Fitted) -> list[Effect]:
-        """The effects from where they are, but for what rests where all modes want it to have a distance."""
+        """The effects from where they are, but for what rests where all modes prefer that it has a distance.
+        """
         effects = fitted.continued_by_label()
         return [*effects.values()] if self.all_modes is None else off_rest(self.all_modes.fitted, effects)
 
@@ -192,7 +186,7 @@ class TolerantTask(NamingTask):
         return self.opening(opening.fitted, left) or opening
 
     def _named_beside_all_modes(self, opening: Opening) -> tuple[Opening, list[Score]]:
-        """All modes beside further effects that they imitate, but would rather not; scores of all others."""
+        """All modes with further effects that they imitate, but would rather not; scores of all others."""
         found = self._scores_beside(opening)
         for _ in range(self.options.most_names):
             further = None if copies_in_a_row(opening.fitted) else self._behind(opening, found)
@@ -202,11 +196,11 @@ class TolerantTask(NamingTask):
         return opening, found
 
     def _scores_beside(self, opening: Opening) -> list[Score]:
-        """Scores beside all modes and variances that allow for what these miss, which is often far less."""
+        """Scores with all modes and variances that allow for what these miss, which is often far less."""
         return self._scores(opening.optimum(self.allowing(opening.fitted).cube.training))[0]
 
     def _behind(self, opening: Opening, found: Sequence[Score]) -> Opening | None:
-        """All modes beside the further effect with which χ² and priors fall most; None if none is seen."""
+        """All modes with the further effect with which χ² and priors fall most; None if none is seen."""
         seen = [one for one in found if one.testable and one.significance > self.options.sure]
         likely = sorted(seen, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]
         likely = [one for one in likely if one.gain > NEARLY * likely[0].gain]
@@ -221,11 +215,11 @@ class TolerantTask(NamingTask):
         return best and self._in_wider_form(*best)
 
     def _beside_all_modes(self, opening: Opening, score: Score) -> Opening | None:
-        """All modes beside one effect more."""
+        """All modes with one effect more."""
         return self.opening(opening.fitted, [*opening.fitted.continued(), score.start()])
 
     def _in_wider_form(self, opening: Opening, score: Score, least: float) -> Opening:
-        """All modes beside what was found or its wider form: two copies would imitate one out of focus."""
+        """All modes with what was found or its wider form: two copies would imitate one out of focus."""
         others = opening.fitted.continued_by_label()
         found = [label for label, effect in others.items() if effect.name == score.name][-1]
         del others[found]
@@ -245,7 +239,8 @@ class TolerantTask(NamingTask):
         return PER_PARAMETER * self.cube.training.parts[0].alike_px * fitted.problem.size
 
     def _without_needless(self, current: Optimum, told: Sequence[Effect]) -> Fitted:
-        """The model without those effects, unless told, that are not significant beside the others."""
+        """The model without those effects, unless declared, that are not significant jointly with the others.
+        """
         fitted = current.fitted
         errors = self.errors_of(fitted)
         alone = self.cube.training.with_errors(replace(errors, alike_px=1.0))  # to keep rather than to drop
@@ -262,15 +257,9 @@ def _of_the_wavefront(effect: Effect) -> bool:
 def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> list[Effect]:
     """Facts of the instrument and mild effects, their values free, but for those that a mode imitates.
 
-    Of the two that scale the image one is free, the pixels unless the model has the wavelength: together they
-    drift far from what is true, a little here and a little there. The other is a rival in the end.
-
-    Parameters
-    ----------
-    recordings : sequence of Conditions
-        Effects are stated for the first of them.
-    present : sequence of Effect
-        What a model has already.
+    They are stated for the first of the `recordings`. Of the two that scale the image one is free, the pixels
+    unless it is `present` as the wavelength: jointly they drift far from what is true, a little here and a
+    little there. The other is a rival in the end.
     """
     model, found = {effect.name for effect in present}, []
     pixels, wavelength = SCALES
@@ -288,7 +277,7 @@ def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> lis
 
 
 def as_wide_as_told(effects: Sequence[Effect]) -> list[Effect]:
-    """The effects, the width of the band held as told if both the pixels and the wavelengths are free.
+    """The effects, the width of the band held as declared if both the pixels and the wavelengths are free.
 
     Wavefront, wavelengths and pixels may all be larger by one factor, which the image does not show, and the
     priors of many modes would have them smaller. A filter moves, and the scale of a camera changes, more

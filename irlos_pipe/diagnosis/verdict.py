@@ -1,4 +1,4 @@
-"""What a diagnosis says, and in one or two sentences."""
+"""What a diagnosis says, in numbers and in one or two sentences."""
 
 from __future__ import annotations
 
@@ -30,21 +30,14 @@ Outcome = Literal["named", "nearest", "modelled", "adjusted", "fitted", "scored"
 
 @dataclass(frozen=True)
 class Sized:
-    """An effect with its size and error.
-
-    Attributes
-    ----------
-    public, sigma : dict
-        Parameters and standard errors under public names.
-    shown, shown_sigma : dict
-        What a reader is told of its size, see `Effect.shown`, and standard errors.
-    """
+    """An effect with its size and error."""
 
     effect: FixedEffect  # as it stands in the final model, nothing free
-    public: dict[str, Any]
-    sigma: dict[str, Any]
+    public: dict[str, Any]  # parameters under public names
+    sigma: dict[str, Any]  # their standard errors
+    # What a report states of the size, see `Effect.shown`.
     shown: dict[str, Any] = field(default_factory=dict, kw_only=True)
-    shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)
+    shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)  # its standard errors
     opposite: OppositeSide | None = field(default=None, kw_only=True)  # where these data do not exclude it
 
     @property
@@ -74,7 +67,6 @@ class Step(Sized):
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.effect.name
 
     def found_in(self, moments: Moments) -> list[str]:
@@ -106,7 +98,7 @@ class Adjusted(Sized):
     """An effect that makes the final model fit better and is not named."""
 
     label: str  # of the effect among those of the final model
-    # Of the parameter that differs most from nothing, or from what was told, over its standard error.
+    # Distance of the parameter that differs most from null, or from what was declared, in standard errors.
     significance: float
 
 
@@ -130,14 +122,9 @@ class Pictures:
 class Diagnosis:
     """The whole verdict.
 
-    Attributes
-    ----------
-    verdict : {"none", "effect", "unknown"}
-    grade : {"none", "complete", "partial", "resembles", "unknown"}
-        Nothing is missing; nothing significant is left; something else is missing as well; the best name
-        stands in for something that the catalogue lacks; nothing explains what is missing.
-    held_out : {"frames", "pixels"}
-        What no fit saw.
+    A grade says that nothing is missing (none), nothing significant is left (complete), something else is
+    missing as well (partial), the best name stands in for something that the catalogue lacks (resembles), or
+    nothing explains what is missing (unknown).
     """
 
     verdict: Literal["none", "effect", "unknown"]
@@ -152,25 +139,24 @@ class Diagnosis:
     untestable: Sequence[str]  # effects that the free parameters absorb
     noise: NoiseVerdict
     fine: FineStructure  # left by the model with the names: whether pixels hold what no light can have made
-    # Of the mean training image over its expectation, before and after.
-    chi2_nu: tuple[float, float]
+    chi2_nu: tuple[float, float]  # of the mean training image, before and after
     excess_sigma: tuple[float, float]
     motion_ratio: float
     drift_significance: float
-    frames: tuple[int, int]  # that fits saw, and held out
-    held_out: HeldOutKind
+    frames: tuple[int, int]  # number that fits saw, and number held out
+    held_out: HeldOutKind  # what no fit saw
     nolls: tuple[int, ...]
     # Total Zernike coefficients before and after, in the order of `nolls`.
     modes_nm: tuple[np.ndarray, np.ndarray]
     modes_sigma_nm: np.ndarray
     pictures: Pictures
-    # For those of them that a second recording beside this one would show.
+    # For those untestable that a second recording would show.
     advice: dict[str, Advice] = field(default_factory=dict)
-    # Of the final model beside the steps: it fits better with them, but none is sure enough to be named.
+    # Of the final model besides the steps: it fits better with them, but none is sure enough to be named.
     adjusted: Sequence[Adjusted] = ()
-    # Facts of the instrument beside them that further fits should leave free, see `open_facts`.
+    # Further facts of the instrument that fits should leave free, see `open_facts`.
     open_facts: Sequence[FixedEffect] = ()
-    tried: Sequence[Tried] = ()  # every effect of the catalogue, and what became of it
+    tried: Sequence[Tried] = ()  # search log: every effect of the catalogue, and what became of it
     together: Together | None = None  # what the recordings share; None of a single star and night
     seconds: float = 0.0
 
@@ -229,7 +215,7 @@ def _left(diagnosis: Diagnosis) -> str:
 
 
 def _adjusted(diagnosis: Diagnosis) -> str:
-    """Facts that the data want otherwise, within what any instrument may have."""
+    """Facts for which the data prefer other values, within what any instrument may have."""
     facts = [one for one in diagnosis.adjusted if one.effect.base.fact and one.significance > OFF]
     if not facts:
         return ""
@@ -237,7 +223,6 @@ def _adjusted(diagnosis: Diagnosis) -> str:
 
 
 def _phrase(step: Step) -> str:
-    """A name with its size."""
     return step.phrase
 
 

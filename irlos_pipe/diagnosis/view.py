@@ -28,20 +28,14 @@ class Screened:
 
 @dataclass(frozen=True)
 class Exposures:
-    """Frames that were taken alike.
-
-    Attributes
-    ----------
-    name, star : str
-        Of the moment, for people, and of its star: equal names are the same star.
-    """
+    """Frames that were taken under the same conditions."""
 
     frames: Frames  # in order of time
     conditions: Conditions  # introduced defocus in the known wavefront of its settings
     screened: Sequence[Screened] = ()  # pixels masked in the frames because of what they showed there
     moment: int = 0  # number of the moment: recordings of another one are of another star or night
-    name: str = ""
-    star: str = ""
+    name: str = ""  # of the moment, for people
+    star: str = ""  # of the moment: equal names are the same star
 
     def view(self, nolls: Sequence[int], device: str) -> View:
         """Its model of the modes `nolls` on `device`, in float64: a mean is more precise than float32."""
@@ -78,12 +72,7 @@ class View:
     def seen(self, effects: Sequence[Effect], views: Sequence[View]) -> list[Effect]:
         """Those of the `effects` that act in this recording, as they do.
 
-        Parameters
-        ----------
-        effects : sequence of Effect
-            Each stated for the first of the recordings in which it acts.
-        views : sequence of View
-            Of all recordings.
+        Each is stated for the first of the recordings, whose `views` are all given, in which it acts.
         """
         found = []
         for effect in (one for one in effects if one.acting(self.moment)):

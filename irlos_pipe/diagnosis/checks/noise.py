@@ -23,19 +23,11 @@ PHOTONS, SPECKLES, UNSEEN = "photon-limited", "speckle-limited", "unseen"
 
 @dataclass(frozen=True)
 class NoiseVerdict:
-    """What the frames say about the noise model.
+    """What the frames say about the noise model: variances are measured over predicted ones."""
 
-    Attributes
-    ----------
-    kind : {"photon-limited", "speckle-limited", "unseen"}
-        The last of a single frame.
-    bright_ratio, faint_ratio : float
-        Measured over predicted variance of bright and of faint pixels.
-    """
-
-    kind: str
-    bright_ratio: float
-    faint_ratio: float
+    kind: str  # "photon-limited", "speckle-limited", or "unseen" of a single frame
+    bright_ratio: float  # of bright pixels
+    faint_ratio: float  # of faint pixels
 
     @property
     def holds(self) -> bool:
@@ -47,7 +39,6 @@ class NoiseVerdict:
 
     @property
     def text(self) -> str:
-        """One line for people."""
         if self.kind == UNSEEN:
             return "as told: one frame shows no scatter"
         ratios = f"{self.bright_ratio:.2f} in bright, {self.faint_ratio:.2f} in faint pixels"

@@ -1,6 +1,6 @@
-"""Which light path a ramp's images want, and the gap between held-out images and what its offsets predict.
+"""Which light path a ramp's images prefer, and the gap between held-out images and what its offsets predict.
 
-The light path is settled before estimates are held against the focus stage. Two models with as many free
+The light path is decided before estimates are held against the focus stage. Two models with as many free
 parameters each are fitted to the frames that a diagnosis may see; frames that it may not see decide between
 them, each with its own tip, tilt, focus, flux and background.
 """
@@ -32,17 +32,9 @@ def ramp_gap(
 ) -> Gap:
     """``Σ|measured − predicted| / Σ measured`` of the mean images per offset of the held-out frames.
 
-    Tip, tilt, flux and background of every frame are refitted, the defocus is that of the model.
-
-    Parameters
-    ----------
-    model : ImageModel
-        Noll 2, 3 and 4 among its modes; no free effects.
-    start_nm : tensor, (frames, modes)
-        Estimates of the modes, for all but the defocus.
-    before_nm, after_nm : ndarray, (frames,)
-        Introduced defocus as commanded and as corrected.
-    held_out : ndarray of bool, (frames,)
+    Tip, tilt, flux and background of every frame are refitted. The defocus is `before_nm`, as commanded, and
+    `after_nm`, as corrected, (frames,); other modes are estimates, `start_nm`, (frames, modes). The `model`
+    has Noll 2, 3 and 4 among its modes and no free effects.
     """
     chosen = torch.as_tensor(held_out)
     images, offsets = data.images_e.double()[chosen], data.introduced_nm[held_out]
@@ -135,7 +127,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class LightPathName:
-    """An effect on the light path that the images want."""
+    """An effect on the light path that the images prefer."""
 
     effect: Effect
     values: Sequence[float]

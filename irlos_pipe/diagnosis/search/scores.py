@@ -35,7 +35,7 @@ FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position 
 class Family:
     """One effect that may be missing."""
 
-    variants: tuple[Effect, ...]  # shapes of the same effect that are tried
+    variants: tuple[Effect, ...]  # shapes of the same effect
     positions: int = 1  # where the effect was looked for before, of which these are the best
     # Of recordings of several moments, those in which the effect may act alone; None: in all.
     placements: Sequence[Placement] = (None,)
@@ -47,20 +47,10 @@ class Family:
 
 
 def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:
-    """Families that a score test finds, beside the effects that the model has.
+    """Families that a score test finds, jointly with the effects `present` in the model, by name.
 
-    Of a kind that a model may have several times, a further one is looked for.
-
-    Parameters
-    ----------
-    present : iterable of str
-        Names of the effects of the model.
-
-    Returns
-    -------
-    list of Family
-    list of str
-        Effects that mean nothing under these conditions.
+    Of a kind that a model may have several times, a further one is looked for. Returned as well are the
+    effects that mean nothing under these conditions.
     """
     model, found, meaningless = {*present}, [], []
     for name, kind in CATALOGUE.items():
@@ -94,7 +84,6 @@ class Score:
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.candidate.name
 
     @property
@@ -150,7 +139,7 @@ def score_family(optimum: Optimum, family: Family) -> Score:
 
 
 def _best_of(found: Sequence[Score]) -> Score:
-    """The best of the candidates of one family, with the others that a fit may want."""
+    """The best of the candidates of one family, with the others that a fit may need."""
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)
     besides = tuple(one for one in kinds.values() if one is not best and one.usable)
@@ -171,7 +160,7 @@ def _typical(alike: Sequence[Score]) -> Score:
 
 
 def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
-    """The best candidates that differ from `best` and from each other by much of the range tried."""
+    """The best candidates that differ from `best` and from each other by much of the range searched."""
     alike = [one for one in found if one.usable == best.usable]
     if len(alike) < 2:
         return ()
@@ -194,10 +183,7 @@ def _null_of(score: Score) -> np.ndarray:
 def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torch.Tensor]:
     """Derivatives of the mean images with respect to each candidate's parameters at null, (pixels, m) each.
 
-    Parameters
-    ----------
-    candidates : sequence of Effect
-        Several must be of one plane, pupil or OTF.
+    Several candidates must be of one plane, pupil or OTF.
     """
     fitted = optimum.fitted
     columns = [
@@ -227,7 +213,7 @@ def _together(candidates: Sequence[Effect]) -> Effect:
 
 
 def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
-    """Candidates of one family whose derivatives are computed together."""
+    """Candidates of one family whose derivatives are computed in one go."""
     first = candidates[0]
     size = BUNDLED if first.plane in ("pupil", "otf") and not first.copies_star else 1
     return [candidates[i : i + size] for i in range(0, len(candidates), size)]
@@ -277,14 +263,10 @@ def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tenso
 
 
 class _Bundle(Effect):
-    """Several candidates in one plane as one effect, at their null values, where each leaves the light.
+    """Several candidates of one family and plane as one effect, at their null values, where light passes
+    unchanged.
 
     The light path up to them is computed once for all.
-
-    Parameters
-    ----------
-    candidates : sequence of Effect
-        Of one family.
     """
 
     name = "bundle"
@@ -362,10 +344,7 @@ def around(effect: Effect) -> list[FixedEffect]:
 def companion_gains(optimum: Optimum, effect: Effect | None = None) -> np.ndarray:
     """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size.
 
-    Parameters
-    ----------
-    effect : Effect, optional
-        The copy of the star, which need not be in all recordings.
+    `effect` is the copy of the star, which need not be in all recordings.
     """
     window, fitted = optimum.settings.window, optimum.fitted
     padded = [2 * n for n in window]
