@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from irlos_pipe.control.disturbance import Drift
 
-GRID = 4096  # frequencies up to Nyquist's
+GRID = 4096  # frequencies up to Nyquist's, in the integral over the spectrum
 ALIASES = 30  # replicas of the spectrum on each side; the mean over a frame damps them by f^-4
 
 
@@ -37,7 +37,7 @@ class Integrator:
     def rejection(self, f_hz: np.ndarray, sensor_slope: float = 1.0) -> np.ndarray:
         """Return residual over disturbance, means over frames, complex, at `f_hz`, (frequencies,).
 
-        `sensor_slope` is measured over true residual, here and below.
+        A sensor's slope is its measured over the true residual, here and below.
         """
         z1 = np.exp(-2j * np.pi * f_hz * self.frame_s)
         return (1 - z1) / (1 - z1 + self.gain * sensor_slope * z1 ** (1 + self.delay))

@@ -21,10 +21,10 @@ from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.effects.base import label_of, occurrences
 
-MUST_EXPLAIN = 0.8  # of what is left, for a further name
-SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts
+MUST_EXPLAIN = 0.8  # part of what is left that a further name must explain
+SIGNIFICANT = 5.0  # standard errors of the excess, from which that of a moment counts
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
-HARDLY_MORE = 1.25  # of what the best leaves, while something else is missing
+HARDLY_MORE = 1.25  # times what the best leaves, up to which names are equal while something else is missing
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
 
 
@@ -70,7 +70,7 @@ class Search:
 
     @cached_property
     def remaining(self) -> Excess:
-        """What the final model leaves beside noise and the error of the flat, which shows by itself."""
+        """What the final model leaves besides noise and the error of the flat, which shows by itself."""
         stack = self.final.stack.without_model_error().limited_by(self.null.stack.photon_limited)
         return self.final.under(stack).excess
 
@@ -237,7 +237,7 @@ def narrowed(
     for place, one in enumerate(found):
         if not one.refit.base.widens:
             continue
-        wider = _beside_all(fitter, current, one.refit, labels_in(current.fitted, names)[place])
+        wider = _with_all_names(fitter, current, one.refit, labels_in(current.fitted, names)[place])
         for narrower in other_forms(fitter, [wider], wider=False):
             chosen = _preferred([wider, replace(narrower, fitted=fitter.finished(narrower.fitted))], cube)
             if chosen is not None and chosen.name == narrower.name:
@@ -245,7 +245,7 @@ def narrowed(
     return current, names
 
 
-def _beside_all(fitter: Fitter, current: Optimum, refit: Refit, label: str) -> Refit:
+def _with_all_names(fitter: Fitter, current: Optimum, refit: Refit, label: str) -> Refit:
     """A name in the model with all names, against that model without it."""
     origin = Optimum(current.stack, _without(fitter, current.fitted, label))
     return Refit(refit.score, origin, current.fitted, label)

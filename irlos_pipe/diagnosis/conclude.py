@@ -44,7 +44,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 
-HALF_CLEAR = 0.5  # of the amplitude where the pupil is clear
+HALF_CLEAR = 0.5  # part of the full amplitude from which the pupil is clear
 
 
 def conclude(
@@ -133,7 +133,7 @@ def _flat_rms(final: Optimum) -> float:
 
 
 def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:
-    """`smallest` detectable sizes, and those of wider forms of the same effects, degenerate at best."""
+    """`smallest` detectable sizes, and those of wider forms of the effects, degenerate with them at best."""
     wider = {name: kind.widens for name, kind in CATALOGUE.items() if kind.widens in smallest}
     return smallest | {name: smallest[narrower] for name, narrower in wider.items()}
 

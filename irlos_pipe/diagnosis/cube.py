@@ -1,7 +1,7 @@
 """The data of a diagnosis: those that fits may see, and those held out to judge them.
 
-What is held out are frames, as here, or pixels (`few_frames`). The classes say how uncertain a mean image is,
-and what its independent parts are.
+What is held out are frames, as here, or pixels (`splitting.PixelStacks`). The classes say how uncertain a
+mean image is, and what its independent parts are.
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@ from irlos_pipe.diagnosis.significance import surely_exceeding, threshold
 from irlos_pipe.effects import Parameter
 from irlos_pipe.effects.public_values import public_difference
 
-FAR = 1e3  # standard errors, in place of a prior that there is none of
-UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data determine nothing
-NOTHING = 1e-9
+FAR = 1e3  # standard errors, as the width of a prior where there is none
+UNDETERMINED = 0.5  # part of the prior's variance that is left, from which the data determine nothing
+NOTHING = 1e-9  # size that stands for none, as of rounding
 
 
 def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
@@ -53,7 +53,7 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
 class Covariances:
     """Covariances of the effects and modes of a model.
 
-    Of the fits of the model that with most besides comes first; the last one has all effects.
+    Of several fits of the model that with most further parameters comes first; the last one has all effects.
     """
 
     def __init__(self, stack: Stacks, models: Sequence[Fitted]):
@@ -72,8 +72,7 @@ class Covariances:
         return full
 
     def modes_sigma_nm(self) -> np.ndarray:
-        """Errors of the modes of the last model, jointly with those that the first has beyond them, (modes,).
-        """
+        """Errors of the last model's modes, jointly with those that the first has beyond them, (modes,)."""
         variances = np.diag(self._whole(0))[self.models[0].problem.layout.modes]
         return np.sqrt(variances[: len(self.models[-1].problem.layout.nolls)])
 

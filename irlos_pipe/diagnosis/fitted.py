@@ -127,8 +127,8 @@ def _free(effect: Effect) -> list[Parameter]:
     return [parameter for parameter in effect.base.parameters if parameter.name in free]
 
 
-OWN = 4  # tip, tilt, flux and background
-POINTING = 2  # modes that belong to each recording
+OWN = 4  # tip, tilt, flux and background of each recording
+POINTING = 2  # modes that belong to each recording, tip and tilt
 
 
 class JointFit(CheapGradientProblem):

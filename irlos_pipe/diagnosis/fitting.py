@@ -24,10 +24,10 @@ from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE
 from irlos_pipe.numerics.solution import INVALID, Solution
 
-PRIOR_SCALE = 3.0  # over the law of the NCPAs
+PRIOR_SCALE = 3.0  # width of the prior over the law of the NCPAs
 MAX_ITERATIONS = 60
-FINISHING, PATIENCE = 20, 8  # iterations in float64, and repetitions
-SETTLED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, that means nothing
+FINISHING, PATIENCE = 20, 8  # iterations in float64 per repetition, and repetitions
+CONVERGED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, below which a fit has converged
 SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
 EXPLORING = 30  # iterations after which it is known whether a fit is promising
 ROUGHLY = 0.1  # fall of χ² ahead, in the same units, at which that is known
@@ -77,7 +77,7 @@ class Fitter:
             if before.converged or not np.isfinite(before.chi2):
                 break
             fitted = self._exact(before)
-            if before.chi2 - fitted.chi2 < SETTLED * max(1.0, fitted.chi2 / fitted.problem.freedom):
+            if before.chi2 - fitted.chi2 < CONVERGED * max(1.0, fitted.chi2 / fitted.problem.freedom):
                 break
         return fitted
 

@@ -20,8 +20,8 @@ from irlos_pipe.diagnosis.sharing import parted, sharing
 from irlos_pipe.diagnosis.starts import with_wavefront
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
-LARGER_OF_TWO = 0.5  # effects, which explains at least as much of the excess
-SPLIT = 0.5  # of what one value for all leaves, that a value for each moment must explain
+LARGER_OF_TWO = 0.5  # the larger of two effects explains at least this part of the excess
+SPLIT = 0.5  # part of what one value for all leaves, that a value for each moment must explain
 Report = Callable[[int], None]
 
 

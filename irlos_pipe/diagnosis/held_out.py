@@ -92,9 +92,9 @@ def gap_between(before: HeldOutEvaluation, after: HeldOutEvaluation) -> Gap:
     return Gap(before.gap, after.gap, noise_floor(before))
 
 
-SURE = 3.0  # Vuong's statistic on the held-out frames
-LIKENESS = 0.9
-LARGEST_SET = 3
+SURE = 3.0  # Vuong's statistic from which held-out frames decide between two names
+LIKENESS = 0.9  # |cos| from which two effects are degenerate in the image
+LARGEST_SET = 3  # names not distinguished from the best that are listed, with it
 
 
 def alternatives(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> list[Alternative]:

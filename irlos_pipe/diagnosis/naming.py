@@ -110,8 +110,8 @@ def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings, most_flat: f
     return replace(errors, misfit=max(1.0, float(white @ white) / fitted.problem.freedom))
 
 
-RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
-PROPOSALS = 4  # fitted per name
+RIVALS = 0.3  # part of a name's fall of χ² that another effect must promise to be compared with it
+PROPOSALS = 4  # effects that are fitted per name
 HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the model misfits
 
 
@@ -132,10 +132,10 @@ class NamingTask(AllowingTask):
         )
         self.report(len(ranked))
         ranked = [one for one in ranked if not one.implausible]
-        right = self._wanted([one for one in ranked if self._explains_its_own(one)])
-        return right or self._wanted([one for one in ranked if one.gain > least * one.origin.fitted.chi2])
+        right = self._preferred([one for one in ranked if self._explains_its_own(one)])
+        return right or self._preferred([one for one in ranked if one.gain > least * one.origin.fitted.chi2])
 
-    def _wanted(self, ranked: Sequence[Refit]) -> Accepted | None:
+    def _preferred(self, ranked: Sequence[Refit]) -> Accepted | None:
         """The first of the ranked names if it is significant and held-out data clearly prefer it.
 
         With errors of a model they must prefer it clearly on sky, too: chance companions in the residual are
@@ -149,7 +149,7 @@ class NamingTask(AllowingTask):
         return share_at_its_place(refit, refit.optimum) > AT_ITS_PLACE[self.kind]
 
     def confirmed(
-        self, current: Optimum, told: Sequence[Effect], dropped: Sequence[str]
+        self, current: Optimum, declared: Sequence[Effect], dropped: Sequence[str]
     ) -> tuple[Self, Optimum, list[Accepted]]:
         """Names for the effects of a model that explain their own and that it needs, also for held-out data.
 
@@ -158,7 +158,7 @@ class NamingTask(AllowingTask):
         first, then what explains most.
         """
         named: list[Accepted] = []
-        task, waiting = self, self._sure(current, told)
+        task, waiting = self, self._sure(current, declared)
         while waiting:
             label, *waiting = waiting
             present = task._against_without(current, label)
@@ -169,7 +169,7 @@ class NamingTask(AllowingTask):
                 task._rivals(present, dropped) if right else other_forms(task.fitter, [present], wider=True)
             )
             plausible = [one for one in (present, *rivals) if task._explains_its_own(one)]
-            one = task._wanted(sorted(plausible, key=lambda one: -one.merit))
+            one = task._preferred(sorted(plausible, key=lambda one: -one.merit))
             if one is None:
                 continue
             if one.refit is not present:
@@ -179,13 +179,13 @@ class NamingTask(AllowingTask):
             named.append(replace(one, label=one.refit.label))
         return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
 
-    def _sure(self, current: Optimum, told: Sequence[Effect]) -> list[str]:
+    def _sure(self, current: Optimum, declared: Sequence[Effect]) -> list[str]:
         """Labels of the effects beyond those declared that all visible modes jointly do not imitate.
 
         The modes beyond the closed basis are known to a model, as a joint fit with its effects has them:
         without an effect that they imitate it fits badly, whether or not that effect is there.
         """
-        labels = added(current.fitted, told)
+        labels = added(current.fitted, declared)
         if self.all_modes is None:
             return labels
         fitted = self.all_modes.fitted
@@ -226,7 +226,7 @@ class NamingTask(AllowingTask):
         return Refit(score_family(origin, family), origin, fitted, label)
 
 
-def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
+def added(fitted: Fitted, declared: Sequence[Effect]) -> list[str]:
     """Labels of the effects of a model beyond those declared."""
-    known = {*labels_of(told)}
+    known = {*labels_of(declared)}
     return [label for label in fitted.problem.effects.labels if label not in known]

@@ -67,8 +67,8 @@ class Opening:
         """Twice the negative logarithm of its likelihood and priors, whatever part of χ² the model misses.
 
         Variances allow for the χ²/ν of an earlier model, `misfit`. What a better one misses is less, but
-        never less than noise, so that the factor on the variances is that with which χ²/ν is one: ``ν ln s +
-        χ²/s`` plus the priors, ``s = max(χ²/ν, 1 / misfit)``.
+        never less than noise, so that the factor on the variances is that with which χ²/ν is one:
+        ``ν ln s + χ²/s`` plus the priors, ``s = max(χ²/ν, 1 / misfit)``.
         """
         freedom, chi2 = self.fitted.problem.freedom, self.fitted.chi2
         scale = max(chi2 / freedom, 1 / misfit)

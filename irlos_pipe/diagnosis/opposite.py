@@ -30,10 +30,10 @@ from irlos_pipe.effects import Effect, FixedEffect
 
 
 def opposite_side(fitter: Fitter, final: Optimum, label: str, sure: float) -> OppositeSide | None:
-    """The `final` fit with an effect of the pupil on its opposite side, unless the data exclude it by `sure`
-    σ.
+    """The `final` fit with an effect of the pupil on its opposite side, unless the data exclude that.
 
-    None as well for effects without a direction in the pupil, and where the fit leads back.
+    The data exclude it from a significance of `sure` on, in Gaussian σ. None as well for effects without a
+    direction in the pupil, and where the fit leads back.
     """
     fitted = final.fitted
     if label not in fitted.problem.effects.labels or fitted.effect(label).plane != "pupil":
@@ -66,7 +66,7 @@ def _is_opposite(fitted: Fitted, other: Fitted, column: int) -> bool:
     return bool(np.isfinite(other.chi2) and np.cos(turned) < 0)
 
 
-WORTH = 1.5  # standard errors by which a fact must be off
+WORTH = 1.5  # standard errors by which a fact must be off to be worth its freedom, some √2
 
 
 def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[FixedEffect]:

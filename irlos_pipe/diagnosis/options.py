@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-DRIFT_NM = 10.0  # by which every mode may change from one star or night to another
+DRIFT_NM = 10.0  # change of every mode from one star or night to another
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SMOOTH_PX = 1.0  # of the residual, before its strongest part is looked for
-HALF = 0.5  # of the maximum, to which its strongest part reaches
+HALF = 0.5  # part of the maximum down to which its strongest part reaches
 ALIKE = 0.5  # correlation from which two halves show the same
-CORE = 0.5  # of the brightest pixel, from which pixels belong to the star
+CORE = 0.5  # part of the brightest pixel from which pixels belong to the star
 
 Symmetry = Literal["symmetric", "antisymmetric", "one-sided"]
 Time = Literal["static", "moving", "not seen"]

@@ -28,9 +28,9 @@ from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
 from irlos_pipe.numerics.parallel import ordered_map
 
-OUT_OF_FOCUS_NM = 200.0
+OUT_OF_FOCUS_NM = 200.0  # defocus of a further recording
 BANDS = {"J": J, "H": H}
-COLOURS = 3
+COLOURS = 3  # wavelengths of a further recording's band
 
 
 class SecondRecordings:
@@ -42,7 +42,7 @@ class SecondRecordings:
         self.views = {
             recording: first.under(conditions) for recording, conditions in variants(first.conditions)
         }
-        beside = ordered_map(partial(self._beside, optimum.fitted), self.views)
+        beside = ordered_map(partial(self._with_recording, optimum.fitted), self.views)
         self.beside = dict(zip(self.views, beside, strict=True))
 
     def showing(self, score: Score) -> Advice | None:
@@ -78,11 +78,11 @@ class SecondRecordings:
 
     def _likenesses(self, one: Refit, others: Sequence[Refit], recording: str) -> list[float]:
         """Likeness of a fit and others with one recording more."""
-        before = self._beside(one.origin.fitted, recording)
+        before = self._with_recording(one.origin.fitted, recording)
         first, *rest = (self._model(fit.fitted, recording)[0] for fit in (one, *others))
         return [likeness(first, other, before) for other in rest]
 
-    def _beside(self, fitted: Fitted, recording: str) -> Optimum:
+    def _with_recording(self, fitted: Fitted, recording: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""
         model, stacks = self._model(fitted, recording)
         return Optimum(stacks, model)
@@ -97,7 +97,7 @@ class SecondRecordings:
 
 
 def _expected(like: Stack, image_e: torch.Tensor) -> Stack:
-    """A recording with as many frames as another one, and with its noise except photons'."""
+    """A recording with as many frames as another one, noisier than its noise model by the same factor."""
     noise, frames = like.frames.noise, len(like)
     louder = like.variance_e2 * frames / noise.variance_e2(like.mean_e)
     variance = noise.variance_e2(image_e) / frames * louder[louder.isfinite()].median()

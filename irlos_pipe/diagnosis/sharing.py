@@ -28,8 +28,8 @@ from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma
 
 SEEN = 5.0  # significance from which a moment by itself shows an effect
-MEASURED = 1e-9  # of a correlation matrix, below which an eigenvalue is rounding
-PREFERRED = 3.0  # Vuong's statistic on held-out data
+MEASURED = 1e-9  # eigenvalue of a correlation matrix below which it is rounding
+PREFERRED = 3.0  # Vuong's statistic on held-out data from which moments differ
 Finding = Literal["common", "differs", "open"]
 
 
@@ -84,7 +84,7 @@ class Together:
 def sharing(
     labels: Sequence[str], fitted: Fitted, fitter: Fitter, cube: Cube, moments: Moments, sure: float
 ) -> Sharing:
-    """Compare one value for all moments with a value for each, which differ from `sure` σ.
+    """Compare one value for all moments with a value for each; they differ from a significance of `sure` on.
 
     In the model the effect has one of the `labels` for all moments, or several that act in some.
     """

@@ -8,7 +8,7 @@ from scipy import special
 
 from irlos_pipe.diagnosis.null_model import Optimum
 
-MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
+MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames, at most
 SURELY = 0.95  # probability with which an effect of the smallest detectable size is seen
 
 

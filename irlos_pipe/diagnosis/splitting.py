@@ -28,9 +28,9 @@ from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.blocks import mean_frame
 
-BLOCKS = 20  # of a cube in time; every fourth is held out
-MOST_FRAMES = 512  # of a recording; more are averaged
-SEED = 1  # of the choice of pixels
+BLOCKS = 20  # blocks of a cube in time; every fourth is held out
+MOST_FRAMES = 512  # frames of a recording; more are averaged, which bounds memory
+SEED = 1  # of the choice of pixels, so that a diagnosis can be repeated
 
 
 class HoldOut(ABC):

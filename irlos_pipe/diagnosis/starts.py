@@ -15,8 +15,8 @@ from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
 from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.optics.zernike import noll_to_nm
 
-STARTS, START_NM = 2, 60.0  # further wavefronts: RMS of the first radial order, falling
-DIRECTIONS = 8  # in which it is asked whether what came to rest at no distance would rather have one
+STARTS, START_NM = 2, 60.0  # further wavefronts; RMS of their first radial order, falling with the order
+DIRECTIONS = 8  # in which the fit is searched for a fall from no distance, where the image has a kink
 
 
 def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:

@@ -35,7 +35,7 @@ class Sized:
     effect: FixedEffect  # as it stands in the final model, nothing free
     public: dict[str, Any]  # parameters under public names
     sigma: dict[str, Any]  # their standard errors
-    # What a report states of the size, see `Effect.shown`.
+    # Size as a report states it, see `Effect.shown`.
     shown: dict[str, Any] = field(default_factory=dict, kw_only=True)
     shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)  # its standard errors
     opposite: OppositeSide | None = field(default=None, kw_only=True)  # where these data do not exclude it
@@ -161,7 +161,7 @@ class Diagnosis:
     seconds: float = 0.0
 
 
-OFF = 5.0  # standard errors from which a fact is said to be other than told
+OFF = 5.0  # standard errors from which a fact is said to differ from the declared one
 
 
 def sentence(diagnosis: Diagnosis) -> str:

@@ -27,11 +27,10 @@ def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:
 
 
 def needless(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) -> set[str]:
-    """Labels of dispensable effects: not significant jointly with all others of a model, taken out one by
-    one.
+    """Labels of dispensable effects: not significant jointly with all others of a model.
 
-    The scatter of the `stack` sets the errors, `sure` is the significance in σ below which an effect is not
-    needed. What is always something, such as a fact with no null, is none of the `labels`.
+    They are taken out one by one. The scatter of the `stack` sets the errors; `sure` is the significance in σ
+    below which an effect is dispensable. What has no null is never in question.
     """
     columns, test = _wald_test(fitted, labels, stack, sure)
     return set(columns) - set(test(columns))

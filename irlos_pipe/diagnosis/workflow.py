@@ -24,7 +24,7 @@ from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import together
 from irlos_pipe.diagnosis.splitting import hold_out_of
-from irlos_pipe.diagnosis.tolerant import SETTLED, TolerantTask
+from irlos_pipe.diagnosis.tolerant import CONVERGED, TolerantTask
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Adjusted, Diagnosis, Step
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Effect
@@ -91,15 +91,15 @@ def with_opposite_sides(diagnosis: Diagnosis, fitter: Fitter, final: Optimum, su
     return replace(diagnosis, steps=list(steps), adjusted=list(adjusted))
 
 
-def deeper_null(search: Search, told: Sequence[Effect], fitter: Fitter) -> Fitted | None:
+def deeper_null(search: Search, declared: Sequence[Effect], fitter: Fitter) -> Fitted | None:
     """Return the model as it was in a far deeper minimum than that from which a search began.
 
     What a false minimum misses is missing in no model. None if the search has added anything to the effects
     `declared`, or if the model is no better from where the search ended.
     """
     null, final = search.null, search.final.fitted
-    if added(final, told):
+    if added(final, declared):
         return None
     fitted = fitter.fit(final.continued(), final)
-    deeper = Optimum(null.stack, fitted).excess.chi2_nu < SETTLED * null.excess.chi2_nu
+    deeper = Optimum(null.stack, fitted).excess.chi2_nu < CONVERGED * null.excess.chi2_nu
     return fitted if deeper else None

@@ -23,8 +23,8 @@ from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
-NOLLS = range(2, 12)
-TIMES = 9  # of a recording, at which a drift is looked at
+NOLLS = range(2, 12)  # low modes, of which a drift is measured
+TIMES = 9  # moments of a recording at which a model with a drift is evaluated
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: what leaks past it is nothing
-FADED = 0.1  # of its middle, below which the window is left out
-REGRESSIONS, SURELY = 4, 5.0  # of the flat's error; standard errors from which it is believed
+MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: beyond it little leaks
+FADED = 0.1  # of the window's middle, below which pixels are left out
+REGRESSIONS, SURELY = 4, 5.0  # steps for the flat's error; standard errors from which it is believed
 MIN_SHARE = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
 
 

@@ -15,9 +15,9 @@ import torch
 
 from irlos_pipe.diagnosis.cube import Stack
 
-FAINT, BRIGHT = 0.5, 0.02  # share of the pixels below the median; of the peak above which it is bright
+FAINT, BRIGHT = 0.5, 0.02  # share of the pixels that are faint; of the peak, from which pixels are bright
 SPECKLE = 1.3  # measured over predicted variance of bright pixels from which speckles set the scatter
-TOLERANCE = 0.3  # of the variance
+TOLERANCE = 0.3  # relative deviation of a variance within which the noise model holds
 PHOTONS, SPECKLES, UNSEEN = "photon-limited", "speckle-limited", "unseen"
 
 

@@ -22,10 +22,10 @@ from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.detector import BadPixels
 
 OUTSTANDING = 50.0  # fall of χ² by a pixel's own offset: 7 σ, one of some thousand pixels
-ALONE = 4.0  # times the largest residual of the neighbours
-MOST = 20
+ALONE = 4.0  # times the largest residual of the neighbours, above which a pixel stands alone
+MOST = 20  # pixels of the family at most
 
-OFF = 0.1  # of the star's signal in the pixel, below which the model may be to blame
+OFF = 0.1  # part of the star's signal in the pixel, below which the model may be to blame
 
 
 def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:

@@ -23,11 +23,11 @@ from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.planes import RampEffect
 from irlos_pipe.effects.public_values import measured
 
-PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
-CLOSE = 6.0  # of χ², by which two indistinguishable names differ at most
-WORST_CONDITION = 1e3
-SEEN_SIGMA = 5.2  # from which an error counts as seen
-LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which something is left
+PER_PARAMETER = 8.0  # fall of χ² that a size or an edge has to earn
+CLOSE = 6.0  # χ² by which two indistinguishable names differ at most
+WORST_CONDITION = 1e3  # of the normalised design; beyond it errors are degenerate on this ramp
+SEEN_SIGMA = 5.2  # significance from which an error counts as seen
+LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which the fit leaves something unexplained
 FAR_OFF_CHI2_NU = 10.0  # visits then miss by three times their errors, whatever part of χ² it is
 Shapes = dict[RampEffect, np.ndarray]  # course of every error over the visits, whitened
 

@@ -18,8 +18,8 @@ from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 
-STEPS = 3  # of the linear refit of what belongs to single frames
-FRAMES_AT_ONCE = 8
+STEPS = 3  # Gauss–Newton steps of what belongs to single frames, which is nearly linear
+FRAMES_AT_ONCE = 8  # bounds the memory of the derivatives
 
 
 def ramp_gap(

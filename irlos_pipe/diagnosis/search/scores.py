@@ -25,10 +25,10 @@ from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
 
-BUNDLED = 16  # candidates in the pupil or of the OTF
-LINEAR = 0.5  # of the prior's σ: how far from nothing a fit begins at most
-CLEARLY_MORE = 25.0  # of calibrated χ², that one moment alone must gain beyond all together
-FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position or direction
+BUNDLED = 16  # candidates in the pupil or of the OTF that share one light path
+LINEAR = 0.5  # of the prior's σ: how far from null a fit begins at most, where the estimate is linear
+CLEARLY_MORE = 25.0  # calibrated χ² that one moment alone must gain beyond all moments jointly
+FURTHER_STARTS, FAR_APART = 2, 0.2  # starts of a fit besides the best; their distance over the range searched
 
 
 @dataclass(frozen=True)
@@ -205,10 +205,10 @@ def _of_recording(
     if not seen:
         parameters = sum(len(one.parameters) for one in candidates)
         return torch.zeros(parameters, part.images.shape[-1], dtype=torch.float64)
-    return derivatives(part, x, frozen, _together(seen))
+    return derivatives(part, x, frozen, _combined(seen))
 
 
-def _together(candidates: Sequence[Effect]) -> Effect:
+def _combined(candidates: Sequence[Effect]) -> Effect:
     return candidates[0] if len(candidates) == 1 else _Bundle(candidates)
 
 
@@ -263,8 +263,7 @@ def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tenso
 
 
 class _Bundle(Effect):
-    """Several candidates of one family and plane as one effect, at their null values, where light passes
-    unchanged.
+    """Several candidates of one plane as one effect, at their null values, where light passes unchanged.
 
     The light path up to them is computed once for all.
     """
@@ -296,9 +295,9 @@ def _slopes_at_null(candidate: Effect, light: torch.Tensor, grid: Any) -> Sequen
 
 
 POSITIONS = 3  # candidates to look at more closely
-APART_PX = 4
-RESOLVED = 1.5  # of λ/D
-RING_MAS, DIRECTIONS = 150.0, 8
+APART_PX = 4  # distance between two of them, as neighbours of a peak are the same copy
+RESOLVED = 1.5  # in λ/D; closer to a known copy another one is not resolved
+RING_MAS, DIRECTIONS = 150.0, 8  # a ring of positions that say how faint a copy can be seen
 
 
 def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
