@@ -89,8 +89,8 @@ def decide(state: ControllerState, defocus_nm: float | None, settings: Controlle
         return _jump(state, defocus_nm, settings)
     if abs(defocus_nm) > settings.linear_nm:
         return _doubt(state, settings)
-    wanted_nm = (1 - settings.leak) * state.offset_nm + settings.gain * defocus_nm
-    return _moved(replace(state, mode=TRACKING, outside=0), wanted_nm, settings)
+    unclipped_nm = (1 - settings.leak) * state.offset_nm + settings.gain * defocus_nm
+    return _moved(replace(state, mode=TRACKING, outside=0), unclipped_nm, settings)
 
 
 def _jump(state: ControllerState, defocus_nm: float, settings: ControllerSettings) -> Decision:
@@ -106,7 +106,7 @@ def _doubt(state: ControllerState, settings: ControllerSettings) -> Decision:
     return Decision(replace(state, mode=BOOTSTRAP, outside=0), False, held=OUTSIDE)
 
 
-def _moved(state: ControllerState, wanted_nm: float, settings: ControllerSettings) -> Decision:
+def _moved(state: ControllerState, unclipped_nm: float, settings: ControllerSettings) -> Decision:
     limit = settings.limit_nm
-    offset_nm = min(max(wanted_nm, -limit), limit)
-    return Decision(replace(state, offset_nm=offset_nm), True, clipped=offset_nm != wanted_nm)
+    offset_nm = min(max(unclipped_nm, -limit), limit)
+    return Decision(replace(state, offset_nm=offset_nm), True, clipped=offset_nm != unclipped_nm)

@@ -17,22 +17,14 @@ Lag = TypeVar("Lag", float, np.ndarray)
 
 @dataclass(frozen=True)
 class SodiumLayer:
-    """Fractional Brownian motion of the layer's altitude, a power-law spectrum ``S ∝ f^-slope``.
+    """Fractional Brownian motion of the layer's altitude, a power-law spectrum ``S ∝ f^-slope``."""
 
-    Attributes
-    ----------
-    slope : float
-        Between 1 and 3; 2 is a random walk. 1.95 ± 0.12 up to more than 1 Hz: Pfrommer & Hickson
-        2010, J. Opt. Soc. Am. A 27, A97; 1.79 ± 0.02 below 4 mHz: Davis et al. 2006, Opt. Lett. 31, 3369.
-    rms_change_1s_m : float
-        RMS change of altitude within a second: 23 m, Pfrommer & Hickson 2010.
-    range_m : float
-        From the telescope to the layer; 92 km above the sea less the height of Paranal, at zenith. There
-        the effect is largest: it goes with the cosine of the zenith angle.
-    """
-
+    # Between 1 and 3; 2 is a random walk. 1.95 ± 0.12 up to more than 1 Hz: Pfrommer & Hickson 2010, J. Opt.
+    # Soc. Am. A 27, A97; 1.79 ± 0.02 below 4 mHz: Davis et al. 2006, Opt. Lett. 31, 3369.
     slope: float
-    rms_change_1s_m: float
+    rms_change_1s_m: float  # RMS change of altitude within a second: 23 m, Pfrommer & Hickson 2010
+    # From the telescope to the layer; 92 km above the sea less the height of Paranal, at zenith. There the
+    # effect is largest: it goes with the cosine of the zenith angle.
     range_m: float
 
     def defocus_per_metre_nm(self, diameter_m: float) -> float:
@@ -44,24 +36,15 @@ class SodiumLayer:
         return 1e9 * diameter_m**2 / (16 * np.sqrt(3) * self.range_m**2)
 
     def drift(self, diameter_m: float) -> Drift:
-        """Return the drift of defocus that follows."""
         return Drift(self.slope, self.rms_change_1s_m * self.defocus_per_metre_nm(diameter_m))
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Fractional Brownian motion of defocus.
+    """Fractional Brownian motion of defocus."""
 
-    Attributes
-    ----------
-    slope : float
-        Of the power spectrum, between 1 and 3.
-    rms_change_1s_nm : float
-        σ₁ of the structure function ``D(τ) = σ₁² τ^(slope-1)``, τ in seconds.
-    """
-
-    slope: float
-    rms_change_1s_nm: float
+    slope: float  # of the power spectrum, between 1 and 3
+    rms_change_1s_nm: float  # σ₁ of the structure function ``D(τ) = σ₁² τ^(slope-1)``, τ in seconds
 
     def structure_nm2(self, lag_s: Lag) -> Lag:
         """Return the mean square change within a time [nm²]."""

@@ -20,7 +20,7 @@ LARGEST_GAP = 10_000_000  # reads: more, ten hours at 250 Hz, are not missing, t
 # Pixels that come again: two reads of a detector are never the same to the last bit, be it in a part.
 PATCH_PX = 8  # side: noise of a few steps of the converter never gives 64 pixels twice
 PART = 0.125  # of the patches that vary, from which a read is a repetition
-REMEMBERED = 1000  # reads
+REMEMBERED = 1000  # reads whose patches are kept for comparison
 
 
 @dataclass

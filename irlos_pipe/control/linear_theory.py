@@ -13,26 +13,17 @@ from scipy.optimize import minimize_scalar
 
 from irlos_pipe.control.disturbance import Drift
 
-GRID = 4096  # frequencies up to Nyquist's
+GRID = 4096  # frequencies up to Nyquist's, in the integral over the spectrum
 ALIASES = 30  # replicas of the spectrum on each side; the mean over a frame damps them by f^-4
 
 
 @dataclass(frozen=True)
 class Integrator:
-    """An integrating controller with delay, as linear theory sees it.
-
-    Attributes
-    ----------
-    gain : float
-    frame_s : float
-        Exposure time, and time between two frames.
-    delay : int
-        Whole frames between the end of an exposure and the command that follows from it.
-    """
+    """An integrating controller with delay, as linear theory sees it."""
 
     gain: float
-    frame_s: float = 1.0
-    delay: int = 1
+    frame_s: float = 1.0  # exposure time, and time between two frames
+    delay: int = 1  # whole frames between the end of an exposure and the command that follows from it
 
     @property
     def largest_stable_gain(self) -> float:
@@ -44,33 +35,23 @@ class Integrator:
         return self.largest_stable_gain / (self.gain * sensor_slope)
 
     def rejection(self, f_hz: np.ndarray, sensor_slope: float = 1.0) -> np.ndarray:
-        """Return residual over disturbance, means over frames, complex.
+        """Return residual over disturbance, means over frames, complex, at `f_hz`, (frequencies,).
 
-        Parameters
-        ----------
-        f_hz : ndarray, (frequencies,)
-        sensor_slope : float
-            Measured over true residual.
+        A sensor's slope is its measured over the true residual, here and below.
         """
         z1 = np.exp(-2j * np.pi * f_hz * self.frame_s)
         return (1 - z1) / (1 - z1 + self.gain * sensor_slope * z1 ** (1 + self.delay))
 
     def noise_transfer(self, f_hz: np.ndarray, sensor_slope: float = 1.0) -> np.ndarray:
-        """Return residual over noise of the measurement, complex; `f_hz` and `sensor_slope` as there."""
+        """Return residual over noise of the measurement, complex."""
         z1 = np.exp(-2j * np.pi * f_hz * self.frame_s)
         return -self.gain * z1 ** (1 + self.delay) / (1 - z1) * self.rejection(f_hz, sensor_slope)
 
     def residual_nm(self, drift: Drift, noise_nm: float, sensor_slope: float = 1.0) -> float:
         """Return the RMS defocus that drift and white measurement noise leave; infinite if unstable.
 
-        Parameters
-        ----------
-        drift : Drift
-            Mean over time, what wanders within a frame included.
-        noise_nm : float
-            Of a measurement [nm RMS].
-        sensor_slope : float
-            Measured over true residual.
+        It is the mean over time, what wanders within a frame included; `noise_nm` is that of a measurement
+        [nm RMS].
         """
         if self.gain * sensor_slope >= self.largest_stable_gain:
             return float("inf")
@@ -91,15 +72,7 @@ class Integrator:
 
 
 def best_gain(drift: Drift, noise_nm: float, frame_s: float = 1.0, delay: int = 1) -> float:
-    """Return the gain with the smallest residual.
-
-    Parameters
-    ----------
-    drift, noise_nm
-        See `Integrator.residual_nm`.
-    frame_s, delay
-        See `Integrator`.
-    """
+    """Return the gain with the smallest residual, see `Integrator`."""
     limit = Integrator(1.0, frame_s, delay).largest_stable_gain
     found = minimize_scalar(
         lambda log_gain: Integrator(np.exp(log_gain), frame_s, delay).residual_nm(drift, noise_nm),

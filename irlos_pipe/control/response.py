@@ -14,21 +14,15 @@ import numpy as np
 RESPONSES = np.array([1.0, 0.0, -1.0, 2.0])  # as it should be; none; the wrong sign; twice
 WORDS = ("", "not answered", "answered with the wrong sign", "answered twice as much as commanded")
 GAINS = np.array([0.2, 0.5, 0.9])  # of the forecast: as much noise as wander, and more or less of it
-TREND_GAIN = 0.1  # of the slope, relative
+TREND_GAIN = 0.1  # gain of the forecast's slope over that of its level
 DRIFT_NM = 2.0  # per exposure that a disturbance may drift; the focus of a telescope takes minutes for that
-MEMORIES = np.array([40, 200])[:, None, None]  # exposures: quickly, and in much noise
-FEWEST, LEAST_NM = 4, 5.0  # exposures, and the error of a forecast from which one matters
+MEMORIES = np.array([40, 200])[:, None, None]  # exposures to average errors over: quick, and for much noise
+FEWEST, LEAST_NM = 4, 5.0  # exposures before a verdict; error of a forecast below which none matters
 DECISIVE = 15.0  # natural logarithm of the odds; in 135 simulated hours of closed loops it stays below 9
 
 
 class Response:
-    """Compares what the loop measures with what it has commanded.
-
-    Parameters
-    ----------
-    delay : int
-        See `ControllerSettings`.
-    """
+    """Compares what the loop measures with what it has commanded."""
 
     def __init__(self, delay: int):
         self._delay = delay
@@ -41,14 +35,8 @@ class Response:
     def verdict(self, measured_nm: float | None, offset_nm: float, passed: int = 1) -> str:
         """Return what is wrong with the response, or an empty string.
 
-        Parameters
-        ----------
-        measured_nm : float or None
-            A valid measurement of the residual; None where there is none.
-        offset_nm : float
-            Commanded before it.
-        passed : int
-            Exposures since the one before.
+        `measured_nm` is a valid measurement of the residual, None where there is none; `offset_nm` was
+        commanded before it; `passed` counts the exposures since the one before.
         """
         self._offsets_nm = (self._offsets_nm + [offset_nm] * min(passed, self._delay + 1))[-self._delay - 1 :]
         if measured_nm is None:

@@ -21,43 +21,27 @@ from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.effects.base import label_of, occurrences
 
-MUST_EXPLAIN = 0.8  # of what is left, for a further name
-SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts
+MUST_EXPLAIN = 0.8  # part of what is left that a further name must explain
+SIGNIFICANT = 5.0  # standard errors of the excess, from which that of a moment counts
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
-HARDLY_MORE = 1.25  # of what the best leaves, while something else is missing
+HARDLY_MORE = 1.25  # times what the best leaves, up to which names are equal while something else is missing
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """A name, and how it compared.
-
-    Attributes
-    ----------
-    refit : Refit
-    preference : float
-        Vuong's statistic on the held-out frames, against the model before.
-    gap : Gap
-        On the held-out frames, of the models without and with it.
-    alternatives : sequence of Alternative
-    ranking : sequence of Ranked
-    rivals : sequence of Refit
-        Fits of the alternatives.
-    label : str
-        In the model with which a search ended; unless known, it is the last of its kind there.
-    """
+    """A name, and how it compared."""
 
     refit: Refit
-    preference: float
-    gap: Gap
+    preference: float  # Vuong's statistic on the held-out frames, against the model before
+    gap: Gap  # on the held-out frames, of the models without and with it
     alternatives: Sequence[Alternative]
     ranking: Sequence[Ranked]
-    rivals: Sequence[Refit] = ()
-    label: str = ""
+    rivals: Sequence[Refit] = ()  # fits of the alternatives
+    label: str = ""  # in the model with which a search ended; unless known, it is the last of its kind there
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.refit.name
 
     @property
@@ -68,62 +52,34 @@ class Accepted:
 
 @dataclass(frozen=True)
 class Search:
-    """What was found on the way.
+    """What a search found."""
 
-    Attributes
-    ----------
-    null, final : Optimum
-        Before and after all names.
-    drift : Drift or None
-        None where the model has one already.
-    accepted : list of Accepted
-        Names in the order found, the drift not among them.
-    scores : list of Score
-        Of all families, at the last model for which a name was looked for.
-    meaningless : list of str
-        Effects that mean nothing for this cube.
-    adjusted : list of str
-        Effects of the final model that make it fit better and are not sure enough to be named.
-    nearest : Accepted or None
-        The name that comes nearest, where none was found after all.
-    all_modes : Opening or None
-        The last fit of all visible modes; None where the wavefront was not opened.
-    tolerant : bool
-        Whether the facts of the instrument were free, as more was wrong than single names could tell.
-    """
-
-    null: Optimum
-    final: Optimum
-    drift: Drift | None
-    accepted: list[Accepted]
-    scores: list[Score]
-    meaningless: list[str]
+    null: Optimum  # before all names
+    final: Optimum  # with all names
+    drift: Drift | None  # None where the model has one already
+    accepted: list[Accepted]  # names in the order found, the drift not among them
+    scores: list[Score]  # of all families, at the last model for which a name was looked for
+    meaningless: list[str]  # effects that mean nothing for this cube
+    # Effects of the final model that make it fit better and are not sure enough to be named.
     adjusted: Sequence[str] = ()
-    nearest: Accepted | None = None
+    nearest: Accepted | None = None  # the name that comes nearest, where none was found after all
+    # The last fit of all visible modes; None where the wavefront was not opened.
     all_modes: Opening | None = None
+    # Whether the facts of the instrument were free, as more was wrong than single names could tell.
     tolerant: bool = False
 
     @cached_property
     def remaining(self) -> Excess:
-        """What the final model leaves beside noise and the error of the flat, which shows by itself."""
+        """What the final model leaves besides noise and the error of the flat, which shows by itself."""
         stack = self.final.stack.without_model_error().limited_by(self.null.stack.photon_limited)
         return self.final.under(stack).excess
 
 
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:
-    """Choose the best of the fitted names, or None.
+    """Choose the best of the fitted names, which are `ranked` with the best first, or None.
 
-    It must be significant, the held-out frames must agree, and a further name must explain most of what is
-    left.
-
-    Parameters
-    ----------
-    ranked : sequence of Refit
-        The best first.
-    cube : Cube
-    options : Options
-    first : bool
-        Whether no name was found before.
+    It must be significant, the held-out frames must agree, and a further name, not the `first`, must explain
+    most of what is left.
     """
     if not ranked or not detected(ranked[0], cube, options.sure):
         return None
@@ -135,10 +91,7 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
 
 
 def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
-    """The best of the fitted names if it is significant and the held-out frames agree, or None.
-
-    `ranked`, `cube`, `options`: see `choose`.
-    """
+    """The best of the `ranked` names if it is significant and the held-out frames agree, or None."""
     if not ranked or not detected(ranked[0], cube, options.sure):
         return None
     return _preferred(ranked, cube)
@@ -168,12 +121,8 @@ def by_motion(
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
     """Decide by the motion of the frames between effects that blur, which a mean image hardly shows.
 
-    Parameters
-    ----------
-    ranked : sequence of Refit
-    judges : sequence of HeldOutEvaluation
-        Of each.
-    cube : Cube
+    This and the functions below return `ranked` in another order, and `judges`, the evaluation of each, with
+    it.
     """
     if not cube.training.in_time:
         return ranked, judges
@@ -194,8 +143,6 @@ def by_plausibility(
 
     While something else is missing, those are not distinguished that leave as much: an equal double star
     closer than λ/D takes a little more of a companion far away than a vibration does.
-
-    `ranked` and `judges`: see `by_motion`.
     """
     if not ranked[0].implausible:
         return ranked, judges
@@ -207,10 +154,7 @@ def by_plausibility(
 def by_simplicity(
     ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
-    """Prefer to an effect the one of which it is a wider form, if these data do not distinguish them.
-
-    `ranked` and `judges`: see `by_motion`.
-    """
+    """Prefer to an effect the one of which it is a wider form, if these data do not distinguish them."""
     rivals = _rivals(ranked, judges)
     narrower = [i for i, one in enumerate(ranked) if one.name == ranked[0].base.widens and one.name in rivals]
     return _led_by(narrower, ranked, judges)
@@ -225,7 +169,7 @@ def _leaving_as_much(ranked: Sequence[Refit]) -> set[str]:
 
 
 def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:
-    """Names that these data allow beside the first."""
+    """Names that these data allow instead of the first."""
     return {one.name for one in alternatives(ranked, judges)}
 
 
@@ -240,7 +184,7 @@ def _led_by(
 def detected(refit: Refit, cube: Cube, sure: float) -> bool:
     """Whether `refit` lowers χ² beyond chance and is significant, above `sure` σ.
 
-    It is so in the training frames, for all places that were tried, or in those that no fit has seen: the
+    It is so in the training frames, all places of the search counted, or in those that no fit has seen: the
     scatter of few independent frames allows no strong statement about many places.
     """
     if not refit.beyond_chance:
@@ -270,13 +214,7 @@ def no_longer_needed(
 ) -> tuple[Accepted, Fitted] | None:
     """A name found earlier without which the model fits as well, and that fit; None if all are needed.
 
-    Parameters
-    ----------
-    fitter : Fitter
-    current : Optimum
-        With all names.
-    accepted : sequence of Accepted
-        The last one is not in question.
+    `current` is the model with all names; the last of the `accepted` is not in question.
     """
     for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
@@ -291,23 +229,15 @@ def no_longer_needed(
 def narrowed(
     fitter: Fitter, cube: Cube, current: Optimum, found: Sequence[Accepted]
 ) -> tuple[Optimum, list[Accepted]]:
-    """A model and its names, narrower forms in the place of wider ones that fit no better beside all others.
+    """A model and its names, narrower forms in the place of wider ones that fit no better with all others.
 
     Before image motion is found, a second image is blurred more than it is.
-
-    Parameters
-    ----------
-    fitter : Fitter
-    cube : Cube
-    current : Optimum
-        With all names.
-    found : sequence of Accepted
     """
     names = list(found)
     for place, one in enumerate(found):
         if not one.refit.base.widens:
             continue
-        wider = _beside_all(fitter, current, one.refit, labels_in(current.fitted, names)[place])
+        wider = _with_all_names(fitter, current, one.refit, labels_in(current.fitted, names)[place])
         for narrower in other_forms(fitter, [wider], wider=False):
             chosen = _preferred([wider, replace(narrower, fitted=fitter.finished(narrower.fitted))], cube)
             if chosen is not None and chosen.name == narrower.name:
@@ -315,7 +245,7 @@ def narrowed(
     return current, names
 
 
-def _beside_all(fitter: Fitter, current: Optimum, refit: Refit, label: str) -> Refit:
+def _with_all_names(fitter: Fitter, current: Optimum, refit: Refit, label: str) -> Refit:
     """A name in the model with all names, against that model without it."""
     origin = Optimum(current.stack, _without(fitter, current.fitted, label))
     return Refit(refit.score, origin, current.fitted, label)

@@ -1,4 +1,4 @@
-"""From what a search found to the verdict, and to what was tried of the catalogue and not named."""
+"""From what a search found to the verdict, and to the search log of effects that are not named."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 
-HALF_CLEAR = 0.5  # of the amplitude where the pupil is clear
+HALF_CLEAR = 0.5  # part of the full amplitude from which the pupil is clear
 
 
 def conclude(
@@ -54,18 +54,7 @@ def conclude(
     options: Options,
     screened: Sequence[Screened] = (),
 ) -> Diagnosis:
-    """The verdict with all its numbers.
-
-    Parameters
-    ----------
-    cube : Cube
-    search : Search
-        What was found in it.
-    noise : NoiseVerdict
-    options : Options
-    screened : sequence of Screened
-        Pixels masked in the frames.
-    """
+    """The verdict with all its numbers; `screened` pixels were masked in the frames."""
     plain = search.final.under(search.null.stack)
     fine = fine_structure(plain)
     before, after = (HeldOutEvaluation(cube.held_out, one.fitted) for one in (search.null, plain))
@@ -144,7 +133,7 @@ def _flat_rms(final: Optimum) -> float:
 
 
 def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:
-    """`smallest` detectable sizes, and those of wider forms of the same effects, which act alike at best."""
+    """`smallest` detectable sizes, and those of wider forms of the effects, degenerate with them at best."""
     wider = {name: kind.widens for name, kind in CATALOGUE.items() if kind.widens in smallest}
     return smallest | {name: smallest[narrower] for name, narrower in wider.items()}
 
@@ -258,7 +247,7 @@ def _sizes(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str
 
 
 def _covariances(search: Search) -> Covariances:
-    """Of the effects of the final model: beside all visible modes, where these were fitted with them."""
+    """Of the effects of the final model: jointly with all visible modes, where these were fitted."""
     models = (
         [search.final.fitted] if search.all_modes is None else [search.all_modes.fitted, search.final.fitted]
     )
@@ -311,7 +300,7 @@ def _pictures(judges: Sequence[HeldOutEvaluation], null: Optimum, final: Optimum
 
 
 def _clear(model: ImageModel) -> np.ndarray:
-    """Where the pupil as told is clear, (n, n)."""
+    """Where the pupil as declared is clear, (n, n)."""
     grid = model.psf.grids.pupil
     return grid.amplitude > HALF_CLEAR * grid.light
 
@@ -335,14 +324,8 @@ ELSEWHERE = {
 def tried(search: Search, options: Options, hidden: Sequence[Score], *, named: bool) -> list[Tried]:
     """Return every effect of the catalogue with what became of it, in the order of the catalogue.
 
-    Parameters
-    ----------
-    search : Search
-    options : Options
-    hidden : sequence of Score
-        Effects that the free parameters absorb, or that would be seen only beyond their bounds.
-    named : bool
-        Whether what was accepted is named; else it is what comes nearest.
+    The free parameters absorb the `hidden`, or they would be seen only beyond their bounds. What was accepted
+    is `named`, or else it is what comes nearest.
     """
     story = _Story(search, options, [one.name for one in hidden], named)
     return [story.of(name) for name in CATALOGUE]

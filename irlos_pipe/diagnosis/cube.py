@@ -1,7 +1,7 @@
 """The data of a diagnosis: those that fits may see, and those held out to judge them.
 
-What is held out are frames, as here, or pixels (`few_frames`). The classes say how uncertain a mean image is,
-and what its independent parts are.
+What is held out are frames, as here, or pixels (`splitting.PixelStacks`). The classes say how uncertain a
+mean image is, and what its independent parts are.
 """
 
 from __future__ import annotations
@@ -24,57 +24,34 @@ LEADING = 8  # principal components of a cube that show its autocorrelation
 
 @dataclass(frozen=True)
 class Errors:
-    """What may be wrong beside noise.
+    """What may be wrong besides noise.
 
     Light that a model has in the wrong place interferes with the image as speckles do: its variance follows
     theirs, or that of photons.
-
-    Attributes
-    ----------
-    misfit : float
-        Factor by which variances grow for errors of the model.
-    alike_px : float
-        Pixels that these change together.
-    flat_rms : float
-        Relative error of the flat, pixel by pixel.
     """
 
-    misfit: float = 1.0
-    alike_px: float = 1.0
-    flat_rms: float = 0.0
+    misfit: float = 1.0  # factor by which variances grow for errors of the model
+    alike_px: float = 1.0  # pixels that errors of the model change coherently
+    flat_rms: float = 0.0  # relative error of the flat, pixel by pixel
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Frames of one part of a recording, brought to the same flux, and their mean.
-
-    Attributes
-    ----------
-    frames : Frames
-    when : ndarray, (frames,)
-        Time, 0 at the first and 1 at the last frame of the whole cube.
-    mean_e, variance_e2 : tensor, (pixels,)
-        Mean image, and its variance from the scatter between frames; infinite for bad pixels.
-    photon_limited : bool
-        Whether the noise model alone says how uncertain the mean is.
-    flat_error_e2, model_error_e2 : tensor, (pixels,), or 0
-        Parts of the variance that stand for errors of the flat and of the model, which all frames share.
-    alike_px : float
-        Pixels that errors of the model change together.
-    """
+    """Frames of one part of a recording, brought to the same flux, and their mean."""
 
     frames: Frames
-    when: np.ndarray
-    mean_e: torch.Tensor
+    when: np.ndarray  # (frames,), 0 at the first and 1 at the last frame of the whole cube
+    mean_e: torch.Tensor  # (pixels,)
+    # (pixels,), of the mean, from the scatter between frames; infinite for bad pixels.
     variance_e2: torch.Tensor
-    photon_limited: bool = False
+    photon_limited: bool = False  # whether the noise model alone says how uncertain the mean is
+    # (pixels,), or 0: part that stands for errors of the flat, which all frames share.
     flat_error_e2: torch.Tensor | float = 0.0
-    model_error_e2: torch.Tensor | float = 0.0
-    alike_px: float = 1.0
+    model_error_e2: torch.Tensor | float = 0.0  # (pixels,), or 0: the same of the model
+    alike_px: float = 1.0  # pixels that errors of the model change coherently
 
     @classmethod
     def of(cls, frames: Frames, when: np.ndarray) -> Stack:
-        """Mean and variance of `frames`, taken at the times `when`."""
         good = frames.good.flatten()
         mean = frames.mean_e
         variance = (mean_variance_e2(frames) * _steadied(mean, frames)).flatten()
@@ -143,23 +120,14 @@ class Stack:
 class Stacks:
     """Frames of one or several recordings, their mean images one after the other.
 
-    Every frame belongs to one recording, of whose mean it is a part; its deviations are zero in the
-    pixels of the others, and are scaled so that covariances over all frames are those of all the means.
-
-    Attributes
-    ----------
-    parts : tuple of Stack
-    held_out : {"frames", "pixels"}
-        What is held out.
-    in_time : bool
-        Whether the frames show what changes with time.
-    own_refitted : bool
-        Whether tip, tilt, flux and background of the held-out data are their own.
+    Every frame belongs to one recording, of whose mean it is a part; its deviations are zero in the pixels of
+    the others, and are scaled so that covariances over all frames are those of all the means.
     """
 
     parts: tuple[Stack, ...]
     held_out: ClassVar[HeldOutKind] = "frames"
-    in_time: ClassVar[bool] = True
+    in_time: ClassVar[bool] = True  # whether the frames show what changes with time
+    # Whether tip, tilt, flux and background of the held-out data are their own.
     own_refitted: ClassVar[bool] = True
 
     @property
@@ -213,11 +181,9 @@ class Stacks:
         return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
 
     def with_errors(self, errors: Errors) -> Stacks:
-        """See `Stack.with_errors`."""
         return replace(self, parts=tuple(part.with_errors(errors) for part in self.parts))
 
     def without_model_error(self) -> Stacks:
-        """See `Stack.without_model_error`."""
         return replace(self, parts=tuple(part.without_model_error() for part in self.parts))
 
     def __len__(self) -> int:
@@ -225,7 +191,6 @@ class Stacks:
 
     @property
     def photon_limited(self) -> bool:
-        """Whether the noise model alone says how uncertain the means are."""
         return all(part.photon_limited for part in self.parts)
 
     @cached_property
@@ -240,7 +205,6 @@ class Stacks:
 
     @cached_property
     def independent(self) -> float:
-        """Number of independent frames."""
         return sum(part.independent for part in self.parts)
 
     @cached_property
@@ -262,7 +226,7 @@ class Cube:
 
     @classmethod
     def of_all(cls, cubes: Sequence[Cube]) -> Cube:
-        """Several recordings, split alike, as one."""
+        """Several recordings, split in the same way, as one."""
         pairs = ([c.training for c in cubes], [c.held_out for c in cubes])
         return cls(*(replace(some[0], parts=tuple(p for one in some for p in one.parts)) for some in pairs))
 
@@ -272,11 +236,9 @@ class Cube:
         return len(self.training), len(self.held_out) if self.training.held_out == "frames" else 0
 
     def limited_by(self, photons: bool) -> Cube:
-        """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
 
     def with_errors(self, errors: Errors) -> Cube:
-        """See `Stack.with_errors`."""
         return Cube(self.training.with_errors(errors), self.held_out.with_errors(errors))
 
 

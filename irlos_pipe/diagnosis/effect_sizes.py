@@ -14,9 +14,9 @@ from irlos_pipe.diagnosis.significance import surely_exceeding, threshold
 from irlos_pipe.effects import Parameter
 from irlos_pipe.effects.public_values import public_difference
 
-FAR = 1e3  # standard errors, in place of a prior that there is none of
-UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data determine nothing
-NOTHING = 1e-9
+FAR = 1e3  # standard errors, as the width of a prior where there is none
+UNDETERMINED = 0.5  # part of the prior's variance that is left, from which the data determine nothing
+NOTHING = 1e-9  # size that stands for none, as of rounding
 
 
 def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
@@ -36,8 +36,8 @@ def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
 def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.ndarray:
     """The `covariance` of free `parameters` without the directions that only the prior holds.
 
-    Petals may move together, which tip, tilt and piston of the whole pupil do as well: the prior keeps
-    such a direction at zero, and its width says nothing about the effect.
+    Petals may move as one, which tip, tilt and piston of the whole pupil do as well: the prior keeps such a
+    direction at zero, and its width says nothing about the effect.
     """
     sigma, variance = np.array([p.prior_sigma for p in parameters]), np.diag(covariance)
     measured = np.isfinite(variance) & (variance > 0)  # not a direction in which the size is zero
@@ -53,11 +53,7 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
 class Covariances:
     """Covariances of the effects and modes of a model.
 
-    Parameters
-    ----------
-    stack : Stacks
-    models : sequence of Fitted
-        Fits of the model, that with most besides first. The last one has all effects.
+    Of several fits of the model that with most further parameters comes first; the last one has all effects.
     """
 
     def __init__(self, stack: Stacks, models: Sequence[Fitted]):
@@ -65,12 +61,7 @@ class Covariances:
         self._found: dict[int, np.ndarray] = {}
 
     def of(self, label: str) -> np.ndarray:
-        """Of all parameters of the effect with a `label`; zero for what is held.
-
-        Parameters
-        ----------
-        label : str
-        """
+        """Of all parameters of the effect with a `label`; zero for what is held."""
         free = self.models[-1].effect(label).parameters
         number, fitted = next(pair for pair in enumerate(self.models) if _frees(pair[1], label, free))
         covariance = self._whole(number)
@@ -81,7 +72,7 @@ class Covariances:
         return full
 
     def modes_sigma_nm(self) -> np.ndarray:
-        """Errors of the modes of the last model, beside those that the first has beyond them, (modes,)."""
+        """Errors of the last model's modes, jointly with those that the first has beyond them, (modes,)."""
         variances = np.diag(self._whole(0))[self.models[0].problem.layout.modes]
         return np.sqrt(variances[: len(self.models[-1].problem.layout.nolls)])
 

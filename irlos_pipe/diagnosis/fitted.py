@@ -27,22 +27,12 @@ from irlos_pipe.numerics.solution import Solution
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model as a fit left it.
-
-    Attributes
-    ----------
-    problem : JointFit
-    solution : Solution
-    chi2 : float
-        Of the mean training images.
-    views : sequence of View
-        Of the recordings.
-    """
+    """A model as a fit left it."""
 
     problem: JointFit
     solution: Solution
-    chi2: float
-    views: Sequence[View]
+    chi2: float  # of the mean training images
+    views: Sequence[View]  # of the recordings
 
     @property
     def x(self) -> torch.Tensor:
@@ -71,7 +61,7 @@ class Fitted:
 
     @cached_property
     def image_e(self) -> torch.Tensor:
-        """Predicted mean images, (pixels,); those beside the derivatives, where these are known."""
+        """Predicted mean images, (pixels,); those that came with the derivatives, where these are known."""
         return self.linearised[0] if "linearised" in vars(self) else self.problem.predict(self.x)
 
     @cached_property
@@ -96,16 +86,15 @@ class Fitted:
         return self.problem.model.psf.dtype == torch.float64
 
     def effect(self, label: str) -> Effect:
-        """The effect with a `label`."""
         return self.effects[self.problem.effects.labels.index(label)]
 
     def values_of(self, label: str) -> np.ndarray:
-        """All parameters of the effect with a `label`, fixed ones included."""
+        """All parameters of the effect, fixed ones included."""
         free = self.problem.effects.split(self.effect_values)[label]
         return self.effect(label).all_values(free).numpy()
 
     def columns_of(self, label: str) -> list[int]:
-        """Positions of the free parameters of the effect with a `label` in the whole parameter vector."""
+        """Positions of the effect's free parameters in the whole parameter vector."""
         begin = self.problem.layout.effect_values.start
         return [begin + index for index in self.problem.effects.columns_of(label)]
 
@@ -125,13 +114,7 @@ class Fitted:
 
 
 def begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
-    """The same effect with the same freedom, from other values of its free parameters.
-
-    Parameters
-    ----------
-    effect : Effect
-    values : ndarray, (free parameters,)
-    """
+    """The same effect with the same freedom, from other `values` of its free parameters."""
     if not effect.parameters:
         return effect
     free = [parameter.name for parameter in effect.parameters]
@@ -144,26 +127,18 @@ def _free(effect: Effect) -> list[Parameter]:
     return [parameter for parameter in effect.base.parameters if parameter.name in free]
 
 
-OWN = 4  # tip, tilt, flux and background
-POINTING = 2  # modes that belong to each recording
+OWN = 4  # tip, tilt, flux and background of each recording
+POINTING = 2  # modes that belong to each recording, tip and tilt
 
 
 class JointFit(CheapGradientProblem):
     """Least-squares problem for the solver; one member.
 
-    Parameters
-    ----------
-    parts : sequence of ImageFit
-        One per recording, with the same modes, Noll 2 and 3 first, and those effects that act in it.
-    effects : EffectSet, optional
-        All effects, those of single moments included; by default those of the first recording.
-    moments : sequence of int, optional
-        The moment of each recording; by default the same.
-    drift_nm : float
-        Prior σ of the change of every mode from the common wavefront to that of a moment; of no use where
-        there is one moment.
-    tolerance : float
-        Fall of χ² still ahead at which the fit is done, in units of χ²/ν where the model misfits.
+    Of the `parts`, one per recording, all have the same modes, Noll 2 and 3 first, and those effects that act
+    in them; `effects` are all, by default those of the first recording. Unless `moments` says the moment of
+    each recording, it is the same. `drift_nm` is the prior σ of the change of every mode from the common
+    wavefront to that of a moment, of no use with one moment. The fit is done where the fall of χ² still ahead
+    is below `tolerance`, in units of χ²/ν where the model misfits.
     """
 
     def __init__(
@@ -240,11 +215,10 @@ class JointFit(CheapGradientProblem):
     # -- Problem -----------------------------------------------------------------------------
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """See `ImageFit.negligible`."""
         return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """See `Problem.objective`: half of χ² plus that of the prior, (1,)."""
+        """Half of χ² plus that of the prior, (1,)."""
         value = _half_chi2(x - self.prior_mean, self.prior_precision)
         for number, part in enumerate(self.parts):
             at = self.part(x, number)
@@ -253,7 +227,7 @@ class JointFit(CheapGradientProblem):
         return value
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`: with the Gauss–Newton Hessian."""
+        """With the Gauss–Newton Hessian."""
         offset = x - self.prior_mean
         value = _half_chi2(offset, self.prior_precision)
         gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
@@ -290,7 +264,7 @@ class JointFit(CheapGradientProblem):
 
     @torch.no_grad()
     def chi2(self, x: torch.Tensor) -> torch.Tensor:
-        """χ² of all mean images together at `x`."""
+        """χ² of all mean images at `x`."""
         left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
         return torch.stack(list(left)).sum()
 

@@ -24,10 +24,10 @@ from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE
 from irlos_pipe.numerics.solution import INVALID, Solution
 
-PRIOR_SCALE = 3.0  # over the law of the NCPAs
+PRIOR_SCALE = 3.0  # width of the prior over the law of the NCPAs
 MAX_ITERATIONS = 60
-FINISHING, PATIENCE = 20, 8  # iterations in float64, and repetitions
-SETTLED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, that means nothing
+FINISHING, PATIENCE = 20, 8  # iterations in float64 per repetition, and repetitions
+CONVERGED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, below which a fit has converged
 SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
 EXPLORING = 30  # iterations after which it is known whether a fit is promising
 ROUGHLY = 0.1  # fall of χ² ahead, in the same units, at which that is known
@@ -37,15 +37,6 @@ class Fitter:
     """Fits the mean images of some recordings with any effects.
 
     Most of the way is gone in float32, which costs two thirds of the time; the end is in float64.
-
-    Parameters
-    ----------
-    views : sequence of View
-        Of each recording.
-    stack : Stacks
-        Their frames.
-    drift_nm : float
-        See `JointFit`.
     """
 
     def __init__(self, views: Sequence[View], stack: Stacks, drift_nm: float = DRIFT_NM):
@@ -67,20 +58,12 @@ class Fitter:
     def explored(
         self, effects: Sequence[Effect], near: Fitted | None = None, iterations: int = EXPLORING
     ) -> Fitted:
-        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates.
-
-        Parameters
-        ----------
-        effects : sequence of Effect
-        near : Fitted, optional
-        iterations : int
-            At most.
-        """
+        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), iterations)
 
     def begun(self, effects: Sequence[Effect], near: Fitted) -> Fitted:
-        """`effects` beside modes, flux and background of a fit `near` by, nothing fitted yet."""
+        """`effects` with modes, flux and background of a fit `near` by, nothing fitted yet."""
         problem = self._problem(effects, self.views)
         x = self._start(problem, near)
         return Fitted(problem, replace(near.solution, values=x), float(problem.chi2(x)), self.views)
@@ -94,7 +77,7 @@ class Fitter:
             if before.converged or not np.isfinite(before.chi2):
                 break
             fitted = self._exact(before)
-            if before.chi2 - fitted.chi2 < SETTLED * max(1.0, fitted.chi2 / fitted.problem.freedom):
+            if before.chi2 - fitted.chi2 < CONVERGED * max(1.0, fitted.chi2 / fitted.problem.freedom):
                 break
         return fitted
 
@@ -103,7 +86,6 @@ class Fitter:
         return self._solved(self._problem(fitted.continued(), self._quick), fitted.x)
 
     def _exact(self, fitted: Fitted) -> Fitted:
-        """The fit continued in float64."""
         return self._solved(self._problem(fitted.continued(), self.views), fitted.x, FINISHING)
 
     def twin(self, fitted: Fitted) -> Fitted:
@@ -209,14 +191,9 @@ def _failed(start: torch.Tensor) -> Solution:
 def most_plausible(
     chi2: Sequence[float], penalty: Sequence[float], worth: Callable[[int, int], float]
 ) -> int:
-    """Index of the best of several fits of one model.
+    """Index of the best of several fits of one model, by χ² of the images and the `penalty` of the priors.
 
-    Parameters
-    ----------
-    chi2, penalty : sequence of float
-        χ² of the images, and what the priors add.
-    worth : callable
-        Fall of χ² between two of them that counts as much as a unit of the penalty.
+    The fall of χ² between two of them that counts as much as a unit of the penalty is their `worth`.
     """
     best = 0
     for one in range(1, len(chi2)):

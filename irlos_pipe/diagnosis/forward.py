@@ -20,8 +20,8 @@ from irlos_pipe.diagnosis.sharing import parted, sharing
 from irlos_pipe.diagnosis.starts import with_wavefront
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
-LARGER_OF_TWO = 0.5  # effects, which explains at least as much of the excess
-SPLIT = 0.5  # of what one value for all leaves, that a value for each moment must explain
+LARGER_OF_TWO = 0.5  # the larger of two effects explains at least this part of the excess
+SPLIT = 0.5  # part of what one value for all leaves, that a value for each moment must explain
 Report = Callable[[int], None]
 
 
@@ -157,23 +157,11 @@ class Task:
 
 
 def placed_families(moments: Moments, present: Sequence[Effect]) -> tuple[list[Family], list[str]]:
-    """Families for all moments, and for single stars or moments, that a model does not have there.
+    """Families for all moments, of several, and for single stars or moments, unless `present` there already.
 
     A wider form of an effect is looked for by itself where it belongs to something else: of several stars a
-    companion belongs to one, a ghost to all.
-
-    Parameters
-    ----------
-    moments : Moments
-        Several.
-    present : sequence of Effect
-        What the model has.
-
-    Returns
-    -------
-    list of Family
-    list of str
-        Effects that mean nothing under these conditions.
+    companion belongs to one, a ghost to all. Returned as well are the effects that mean nothing under these
+    conditions.
     """
     found, meaningless = [], []
     for name, kind in CATALOGUE.items():

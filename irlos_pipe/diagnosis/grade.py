@@ -46,40 +46,19 @@ AT_ITS_PLACE = {PHOTONS: 0.95, SPECKLES: 0.9, UNSEEN: 0.9}
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the rest says of the names.
-
-    Attributes
-    ----------
-    grade : str
-    left : bool
-        Whether a significant part of what was missing is still missing.
-    search : Search
-        What was found, with the names that are believed.
-    shares : sequence of float
-        Of every name, see `share_at_its_place`.
-    why_unknown : str
-        What speaks against the names; empty if nothing does.
-    """
+    """What the residual says of the names."""
 
     grade: Grade
-    left: bool
-    search: Search
-    shares: Sequence[float]
-    why_unknown: str = ""
+    left: bool  # whether a significant part of what was missing is still missing
+    search: Search  # what was found, with the names that are believed
+    shares: Sequence[float]  # of every name, see `share_at_its_place`
+    why_unknown: str = ""  # what speaks against the names; empty if nothing does
 
 
 def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, options: Options) -> Judgement:
     """Judge what a search found by what it left.
 
-    Parameters
-    ----------
-    search : Search
-    noise : NoiseVerdict
-    fine : FineStructure
-        Of the final model.
-    gap : Gap
-        Of the models without and with the names.
-    options : Options
+    `fine` is the structure that the final model leaves, `gap` that of the models without and with the names.
     """
     left = is_left(search, noise, gap, options.sure)
     if left and (noise.kind == PHOTONS or not closes(gap)):  # on sky some χ² is always left
@@ -130,16 +109,9 @@ def _unexplained(search: Search, left: bool) -> str:
 
 
 def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
-    """Whether something is missing beside the names: by χ², or by the held-out frames.
+    """Whether something is missing besides the names: by χ², or by the held-out frames.
 
-    Parameters
-    ----------
-    search : Search
-    noise : NoiseVerdict
-    gap : Gap
-        Of the models without and with the names.
-    sure : float
-        Significance of a detection.
+    `gap` is that of the models without and with the names.
     """
     left = much_is_left(search, noise.kind, sure)
     if left or not search.accepted:
@@ -150,25 +122,15 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
 
 
 def closes(gap: Gap) -> bool:
-    """Whether names close the gap of held-out frames, or come near its floor.
-
-    Parameters
-    ----------
-    gap : Gap
-    """
+    """Whether names close the gap of held-out frames, or come near its floor."""
     return not (gap.closed < CLOSED and gap.after > AT_FLOOR * gap.floor)
 
 
 def without_ordinary_facts(search: Search) -> Search:
     """What was found, but for facts of the instrument at ordinary values, which a model adjusts.
 
-    Where something is missing that no name explains, the facts take up a part of it: values as any
-    instrument has them do not tell whether they are its own.
-
-    Parameters
-    ----------
-    search : Search
-        Of a model that is not complete.
+    Where something is missing that no name explains, the facts take up a part of it: values as any instrument
+    has them do not tell whether they are its own.
     """
     return _adjusting(search, [one for one in search.accepted if one.refit.base.fact and one.ordinary])
 
@@ -177,13 +139,8 @@ def without_minor_names(search: Search) -> Search:
     """What was found, but for names that close little of the gap without them.
 
     Where speckles are all that is known of the noise and something is missing, whatever is smooth and
-    symmetric takes up a part of it, significantly, in frames that no fit has seen as well. A copy of the
-    star has a place of its own, where little may be left (`share_at_its_place`).
-
-    Parameters
-    ----------
-    search : Search
-        Of a model that is not complete.
+    symmetric takes up a part of it, significantly, in frames that no fit has seen as well. A copy of the star
+    has a place of its own, where little may be left (`share_at_its_place`).
     """
     minor = [one for one in search.accepted if one.gap.closed < BY_ITSELF and not one.refit.base.copies_star]
     return _adjusting(search, minor)
@@ -203,10 +160,6 @@ def copies_in_a_row(fitted: Fitted) -> int:
     """Number of copies of the star in one direction, if they are too many for stars and ghosts; or 0.
 
     Along rows or columns, on both sides of the star, the detector makes them: there fewer are too many.
-
-    Parameters
-    ----------
-    fitted : Fitted
     """
     copies = [label for label in fitted.problem.effects.labels if fitted.effect(label).base.copies_star]
     angles = [fitted.effect(label).base.describe(fitted.values_of(label))["pa_deg"] for label in copies]
@@ -218,12 +171,7 @@ def copies_in_a_row(fitted: Fitted) -> int:
 
 
 def one_place_twice(fitted: Fitted) -> str:
-    """Name of an effect that is twice in one place of the pupil, where two make another shape; or nothing.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    """
+    """Name of an effect that is twice in one place of the pupil, where two make another shape; or nothing."""
     labels = fitted.problem.effects.labels
     places = [label for label in labels if isinstance(fitted.effect(label).base, PupilPlace)]
     for one, other in combinations(places, 2):
@@ -242,33 +190,18 @@ def _near(angles_deg: Sequence[float], to_deg: float, period_deg: float) -> int:
 
 
 def much_is_left(search: Search, kind: str, sure: float) -> bool:
-    """Whether a significant part of what the model missed at first is still there.
-
-    Parameters
-    ----------
-    search : Search
-    kind : str
-        Of the noise.
-    sure : float
-        Significance of a detection.
-    """
+    """Whether a significant part of what the model missed at first is still there, with noise of a `kind`."""
     null, final = search.null.excess, search.remaining
     much = final.significance > sure and final.chi2_nu > LEFT_CHI2_NU[kind]
     return much and final.chi2 > LEFT[kind] * null.chi2
 
 
 def share_at_its_place(one: Refit, final: Optimum) -> float:
-    """Part of a name's own signal that a model explains where that signal lies.
+    """Part of a name's own signal that the `final` model with it explains where that signal lies.
 
-    The signal is the change of the image by the name that no other parameter imitates. Its square weighs
-    the excess of χ² with and without the name: a name that stands in for something else leaves much exactly
-    where it acts.
-
-    Parameters
-    ----------
-    one : Refit
-    final : Optimum
-        Of a model with the name.
+    The signal is the change of the image by the name that no other parameter imitates. Its square weighs the
+    excess of χ² with and without the name: a name that stands in for something else leaves much exactly where
+    it acts.
     """
     stack = final.stack.without_model_error()
     plain = final.under(stack)

@@ -21,19 +21,11 @@ from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
 @dataclass(frozen=True)
 class Gap:
-    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels.
+    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels."""
 
-    Attributes
-    ----------
-    before, after : float
-        With the old and the new model.
-    floor : float
-        With a perfect model, from noise alone.
-    """
-
-    before: float
-    after: float
-    floor: float
+    before: float  # with the old model
+    after: float  # with the new model
+    floor: float  # with a perfect model, from noise alone
 
     @property
     def shrink(self) -> float:
@@ -49,14 +41,7 @@ class Gap:
 
 
 class HeldOutEvaluation:
-    """A model's residuals on the held-out data.
-
-    Parameters
-    ----------
-    stack : Stacks
-        Held out.
-    fitted : Fitted
-    """
+    """A model's residuals on the held-out data."""
 
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels
@@ -74,7 +59,6 @@ class HeldOutEvaluation:
 
     @property
     def gap(self) -> float:
-        """See `Gap`."""
         good = self.stack.root > 0
         return float((self.stack.mean_e - self.mean_e)[good].abs().sum() / self.stack.mean_e[good].sum())
 
@@ -108,9 +92,9 @@ def gap_between(before: HeldOutEvaluation, after: HeldOutEvaluation) -> Gap:
     return Gap(before.gap, after.gap, noise_floor(before))
 
 
-SURE = 3.0  # Vuong's statistic on the held-out frames
-LIKENESS = 0.9
-LARGEST_SET = 3
+SURE = 3.0  # Vuong's statistic from which held-out frames decide between two names
+LIKENESS = 0.9  # |cos| from which two effects are degenerate in the image
+LARGEST_SET = 3  # names not distinguished from the best that are listed, with it
 
 
 def alternatives(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> list[Alternative]:

@@ -1,4 +1,4 @@
-"""Stars and nights that recordings diagnosed together are of.
+"""Stars and nights of recordings in a multi-epoch diagnosis.
 
 A moment is one star at one time: its recordings share the sky and the wavefront. What belongs to the
 instrument is common to all moments, what belongs to a star to all moments of that star.
@@ -17,37 +17,21 @@ Placement = frozenset[int] | None  # moments in which an effect acts; None: all
 
 @dataclass(frozen=True)
 class Moment:
-    """One star at one time.
+    """One star at one time."""
 
-    Attributes
-    ----------
-    name : str
-        For people.
-    star : str
-        Equal names are the same star.
-    conditions : Conditions
-        Of its first recording.
-    """
-
-    name: str
-    star: str
-    conditions: Conditions
+    name: str  # for people
+    star: str  # equal names are the same star
+    conditions: Conditions  # of its first recording
 
 
 @dataclass(frozen=True)
 class Moments:
-    """All moments, by number.
-
-    Attributes
-    ----------
-    by_number : mapping of int to Moment
-    """
+    """All moments, by number."""
 
     by_number: Mapping[int, Moment]
 
     @classmethod
     def of(cls, recordings: Sequence[Exposures]) -> Moments:
-        """The moments of some `recordings`."""
         by_number: dict[int, Moment] = {}
         for one in recordings:
             by_number.setdefault(one.moment, Moment(one.name, one.star, one.conditions))
@@ -55,7 +39,6 @@ class Moments:
 
     @property
     def several(self) -> bool:
-        """Whether there is more than one."""
         return len(self.by_number) > 1
 
     @property
@@ -96,16 +79,8 @@ class Moments:
 def placed(by_moment: Mapping[int, Sequence[Effect]], moments: Moments) -> list[Effect]:
     """The effects of a model of several moments.
 
-    Parameters
-    ----------
-    by_moment : mapping of int to sequence of Effect
-        The same effects as the conditions of every moment make them.
-    moments : Moments
-
-    Returns
-    -------
-    list of Effect
-        Once what belongs to the instrument or is held, for every star or moment what belongs to it.
+    For every moment `by_moment` has the same effects, as its conditions make them. What belongs to the
+    instrument or is held is returned once, what belongs to a star or a moment for each of these.
     """
     found: list[Effect] = []
     for alike in zip(*by_moment.values(), strict=True):

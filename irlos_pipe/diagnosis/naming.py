@@ -1,6 +1,6 @@
 """Names in a search where facts are free: further ones, and those that a model needs in the end.
 
-A name must be significant, leave little of its own signal where it acts, and be wanted by data that no fit
+A name must be significant, leave little of its own signal where it acts, and be preferred by data that no fit
 has seen. What another effect explains as well, and more plausibly, gives that its place.
 
 The wavefront is as open as the window, and variances allow for what the model misses. Light that a model has
@@ -41,23 +41,13 @@ KNOWN = 1.2  # χ²/ν up to which photons still set the errors
 
 @dataclass(frozen=True)
 class AllowingTask(Task):
-    """A search beside variances that allow for what a model misses.
+    """A search with variances that allow for what a model misses."""
 
-    Attributes
-    ----------
-    kind : str
-        Of the noise.
-    flat_rms : float
-        Error of the flat, the least that a model left: a wrong one makes fine structure of its own.
-    misfit : float
-        χ²/ν for which the variances allow.
-    all_modes : Opening or None
-        The last fit of all visible modes, of which the light paths have those beyond the closed basis.
-    """
-
-    kind: str
+    kind: str  # of the noise
+    # Error of the flat, the least that a model left: a wrong one makes fine structure of its own.
     flat_rms: float = np.inf
-    misfit: float = np.inf
+    misfit: float = np.inf  # χ²/ν for which the variances allow
+    # The last fit of all visible modes, of which the light paths have those beyond the closed basis.
     all_modes: Opening | None = None
 
     def with_errors(self, fitted: Fitted) -> tuple[Self, Optimum]:
@@ -70,7 +60,7 @@ class AllowingTask(Task):
         return task, Optimum(task.cube.training, task.fitter.at(fitted))
 
     def allowing(self, fitted: Fitted) -> Self:
-        """The same search beside variances that allow for what a model misses."""
+        """The same search with variances that allow for what a model misses."""
         errors = self.errors_of(fitted)
         known = self.kind == PHOTONS and errors.misfit < KNOWN
         cube = self.cube.with_errors(errors).limited_by(known)
@@ -78,7 +68,6 @@ class AllowingTask(Task):
         return replace(self, cube=cube, fitter=fitter, flat_rms=errors.flat_rms, misfit=errors.misfit)
 
     def errors_of(self, fitted: Fitted) -> Errors:
-        """See `errors_of`."""
         return errors_of(self.cube.training, fitted, self.conditions.settings, self.flat_rms)
 
     def opened(self, current: Optimum) -> tuple[Self, Optimum]:
@@ -91,7 +80,7 @@ class AllowingTask(Task):
         return (self, current) if opening is None else self.closed(opening)
 
     def opening(self, near: Fitted, effects: Sequence[Effect]) -> Opening | None:
-        """A fit of all visible modes beside some effects, see `Opening.of`."""
+        """A fit of all visible modes jointly with some effects, see `Opening.of`."""
         before = self.all_modes
         known_nm, law = ({}, None) if before is None else (before.beyond_nm, before.law)
         unknown = {noll: -nm for noll, nm in known_nm.items()}
@@ -110,14 +99,7 @@ class AllowingTask(Task):
 def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings, most_flat: float = np.inf) -> Errors:
     """What flat and model miss, with which in the variances χ²/ν is one.
 
-    Parameters
-    ----------
-    stack : Stacks
-    fitted : Fitted
-    settings : PsfSettings
-        Of the first recording.
-    most_flat : float
-        Error of the flat that it can have at most.
+    The error of the flat is `most_flat` at most; the `settings` are those of the first recording.
     """
     residual_e = stack.mean_e - fitted.image_e
     pairs = zip(stack.parts, fitted.problem.pixels, strict=True)
@@ -128,25 +110,19 @@ def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings, most_flat: f
     return replace(errors, misfit=max(1.0, float(white @ white) / fitted.problem.freedom))
 
 
-RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
-PROPOSALS = 4  # fitted per name
+RIVALS = 0.3  # part of a name's fall of χ² that another effect must promise to be compared with it
+PROPOSALS = 4  # effects that are fitted per name
 HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the model misfits
 
 
 class NamingTask(AllowingTask):
-    """A search that gives names beside variances that allow for what its model misses."""
+    """A search that gives names with variances that allow for what its model misses."""
 
     def further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
-        """The next name: significant, plausible, and wanted by the held-out frames.
+        """The next name: significant, plausible, and preferred by the held-out frames.
 
-        Parameters
-        ----------
-        current : Optimum
-            The model without it.
-        found : list of Score
-            Of the effects there.
-        least : float
-            Part of χ² that a name must explain which leaves much where it acts.
+        The `current` model lacks it; the scores of effects `found` there. A name that leaves much where it
+        acts must explain at `least` this part of χ².
         """
         places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
         least_seen = HARDLY_SEEN if self.misfit > KNOWN else self.options.sure
@@ -156,14 +132,14 @@ class NamingTask(AllowingTask):
         )
         self.report(len(ranked))
         ranked = [one for one in ranked if not one.implausible]
-        right = self._wanted([one for one in ranked if self._explains_its_own(one)])
-        return right or self._wanted([one for one in ranked if one.gain > least * one.origin.fitted.chi2])
+        right = self._preferred([one for one in ranked if self._explains_its_own(one)])
+        return right or self._preferred([one for one in ranked if one.gain > least * one.origin.fitted.chi2])
 
-    def _wanted(self, ranked: Sequence[Refit]) -> Accepted | None:
+    def _preferred(self, ranked: Sequence[Refit]) -> Accepted | None:
         """The first of the ranked names if it is significant and held-out data clearly prefer it.
 
-        Beside errors of a model they must prefer it clearly on sky, too: chance companions in what is left
-        are significant and mean nothing there.
+        With errors of a model they must prefer it clearly on sky, too: chance companions in the residual are
+        significant and mean nothing there.
         """
         one = accepted(ranked, self.cube, self.options)
         return one if one is not None and one.preference > PREFERRED else None
@@ -173,24 +149,16 @@ class NamingTask(AllowingTask):
         return share_at_its_place(refit, refit.optimum) > AT_ITS_PLACE[self.kind]
 
     def confirmed(
-        self, current: Optimum, told: Sequence[Effect], dropped: Sequence[str]
+        self, current: Optimum, declared: Sequence[Effect], dropped: Sequence[str]
     ) -> tuple[Self, Optimum, list[Accepted]]:
         """Names for the effects of a model that explain their own and that it needs, also for held-out data.
 
-        One that another effect explains as well, and more plausibly, gives it its place. What is unusual
-        comes first, then what explains most.
-
-        Parameters
-        ----------
-        current : Optimum
-            The model.
-        told : sequence of Effect
-            Its effects that need no name.
-        dropped : sequence of str
-            Names that were not significant beside these.
+        Effects `declared` need no name; those `dropped` were not significant jointly with the others. A name
+        that another effect explains as well, and more plausibly, gives it its place. What is unusual comes
+        first, then what explains most.
         """
         named: list[Accepted] = []
-        task, waiting = self, self._sure(current, told)
+        task, waiting = self, self._sure(current, declared)
         while waiting:
             label, *waiting = waiting
             present = task._against_without(current, label)
@@ -201,7 +169,7 @@ class NamingTask(AllowingTask):
                 task._rivals(present, dropped) if right else other_forms(task.fitter, [present], wider=True)
             )
             plausible = [one for one in (present, *rivals) if task._explains_its_own(one)]
-            one = task._wanted(sorted(plausible, key=lambda one: -one.merit))
+            one = task._preferred(sorted(plausible, key=lambda one: -one.merit))
             if one is None:
                 continue
             if one.refit is not present:
@@ -211,13 +179,13 @@ class NamingTask(AllowingTask):
             named.append(replace(one, label=one.refit.label))
         return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
 
-    def _sure(self, current: Optimum, told: Sequence[Effect]) -> list[str]:
-        """Labels of the effects beyond those told that all visible modes together do not imitate.
+    def _sure(self, current: Optimum, declared: Sequence[Effect]) -> list[str]:
+        """Labels of the effects beyond those declared that all visible modes jointly do not imitate.
 
-        The modes beyond the closed basis are known to a model, as a fit beside its effects has them: without
-        an effect that they imitate it fits badly, whether or not that effect is there.
+        The modes beyond the closed basis are known to a model, as a joint fit with its effects has them:
+        without an effect that they imitate it fits badly, whether or not that effect is there.
         """
-        labels = added(current.fitted, told)
+        labels = added(current.fitted, declared)
         if self.all_modes is None:
             return labels
         fitted = self.all_modes.fitted
@@ -258,13 +226,7 @@ class NamingTask(AllowingTask):
         return Refit(score_family(origin, family), origin, fitted, label)
 
 
-def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
-    """Labels of the effects of a model beyond those that it was told.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    told : sequence of Effect
-    """
-    known = {*labels_of(told)}
+def added(fitted: Fitted, declared: Sequence[Effect]) -> list[str]:
+    """Labels of the effects of a model beyond those declared."""
+    known = {*labels_of(declared)}
     return [label for label in fitted.problem.effects.labels if label not in known]

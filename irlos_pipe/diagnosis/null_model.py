@@ -1,8 +1,8 @@
-"""The residual of a fitted model: the null model of score tests, and what is left of χ².
+"""The residual of a fitted model: the null model of score tests, and the excess of χ².
 
-Priors are rows of B whose data are what the parameters miss of the prior's mean. How uncertain any
-projection is comes from its scatter between frames and from the noise of the dark that they share, so the
-same numbers hold for photons and for speckles.
+Priors are rows of B whose data are what the parameters miss of the prior's mean. How uncertain any projection
+is comes from its scatter between frames and from the noise of the dark that they share, so the same numbers
+hold for photons and for speckles.
 """
 
 from __future__ import annotations
@@ -21,20 +21,11 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 
 @dataclass(frozen=True)
 class Excess:
-    """χ² of the mean image beyond what noise leaves there.
-
-    Attributes
-    ----------
-    chi2 : float
-    sigma : float
-        Its standard error in the absence of any.
-    expected : float
-        χ² from noise alone.
-    """
+    """χ² of the mean image beyond what noise leaves there."""
 
     chi2: float
-    sigma: float
-    expected: float
+    sigma: float  # its standard error in the absence of any
+    expected: float  # χ² from noise alone
 
     @property
     def significance(self) -> float:
@@ -48,13 +39,7 @@ class Excess:
 
 
 class Optimum(NullModel):
-    """Whitened residual of the mean training images and of their frames.
-
-    Parameters
-    ----------
-    stack : Stacks
-    fitted : Fitted
-    """
+    """Whitened residual of the mean training images and of their frames."""
 
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.fitted = fitted
@@ -72,7 +57,7 @@ class Optimum(NullModel):
         super().__init__(residual, root, basis, unconverged)
 
     def under(self, stack: Stacks) -> Optimum:
-        """The same model beside other variances of the same frames."""
+        """The same model with other variances of the same frames."""
         return self if stack is self.stack else Optimum(stack, self.fitted)
 
     @property
@@ -82,7 +67,7 @@ class Optimum(NullModel):
 
     @cached_property
     def frozen(self) -> list[list[Effect]]:
-        """The effects as fitted for each recording, to try others beside them."""
+        """The effects as fitted for each recording, to test others jointly with them."""
         return [
             frozen_effects(part.model.effects, x[0, part.layout.effect_values])
             for part, x in self.fitted.recordings

@@ -1,4 +1,4 @@
-"""All modes that the window shows, fitted at once beside the effects of a model.
+"""All modes that the window shows, fitted jointly with the effects of a model.
 
 Many modes imitate whatever is small and bright. Their prior, whose law is fitted, says how much of it they
 may: an effect that they would rather not imitate lowers χ² and prior together.
@@ -22,21 +22,11 @@ from irlos_pipe.estimate.open_fit import TailLaw, open_basis
 
 @dataclass(frozen=True)
 class Opening:
-    """A fit of all visible modes of one recording.
+    """A fit of all visible modes of one recording."""
 
-    Attributes
-    ----------
-    fitted : Fitted
-        All modes free, those beyond the closed basis with the law that was fitted.
-    closed : Fitted
-        The problem of the closed basis, without the others, from which it began.
-    law : TailLaw
-        Of the modes beyond the closed basis.
-    """
-
-    fitted: Fitted
-    closed: Fitted
-    law: TailLaw
+    fitted: Fitted  # all modes free, those beyond the closed basis with the law that was fitted
+    closed: Fitted  # the problem of the closed basis, without the others, from which it began
+    law: TailLaw  # of the modes beyond the closed basis
 
     @classmethod
     def of(
@@ -47,19 +37,10 @@ class Opening:
         beyond_nm: Mapping[int, float],
         law: TailLaw | None = None,
     ) -> Opening | None:
-        """Fit all modes beside some effects; None of several recordings, or where it cannot be made.
+        """Fit all modes jointly with some effects; None of several recordings, or where it cannot be made.
 
-        Parameters
-        ----------
-        fitter : Fitter
-            Whose light paths have none of the modes beyond the closed basis.
-        effects : sequence of Effect
-        near : Fitted
-            Where the closed basis begins.
-        beyond_nm : mapping
-            Where the modes beyond begin; Noll index to nm RMS.
-        law : TailLaw, optional
-            See `open_basis`.
+        The light paths of the `fitter` have none of the modes beyond the closed basis. That begins `near` a
+        fit, the modes beyond at `beyond_nm`, Noll index to nm RMS; for `law` see `open_basis`.
         """
         if len(fitter.views) > 1:
             return None
@@ -85,26 +66,16 @@ class Opening:
     def deviance(self, misfit: float = 1.0) -> float:
         """Twice the negative logarithm of its likelihood and priors, whatever part of χ² the model misses.
 
-        Variances allow for what an earlier model missed. What a better one misses is less, but never less
-        than noise, so that the factor on the variances is that with which χ²/ν is one:
+        Variances allow for the χ²/ν of an earlier model, `misfit`. What a better one misses is less, but
+        never less than noise, so that the factor on the variances is that with which χ²/ν is one:
         ``ν ln s + χ²/s`` plus the priors, ``s = max(χ²/ν, 1 / misfit)``.
-
-        Parameters
-        ----------
-        misfit : float
-            χ²/ν for which the variances allow.
         """
         freedom, chi2 = self.fitted.problem.freedom, self.fitted.chi2
         scale = max(chi2 / freedom, 1 / misfit)
         return freedom * float(np.log(scale)) + chi2 / scale + self.fitted.penalty
 
     def optimum(self, stack: Stacks) -> Optimum:
-        """The residual, for score tests beside all modes.
-
-        Parameters
-        ----------
-        stack : Stacks
-        """
+        """The residual, for score tests jointly with all modes."""
         return Optimum(stack, self.fitted)
 
     def with_known_modes(self) -> Fitted:

@@ -1,15 +1,16 @@
 """Effects that fit as well on their opposite side, and facts that further fits should leave free.
 
 A stop that is moved one way and one that is moved the other way make the same image to first order, but for
-the even part of the wavefront. Odd modes imitate the rest: behind a strong AO residual both sides may fit.
+the even part of the wavefront. Odd modes imitate the difference: behind a strong AO residual both sides may
+fit.
 
 None of the facts that stay free is named. A name needs evidence; an estimate needs none. A calibration that
-takes for exact what was only told errs by all that this is wrong, up to the five standard errors from which
-an effect is named. To free it costs the variance that it adds to all else, and pays where it is off by more
-than some √2 standard errors (Akaike 1974, IEEE Trans. Autom. Control 19, 716). Where a diagnosis had to free
-all facts at once, those stay free in the model that it leaves, from where they fit best: a displaced stop is
-begun on every side of the pupil, as the image has a kink where it is not displaced. Facts of a design, such
-as square pixels, are left as they are: what the model of the AO residual misses imitates them.
+takes for exact what was only declared errs by all that this is wrong, up to the five standard errors from
+which an effect is named. To free it costs the variance that it adds to all else, and pays where it is off by
+more than some √2 standard errors (Akaike 1974, IEEE Trans. Autom. Control 19, 716). Where a diagnosis had to
+free all facts at once, those stay free in the model that it leaves, from where they fit best: a displaced
+stop is begun on every side of the pupil, as the image has a kink where it is not displaced. Facts of a
+design, such as square pixels, are left as they are: what the model of the AO residual misses imitates them.
 """
 
 from __future__ import annotations
@@ -29,22 +30,10 @@ from irlos_pipe.effects import Effect, FixedEffect
 
 
 def opposite_side(fitter: Fitter, final: Optimum, label: str, sure: float) -> OppositeSide | None:
-    """The fit with an effect of the pupil on its opposite side, unless the data exclude it.
+    """The `final` fit with an effect of the pupil on its opposite side, unless the data exclude that.
 
-    Parameters
-    ----------
-    fitter : Fitter
-    final : Optimum
-        Of the model with the effect.
-    label : str
-        Of the effect there.
-    sure : float
-        Significance from which that side is excluded, in Gaussian σ.
-
-    Returns
-    -------
-    OppositeSide or None
-        None as well for effects without a direction in the pupil, and where the fit leads back.
+    The data exclude it from a significance of `sure` on, in Gaussian σ. None as well for effects without a
+    direction in the pupil, and where the fit leads back.
     """
     fitted = final.fitted
     if label not in fitted.problem.effects.labels or fitted.effect(label).plane != "pupil":
@@ -77,24 +66,14 @@ def _is_opposite(fitted: Fitted, other: Fitted, column: int) -> bool:
     return bool(np.isfinite(other.chi2) and np.cos(turned) < 0)
 
 
-WORTH = 1.5  # standard errors by which a fact must be off
+WORTH = 1.5  # standard errors by which a fact must be off to be worth its freedom, some √2
 
 
 def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[FixedEffect]:
-    """Return those facts, of a model or lacking in it, that are off by more than `WORTH`, as they fit best.
+    """Return those facts, of the `final` model or lacking in it, that are off by more than `WORTH`.
 
-    Parameters
-    ----------
-    fitter : Fitter
-    final : Optimum
-        With which a diagnosis ended.
-    known : sequence of str
-        Labels of what is named or adjusted there: these are left out.
-
-    Returns
-    -------
-    list of FixedEffect
-        Nothing free; empty where the fit fails.
+    They are as they fit best, nothing free; those with `known` labels, named or adjusted, are left out, and
+    all where the fit fails.
     """
     fitted = final.fitted
     own = fitter.of(final.stack, fitted.views)

@@ -17,38 +17,26 @@ from irlos_pipe.effects import Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
-PROPOSALS = 8
-HOPELESS = 0.1  # of the fall of χ² by a name that leaves nothing to explain: others need no fit
-NOTHING_LEFT = 5.0  # significance of the excess
+PROPOSALS = 8  # families that are fitted at most
+HOPELESS = 0.1  # part of the fall of χ² by a name that leaves nothing; what promises less needs no fit
+NOTHING_LEFT = 5.0  # significance of the excess below which nothing is left to explain
 FAR = 10.0  # χ²/ν from which the model may be at a false minimum
 RETRIED = 2  # of the most promising families, if none leaves nothing; what a detector adds is fitted quickly
-RANKING = 15  # iterations beside free facts, after which nine tenths of the fall of χ² are known
-SIDE_BY_SIDE = 2  # fits, after which it is asked whether others are hopeless
-PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
-EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ²
-CLEARLY_LESS = 25.0  # of calibrated χ²
+RANKING = 15  # iterations with free facts, after which nine tenths of the fall of χ² are known
+SIDE_BY_SIDE = 2  # fits at once, after which others may prove hopeless
+PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
+EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ² from which another family is its rival
+CLEARLY_LESS = 25.0  # deficit of calibrated χ² below which another family is a rival whatever it explains
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A family fitted beside the effects that the model has.
+    """A family fitted jointly with the effects that the model has."""
 
-    Attributes
-    ----------
-    score : Score
-        From which the fit started.
-    origin : Optimum
-        Without it.
-    fitted : Fitted
-        With it.
-    label : str, optional
-        Of the effect in the model; the last of its kind unless said.
-    """
-
-    score: Score
-    origin: Optimum
-    fitted: Fitted
-    label: str = ""
+    score: Score  # from which the fit started
+    origin: Optimum  # without it
+    fitted: Fitted  # with it
+    label: str = ""  # of the effect in the model; the last of its kind unless said
 
     def __post_init__(self):
         kinds = [effect.name for effect in self.origin.fitted.effects]
@@ -56,12 +44,10 @@ class Refit:
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.score.name
 
     @property
     def gain(self) -> float:
-        """Fall of χ²."""
         return self.origin.fitted.chi2 - self.fitted.chi2
 
     @property
@@ -107,17 +93,14 @@ class Refit:
 
     @property
     def effect(self) -> Effect:
-        """The effect as fitted."""
         return self.fitted.effect(self.label)
 
     @property
     def base(self) -> Effect:
-        """The effect itself."""
         return self.effect.base
 
     @property
     def values(self) -> np.ndarray:
-        """All its parameters."""
         return self.fitted.values_of(self.label)
 
     @property
@@ -139,14 +122,7 @@ def refits(
 ) -> list[Refit]:
     """Fit the most promising families, and return the best first.
 
-    Parameters
-    ----------
-    fitter : Fitter
-    origin : Optimum
-        Of the model without them.
-    scores : sequence of Score
-    report : callable
-        Called with the number of finished fits.
+    `origin` is the model without them; `report` is called with the number of finished fits.
     """
     found: list[Refit] = []
     for some in _rounds(proposals(scores)):
@@ -163,12 +139,7 @@ def refits(
 
 
 def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> list[Refit]:
-    """Fit what scores propose in float32, for a few iterations; the best first.
-
-    Parameters
-    ----------
-    fitter, origin, scores : see `refits`
-    """
+    """Fit what scores propose in float32, for a few iterations; the best first."""
     near = ordered_map(partial(_near, fitter, origin, iterations=RANKING), scores)
     found = [one for one in near if np.isfinite(one.fitted.chi2)]
     seen = [one for one in found if one.beyond_chance]
@@ -200,7 +171,6 @@ def _near(fitter: Fitter, origin: Optimum, score: Score, iterations: int = EXPLO
 
 
 def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect, iterations: int = EXPLORING) -> Fitted:
-    """A fit from the model before, see `Fitter.explored`."""
     return fitter.explored([*origin.fitted.continued(), effect], origin.fitted, iterations)
 
 
@@ -217,7 +187,6 @@ def _best(found: Sequence[Refit]) -> Refit:
 
 
 def _finished(fitter: Fitter, one: Refit) -> Refit:
-    """`one` after convergence."""
     return replace(one, fitted=fitter.finished(one.fitted))
 
 
@@ -272,13 +241,7 @@ def _leaders(found: Sequence[Refit]) -> list[Refit]:
 def other_forms(fitter: Fitter, found: Sequence[Refit], *, wider: bool) -> list[Refit]:
     """Fits of other forms of what was found, from where that is: a second image may be out of focus.
 
-    Parameters
-    ----------
-    fitter : Fitter
-    found : sequence of Refit
-        Those that act in one moment alone have none.
-    wider : bool
-        Wider forms; else that of which it is one.
+    They are `wider`, or those of which it is a wider form; what acts in one moment alone has none.
     """
     conditions, every = fitter.views[0].conditions, [one for one in found if one.base.acts_in is None]
     pairs = [
@@ -291,7 +254,7 @@ def other_forms(fitter: Fitter, found: Sequence[Refit], *, wider: bool) -> list[
 
 
 def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:
-    """A fit with another effect in the place of what was fitted, from where the rest is."""
+    """A fit with another effect in the place of what was fitted, from where all else is."""
     others = one.fitted.continued_by_label()
     del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())

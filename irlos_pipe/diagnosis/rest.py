@@ -14,9 +14,9 @@ from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SMOOTH_PX = 1.0  # of the residual, before its strongest part is looked for
-HALF = 0.5  # of the maximum, to which its strongest part reaches
+HALF = 0.5  # part of the maximum down to which its strongest part reaches
 ALIKE = 0.5  # correlation from which two halves show the same
-CORE = 0.5  # of the brightest pixel, from which pixels belong to the star
+CORE = 0.5  # part of the brightest pixel from which pixels belong to the star
 
 Symmetry = Literal["symmetric", "antisymmetric", "one-sided"]
 Time = Literal["static", "moving", "not seen"]
@@ -24,40 +24,21 @@ Time = Literal["static", "moving", "not seen"]
 
 @dataclass(frozen=True)
 class Rest:
-    """What is left between the held-out images and the final model.
+    """The residual between the held-out images and the final model."""
 
-    Attributes
-    ----------
-    light_fraction : float
-        Part of the light that is misplaced beyond what noise alone shows.
-    x_mas, y_mas : float
-        Of its strongest part, from the star, to the right and up.
-    extent_mas : float
-        Diameter of a disc as large as the strongest part.
-    excess : bool
-        Whether there is too much light in its strongest part, not too little.
-    symmetry : str
-        Under a half turn about the star.
-    time : str
-        Whether the two halves of the frames leave the same.
-    finer_than_diffraction : bool
-    flat_rms : float
-        Relative error of the flat that would make what is finer; 0 where none is told apart.
-    """
-
-    light_fraction: float
-    x_mas: float
-    y_mas: float
-    extent_mas: float
-    excess: bool
-    symmetry: Symmetry
-    time: Time
+    light_fraction: float  # part of the light that is misplaced beyond what noise alone shows
+    x_mas: float  # of its strongest part, from the star, to the right
+    y_mas: float  # the same, up
+    extent_mas: float  # diameter of a disc as large as the strongest part
+    excess: bool  # whether there is too much light in its strongest part, not too little
+    symmetry: Symmetry  # under a half turn about the star
+    time: Time  # whether the two halves of the frames leave the same
     finer_than_diffraction: bool
+    # Relative error of the flat that would make what is finer; 0 where none is significant.
     flat_rms: float = 0.0
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
         sign = "brighter" if self.excess else "fainter"
         fine = ", partly finer than the diffraction limit" if self.finer_than_diffraction else ""
         if fine and self.flat_rms:
@@ -80,17 +61,7 @@ def rest_of(
 ) -> Rest:
     """Describe what the final model leaves of the held-out frames of the first recording.
 
-    Parameters
-    ----------
-    judge : HeldOutEvaluation
-    floor : float
-        Gap that noise alone leaves.
-    fine : FineStructure
-    sure : float
-        Significance from which fine structure counts, in Gaussian σ.
-    settings : PsfSettings
-    flat_rms : float
-        Of the final model, see `fine_structure.flat_rms`.
+    Noise alone leaves a gap of `floor`; fine structure counts from `sure` σ; for `flat_rms` see there.
     """
     pixels, window = judge.pixels[0], settings.window
     image = judge.mean_e[pixels].reshape(window).numpy()

@@ -1,8 +1,8 @@
 """Which further recording would show what this one cannot.
 
-Fisher matrices need no frames: at the optimum, every recording that might be taken beside the present
-ones is computed, with as many frames and as much light, and what is then left of an effect's derivative
-beyond the fitted parameters, and of the likeness of two names, says whether it would help.
+Fisher matrices need no frames: at the optimum, every recording that might be taken in addition is computed,
+with as many frames and as much light, and what is then left of an effect's derivative beyond the fitted
+parameters, and of the likeness of two names, says whether it would help.
 """
 
 from __future__ import annotations
@@ -28,19 +28,13 @@ from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
 from irlos_pipe.numerics.parallel import ordered_map
 
-OUT_OF_FOCUS_NM = 200.0
+OUT_OF_FOCUS_NM = 200.0  # defocus of a further recording
 BANDS = {"J": J, "H": H}
-COLOURS = 3
+COLOURS = 3  # wavelengths of a further recording's band
 
 
 class SecondRecordings:
-    """Recordings that might be taken beside those of a diagnosis.
-
-    Parameters
-    ----------
-    optimum : Optimum
-        Of the model as it is at the end.
-    """
+    """Recordings that might be taken in addition to those of a diagnosis, at its final optimum."""
 
     def __init__(self, optimum: Optimum):
         self.optimum, self.present = optimum, optimum.stack
@@ -48,17 +42,11 @@ class SecondRecordings:
         self.views = {
             recording: first.under(conditions) for recording, conditions in variants(first.conditions)
         }
-        beside = ordered_map(partial(self._beside, optimum.fitted), self.views)
+        beside = ordered_map(partial(self._with_recording, optimum.fitted), self.views)
         self.beside = dict(zip(self.views, beside, strict=True))
 
     def showing(self, score: Score) -> Advice | None:
-        """The recording with which an untestable effect is seen best; None if none shows it.
-
-        Parameters
-        ----------
-        score : Score
-            Of the effect without it.
-        """
+        """The recording with which an untestable effect is seen best; None if none shows it."""
         found = ((recording, self._score(score, optimum)) for recording, optimum in self.beside.items())
         useful = [
             (recording, one) for recording, one in found if one.testable and within_reach(one, plausible=True)
@@ -71,11 +59,7 @@ class SecondRecordings:
     def separating(self, one: Refit, others: Sequence[Refit]) -> list[tuple[str, float]]:
         """For each of the `others` the recording with which it is least like `one`, and how much it still is.
 
-        Parameters
-        ----------
-        one : Refit
-        others : sequence of Refit
-            From the same origin.
+        All are from the same origin.
         """
         if not others:
             return []
@@ -94,11 +78,11 @@ class SecondRecordings:
 
     def _likenesses(self, one: Refit, others: Sequence[Refit], recording: str) -> list[float]:
         """Likeness of a fit and others with one recording more."""
-        before = self._beside(one.origin.fitted, recording)
+        before = self._with_recording(one.origin.fitted, recording)
         first, *rest = (self._model(fit.fitted, recording)[0] for fit in (one, *others))
         return [likeness(first, other, before) for other in rest]
 
-    def _beside(self, fitted: Fitted, recording: str) -> Optimum:
+    def _with_recording(self, fitted: Fitted, recording: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""
         model, stacks = self._model(fitted, recording)
         return Optimum(stacks, model)
@@ -113,7 +97,7 @@ class SecondRecordings:
 
 
 def _expected(like: Stack, image_e: torch.Tensor) -> Stack:
-    """A recording with as many frames as another one, as noisy beside its photons."""
+    """A recording with as many frames as another one, noisier than its noise model by the same factor."""
     noise, frames = like.frames.noise, len(like)
     louder = like.variance_e2 * frames / noise.variance_e2(like.mean_e)
     variance = noise.variance_e2(image_e) / frames * louder[louder.isfinite()].median()

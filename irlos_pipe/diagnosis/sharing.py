@@ -28,58 +28,32 @@ from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma
 
 SEEN = 5.0  # significance from which a moment by itself shows an effect
-MEASURED = 1e-9  # of a correlation matrix, below which an eigenvalue is rounding
-PREFERRED = 3.0  # Vuong's statistic on held-out data
+MEASURED = 1e-9  # eigenvalue of a correlation matrix below which it is rounding
+PREFERRED = 3.0  # Vuong's statistic on held-out data from which moments differ
 Finding = Literal["common", "differs", "open"]
 
 
 @dataclass(frozen=True)
 class OwnValue:
-    """What one moment has of an effect.
+    """What one moment has of an effect."""
 
-    Attributes
-    ----------
-    moment : str
-        Its name.
-    number : int
-    public, sigma : dict
-        Parameters and standard errors under public names.
-    significance : float
-        Of its presence, in Gaussian σ.
-    """
-
-    moment: str
+    moment: str  # name of the moment
     number: int
-    public: dict[str, Any]
-    sigma: dict[str, Any]
-    significance: float
+    public: dict[str, Any]  # parameters under public names
+    sigma: dict[str, Any]  # their standard errors
+    significance: float  # of its presence, in Gaussian σ
 
 
 @dataclass(frozen=True)
 class Sharing:
-    """Whether moments share an effect.
+    """Whether moments share an effect."""
 
-    Attributes
-    ----------
-    labels : sequence of str
-        Of the effect in the model: one for all moments, or several that act in some.
-    finding : {"common", "differs", "open"}
-        ``open`` where fewer than two moments show it and the others do not exclude it.
-    significance : float
-        Of the differences between the moments, in Gaussian σ.
-    chi2_fall : float
-        By which χ² falls with a value for each moment, for so many further `parameters`.
-    preference : float
-        Vuong's statistic on the held-out data for a value of each moment against one for all.
-    values : sequence of OwnValue
-    """
-
-    labels: Sequence[str]
-    finding: Finding
-    significance: float
-    chi2_fall: float
+    labels: Sequence[str]  # of the effect in the model: one for all moments, or several that act in some
+    finding: Finding  # open where fewer than two moments show it and the others do not exclude it
+    significance: float  # of the differences between the moments, in Gaussian σ
+    chi2_fall: float  # by which χ² falls with a value for each moment, for so many further `parameters`
     parameters: int
-    preference: float
+    preference: float  # Vuong's statistic on the held-out data for a value of each moment against one for all
     values: Sequence[OwnValue]
 
     @property
@@ -91,54 +65,28 @@ class Sharing:
 
 @dataclass(frozen=True)
 class Change:
-    """How much the wavefront of a moment differs from the mean of those of all moments.
-
-    Attributes
-    ----------
-    moment : str
-    rms_nm, sigma_nm : float
-        Root mean square over the modes of the changes and of their standard errors [nm].
-    """
+    """How much the wavefront of a moment differs from the mean of those of all moments."""
 
     moment: str
-    rms_nm: float
-    sigma_nm: float
+    rms_nm: float  # root mean square over the modes [nm]
+    sigma_nm: float  # the same of the standard errors [nm]
 
 
 @dataclass(frozen=True)
 class Together:
-    """What the moments of a diagnosis share.
-
-    Attributes
-    ----------
-    moments : Moments
-    sharing : sequence of Sharing
-        Of every effect that was named, in the order of the steps.
-    changes : sequence of Change
-        Of the wavefront, for every moment.
-    """
+    """What the moments of a multi-epoch diagnosis share."""
 
     moments: Moments
-    sharing: Sequence[Sharing]
-    changes: Sequence[Change]
+    sharing: Sequence[Sharing]  # of every effect that was named, in the order of the steps
+    changes: Sequence[Change]  # of the wavefront, for every moment
 
 
 def sharing(
     labels: Sequence[str], fitted: Fitted, fitter: Fitter, cube: Cube, moments: Moments, sure: float
 ) -> Sharing:
-    """Compare one value for all moments with a value for each.
+    """Compare one value for all moments with a value for each; they differ from a significance of `sure` on.
 
-    Parameters
-    ----------
-    labels : sequence of str
-        Of the effect in the model: of one for all moments, or of several that act in some.
-    fitted : Fitted
-        The model.
-    fitter : Fitter
-    cube : Cube
-    moments : Moments
-    sure : float
-        Significance from which values differ.
+    In the model the effect has one of the `labels` for all moments, or several that act in some.
     """
     others = fitted.continued_by_label()
     chosen = [others.pop(label) for label in [*others] if label in labels]
@@ -225,16 +173,8 @@ def _value(
 def _significance(together: Fitted, apart: Fitted, optimum: Optimum, parameters: int, misfit: float) -> float:
     """Significance of the fall of χ² by values of each, against noise or the scatter of frames [σ].
 
-    Parameters
-    ----------
-    together, apart : Fitted
-        With one value for all, and with a value for each.
-    optimum : Optimum
-        Of the former.
-    parameters : int
-        That the latter has more.
-    misfit : float
-        By which errors of both models enlarge χ².
+    `optimum` is that with one value for all (`together`); a value for each (`apart`) takes so many more
+    `parameters`; errors of both models enlarge χ² by `misfit`.
     """
     stack, fall = optimum.stack, together.chi2 - apart.chi2
     if stack.photon_limited:
@@ -257,17 +197,7 @@ def _wald(estimate: np.ndarray, covariance: np.ndarray, frames: float) -> float:
 
 
 def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, options: Options) -> Together:
-    """Compare the moments in what was found.
-
-    Parameters
-    ----------
-    search : Search
-    fitter : Fitter
-    cube : Cube
-    moments : Moments
-        Several.
-    options : Options
-    """
+    """Compare the moments, of which there are several, in what was found."""
     fitted = search.final.fitted
     fitter = fitter.of(search.final.stack, fitted.views)
     found = [sharing(labels, fitted, fitter, cube, moments, options.sure) for labels in _groups(search)]
@@ -275,7 +205,7 @@ def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, optio
 
 
 def _groups(search: Search) -> list[list[str]]:
-    """Labels of every effect that was named; those of one kind of which a model has one are together."""
+    """Labels of every effect that was named; those of one kind of which a model has one are in one group."""
     fitted = search.final.fitted
     groups: dict[str, list[str]] = {}
     for label in labels_in(fitted, search.accepted):

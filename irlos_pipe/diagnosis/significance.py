@@ -8,28 +8,19 @@ from scipy import special
 
 from irlos_pipe.diagnosis.null_model import Optimum
 
-MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
+MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames, at most
 SURELY = 0.95  # probability with which an effect of the smallest detectable size is seen
 
 
 def significance_of(
     optimum: Optimum, shapes: torch.Tensor, normal: torch.Tensor, projection: torch.Tensor, trials: int
 ) -> tuple[float, float]:
-    """Inflation, and Hotelling's T² of the projections over the frames in Gaussian σ.
+    """Inflation, and Hotelling's T² of the projections over the frames in Gaussian σ, the best of `trials`.
 
-    Frames allow no test in more directions than a part of their number: the leading ones of the
-    normal matrix are taken, into which the family's power falls. Directions that the prior holds are
-    left out.
-
-    Parameters
-    ----------
-    optimum : Optimum
-    shapes : tensor, (pixels, m)
-        Whitened derivatives.
-    normal, projection : tensor, (m, m) and (m,)
-        Their normal matrix, priors included, and projections on the residual.
-    trials : int
-        Candidates that were tried.
+    Frames allow no test in more directions than a part of their number: the leading ones of the normal matrix
+    are taken, into which the family's power falls. Directions that the prior holds are left out. Of whitened
+    derivatives, `shapes` (pixels, m), the matrix is `normal` (m, m), priors included, and the projections on
+    the residual are `projection` (m,).
     """
     stack = optimum.stack
     values, vectors = torch.linalg.eigh(normal)

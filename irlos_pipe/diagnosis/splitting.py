@@ -28,9 +28,9 @@ from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.blocks import mean_frame
 
-BLOCKS = 20  # of a cube in time; every fourth is held out
-MOST_FRAMES = 512  # of a recording; more are averaged
-SEED = 1  # of the choice of pixels
+BLOCKS = 20  # blocks of a cube in time; every fourth is held out
+MOST_FRAMES = 512  # frames of a recording; more are averaged, which bounds memory
+SEED = 1  # of the choice of pixels, so that a diagnosis can be repeated
 
 
 class HoldOut(ABC):
@@ -45,7 +45,6 @@ class HeldOutFrames(HoldOut):
     """Blocks of time that interleave with the others."""
 
     def split(self, frames: Frames, share: float = 0.25) -> Cube:
-        """See `HoldOut.split`."""
         frames = averaged(frames, MOST_FRAMES)
         count = len(frames.images_e)
         blocks_of_time = min(BLOCKS, count // 2)
@@ -62,18 +61,12 @@ class HeldOutFrames(HoldOut):
 
 @dataclass(frozen=True)
 class HeldOutPixels(HoldOut):
-    """Squares of pixels.
+    """Squares of pixels."""
 
-    Attributes
-    ----------
-    side_px : int
-        Of a square; about λ/D, which makes squares independent parts of an image.
-    """
-
-    side_px: int
+    side_px: int  # of a square; about λ/D, which makes squares independent parts of an image
 
     def split(self, frames: Frames, share: float = 0.25) -> Cube:
-        """See `HoldOut.split`: of squares alike in brightness the same share, at random."""
+        """Of squares of similar brightness the same share, at random."""
         squares = _squares(tuple(frames.good.shape), self.side_px)
         held = torch.as_tensor(_drawn(squares, (frames.mean_e * frames.good).numpy(), share))
         labels = torch.as_tensor(squares).flatten()
@@ -91,21 +84,14 @@ class HeldOutPixels(HoldOut):
 
 
 def hold_out_of(recordings: Sequence[Exposures]) -> HoldOut:
-    """What to hold out of `recordings` that are diagnosed together; the shortest of them decides."""
+    """What to hold out of `recordings` that are diagnosed jointly; the shortest of them decides."""
     if all(one.frames.show_scatter for one in recordings):
         return HeldOutFrames()
     return HeldOutPixels(max(_resolution_px(one) for one in recordings))
 
 
 def averaged(frames: Frames, most: int) -> Frames:
-    """`frames`, or at most so many means over consecutive ones, as many for each; a rest is left out.
-
-    Parameters
-    ----------
-    frames : Frames
-    most : int
-        Number of means.
-    """
+    """`frames`, or means over as many consecutive ones each, `most` at most; the last few may be left out."""
     each = -(-len(frames.images_e) // most)
     if each == 1:
         return frames
@@ -141,14 +127,9 @@ def _drawn(squares: np.ndarray, image_e: np.ndarray, share: float) -> np.ndarray
 
 @dataclass(frozen=True)
 class PatchStack(Stack):
-    """Some pixels of one recording.
+    """Some pixels of one recording."""
 
-    Attributes
-    ----------
-    patches : tensor of int, (pixels,)
-        The patch of each pixel, -1 where it is not used.
-    """
-
+    # (pixels,), the patch of each pixel, -1 where it is not used.
     patches: torch.Tensor = field(default_factory=lambda: torch.empty(0, dtype=torch.int64))
 
     @cached_property
@@ -157,7 +138,7 @@ class PatchStack(Stack):
         return float(len(self._places[0]))
 
     def losses(self, image_e: torch.Tensor, basis: torch.Tensor) -> np.ndarray:
-        """Half of χ² of every patch, (patches,); see `Stack.losses`."""
+        """Half of χ² of every patch, (patches,)."""
         residual = torch.where(self.root > 0, self.mean_e - image_e, 0.0) * self.root
         left = residual - basis @ (basis.mT @ residual)
         return 0.5 * self.summed(left**2).numpy()
@@ -176,39 +157,30 @@ class PatchStack(Stack):
 
 @dataclass(frozen=True)
 class PixelStacks(Stacks):
-    """Some pixels of one or several recordings.
-
-    Attributes
-    ----------
-    parts : tuple of PatchStack
-    misfit : float
-        χ²/ν of the model at hand where it is more than 1, by which variances grow.
-    """
+    """Some pixels of one or several recordings."""
 
     parts: tuple[PatchStack, ...]
-    misfit: float = 1.0
+    misfit: float = 1.0  # χ²/ν of the model at hand where it is more than 1, by which variances grow
     held_out: ClassVar[HeldOutKind] = "pixels"
     in_time: ClassVar[bool] = False
     own_refitted: ClassVar[bool] = False
 
     def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
-        """See `Stacks.covariance_of`."""
         return self.misfit * shapes.mT @ shapes
 
     def chance(self, basis: torch.Tensor) -> tuple[float, float]:
-        """See `Stacks.chance`: from known noise alone."""
+        """From known noise alone."""
         expected = float((self.root > 0).sum()) - float((basis**2).sum())
         return expected, (2 * expected) ** 0.5
 
     def noise_e(self, basis: torch.Tensor) -> torch.Tensor:
-        """See `Stacks.noise_e`: known noise."""
+        """Known noise."""
         return self.variance_e2.sqrt()
 
     def against(self, residual: torch.Tensor, parameters: int) -> PixelStacks:
-        """See `Stacks.against`."""
         freedom = max(1, int((self.root > 0).sum()) - parameters)
         return replace(self, misfit=max(1.0, float(residual @ residual) / freedom))
 
     def limited_by(self, photons: bool) -> PixelStacks:
-        """See `Stacks.limited_by`: whether photons limit them is not known."""
+        """Unchanged: whether photons limit them is not known."""
         return self

@@ -15,19 +15,12 @@ from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
 from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.optics.zernike import noll_to_nm
 
-STARTS, START_NM = 2, 60.0  # further wavefronts: RMS of the first radial order, falling
-DIRECTIONS = 8  # in which it is asked whether what came to rest at no distance would rather have one
+STARTS, START_NM = 2, 60.0  # further wavefronts; RMS of their first radial order, falling with the order
+DIRECTIONS = 8  # in which the fit is searched for a fall from no distance, where the image has a kink
 
 
 def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:
-    """`near` with another wavefront where it is known; it points as it did.
-
-    Parameters
-    ----------
-    near : Fitted
-    zernike_nm : mapping
-        Noll index to nm RMS; its tip and tilt count for nothing.
-    """
+    """`near` with another wavefront where it is known, Noll index to nm RMS; it points as it did."""
     x = near.x.clone()
     for place, noll in enumerate(near.problem.layout.nolls):
         if noll not in TIP_TILT:
@@ -38,11 +31,7 @@ def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:
 def other_wavefronts(near: Fitted, known_nm: Mapping[int, float]) -> list[Fitted]:
     """`near` with other wavefronts: none, some at random, less in every radial order, and a known one.
 
-    Parameters
-    ----------
-    near : Fitted
-    known_nm : mapping
-        Of another recording, Noll index to nm RMS; empty if there is none.
+    `known_nm` is that of another recording, Noll index to nm RMS; empty if there is none.
     """
     generator = torch.Generator().manual_seed(STARTS)
     nolls = near.problem.layout.nolls
@@ -57,12 +46,7 @@ def other_wavefronts(near: Fitted, known_nm: Mapping[int, float]) -> list[Fitted
 
 
 def on_other_sides(fitted: Fitted) -> list[list[Effect]]:
-    """The effects of a model, to begin where it is but for one of them, which begins elsewhere.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    """
+    """The effects of a model, to begin where it is but for one of them, which begins elsewhere."""
     effects = fitted.continued_by_label()
     return [
         [*(effects | {label: begun_at(effects[label], values)}).values()]
@@ -74,15 +58,9 @@ def on_other_sides(fitted: Fitted) -> list[list[Effect]]:
 def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     """Other values of an effect with a distance and a direction; none of an effect without.
 
-    What has a distance begins on the opposite side, which to first order looks alike. What began on the wrong
-    side came to rest at no distance, where the image has a kink; it begins where the fit falls most steeply
-    from there, or nowhere else if it rises on all sides.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    label : str
-        Of the effect.
+    What has a distance begins on the opposite side, which is degenerate to first order. What began on the
+    wrong side came to rest at no distance, where the image has a kink; it begins where the fit falls most
+    steeply from there, or nowhere else if it rises on all sides.
     """
     angle = direction_of(fitted, label)
     if angle is None:
@@ -99,14 +77,7 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
 
 
 def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
-    """The same effects; what came to rest in a fit begins where that falls, see `other_sides`.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    effects : mapping
-        By label, where a fit would begin.
-    """
+    """The same effects, by label; what came to rest in a fit begins where that falls, see `other_sides`."""
     shared = [label for label in fitted.problem.effects.labels if label in effects]
     resting = [label for label in shared if _rests(fitted, label)]
     places = ((label, values) for label in resting for values in other_sides(fitted, label))
@@ -115,25 +86,12 @@ def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
 
 
 def direction_of(fitted: Fitted, label: str) -> int | None:
-    """Which free parameter of an effect is its direction; None of one without a distance and a direction.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    label : str
-        Of the effect.
-    """
+    """Which free parameter of an effect is its direction; None of one without a distance and a direction."""
     return direction_among(fitted.effect(label).parameters)
 
 
 def all_around(effects: Sequence[Effect]) -> list[list[Effect]]:
-    """The effects as they are, and with what has a distance and a direction begun on every side.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Where a fit would begin.
-    """
+    """The effects as they are, and with what has a distance and a direction begun on every side."""
     turned = [
         [*effects[:place], begun_at(effect, values), *effects[place + 1 :]]
         for place, effect in enumerate(effects)

@@ -1,4 +1,4 @@
-"""What a diagnosis says, and in one or two sentences."""
+"""What a diagnosis says, in numbers and in one or two sentences."""
 
 from __future__ import annotations
 
@@ -30,26 +30,15 @@ Outcome = Literal["named", "nearest", "modelled", "adjusted", "fitted", "scored"
 
 @dataclass(frozen=True)
 class Sized:
-    """An effect with its size and error.
+    """An effect with its size and error."""
 
-    Attributes
-    ----------
-    effect : FixedEffect
-        As it stands in the final model, nothing free.
-    public, sigma : dict
-        Parameters and standard errors under public names.
-    shown, shown_sigma : dict
-        What a reader is told of its size, see `Effect.shown`, and standard errors.
-    opposite : OppositeSide or None
-        Where these data do not exclude it.
-    """
-
-    effect: FixedEffect
-    public: dict[str, Any]
-    sigma: dict[str, Any]
+    effect: FixedEffect  # as it stands in the final model, nothing free
+    public: dict[str, Any]  # parameters under public names
+    sigma: dict[str, Any]  # their standard errors
+    # Size as a report states it, see `Effect.shown`.
     shown: dict[str, Any] = field(default_factory=dict, kw_only=True)
-    shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)
-    opposite: OppositeSide | None = field(default=None, kw_only=True)
+    shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)  # its standard errors
+    opposite: OppositeSide | None = field(default=None, kw_only=True)  # where these data do not exclude it
 
     @property
     def phrase(self) -> str:
@@ -62,42 +51,22 @@ class Sized:
 
 @dataclass(frozen=True)
 class Step(Sized):
-    """One name, in the order found.
+    """One name, in the order found."""
 
-    Attributes
-    ----------
-    significance : float
-        In Gaussian σ.
-    explained : float
-        Part of the excess that was there before.
-    preference : float
-        Vuong's statistic on the held-out frames, against the model before.
-    gap : Gap
-        On the held-out frames, of the models before and after it.
-    alternatives : sequence of Alternative
-    ranking : sequence of Ranked
-        Families that were fitted, the best first.
-    label : str
-        Of the effect among those of the final model; by default its name.
-    share : float
-        Part of its own signal that the final model explains where that signal lies.
-    """
-
-    significance: float
-    explained: float
-    preference: float
-    gap: Gap
+    significance: float  # in Gaussian σ
+    explained: float  # part of the excess that was there before
+    preference: float  # Vuong's statistic on the held-out frames, against the model before
+    gap: Gap  # on the held-out frames, of the models before and after it
     alternatives: Sequence[Alternative] = ()
-    ranking: Sequence[Ranked] = ()
-    label: str = ""
-    share: float = float("nan")
+    ranking: Sequence[Ranked] = ()  # families that were fitted, the best first
+    label: str = ""  # of the effect among those of the final model; by default its name
+    share: float = float("nan")  # part of its own signal that the final model explains where that signal lies
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name)
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.effect.name
 
     def found_in(self, moments: Moments) -> list[str]:
@@ -112,40 +81,24 @@ class Step(Sized):
 
 @dataclass(frozen=True)
 class Tried:
-    """One effect of the catalogue in a diagnosis.
-
-    Attributes
-    ----------
-    name : str
-    outcome : str
-        ``named``; ``nearest``: what comes nearest where the verdict is unknown; ``modelled``: in the model
-        from the start; ``adjusted``: in the final model without being named; ``fitted``: fitted and explains
-        less; ``scored``: not significant in what was left; ``absorbed``: these data cannot show it;
-        ``not tried``.
-    significance : float
-        Of its score test at the last model for which a name was looked for, in Gaussian σ; NaN without one.
-    reason : str
-    """
+    """One effect of the catalogue in a diagnosis."""
 
     name: str
+    # ``named``; ``nearest``: what comes nearest where the verdict is unknown; ``modelled``: in the model from
+    # the start; ``adjusted``: in the final model without being named; ``fitted``: fitted and explains less;
+    # ``scored``: not significant in what was left; ``absorbed``: these data cannot show it; ``not tried``.
     outcome: Outcome
+    # Of its score test at the last model for which a name was looked for, in Gaussian σ; NaN without one.
     significance: float
     reason: str
 
 
 @dataclass(frozen=True)
 class Adjusted(Sized):
-    """An effect that makes the final model fit better and is not named.
+    """An effect that makes the final model fit better and is not named."""
 
-    Attributes
-    ----------
-    label : str
-        Of the effect among those of the final model.
-    significance : float
-        Of the parameter that differs most from nothing, or from what was told, over its standard error.
-    """
-
-    label: str
+    label: str  # of the effect among those of the final model
+    # Distance of the parameter that differs most from null, or from what was declared, in standard errors.
     significance: float
 
 
@@ -154,18 +107,13 @@ class Pictures:
     """Mean held-out image and its predictions [e-], all (rows, columns).
 
     The added OPD, (n, n) [nm], is NaN where the pupil is dark.
-
-    Attributes
-    ----------
-    leading : ndarray
-        Leading mode of the residual over the frames, over the standard error of a frame.
     """
 
     measured_e: np.ndarray
     sigma_e: np.ndarray
     before_e: np.ndarray
     after_e: np.ndarray
-    leading: np.ndarray
+    leading: np.ndarray  # leading mode of the residual over the frames, over the standard error of a frame
     added_opd_nm: np.ndarray
     added_amplitude: np.ndarray
 
@@ -174,78 +122,46 @@ class Pictures:
 class Diagnosis:
     """The whole verdict.
 
-    Attributes
-    ----------
-    verdict : {"none", "effect", "unknown"}
-    grade : {"none", "complete", "partial", "resembles", "unknown"}
-        Nothing is missing; nothing significant is left; something else is missing as well; the best name
-        stands in for something that the catalogue lacks; nothing explains what is missing.
-    steps : sequence of Step
-        Names accepted.
-    nearest : Step or None
-        What comes nearest, where the verdict is unknown.
-    unexplained : bool
-        Whether a significant part of the residual is left.
-    why_unknown : str
-    rest : Rest
-        What the final model misses.
-    adjusted : sequence of Adjusted
-        Of the final model beside the steps: it fits better with them, but none is sure enough to be named.
-    open_facts : sequence of FixedEffect
-        Facts of the instrument beside them that further fits should leave free, see `open_facts`.
-    tried : sequence of Tried
-        Every effect of the catalogue, and what became of it.
-    mdb : dict
-        Smallest detectable size of every effect that was not seen.
-    untestable : sequence of str
-        Effects that the free parameters absorb.
-    advice : dict of str to Advice
-        For those of them that a second recording beside this one would show.
-    fine : FineStructure
-        Left by the model with the names: whether pixels hold what no light can have made.
-    frames : (int, int)
-        That fits saw, and held out.
-    held_out : {"frames", "pixels"}
-        What no fit saw.
-    chi2_nu : (float, float)
-        Of the mean training image over its expectation, before and after.
-    together : Together or None
-        What the recordings share; None of a single star and night.
-    modes_nm : (ndarray, ndarray)
-        Total Zernike coefficients before and after, in the order of `nolls`.
+    A grade says that nothing is missing (none), nothing significant is left (complete), something else is
+    missing as well (partial), the best name stands in for something that the catalogue lacks (resembles), or
+    nothing explains what is missing (unknown).
     """
 
     verdict: Literal["none", "effect", "unknown"]
     grade: Grade
-    steps: Sequence[Step]
-    nearest: Step | None
-    unexplained: bool
+    steps: Sequence[Step]  # names accepted
+    nearest: Step | None  # what comes nearest, where the verdict is unknown
+    unexplained: bool  # whether a significant part of the residual is left
     why_unknown: str
-    rest: Rest
+    rest: Rest  # what the final model misses
     gap: Gap
-    mdb: dict[str, dict]
-    untestable: Sequence[str]
+    mdb: dict[str, dict]  # smallest detectable size of every effect that was not seen
+    untestable: Sequence[str]  # effects that the free parameters absorb
     noise: NoiseVerdict
-    fine: FineStructure
-    chi2_nu: tuple[float, float]
+    fine: FineStructure  # left by the model with the names: whether pixels hold what no light can have made
+    chi2_nu: tuple[float, float]  # of the mean training image, before and after
     excess_sigma: tuple[float, float]
     motion_ratio: float
     drift_significance: float
-    frames: tuple[int, int]
-    held_out: HeldOutKind
+    frames: tuple[int, int]  # number that fits saw, and number held out
+    held_out: HeldOutKind  # what no fit saw
     nolls: tuple[int, ...]
+    # Total Zernike coefficients before and after, in the order of `nolls`.
     modes_nm: tuple[np.ndarray, np.ndarray]
     modes_sigma_nm: np.ndarray
     pictures: Pictures
+    # For those untestable that a second recording would show.
     advice: dict[str, Advice] = field(default_factory=dict)
+    # Of the final model besides the steps: it fits better with them, but none is sure enough to be named.
     adjusted: Sequence[Adjusted] = ()
+    # Further facts of the instrument that fits should leave free, see `open_facts`.
     open_facts: Sequence[FixedEffect] = ()
-    tried: Sequence[Tried] = ()
-    together: Together | None = None
+    tried: Sequence[Tried] = ()  # search log: every effect of the catalogue, and what became of it
+    together: Together | None = None  # what the recordings share; None of a single star and night
     seconds: float = 0.0
 
 
-OFF = 5.0  # standard errors from which a fact is said to be other than told
+OFF = 5.0  # standard errors from which a fact is said to differ from the declared one
 
 
 def sentence(diagnosis: Diagnosis) -> str:
@@ -299,7 +215,7 @@ def _left(diagnosis: Diagnosis) -> str:
 
 
 def _adjusted(diagnosis: Diagnosis) -> str:
-    """Facts that the data want otherwise, within what any instrument may have."""
+    """Facts for which the data prefer other values, within what any instrument may have."""
     facts = [one for one in diagnosis.adjusted if one.effect.base.fact and one.significance > OFF]
     if not facts:
         return ""
@@ -307,7 +223,6 @@ def _adjusted(diagnosis: Diagnosis) -> str:
 
 
 def _phrase(step: Step) -> str:
-    """A name with its size."""
     return step.phrase
 
 

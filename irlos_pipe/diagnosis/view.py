@@ -19,44 +19,23 @@ from irlos_pipe.optics.light_path import LightPath
 
 @dataclass(frozen=True)
 class Screened:
-    """A pixel that the screening of the frames masked and no map lists.
-
-    Attributes
-    ----------
-    row, column : int
-    mean_e : float
-        Mean over the frames of what it showed, background subtracted [e-].
-    """
+    """A pixel that the screening of the frames masked and no map lists."""
 
     row: int
     column: int
-    mean_e: float
+    mean_e: float  # mean over the frames of what it showed, background subtracted [e-]
 
 
 @dataclass(frozen=True)
 class Exposures:
-    """Frames that were taken alike.
+    """Frames that were taken under the same conditions."""
 
-    Attributes
-    ----------
-    frames : Frames
-        In order of time.
-    conditions : Conditions
-        Introduced defocus in the known wavefront of its settings.
-    screened : sequence of Screened
-        Pixels masked in the frames because of what they showed there.
-    moment : int
-        Number of the moment: recordings of another one are of another star or night.
-    name, star : str
-        Of the moment, for people, and of its star: equal names are the same star.
-    """
-
-    frames: Frames
-    conditions: Conditions
-    screened: Sequence[Screened] = ()
-    moment: int = 0
-    name: str = ""
-    star: str = ""
+    frames: Frames  # in order of time
+    conditions: Conditions  # introduced defocus in the known wavefront of its settings
+    screened: Sequence[Screened] = ()  # pixels masked in the frames because of what they showed there
+    moment: int = 0  # number of the moment: recordings of another one are of another star or night
+    name: str = ""  # of the moment, for people
+    star: str = ""  # of the moment: equal names are the same star
 
     def view(self, nolls: Sequence[int], device: str) -> View:
         """Its model of the modes `nolls` on `device`, in float64: a mean is more precise than float32."""
@@ -93,12 +72,7 @@ class View:
     def seen(self, effects: Sequence[Effect], views: Sequence[View]) -> list[Effect]:
         """Those of the `effects` that act in this recording, as they do.
 
-        Parameters
-        ----------
-        effects : sequence of Effect
-            Each stated for the first of the recordings in which it acts.
-        views : sequence of View
-            Of all recordings.
+        Each is stated for the first of the recordings, whose `views` are all given, in which it acts.
         """
         found = []
         for effect in (one for one in effects if one.acting(self.moment)):

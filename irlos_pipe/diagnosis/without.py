@@ -1,6 +1,6 @@
 """A model without some of its effects: where the others would go, and which it needs, by a linear model.
 
-Of many effects fitted together those that are not needed are taken out one by one, linearly. At the optimum
+Of many effects fitted jointly those that are dispensable are taken out one by one, linearly. At the optimum
 of a joint fit the estimates β have a covariance C. Holding some of them, b, at zero raises χ² by ``βᵦᵀ C_bb⁻¹
 βᵦ`` and moves the others by ``−C_ab C_bb⁻¹ βᵦ`` (Wald 1943, Trans. AMS 54, 426): effects that imitate each
 other lose significance only until one of them is gone.
@@ -21,43 +21,23 @@ from irlos_pipe.diagnosis.significance import gaussian_sigma
 
 
 def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:
-    """Values without effect of those parameters that have one, by column.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    label : str
-        Of the effect.
-    """
+    """Values without effect of those parameters that have one, by column."""
     pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
     return {column: parameter.null for column, parameter in pairs if parameter.null is not None}
 
 
 def needless(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) -> set[str]:
-    """Those of some effects that are not significant beside all others of a model, taken out one by one.
+    """Labels of dispensable effects: not significant jointly with all others of a model.
 
-    Parameters
-    ----------
-    fitted : Fitted
-    labels : sequence of str
-        Of the effects in question; what is always something is none of them.
-    stack : Stacks
-        Whose scatter sets the errors.
-    sure : float
-        Significance in σ, below which an effect is not needed.
+    They are taken out one by one. The scatter of the `stack` sets the errors; `sure` is the significance in σ
+    below which an effect is dispensable. What has no null is never in question.
     """
     columns, test = _wald_test(fitted, labels, stack, sure)
     return set(columns) - set(test(columns))
 
 
 def imitated(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) -> set[str]:
-    """Those of some effects that are not significant while all others of a model stay in it.
-
-    Parameters
-    ----------
-    fitted, labels, stack, sure
-        See `needless`.
-    """
+    """Labels of effects that are not significant while all others of a model stay in it, see `needless`."""
     columns, test = _wald_test(fitted, labels, stack, sure)
     return {label for label, own in columns.items() if not test({label: own})}
 
@@ -83,14 +63,7 @@ def _wald_test(
 
 
 def without_linearly(fitted: Fitted, label: str) -> Fitted:
-    """A model with one effect at nothing, the others at the optimum of a linear model if that is better.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    label : str
-        Of the effect.
-    """
+    """A model with one effect at nothing, the others at the optimum of a linear model if that is better."""
     nulls, x = nulls_of(fitted, label), fitted.x.clone()
     own = [*nulls]
     covariance, moved = fitted.solution.covariance[0], x.clone()
@@ -120,17 +93,9 @@ def needed(
 ) -> list[str]:
     """Names of the effects that are significant when all that are not have been taken out.
 
-    Parameters
-    ----------
-    columns : mapping of str to sequence of int
-        Parameters of every effect in question.
-    estimates : ndarray, (parameters,)
-        Distance from where each parameter has no effect.
-    covariance : ndarray, (parameters, parameters)
-    significance : callable
-        In Gaussian σ, from the rise of χ² and the number of parameters.
-    sure : float
-        Below which an effect is taken out.
+    `columns` has the parameters of every effect in question, `estimates` (parameters,) the distance of each
+    from where it has no effect, with their `covariance` (parameters, parameters). `significance` gives
+    Gaussian σ from the rise of χ² and the number of parameters; below `sure` an effect is taken out.
     """
     left = dict(columns)
     beta, cov = np.array(estimates, float), np.array(covariance, float)

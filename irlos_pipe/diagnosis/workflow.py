@@ -24,7 +24,7 @@ from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import together
 from irlos_pipe.diagnosis.splitting import hold_out_of
-from irlos_pipe.diagnosis.tolerant import SETTLED, TolerantTask
+from irlos_pipe.diagnosis.tolerant import CONVERGED, TolerantTask
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Adjusted, Diagnosis, Step
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Effect
@@ -47,17 +47,9 @@ def diagnose(
 ) -> Diagnosis:
     """Find what the model of one recording lacks, or that of several with other settings, stars or nights.
 
-    Parameters
-    ----------
-    recordings : sequence of Exposures
-        With different focus, diversity or band, but the same window; those of one moment have one
-        wavefront. Effects are stated for the first recording in which they act.
-    effects : sequence of Effect
-        What the model has already, see `moments.placed`.
-    options : Options
-    device : str
-    report : callable, optional
-        Called with the number of finished fits, for a progress bar.
+    The `recordings` have different focus, diversity or band, but the same window; those of one moment have
+    one wavefront. The model has the `effects` already, stated for the first recording in which they act, see
+    `moments.placed`. `report` is called with the number of finished fits, for a progress bar.
     """
     began = time.perf_counter()
     hold_out = hold_out_of(recordings)
@@ -90,13 +82,7 @@ def diagnose(
 
 
 def with_opposite_sides(diagnosis: Diagnosis, fitter: Fitter, final: Optimum, sure: float) -> Diagnosis:
-    """The diagnosis with the opposite sides of what is named or adjusted that these data do not exclude.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    fitter, final, sure : see `opposite_side`
-    """
+    """The diagnosis with the opposite sides of what is named or adjusted that these data do not exclude."""
 
     def completed(one: Named) -> Named:
         return replace(one, opposite=opposite_side(fitter, final, one.label, sure))
@@ -105,22 +91,15 @@ def with_opposite_sides(diagnosis: Diagnosis, fitter: Fitter, final: Optimum, su
     return replace(diagnosis, steps=list(steps), adjusted=list(adjusted))
 
 
-def deeper_null(search: Search, told: Sequence[Effect], fitter: Fitter) -> Fitted | None:
+def deeper_null(search: Search, declared: Sequence[Effect], fitter: Fitter) -> Fitted | None:
     """Return the model as it was in a far deeper minimum than that from which a search began.
 
-    What a false minimum misses is missing in no model. None if the search has added anything, or if the model
-    is no better from where the search ended.
-
-    Parameters
-    ----------
-    search : Search
-    told : sequence of Effect
-        What the model had from the start.
-    fitter : Fitter
+    What a false minimum misses is missing in no model. None if the search has added anything to the effects
+    `declared`, or if the model is no better from where the search ended.
     """
     null, final = search.null, search.final.fitted
-    if added(final, told):
+    if added(final, declared):
         return None
     fitted = fitter.fit(final.continued(), final)
-    deeper = Optimum(null.stack, fitted).excess.chi2_nu < SETTLED * null.excess.chi2_nu
+    deeper = Optimum(null.stack, fitted).excess.chi2_nu < CONVERGED * null.excess.chi2_nu
     return fitted if deeper else None

@@ -23,30 +23,19 @@ from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
-NOLLS = range(2, 12)
-TIMES = 9  # of a recording, at which a drift is looked at
+NOLLS = range(2, 12)  # low modes, of which a drift is measured
+TIMES = 9  # moments of a recording at which a model with a drift is evaluated
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Straight lines through the coefficients of the frames.
-
-    Attributes
-    ----------
-    nolls : tuple of int
-    change_nm, sigma_nm : ndarray, (modes,)
-        From the first frame to the last.
-    significance : float
-        In Gaussian σ, pointing left out.
-    recording : int
-        Number of the recording in which it was seen.
-    """
+    """Straight lines through the coefficients of the frames."""
 
     nolls: tuple[int, ...]
-    change_nm: np.ndarray
-    sigma_nm: np.ndarray
-    significance: float
-    recording: int = 0
+    change_nm: np.ndarray  # (modes,), from the first frame to the last
+    sigma_nm: np.ndarray  # (modes,)
+    significance: float  # in Gaussian σ, pointing left out
+    recording: int = 0  # in which it was seen, by number
 
     def detectable_nm(self, sure: float) -> np.ndarray:
         """Change of each mode alone that would surely be significant, (modes,)."""
@@ -60,14 +49,9 @@ class Drift:
 
 
 def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
-    """Slopes of the low modes, and how significant they are together, where they are most so.
+    """Slopes of the low modes, and their joint significance, in the recording where that is highest.
 
-    Parameters
-    ----------
-    stack : Stacks
-    fitted : Fitted
-    sure : float
-        Significance from which a drift is worth more than one linear step.
+    A drift more significant than `sure` is worth more than one linear step.
     """
     problem = fitted.problem
     pairs = enumerate(zip(stack.parts, problem.parts, strict=True))
@@ -82,14 +66,7 @@ def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
 
 
 class LinearStep:
-    """One linear step from the solution for the mean of a recording, which stands by itself.
-
-    Parameters
-    ----------
-    stack : Stack
-    part : ImageFit
-    x : tensor, (1, parameters)
-    """
+    """One linear step from the solution `x`, (1, parameters), for the mean of one recording by itself."""
 
     def __init__(self, stack: Stack, part: ImageFit, x: torch.Tensor):
         self.stack, self.part, self.x = stack, part, x
@@ -100,13 +77,7 @@ class LinearStep:
         self._gain = (scaled_inverse(hessian)[0] @ (jacobian * stack.root))[rows]
 
     def modes_nm(self, deviations: torch.Tensor) -> np.ndarray:
-        """Low modes of images beyond those of their mean, (images, modes).
-
-        Parameters
-        ----------
-        deviations : tensor, (images, pixels)
-            From the mean, whitened.
-        """
+        """Low modes (images, modes) of whitened `deviations` from the mean image, (images, pixels)."""
         return (deviations @ self._gain.mT).numpy()
 
     def of_a_drift(self, change_nm: np.ndarray) -> np.ndarray:
@@ -159,7 +130,6 @@ def motion_ratio(stack: Stacks, fitted: Fitted) -> float:
 
 
 def _ratio(stack: Stack, part: ImageFit, x: torch.Tensor) -> float:
-    """The ratio of one recording."""
     frames = stack.frames
     columns = part.predict_and_jacobian(x)[1][0, [0, 1, -2, -1]].cpu().double().mT
     variance = frames.noise.variance_e2(stack.mean_e)

@@ -21,9 +21,9 @@ from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: what leaks past it is nothing
-FADED = 0.1  # of its middle, below which the window is left out
-REGRESSIONS, SURELY = 4, 5.0  # of the flat's error; standard errors from which it is believed
+MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: beyond it little leaks
+FADED = 0.1  # of the window's middle, below which pixels are left out
+REGRESSIONS, SURELY = 4, 5.0  # steps for the flat's error; standard errors from which it is believed
 MIN_SHARE = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
 
 
@@ -45,12 +45,7 @@ def fine_structure(optimum: Optimum) -> FineStructure:
 def structure_of(stack: Stack, model_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
     """Fine structure of one recording: the lesser of what it has and of what a model leaves of it.
 
-    Parameters
-    ----------
-    stack : Stack
-    model_e : tensor, (pixels,)
-        Its mean image by the model [e-].
-    settings : PsfSettings
+    `model_e` is its mean image by the model [e-], (pixels,).
     """
     beyond = Beyond(stack.frames.good, highest_frequency_per_px(settings))
     if beyond.share < MIN_SHARE:
@@ -68,7 +63,7 @@ def structure_of(stack: Stack, model_e: torch.Tensor, settings: PsfSettings) -> 
 
 
 def _significance(power: float, of_noise: np.ndarray) -> float:
-    """Gaussian σ of a `power` beside those that noise gives frames, (frames,).
+    """Gaussian σ of a `power` against those that noise gives frames, (frames,).
 
     The power of noise is a χ² with few degrees, as bright pixels have most of it: its cube root is nearly
     normal (Wilson & Hilferty 1931, PNAS 17, 684). A further draw is judged by Student's t, as the Gaussian
@@ -83,14 +78,9 @@ def _significance(power: float, of_noise: np.ndarray) -> float:
 def flat_rms(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> float:
     """Relative error of the flat that explains fine structure beyond noise; 0 where it is not significant.
 
-    The squares of the residual, filtered for what lies beyond the cut-off, are v + f² m² on average, with
-    what the filter leaves of noise v and of the squared image m²: f² is their weighted regression.
-
-    Parameters
-    ----------
-    stack, settings : see `structure_of`
-    residual_e : tensor, (pixels,)
-        Its mean image minus that of a model [e-].
+    The squares of `residual_e`, the mean image minus that of a model [e-], (pixels,), filtered for what lies
+    beyond the cut-off, are v + f² m² on average, with what the filter leaves of noise v and of the squared
+    image m²: f² is their weighted regression.
     """
     good = stack.frames.good
     beyond = Beyond(good, highest_frequency_per_px(settings))
@@ -117,12 +107,7 @@ def highest_frequency_per_px(settings: PsfSettings) -> float:
 class Beyond:
     """Filter for what lies beyond a spatial frequency, in a window that fades out towards its border (Hann).
 
-    Parameters
-    ----------
-    good : tensor of bool, (rows, columns)
-        True for good pixels; others are filled from around them.
-    frequency_per_px : float
-        [cycles/px]
+    Of `good`, (rows, columns), bad pixels are False; they are filled from around them.
     """
 
     def __init__(self, good: torch.Tensor, frequency_per_px: float):

@@ -15,27 +15,19 @@ import torch
 
 from irlos_pipe.diagnosis.cube import Stack
 
-FAINT, BRIGHT = 0.5, 0.02  # share of the pixels below the median; of the peak above which it is bright
+FAINT, BRIGHT = 0.5, 0.02  # share of the pixels that are faint; of the peak, from which pixels are bright
 SPECKLE = 1.3  # measured over predicted variance of bright pixels from which speckles set the scatter
-TOLERANCE = 0.3  # of the variance
+TOLERANCE = 0.3  # relative deviation of a variance within which the noise model holds
 PHOTONS, SPECKLES, UNSEEN = "photon-limited", "speckle-limited", "unseen"
 
 
 @dataclass(frozen=True)
 class NoiseVerdict:
-    """What the frames say about the noise model.
+    """What the frames say about the noise model: variances are measured over predicted ones."""
 
-    Attributes
-    ----------
-    kind : {"photon-limited", "speckle-limited", "unseen"}
-        The last of a single frame.
-    bright_ratio, faint_ratio : float
-        Measured over predicted variance of bright and of faint pixels.
-    """
-
-    kind: str
-    bright_ratio: float
-    faint_ratio: float
+    kind: str  # "photon-limited", "speckle-limited", or "unseen" of a single frame
+    bright_ratio: float  # of bright pixels
+    faint_ratio: float  # of faint pixels
 
     @property
     def holds(self) -> bool:
@@ -47,7 +39,6 @@ class NoiseVerdict:
 
     @property
     def text(self) -> str:
-        """One line for people."""
         if self.kind == UNSEEN:
             return "as told: one frame shows no scatter"
         ratios = f"{self.bright_ratio:.2f} in bright, {self.faint_ratio:.2f} in faint pixels"

@@ -22,10 +22,10 @@ from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.detector import BadPixels
 
 OUTSTANDING = 50.0  # fall of χ² by a pixel's own offset: 7 σ, one of some thousand pixels
-ALONE = 4.0  # times the largest residual of the neighbours
-MOST = 20
+ALONE = 4.0  # times the largest residual of the neighbours, above which a pixel stands alone
+MOST = 20  # pixels of the family at most
 
-OFF = 0.1  # of the star's signal in the pixel, below which the model may be to blame
+OFF = 0.1  # part of the star's signal in the pixel, below which the model may be to blame
 
 
 def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
@@ -48,7 +48,7 @@ def smallest_excess(optimum: Optimum) -> dict[str, dict[str, float]]:
 
 
 def bad_pixel_family(optimum: Optimum) -> list[Family]:
-    """The family of these pixels together; none where there are none."""
+    """The joint family of these pixels; none where there are none."""
     pixels = outstanding_pixels(optimum)
     looked_at = int((optimum.root > 0).sum())
     return [Family((BadPixels(pixels),), looked_at)] if pixels else []
@@ -65,15 +65,8 @@ def _largest_neighbour(image: torch.Tensor) -> torch.Tensor:
 def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, gap: Gap) -> Step | None:
     """The step for those of the pixels whose mean is not what the model predicts; None if all agree.
 
-    Parameters
-    ----------
-    screened : sequence of Screened
-    optimum : Optimum
-        Of the model at the end, its first recording that of the pixels.
-    frames : int
-        Over which the means were taken.
-    gap : Gap
-        Without the pixels.
+    The first recording of the `optimum` is that of the pixels, whose means are those of so many `frames`;
+    `gap` is that without them.
     """
     window, stack = optimum.fitted.problem.window, optimum.stack.parts[0]
     star_e = optimum.fitted.image_e[optimum.fitted.problem.pixels[0]]

@@ -23,41 +23,28 @@ from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.planes import RampEffect
 from irlos_pipe.effects.public_values import measured
 
-PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
-CLOSE = 6.0  # of χ², by which two indistinguishable names differ at most
-WORST_CONDITION = 1e3
-SEEN_SIGMA = 5.2  # from which an error counts as seen
-LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which something is left
+PER_PARAMETER = 8.0  # fall of χ² that a size or an edge has to earn
+CLOSE = 6.0  # χ² by which two indistinguishable names differ at most
+WORST_CONDITION = 1e3  # of the normalised design; beyond it errors are degenerate on this ramp
+SEEN_SIGMA = 5.2  # significance from which an error counts as seen
+LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which the fit leaves something unexplained
 FAR_OFF_CHI2_NU = 10.0  # visits then miss by three times their errors, whatever part of χ² it is
 Shapes = dict[RampEffect, np.ndarray]  # course of every error over the visits, whitened
 
 
 @dataclass(frozen=True)
 class RampName:
-    """One error of the stage.
-
-    Attributes
-    ----------
-    effect : RampEffect
-    size, sigma : float
-    significance : float
-        In Gaussian σ, trials counted.
-    explained : float
-        Part of the excess over noise.
-    alternatives : sequence of RampEffect
-        Errors whose courses are the same on this ramp.
-    """
+    """One error of the stage."""
 
     effect: RampEffect
     size: float
     sigma: float
-    significance: float
-    explained: float
-    alternatives: Sequence[RampEffect]
+    significance: float  # in Gaussian σ, trials counted
+    explained: float  # part of the excess over noise
+    alternatives: Sequence[RampEffect]  # errors whose courses are the same on this ramp
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.effect.name
 
     @property
@@ -84,30 +71,16 @@ class RampName:
 
 @dataclass(frozen=True)
 class RampDiagnosis:
-    """Errors of the stage in the order found.
+    """Errors of the stage in the order found."""
 
-    Attributes
-    ----------
-    verdict : {"none", "effect", "unknown"}
-    names : sequence of RampName
-    nearest : sequence of RampName
-        What comes nearest, where the verdict is unknown.
-    chi2_nu : (float, float)
-        Of the visits, before and after.
-    smallest : dict of str to dict
-        Public size of each error not found at which it would have been.
-    untestable : sequence of str
-    """
-
-    verdict: str
+    verdict: str  # "none", "effect" or "unknown"
     names: Sequence[RampName]
-    nearest: Sequence[RampName]
-    chi2_nu: tuple[float, float]
-    smallest: dict[str, dict[str, float]]
+    nearest: Sequence[RampName]  # what comes nearest, where the verdict is unknown
+    chi2_nu: tuple[float, float]  # of the visits, before and after
+    smallest: dict[str, dict[str, float]]  # public size of each error not found at which it would have been
     untestable: Sequence[str]
 
     def introduced_nm(self, commanded_nm: np.ndarray) -> np.ndarray:
-        """What the stage really introduced."""
         return commanded_nm + sum(
             (one.size * course(one.effect, commanded_nm) for one in self.names), np.zeros(len(commanded_nm))
         )
@@ -116,18 +89,10 @@ class RampDiagnosis:
 def diagnose_ramp(
     commanded_nm: np.ndarray, estimated_nm: np.ndarray, used: np.ndarray, sure: float = 5.0, most: int = 3
 ) -> RampDiagnosis:
-    """Name the errors of the stage, one after the other.
+    """Name the errors of the stage, one after the other, `most` at most, with `sure` σ each.
 
-    Parameters
-    ----------
-    commanded_nm, estimated_nm : ndarray, (frames,)
-        In order of recording; failed estimates are NaN.
-    used : ndarray of bool, (frames,)
-        Frames that the fit may see.
-    sure : float
-        Significance of a detection in Gaussian σ.
-    most : int
-        Errors at which to stop.
+    The defocus, `commanded_nm` and `estimated_nm`, (frames,), is in order of recording; failed estimates are
+    NaN. The fit may see the frames `used`, (frames,) of bool.
     """
     visits = Visits.of(commanded_nm, estimated_nm, used)
     data = (visits.mean_nm - visits.commanded_nm) / visits.sigma_nm
@@ -139,19 +104,11 @@ def diagnose_ramp(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Linear fit of some errors to the visits.
-
-    Attributes
-    ----------
-    effects : tuple of RampEffect
-    sizes : ndarray, (effects,)
-    covariance : ndarray, (effects, effects)
-    chi2 : float
-    """
+    """Linear fit of some errors to the visits."""
 
     effects: tuple[RampEffect, ...]
-    sizes: np.ndarray
-    covariance: np.ndarray
+    sizes: np.ndarray  # (effects,)
+    covariance: np.ndarray  # (effects, effects)
     chi2: float
 
     @classmethod
@@ -174,7 +131,7 @@ class _Fit:
 def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
     """Every choice of up to `most` errors of different kinds, the best first.
 
-    Biases of several parts of a ramp could follow any curve, and would explain everything.
+    Joint biases of several parts of a ramp could follow any curve, and would explain everything.
     """
     choices = chain.from_iterable(combinations(shapes, count) for count in range(most + 1))
     different = (choice for choice in choices if len({one.name for one in choice}) == len(choice))
@@ -183,7 +140,7 @@ def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
 
 
 def _significance(fit: _Fit, effect: RampEffect, shapes: Shapes) -> float:
-    """Significance of one error beside the others, in Gaussian σ."""
+    """Significance of one error jointly with the others, in Gaussian σ."""
     at = fit.effects.index(effect)
     fall = fit.sizes[at] ** 2 / fit.covariance[at, at]
     return gaussian_sigma(float(fall), 1, np.inf, len(shapes))
@@ -237,38 +194,18 @@ MODEL_NM = 4.0  # error of a visit's mean that no number of frames lowers
 
 @dataclass(frozen=True)
 class Visits:
-    """Frames at one offset in a row.
+    """Frames at one offset in a row."""
 
-    Attributes
-    ----------
-    all_nm : ndarray, (all visits,)
-        Offsets in order of recording.
-    good : ndarray of bool, (all visits,)
-        Those with estimates; where the stage turns, the first is left out, as it is not known from where
-        its offset was reached.
-    mean_nm, sigma_nm : ndarray, (good visits,)
-    """
-
-    all_nm: np.ndarray
+    all_nm: np.ndarray  # (all visits,), offsets in order of recording
+    # (all visits,), those with estimates; where the stage turns, the first is left out, as it is not known
+    # from where its offset was reached.
     good: np.ndarray
-    mean_nm: np.ndarray
-    sigma_nm: np.ndarray
+    mean_nm: np.ndarray  # (good visits,)
+    sigma_nm: np.ndarray  # (good visits,)
 
     @classmethod
     def of(cls, commanded_nm: np.ndarray, estimated_nm: np.ndarray, used: np.ndarray) -> Visits:
-        """Means of the used frames.
-
-        Parameters
-        ----------
-        commanded_nm, estimated_nm : ndarray, (frames,)
-            In order of recording; failed estimates are NaN.
-        used : ndarray of bool, (frames,)
-
-        Raises
-        ------
-        ValueError
-            With fewer than three visits.
-        """
+        """Means of the used frames, see `diagnose_ramp`; ValueError with fewer than three visits."""
         starts = np.flatnonzero(np.diff(commanded_nm, prepend=np.nan) != 0)
         offsets = commanded_nm[starts]
         groups = [g[np.isfinite(g)] for g in np.split(np.where(used, estimated_nm, np.nan), starts[1:])]
@@ -280,7 +217,6 @@ class Visits:
 
     @property
     def commanded_nm(self) -> np.ndarray:
-        """Offsets of the good visits."""
         return self.all_nm[self.good]
 
     def course(self, effect: RampEffect) -> np.ndarray:

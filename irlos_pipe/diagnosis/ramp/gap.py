@@ -1,6 +1,6 @@
-"""Which light path a ramp's images want, and the gap between held-out images and what its offsets predict.
+"""Which light path a ramp's images prefer, and the gap between held-out images and what its offsets predict.
 
-The light path is settled before estimates are held against the focus stage. Two models with as many free
+The light path is decided before estimates are held against the focus stage. Two models with as many free
 parameters each are fitted to the frames that a diagnosis may see; frames that it may not see decide between
 them, each with its own tip, tilt, focus, flux and background.
 """
@@ -18,8 +18,8 @@ from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 
-STEPS = 3  # of the linear refit of what belongs to single frames
-FRAMES_AT_ONCE = 8
+STEPS = 3  # Gauss–Newton steps of what belongs to single frames, which is nearly linear
+FRAMES_AT_ONCE = 8  # bounds the memory of the derivatives
 
 
 def ramp_gap(
@@ -32,18 +32,9 @@ def ramp_gap(
 ) -> Gap:
     """``Σ|measured − predicted| / Σ measured`` of the mean images per offset of the held-out frames.
 
-    Tip, tilt, flux and background of every frame are refitted, the defocus is that of the model.
-
-    Parameters
-    ----------
-    model : ImageModel
-        Noll 2, 3 and 4 among its modes; no free effects.
-    data : RampData
-    start_nm : tensor, (frames, modes)
-        Estimates of the modes, for all but the defocus.
-    before_nm, after_nm : ndarray, (frames,)
-        Introduced defocus as commanded and as corrected.
-    held_out : ndarray of bool, (frames,)
+    Tip, tilt, flux and background of every frame are refitted. The defocus is `before_nm`, as commanded, and
+    `after_nm`, as corrected, (frames,); other modes are estimates, `start_nm`, (frames, modes). The `model`
+    has Noll 2, 3 and 4 among its modes and no free effects.
     """
     chosen = torch.as_tensor(held_out)
     images, offsets = data.images_e.double()[chosen], data.introduced_nm[held_out]
@@ -114,25 +105,15 @@ COMPLETE_CHI2_NU = 1.2  # of images that a model explains; simulated ones have 1
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two fits of a ramp on the frames held out.
+    """Two fits of a ramp on the frames held out."""
 
-    Attributes
-    ----------
-    chi2_nu : (float, float)
-        Mean of the frames, with the model as it was and with the candidate.
-    better : float
-        Part of the frames that the candidate fits better.
-    significance : float
-        Root of the fall of χ² per unit of the χ²/ν that the candidate leaves, which stands for the errors
-        of both models.
-    gap : (float, float)
-        ``Σ|measured − predicted| / Σ measured``.
-    """
-
+    # Mean of the frames, with the model as it was and with the candidate.
     chi2_nu: tuple[float, float]
-    better: float
+    better: float  # part of the frames that the candidate fits better
+    # Root of the fall of χ² per unit of the χ²/ν that the candidate leaves, which stands for the errors of
+    # both models.
     significance: float
-    gap: tuple[float, float]
+    gap: tuple[float, float]  # ``Σ|measured − predicted| / Σ measured``
 
     @property
     def complete(self) -> bool:
@@ -146,14 +127,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class LightPathName:
-    """An effect on the light path that the images want.
-
-    Attributes
-    ----------
-    effect : Effect
-    values : sequence of float
-    comparison : Comparison
-    """
+    """An effect on the light path that the images prefer."""
 
     effect: Effect
     values: Sequence[float]

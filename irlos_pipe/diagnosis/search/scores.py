@@ -25,28 +25,19 @@ from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
 
-BUNDLED = 16  # candidates in the pupil or of the OTF
-LINEAR = 0.5  # of the prior's σ: how far from nothing a fit begins at most
-CLEARLY_MORE = 25.0  # of calibrated χ², that one moment alone must gain beyond all together
-FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position or direction
+BUNDLED = 16  # candidates in the pupil or of the OTF that share one light path
+LINEAR = 0.5  # of the prior's σ: how far from null a fit begins at most, where the estimate is linear
+CLEARLY_MORE = 25.0  # calibrated χ² that one moment alone must gain beyond all moments jointly
+FURTHER_STARTS, FAR_APART = 2, 0.2  # starts of a fit besides the best; their distance over the range searched
 
 
 @dataclass(frozen=True)
 class Family:
-    """One effect that may be missing.
+    """One effect that may be missing."""
 
-    Attributes
-    ----------
-    variants : tuple of Effect
-        Shapes of the same effect that are tried.
-    positions : int
-        Where the effect was looked for before, of which these are the best.
-    placements : sequence of Placement
-        Of recordings of several moments, those in which the effect may act alone; None: in all.
-    """
-
-    variants: tuple[Effect, ...]
-    positions: int = 1
+    variants: tuple[Effect, ...]  # shapes of the same effect
+    positions: int = 1  # where the effect was looked for before, of which these are the best
+    # Of recordings of several moments, those in which the effect may act alone; None: in all.
     placements: Sequence[Placement] = (None,)
 
     @property
@@ -56,21 +47,10 @@ class Family:
 
 
 def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:
-    """Families that a score test finds, beside the effects that the model has.
+    """Families that a score test finds, jointly with the effects `present` in the model, by name.
 
-    Of a kind that a model may have several times, a further one is looked for.
-
-    Parameters
-    ----------
-    conditions : Conditions
-    present : iterable of str
-        Names of the effects of the model.
-
-    Returns
-    -------
-    list of Family
-    list of str
-        Effects that mean nothing under these conditions.
+    Of a kind that a model may have several times, a further one is looked for. Returned as well are the
+    effects that mean nothing under these conditions.
     """
     model, found, meaningless = {*present}, [], []
     for name, kind in CATALOGUE.items():
@@ -85,50 +65,25 @@ def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Famil
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What one candidate would do at the optimum without it.
+    """What one candidate would do at the optimum without it."""
 
-    Attributes
-    ----------
-    candidate : Effect
-        Its free parameters at their null values.
-    sizes : ndarray, (parameters,)
-        Linear estimate of the free parameters, within their bounds.
-    gain : float
-        Predicted fall of χ².
-    inflation : float
-        Fall of χ² per parameter that the scatter of frames leads to expect without the effect.
-    observability : float
-        Part of the derivative's power that the fitted parameters cannot imitate, 1 − R², of the best
-        parameter.
-    significance : float
-        In Gaussian σ, candidates of the family counted as trials.
-    smallest : ndarray, (parameters,)
-        Size of each parameter whose expected gain is one times the inflation, median over the candidates.
-    usable : tuple of str
-        Parameters that these data determine.
-    trials : int
-        Candidates of the family.
-    besides : tuple of Score
-        Best candidates with other parameters of the same effect.
-    elsewhere : tuple of Score
-        Next best candidates far from this one, where a fit may begin as well.
-    """
-
-    candidate: Effect
-    sizes: np.ndarray
-    gain: float
-    inflation: float
+    candidate: Effect  # its free parameters at their null values
+    sizes: np.ndarray  # (parameters,), linear estimate of the free parameters, within their bounds
+    gain: float  # predicted fall of χ²
+    inflation: float  # fall of χ² per parameter that the scatter of frames leads to expect without the effect
+    # Part of the derivative's power that the fitted parameters cannot imitate, 1 − R², of the best parameter.
     observability: float
-    significance: float
+    significance: float  # in Gaussian σ, candidates of the family counted as trials
+    # (parameters,), size of each parameter whose expected gain is one times the inflation, median over the
+    # candidates.
     smallest: np.ndarray
-    usable: tuple[str, ...] = ()
-    trials: int = 1
-    besides: tuple[Score, ...] = ()
-    elsewhere: tuple[Score, ...] = ()
+    usable: tuple[str, ...] = ()  # parameters that these data determine
+    trials: int = 1  # candidates of the family
+    besides: tuple[Score, ...] = ()  # best candidates with other parameters of the same effect
+    elsewhere: tuple[Score, ...] = ()  # next best candidates far from this one, where a fit may begin as well
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
         return self.candidate.name
 
     @property
@@ -184,7 +139,7 @@ def score_family(optimum: Optimum, family: Family) -> Score:
 
 
 def _best_of(found: Sequence[Score]) -> Score:
-    """The best of the candidates of one family, with the others that a fit may want."""
+    """The best of the candidates of one family, with the others that a fit may need."""
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)
     besides = tuple(one for one in kinds.values() if one is not best and one.usable)
@@ -205,7 +160,7 @@ def _typical(alike: Sequence[Score]) -> Score:
 
 
 def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
-    """The best candidates that differ from `best` and from each other by much of the range tried."""
+    """The best candidates that differ from `best` and from each other by much of the range searched."""
     alike = [one for one in found if one.usable == best.usable]
     if len(alike) < 2:
         return ()
@@ -228,11 +183,7 @@ def _null_of(score: Score) -> np.ndarray:
 def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torch.Tensor]:
     """Derivatives of the mean images with respect to each candidate's parameters at null, (pixels, m) each.
 
-    Parameters
-    ----------
-    optimum : Optimum
-    candidates : sequence of Effect
-        Several must be of one plane, pupil or OTF.
+    Several candidates must be of one plane, pupil or OTF.
     """
     fitted = optimum.fitted
     columns = [
@@ -254,15 +205,15 @@ def _of_recording(
     if not seen:
         parameters = sum(len(one.parameters) for one in candidates)
         return torch.zeros(parameters, part.images.shape[-1], dtype=torch.float64)
-    return derivatives(part, x, frozen, _together(seen))
+    return derivatives(part, x, frozen, _combined(seen))
 
 
-def _together(candidates: Sequence[Effect]) -> Effect:
+def _combined(candidates: Sequence[Effect]) -> Effect:
     return candidates[0] if len(candidates) == 1 else _Bundle(candidates)
 
 
 def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
-    """Candidates of one family whose derivatives are computed together."""
+    """Candidates of one family whose derivatives are computed in one go."""
     first = candidates[0]
     size = BUNDLED if first.plane in ("pupil", "otf") and not first.copies_star else 1
     return [candidates[i : i + size] for i in range(0, len(candidates), size)]
@@ -312,14 +263,9 @@ def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tenso
 
 
 class _Bundle(Effect):
-    """Several candidates in one plane as one effect, at their null values, where each leaves the light.
+    """Several candidates of one plane as one effect, at their null values, where light passes unchanged.
 
     The light path up to them is computed once for all.
-
-    Parameters
-    ----------
-    candidates : sequence of Effect
-        Of one family.
     """
 
     name = "bundle"
@@ -331,17 +277,14 @@ class _Bundle(Effect):
 
     @property
     def null_values(self) -> list[float]:
-        """See `Effect.null_values`."""
         return [value for one in self.bundled for value in one.null_values]
 
     def apply(self, values: torch.Tensor, *light: torch.Tensor, **more: Any) -> torch.Tensor:
-        """See `Effect.apply`."""
         return light[0]
 
     def slopes(
         self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
-        """See `Effect.slopes`."""
         every = [slope for one in self.bundled for slope in _slopes_at_null(one, light, grid)]
         return [every[index] for index in wanted]
 
@@ -352,9 +295,9 @@ def _slopes_at_null(candidate: Effect, light: torch.Tensor, grid: Any) -> Sequen
 
 
 POSITIONS = 3  # candidates to look at more closely
-APART_PX = 4
-RESOLVED = 1.5  # of λ/D
-RING_MAS, DIRECTIONS = 150.0, 8
+APART_PX = 4  # distance between two of them, as neighbours of a peak are the same copy
+RESOLVED = 1.5  # in λ/D; closer to a known copy another one is not resolved
+RING_MAS, DIRECTIONS = 150.0, 8  # a ring of positions that say how faint a copy can be seen
 
 
 def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
@@ -400,11 +343,7 @@ def around(effect: Effect) -> list[FixedEffect]:
 def companion_gains(optimum: Optimum, effect: Effect | None = None) -> np.ndarray:
     """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size.
 
-    Parameters
-    ----------
-    optimum : Optimum
-    effect : Effect, optional
-        The copy of the star, which need not be in all recordings.
+    `effect` is the copy of the star, which need not be in all recordings.
     """
     window, fitted = optimum.settings.window, optimum.fitted
     padded = [2 * n for n in window]
