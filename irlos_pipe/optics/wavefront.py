@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.numbers import Number
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
@@ -33,18 +34,10 @@ def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -
 
 @dataclass(frozen=True)
 class MapSize:
-    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm].
+    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm]."""
 
-    Attributes
-    ----------
-    rms_nm : float
-        RMS about the mean over the clear pupil.
-    pv_nm : float
-        Peak to valley over the clear pupil.
-    """
-
-    rms_nm: Number = math.nan
-    pv_nm: Number = math.nan
+    rms_nm: Number = key(math.nan, "RMS about the mean over the clear pupil.")
+    pv_nm: Number = key(math.nan, "Peak to valley over the clear pupil.")
 
     @classmethod
     def of(cls, map_nm: np.ndarray) -> MapSize:
