@@ -1,4 +1,4 @@
-"""Quality control of stage `calibrate`: what a cube says against what was told of it."""
+"""Quality control of stage `calibrate`: what a cube shows against what was declared for it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
 
 
 def _noise(result: Calibration) -> Check:
-    """Noise as told against the scatter of the frames, which nothing lowers much."""
+    """Declared noise against the scatter of the frames, which nothing lowers much."""
     ratio = result.noise_ratio
     why = ": e_per_adu is too small, or the read noise too large" if ratio < LOWEST_NOISE_RATIO else ""
     message = (
@@ -121,7 +121,7 @@ def _frames(limits: Limits, result: Calibration) -> Check:
 
 
 def _orientation(found: Mirrored) -> Check:
-    """The pupil as told against the mirrored one."""
+    """The pupil of the profile against the mirrored one."""
     why = ": the images are mirrored, or the pupil of the profile is" if found.seen else ""
     message = (
         f"the image shows {found.amplitude:.2f} ± {found.sigma:.2f} of the mirrored pupil; 0 is the pupil as "
