@@ -22,11 +22,11 @@ from typing import BinaryIO
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.limits import require_memory
 
-HEAD_BYTES = 512
-PIECE_BYTES = 2**20
+HEAD_BYTES = 512  # by which a file is recognised
+PIECE_BYTES = 2**20  # unpacked at a time
 MAX_LAYERS = 2  # of packing: a browser may pack what is packed already
 MAX_UNPACKED_BYTES = 2**29  # 60 000 frames of 64x64 px in 16 bit
-USUAL_COMPRESSION = 8  # what real images stay below by far; a file may unpack to so much more than it holds
+USUAL_COMPRESSION = 8  # times its size that a file may unpack to at least; real images stay far below
 
 Opener = Callable[[BinaryIO], io.BufferedIOBase]
 PACKED: dict[bytes, Opener] = {

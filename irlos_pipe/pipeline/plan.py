@@ -104,7 +104,7 @@ def _repaired(step: Step, steps: Sequence[Step]) -> Step:
 
 
 def _has_results(step: Step) -> bool:
-    """Whether the results in a product are those of its stage, which no checksum tells."""
+    """Whether the results in a product are those of its stage, which no checksum shows."""
     try:
         results_of(STAGES[step.name].Results, read_product(step.path, arrays=False))
     except InputDataError:

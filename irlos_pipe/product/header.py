@@ -19,7 +19,7 @@ from irlos_pipe.product.results import Provenance, Recorded
 Value = str | bool | int | float
 FEW_WORDS = frozenset(("OF", "THE", "BY", "AS", "ABOUT", "A", "IN"))
 SHA_DIGITS = 32  # of a checksum, as many as fit into a card
-MAX_FILES, MAX_PARAMETERS = 400, 200
+MAX_FILES, MAX_PARAMETERS = 400, 200  # that a header lists at most
 SIDECAR_SUFFIXES = (".yaml", ".yml")
 
 

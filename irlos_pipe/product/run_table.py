@@ -250,7 +250,7 @@ ERRORS = {
     "measured": "error",
 }
 CALLED = ("name", "recording", "effect", "method")  # keys that name a row of a list; `frame` adds to them
-OF_THE_MACHINE = {"seconds"}  # differs between any two runs
+OF_THE_MACHINE = {"seconds"}  # keys that differ between any two runs, and are not compared
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 A run that brought all of its products up to date leaves a stamp of what it depends on: name, size and time of
 every file of the package, of its own folder, and of the inputs. While the stamp holds, all products are up to
-date. Otherwise, or where the stamp cannot tell, a plan has to be made.
+date. Otherwise, or where the stamp does not decide, a plan has to be made.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def inputs_stamp(inputs: Iterable[Path]) -> str:
 
 
 def listing_stamp(root: Path) -> str:
-    """Return the stamp of all that decides which files are read of an input; empty where it cannot tell."""
+    """Return the stamp of all that decides which files are read of an input; empty where it is not known."""
     inputs = inputs_stamp([root])
     return _digest([_package_stamp(), inputs]) if inputs else ""
 
@@ -63,7 +63,7 @@ def is_standing(run: RunFolder) -> bool:
 
 
 def _stamp(run: RunFolder) -> dict[str, str]:
-    """Stamps by what they are of; empty where they cannot tell."""
+    """Stamps by what they are of; empty where they are not known."""
     try:
         recipe = load_yaml(run.recipe)[0]
         package = Path(irlos_pipe.__file__).parent

@@ -43,7 +43,7 @@ from irlos_pipe.product.results import Provenance
 
 SCHEMA = "irlos-product"
 SCHEMA_VERSION = 1
-COMPRESS_ABOVE_BYTES = 4096
+COMPRESS_ABOVE_BYTES = 4096  # smaller arrays are stored as they are
 SUFFIX = ".h5"
 
 

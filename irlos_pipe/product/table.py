@@ -88,7 +88,7 @@ def _plain_name(column: Column) -> str:
 
 # -- FITS files with full headers and checksums --------------------------------------------------------
 
-CARD_LETTERS = 80
+CARD_LETTERS = 80  # of a card, by the standard of FITS
 MAX_CARDS = 9  # over which one text may be spread
 # Letters of units and comments that FITS, which is ASCII, does not have.
 SPELT = str.maketrans(

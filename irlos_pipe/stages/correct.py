@@ -39,7 +39,7 @@ MIRROR_SIGN = (
     "offset: add it to the reference of the mode to cancel the aberration; in the unit of the table of "
     "modes, whose maps are OPD in nm; diversity, piston, tip and tilt not included"
 )
-LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000
+LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000  # of a table of mirror modes
 SIGN = (
     "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
     "diversity not included"

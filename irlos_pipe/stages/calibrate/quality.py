@@ -12,7 +12,7 @@ from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.calibrate.stage import Limits
 
-LOWEST_KURTOSIS = 1.3  # two kinds in halves have 1, a sinusoidal vibration 1.5
+LOWEST_KURTOSIS = 1.3  # of the frames: two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
 
 
@@ -81,7 +81,7 @@ def frame_checks(
 ) -> list[Check]:
     """Return the checks of frames that are averaged: of one star, pointing and wavefront, and its motion.
 
-    `kurtosis` of the frames (`estimate.residual`) is NaN where it tells nothing, `motion` None without
+    `kurtosis` of the frames (`estimate.residual`) is NaN where it means nothing, `motion` None without
     any. Of the `window`, rows and columns, the star may move over `max_motion` times the smaller side.
     """
     checks = [_kinds(kurtosis)] if math.isfinite(kurtosis) else []
@@ -131,7 +131,7 @@ def _orientation(found: Mirrored) -> Check:
 
 
 def _twin(result: Calibration) -> Check:
-    """The sign of the even modes, which only the diversity and the size of the NCPAs tell."""
+    """The sign of the even modes, which only the diversity and the size of the NCPAs determine."""
     twin = result.twin
     assert twin is not None
     verdict = {

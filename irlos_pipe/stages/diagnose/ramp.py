@@ -155,7 +155,7 @@ def _step(one: RampName, gap: Gap) -> StepRow:
 
 
 def sentence(result: RampDiagnosis, lens: LightPathName | None = None) -> str:
-    """Return the verdict as a sentence; `lens` is what the images want of the light path."""
+    """Return the verdict as a sentence; `lens` is the lens effect that the images prefer."""
     if lens is not None:
         if not lens.comparison.complete:
             near = " and ".join(one.phrase for one in result.nearest)

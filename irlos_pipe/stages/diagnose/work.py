@@ -117,7 +117,6 @@ class Alike:
 
     @property
     def first(self) -> Recording:
-        """The first recording."""
         return self.recordings[0]
 
     @property
@@ -136,7 +135,7 @@ def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) 
 
     The setting with the largest diversity comes first: errors of the diversity are stated for it. `apart`
     says whether every recording is of its own star or night, or all are of one; by default targets and
-    times tell.
+    times decide.
     """
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
     _require_common(recordings)

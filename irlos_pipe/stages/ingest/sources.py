@@ -115,7 +115,7 @@ def _unless_a_copy(source: Source, earlier: Sequence[Source], log: logging.Logge
 
 
 def _same_frames(one: RawRecording, other: RawRecording) -> bool:
-    """Whether two files hold the same frames; the first frame alone tells nearly all apart."""
+    """Whether two files hold the same frames; the first frame alone distinguishes nearly all."""
     if one.path == other.path or one.adu.shape != other.adu.shape:
         return False
     same = np.array_equal(one.adu[0], other.adu[0])

@@ -29,7 +29,7 @@ from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone,
 from irlos_pipe.stages.ingest.stage import Config
 
 BYTES_PER_PIXEL = 1600  # memory for a pixel of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
-BYTES_PER_VALUE = 8
+BYTES_PER_VALUE = 8  # memory for a pixel of every frame
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

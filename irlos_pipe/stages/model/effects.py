@@ -105,7 +105,7 @@ def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -
 
 
 def shown(effects: Sequence[Effect], recordings: Sequence[Conditions]) -> list[Effect]:
-    """Return those `effects` that `recordings`, by their conditions, tell from the static wavefront."""
+    """Return the `effects` that `recordings`, by their conditions, distinguish from the static wavefront."""
     return [effect for effect in effects if effect.shown_by(recordings)]
 
 
@@ -193,14 +193,14 @@ def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Condi
     Only where the band is broad, and on sky, that is with an AO residual, by the `conditions` of the
     recording; what the recipe lists itself stays as it is.
     """
-    if not _wants_colour(effects, model, conditions):
+    if not _needs_colour(effects, model, conditions):
         return list(effects)
     own = [AtmosphericDispersion.under(conditions), star_colour(conditions)]
     listed = {effect.name for effect in effects}
     return [*effects, *(effect for effect in own if effect.name not in listed)]
 
 
-def _wants_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
+def _needs_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
     """Whether colours belong to `effects` of a `model` under `conditions`, see `with_colour`."""
     settings = conditions.settings
     on_sky = any(effect.name == SeeingHalo.name for effect in effects)
@@ -237,7 +237,7 @@ def colour_warning(effects: Sequence[Effect], recordings: Sequence[Recording]) -
 UNKNOWN_MAS_PER_UM = 300.0  # what nothing corrects 60° from the zenith, at 1.4 µm
 UNSURE, LEAST_MAS_PER_UM = 0.1, 5.0  # error of what is computed: this part of it, and at least so much
 LEFT = 0.2  # part of the dispersion that a corrector may leave
-STEP_UM = 0.01
+STEP_UM = 0.01  # of the finite difference over the wavelength
 LOWEST_DEG = 10.0  # altitude below which the formula errs
 
 
