@@ -1,4 +1,4 @@
-"""Files appear whole or not at all: written beside their target, flushed to disk, then renamed.
+"""Files appear whole or not at all: written next to their target, flushed to disk, then renamed.
 
 And file systems without locks: many network disks are mounted without, and answer each in its own way.
 """
@@ -25,10 +25,7 @@ UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, ENOTSUPP}
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file that becomes `path` when the block ends without an exception.
 
-    Raises
-    ------
-    IrlosError
-        When the file cannot be written (disk full, no permission); nothing is left behind.
+    Raises `IrlosError` when the file cannot be written (disk full, no permission); nothing is left behind.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")

@@ -20,10 +20,7 @@ else:
 def first_image(path: Path) -> tuple[np.ndarray, Mapping[str, Any]]:
     """Return the first image of the FITS file at `path` that has data, in float64, and its header.
 
-    Raises
-    ------
-    ValueError
-        Where the file cannot be read, or holds no image; names the reason and not the file.
+    Raises `ValueError` where the file cannot be read, or holds no image; names the reason and not the file.
     """
     try:
         with open_regular(path) as stream, fits.open(stream, memmap=False) as hdus:

@@ -14,13 +14,7 @@ from pydantic import BaseModel
 
 
 def jsonable(value: Any) -> Any:
-    """Return `value` in the types JSON has.
-
-    Raises
-    ------
-    TypeError
-        For objects that have no JSON form.
-    """
+    """Return `value` in the types JSON has; `TypeError` for objects that have no JSON form."""
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, float):

@@ -30,10 +30,7 @@ class Override:
 def parse_setting(text: str, example: str = EXAMPLE) -> Override:
     """Parse the `text` ``stage.key=VALUE``, the value in YAML; `example` is what the error asks for.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is no ``=``, no key, or the value is not YAML.
+    Raises `ConfigurationError` when there is no ``=``, no key, or the value is not YAML.
     """
     dotted, equals, value = text.partition("=")
     parts = dotted.strip().split(".")

@@ -22,11 +22,11 @@ from typing import BinaryIO
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.limits import require_memory
 
-HEAD_BYTES = 512
-PIECE_BYTES = 2**20
-MAX_LAYERS = 2  # a browser may pack what is packed already
+HEAD_BYTES = 512  # by which a file is recognised
+PIECE_BYTES = 2**20  # unpacked at a time
+MAX_LAYERS = 2  # of packing: a browser may pack what is packed already
 MAX_UNPACKED_BYTES = 2**29  # 60 000 frames of 64x64 px in 16 bit
-USUAL_COMPRESSION = 8  # what real images stay below by far; a file may unpack to so much more than it holds
+USUAL_COMPRESSION = 8  # times its size that a file may unpack to at least; real images stay far below
 
 Opener = Callable[[BinaryIO], io.BufferedIOBase]
 PACKED: dict[bytes, Opener] = {
@@ -54,10 +54,7 @@ TAKEN_FOR_DATA = {
 def open_regular(path: str | Path) -> io.BufferedReader:
     """Open the file at `path` for reading; links are followed.
 
-    Raises
-    ------
-    OSError
-        When it cannot be opened, or is a folder, pipe, socket or device.
+    Raises `OSError` when it cannot be opened, or is a folder, pipe, socket or device.
     """
     return open(path, "rb", opener=_opened)
 
@@ -65,12 +62,7 @@ def open_regular(path: str | Path) -> io.BufferedReader:
 def read_regular(path: str | Path) -> str:
     """Return the text, in UTF-8, of the file at `path`.
 
-    Raises
-    ------
-    OSError
-        As `open_regular`.
-    UnicodeDecodeError
-        When it is not UTF-8.
+    Raises `OSError` as `open_regular`, and `UnicodeDecodeError` when it is not UTF-8.
     """
     with open_regular(path) as stream:
         return stream.read().decode()
@@ -101,12 +93,8 @@ def _regular(descriptor: int, path: str) -> int:
 def open_unpacked(path: Path) -> Iterator[BinaryIO]:
     """Open the file at `path` for reading, unpacked if its content is that of gzip, bzip2 or xz.
 
-    Raises
-    ------
-    InputDataError
-        Where the packed content is cut off or damaged, or unpacks to more than is read in memory.
-    OSError
-        As `open_regular`.
+    Raises `InputDataError` where the packed content is cut off or damaged, or unpacks to more than is read in
+    memory, and `OSError` as `open_regular`.
     """
     with open_regular(path) as file:
         stream: BinaryIO = file

@@ -24,10 +24,7 @@ SAMPLES: Kind = "data_samples"
 def shipped_folder(kind: Kind) -> Path:
     """Return the folder with the files of a `kind`.
 
-    Raises
-    ------
-    ConfigurationError
-        When the package was installed without them.
+    Raises `ConfigurationError` when the package was installed without them.
     """
     package = Path(irlos_pipe.__file__).resolve().parent
     places = [place / kind for place in (package / "shipped", package.parent)]
@@ -47,10 +44,7 @@ def named_file(given: str | Path, kind: Kind) -> Path:
 
     A file of the user's goes first.
 
-    Raises
-    ------
-    ConfigurationError
-        When a name without a suffix is neither.
+    Raises `ConfigurationError` when a name without a suffix is neither.
     """
     path = Path(given)
     if os.path.isfile(path):

@@ -83,10 +83,7 @@ def read_validated(path: Path, model: type[Model]) -> Model:
 def require_valid(data: Any, model: type[Model], origins: Origins) -> Model:
     """Return `data`, whose values come from `origins`, as a `model`.
 
-    Raises
-    ------
-    ConfigurationError
-        One line ``file:line: problem`` for everything that is wrong.
+    Raises `ConfigurationError` with one line ``file:line: problem`` for everything that is wrong.
     """
     errors = ValidationErrors(origins)
     valid = errors.validated(data, model)

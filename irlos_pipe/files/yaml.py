@@ -16,8 +16,8 @@ import yaml
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.files.regular import open_regular
 
-MAX_BYTES = 1_000_000  # some seconds of parsing; one defocus per frame of 100 000 frames
-MAX_DEPTH = 30
+MAX_BYTES = 1_000_000  # of a file: some seconds of parsing; one defocus per frame of 100 000 frames
+MAX_DEPTH = 30  # of lists and sections in each other
 
 
 if TYPE_CHECKING:

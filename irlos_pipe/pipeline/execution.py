@@ -30,19 +30,14 @@ from irlos_pipe.stages.ingest.results import IngestResults
 
 @dataclass
 class Job:
-    """A plan being carried out.
-
-    Attributes
-    ----------
-    finished : set of str
-        Stages whose product on disk is the one the plan promises.
-    """
+    """A plan being carried out."""
 
     recipe: Recipe
     folder: Path
     files: list[InputFile]
     steps: list[Step]
     resources: Resources
+    # Stages whose product on disk is the one the plan promises.
     finished: set[str] = field(default_factory=set)
     _loaded: dict[str, Product] = field(default_factory=dict)
 

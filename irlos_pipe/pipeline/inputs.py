@@ -22,23 +22,16 @@ LISTS = "lists"  # key of the lists of files among the absolute paths of the cac
 
 @dataclass(frozen=True)
 class InputFile:
-    """One file of an input.
+    """One file of an input."""
 
-    Attributes
-    ----------
-    label : str
-        ``<input>/<folder or file given>/<path below it>``: the same wherever the data lie. Files beside
-        what was given, such as a side-car, count from its parent folder.
-    stamp : tuple of int
-        Size, times and place on the disk when the checksum was taken.
-    root, listed : Path, str
-        What was given as input, and the stamp of all that decided which of its files are read.
-    """
-
+    # ``<input>/<folder or file given>/<path below it>``: the same wherever the data lie. Files next to what
+    # was given, such as a side-car, count from its parent folder.
     label: str
     path: Path
     sha256: str
+    # Size, times and place on the disk when the checksum was taken.
     stamp: tuple[int, ...] = field(default=(), compare=False)
+    # What was given as input, and the stamp of all that decided which of its files are read.
     root: Path = field(default=Path(), compare=False)
     listed: str = field(default="", compare=False)
 
@@ -52,19 +45,12 @@ def input_files(
 
     Checksums of files whose size, times and place did not change come from the cache
     in `cache_folder`, which is not written here (see `remember`), and so does the list of the files that
-    are read of an input while nothing in it or beside it was touched: to tell, every file has to be opened.
+    are read of an input while nothing in it or next to it was touched: to tell, every file has to be opened.
 
-    Parameters
-    ----------
-    files_of : callable, optional
-        ``files_of(root)``: the files that are read of a file or folder given as input; all by default.
+    ``files_of(root)`` gives the files that are read of a file or folder given as input; all by default.
 
-    Raises
-    ------
-    NothingToDo
-        When there is nothing to read of an input.
-    InputDataError
-        When a folder cannot be read, or a name cannot be shown.
+    Raises `NothingToDo` when there is nothing to read of an input, and `InputDataError` when a folder cannot
+    be read, or a name cannot be shown.
     """
     cache = _read_cache(cache_folder)
     found: dict[str, tuple[Path, Path, str]] = {}

@@ -22,26 +22,14 @@ EXIT_CODES = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of a run.
+    """The end of a run."""
 
-    Attributes
-    ----------
-    status : str
-        ``ok``, ``qc_failed``, ``partial`` or ``failed``.
-    results, quality : dict
-        Content of results.json and of qc.json.
-    summary : dict of str to list of str
-        Lines for people by stage.
-    report, report_error : Path or None, str
-        The report when it could be built, else why it could not.
-    """
-
-    status: str
-    results: dict[str, Any]
-    quality: dict[str, Any]
-    summary: dict[str, list[str]] = field(default_factory=dict)
+    status: str  # ``ok``, ``qc_failed``, ``partial`` or ``failed``
+    results: dict[str, Any]  # content of results.json
+    quality: dict[str, Any]  # content of qc.json
+    summary: dict[str, list[str]] = field(default_factory=dict)  # lines for people by stage
     report: Path | None = None
-    report_error: str = ""
+    report_error: str = ""  # why the report could not be built
 
     @property
     def exit_code(self) -> int:

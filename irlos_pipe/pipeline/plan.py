@@ -24,7 +24,7 @@ from irlos_pipe.stages.base import Stage, depends_on, reads
 UP_TO_DATE = "up to date"
 NO_PRODUCT = "no product yet"
 DAMAGED = "product unreadable"
-MAX_REASONS = 3
+MAX_REASONS = 3  # shown for one stage
 
 
 class Action(Enum):
@@ -38,44 +38,24 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Selection:
-    """Which stages a run may touch.
+    """Which stages a run may touch."""
 
-    Attributes
-    ----------
-    first, last : str or None
-        Names of the first and last stage (``--from``, ``--to``); None is the end of the recipe.
-    force : bool
-        Run the selected stages even if they are up to date.
-    """
-
-    first: str | None = None
-    last: str | None = None
-    force: bool = False
+    first: str | None = None  # name of the first stage (``--from``)
+    last: str | None = None  # name of the last stage (``--to``)
+    force: bool = False  # run the selected stages even if they are up to date
 
 
 @dataclass(frozen=True)
 class Step:
-    """One stage of a plan.
-
-    Attributes
-    ----------
-    path : Path
-        The stage's product.
-    key, parts : str, dict
-        Key that the product has, or will have, and what it is made of.
-    current : bool
-        True when the product on disk has this key.
-    reason : str
-        Why the stage is run, or why not.
-    """
+    """One stage of a plan."""
 
     name: str
-    path: Path
-    key: str
-    parts: dict[str, Any]
+    path: Path  # the stage's product
+    key: str  # of the product as it is to be
+    parts: dict[str, Any]  # what the key is made of
     action: Action
-    reason: str
-    current: bool
+    reason: str  # why the stage is run, or why not
+    current: bool  # whether the product on disk has this key
 
     def describe(self) -> str:
         """Return one line for people."""
@@ -86,11 +66,8 @@ class Step:
 def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selection: Selection) -> list[Step]:
     """Decide for every stage of the recipe whether it runs.
 
-    Raises
-    ------
-    ConfigurationError
-        When ``--from`` or ``--to`` name no stage of the recipe, or a product that ``--from``
-        builds on is missing.
+    Raises `ConfigurationError` when ``--from`` or ``--to`` name no stage of the recipe, or a product that
+    ``--from`` builds on is missing.
     """
     first, last = _range(recipe, selection)
     files = list(files)
@@ -112,10 +89,7 @@ def with_repairs(steps: Sequence[Step]) -> list[Step]:
 
     `make_plan` looks at the metadata of products only, so that planning is quick.
 
-    Raises
-    ------
-    ConfigurationError
-        When a product that ``--from`` builds on is damaged.
+    Raises `ConfigurationError` when a product that ``--from`` builds on is damaged.
     """
     return [_repaired(step, steps) for step in steps]
 
@@ -130,7 +104,7 @@ def _repaired(step: Step, steps: Sequence[Step]) -> Step:
 
 
 def _has_results(step: Step) -> bool:
-    """Whether the results in a product are those of its stage, which no checksum tells."""
+    """Whether the results in a product are those of its stage, which no checksum shows."""
     try:
         results_of(STAGES[step.name].Results, read_product(step.path, arrays=False))
     except InputDataError:
@@ -267,10 +241,7 @@ def input_problems(recipe: Recipe, stages: Collection[str] | None = None) -> lis
 
     Of `stages` alone, if they are given.
 
-    Raises
-    ------
-    NothingToDo
-        When there are no recordings under an input.
+    Raises `NothingToDo` when there are no recordings under an input.
     """
     lines = []
     for name in recipe.stages if stages is None else stages:

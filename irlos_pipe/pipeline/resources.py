@@ -20,21 +20,12 @@ terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr;
 
 @dataclass(frozen=True)
 class Resources:
-    """What a run may use.
+    """What a run may use."""
 
-    Attributes
-    ----------
-    device : str
-        ``cpu``, ``cuda`` or ``auto``, which is found out when a stage runs: PyTorch takes long to load.
-    jobs : int
-        Number of threads or processes.
-    progress : callable
-        Makes progress bars, see `StageContext`.
-    """
-
+    # ``cpu``, ``cuda`` or ``auto``, which is resolved when a stage runs: PyTorch takes long to load.
     device: str = "cpu"
-    jobs: int = 1
-    progress: Callable[..., Any] = silent_progress
+    jobs: int = 1  # number of threads or processes
+    progress: Callable[..., Any] = silent_progress  # makes progress bars, see `StageContext`
 
 
 def available_cpus() -> int:
@@ -45,10 +36,7 @@ def available_cpus() -> int:
 def resolve_device(wanted: str) -> str:
     """Return ``cpu`` or ``cuda`` for ``auto``, ``cpu`` or ``cuda``.
 
-    Raises
-    ------
-    ConfigurationError
-        When ``cuda`` is wanted and there is none.
+    Raises `ConfigurationError` when ``cuda`` is requested and there is none.
     """
     if wanted == "cpu":
         return wanted

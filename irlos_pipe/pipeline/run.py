@@ -37,12 +37,8 @@ from irlos_pipe.stages.base import files_of
 def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
     """Return the input files and the plan of a run into `folder`, which need not exist; nothing is written.
 
-    Raises
-    ------
-    ConfigurationError
-        When the selection or the output folder cannot be used.
-    InputDataError, NothingToDo
-        When input files cannot be read, or there are none.
+    Raises `ConfigurationError` when the selection or the output folder cannot be used, and `InputDataError`
+    or `NothingToDo` when input files cannot be read, or there are none.
     """
     require_free(folder)
     require_outside_inputs(folder, recipe.inputs)
@@ -58,12 +54,8 @@ def run_recipe(
 
     By default all stages may run, on one thread of the processor.
 
-    Raises
-    ------
-    Locked
-        When another run owns the folder.
-    IrlosError
-        When a stage cannot do its work; products of finished stages stay.
+    Raises `Locked` when another run owns the folder, and `IrlosError` when a stage cannot do its work;
+    products of finished stages stay.
     """
     selection = selection or Selection()
     inputs = inputs_stamp(path for paths in recipe.inputs.values() for path in paths)
@@ -193,12 +185,8 @@ def version_for(recipe: Recipe, folder: Path, selection: Selection) -> Path:
 
     A run that only adds what the newest version has not got, after an interruption for example, continues it.
 
-    Raises
-    ------
-    ConfigurationError
-        When the folder cannot hold versions, or the selection cannot be used.
-    InputDataError, NothingToDo
-        When input files cannot be read, or there are none.
+    Raises `ConfigurationError` when the folder cannot hold versions, or the selection cannot be used, and
+    `InputDataError` or `NothingToDo` when input files cannot be read, or there are none.
     """
     require_free_for_versions(folder)
     there = version_folders(folder)
@@ -214,12 +202,8 @@ def run_numbered(
 
     The link ``latest`` leads to the version if it is complete.
 
-    Raises
-    ------
-    Locked
-        When another run works on these versions.
-    IrlosError
-        When a stage cannot do its work; ``latest`` leads to where it led before.
+    Raises `Locked` when another run works on these versions, and `IrlosError` when a stage cannot do its
+    work; ``latest`` leads to where it led before.
     """
     selection = selection or Selection()
     plan_run(recipe, version_for(recipe, folder, selection), selection)  # a mistake leaves no folder behind

@@ -29,10 +29,7 @@ def stage_logger(name: str) -> logging.Logger:
 def written_to(path: Path) -> Iterator[None]:
     """Append all messages of the package, and Python warnings, to a file while the block lasts.
 
-    Raises
-    ------
-    IrlosError
-        When the file cannot be opened.
+    Raises `IrlosError` when the file cannot be opened.
     """
     try:
         handler = _FileHandler(path, encoding="utf-8")

@@ -19,10 +19,7 @@ from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE
 def messages(verbosity: int) -> Iterator[None]:
     """Show log messages on stderr while the block lasts.
 
-    Parameters
-    ----------
-    verbosity : int
-        -1 nothing, 0 what the run does and warnings, 1 all messages, 2 debugging as well.
+    `verbosity` is -1 for nothing, 0 for what the run does and warnings, 1 for all messages, 2 for debugging.
     """
     handler = _TerminalHandler(verbosity)
     level = ROOT.level

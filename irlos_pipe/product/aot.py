@@ -36,13 +36,10 @@ def write_aot(product: Product, name: str, path: Path, *, replace: bool = False)
     Raw counts with times and frame numbers, the background as it was subtracted, the flat as the standard
     has it (the inverse of the response) and the map of bad pixels: the readers of this package take the same
     recording from it. What the standard has no place for (spectrum, diversity, role) is written to a side-car
-    beside it, ``<stem>.yaml``. The name is ``INPUT/RECORDING``, or the recording alone where that is unique.
+    next to it, ``<stem>.yaml``. The name is ``INPUT/RECORDING``, or the recording alone where that is unique.
 
-    Raises
-    ------
-    ConfigurationError
-        Without aotpy, for an unknown recording or another product, or when a file exists and `replace` is
-        False.
+    Raises `ConfigurationError` without aotpy, for an unknown recording or another product, or when a file
+    exists and `replace` is False.
     """
     if path.suffix != ".fits":
         raise ConfigurationError(f"{path}: an AOT file ends in .fits")

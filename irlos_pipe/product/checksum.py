@@ -22,11 +22,11 @@ from pathlib import Path
 
 import h5py
 
-HEAD_BYTES = 512  # the smallest user block
+HEAD_BYTES = 512  # in front of the data: the smallest user block of HDF5
 MARK = b"irlos sha256 "
 METADATA = b"metadata"
-MAX_DEPTH = 20
-MAX_COMPRESSION = 1100  # deflate makes no more of less
+MAX_DEPTH = 20  # of groups in groups
+MAX_COMPRESSION = 1100  # deflate reaches 1032 at most
 
 
 class Damaged(ValueError):
@@ -53,10 +53,7 @@ def seal(content: memoryview, metadata: bytes) -> None:
 def require_unchanged(path: Path) -> None:
     """Compare all of the file at `path` with its checksum; files without one pass.
 
-    Raises
-    ------
-    Damaged
-        When a single bit differs.
+    Raises `Damaged` when a single bit differs.
     """
     with open(path, "rb") as stream:
         line = stream.read(HEAD_BYTES).partition(b"\n")[0]
@@ -69,10 +66,7 @@ def require_unchanged(path: Path) -> None:
 def sealed_metadata(path: Path) -> bytes | None:
     """Return the metadata in front of the file at `path`; None for files that have none there.
 
-    Raises
-    ------
-    Damaged
-        When they differ from their checksum, or the file has another length.
+    Raises `Damaged` when they differ from their checksum, or the file has another length.
     """
     with open(path, "rb") as stream:
         mark, line, *_ = [*stream.read(HEAD_BYTES).split(b"\n"), b""]
@@ -96,11 +90,8 @@ def sealed_metadata(path: Path) -> bytes | None:
 def require_self_contained(group: h5py.Group, depth: int = 0) -> None:
     """Refuse what in or below a `group`, itself `depth` deep, would read other files or fill the memory.
 
-    Raises
-    ------
-    ValueError
-        A soft or external link, a group inside itself, data kept in another file, or an array
-        announced but not stored.
+    Raises `ValueError` for a soft or external link, a group inside itself, data kept in another file, or an
+    array announced but not stored.
     """
     if depth > MAX_DEPTH:
         raise ValueError(f"groups are nested more than {MAX_DEPTH} deep")

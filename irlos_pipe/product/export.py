@@ -27,11 +27,8 @@ def export_arrays(product: Product, names: Sequence[str], path: Path, *, replace
     BUNIT. CSV gets one column per array of one dimension, or the rows of one array of two; coefficients
     come with their Noll indices.
 
-    Raises
-    ------
-    ConfigurationError
-        When an array or the file type is unknown, the arrays do not fit into one table, or the
-        file exists and `replace` is False.
+    Raises `ConfigurationError` when an array or the file type is unknown, the arrays do not fit into one
+    table, or the file exists and `replace` is False.
     """
     writers = {".fits": _fits_bytes, ".csv": _csv_bytes}
     if path.suffix not in writers:

@@ -18,8 +18,8 @@ from irlos_pipe.product.results import Provenance, Recorded
 
 Value = str | bool | int | float
 FEW_WORDS = frozenset(("OF", "THE", "BY", "AS", "ABOUT", "A", "IN"))
-SHA_DIGITS = 32  # as many as fit into a card
-MAX_FILES, MAX_PARAMETERS = 400, 200
+SHA_DIGITS = 32  # of a checksum, as many as fit into a card
+MAX_FILES, MAX_PARAMETERS = 400, 200  # that a header lists at most
 SIDECAR_SUFFIXES = (".yaml", ".yml")
 
 
@@ -34,31 +34,15 @@ class Card:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the numbers of a file come from.
+    """Where the numbers of a file come from."""
 
-    Attributes
-    ----------
-    stage : str
-        Stage that made them.
-    category : str
-        Category of the product, for ``ESO PRO CATG``.
-    recordings : sequence of Recorded
-        What was observed, the most important first.
-    checks : sequence of Check
-        Quality of the product and of what it was made from.
-    config : mapping
-        Settings of the stage.
-    notice : str
-        What has to be said before any number, as of samples; empty if nothing has to.
-    """
-
-    stage: str
-    category: str
+    stage: str  # that made them
+    category: str  # of the product, for ``ESO PRO CATG``
     provenance: Provenance
-    recordings: Sequence[Recorded] = ()
-    checks: Sequence[Check] = ()
-    config: Mapping[str, Any] | None = None
-    notice: str = ""
+    recordings: Sequence[Recorded] = ()  # what was observed, the most important first
+    checks: Sequence[Check] = ()  # quality of the product and of what it was made from
+    config: Mapping[str, Any] | None = None  # settings of the stage
+    notice: str = ""  # what has to be said before any number, as of samples; empty if nothing has to
 
 
 def header_cards(origin: Origin, facts: Iterable[Card] = ()) -> list[Card]:
@@ -123,7 +107,7 @@ def _product(origin: Origin) -> Iterator[Card]:
 
 
 def _inputs(origin: Origin) -> Iterator[Card]:
-    """The files: recordings by role, whatever lies beside them as calibration, side-cars as such."""
+    """The files: recordings by role, whatever lies next to them as calibration, side-cars as such."""
     owners = {one.input for one in origin.recordings}
     roles = {(one.input, one.file): one.role for one in origin.recordings}
     counts = {"RAW": 0, "CAL": 0}

@@ -259,13 +259,7 @@ class Score(Printed):
 
 
 def shown_product(path: Path) -> ShownProduct:
-    """Return what the product at `path` contains.
-
-    Raises
-    ------
-    InputDataError
-        When it cannot be read.
-    """
+    """Return what the product at `path` contains; `InputDataError` when it cannot be read."""
     from irlos_pipe.product.storage import read_product
 
     product = read_product(path)
@@ -282,10 +276,7 @@ def shown_product(path: Path) -> ShownProduct:
 def shown_run(folder: Path) -> ShownRun:
     """Return which products the run in `folder` has, and what their stages said.
 
-    Raises
-    ------
-    InputDataError
-        When `folder` holds no run, or its results.json cannot be read.
+    Raises `InputDataError` when `folder` holds no run, or its results.json cannot be read.
     """
     run = existing_run(folder)
     results = read_run_results(run.results) if run.results.is_file() else RunResults()

@@ -1,7 +1,7 @@
 """The product of a stage: arrays with units and errors, results, QC, configuration, provenance.
 
 A stage declares its arrays and checks: what is written, and explained, is made from the declaration. A table
-``ARRAYS`` has by name unit, axes and meaning. ± behind the unit says that the product holds errors beside it.
+``ARRAYS`` has by name unit, axes and meaning. ± behind the unit says that the product also holds its errors.
 Of a name in angle brackets there are several: recordings, effects, curves. A table ``CHECKS`` has, by name,
 what is checked, and the key of the settings that holds its limit, if one does.
 """
@@ -30,27 +30,12 @@ SPELLINGS = {"e-": "electron", "e-2": "electron2", "ADU": "adu", "ADU2": "adu2",
 
 @dataclass(frozen=True)
 class Quantity:
-    """An array with its unit.
+    """An array with its unit; `ValueError` when value and error differ in shape."""
 
-    Attributes
-    ----------
-    value : ndarray
-        Numbers, booleans or strings, of any shape (scalars included).
-    unit : str
-        Unit as text, for example ``nm``; empty for dimensionless values and strings.
-    error : ndarray or None
-        1-sigma error in the same unit and of the same shape.
-
-    Raises
-    ------
-    ValueError
-        When value and error differ in shape.
-    """
-
-    value: np.ndarray
-    unit: str
+    value: np.ndarray  # numbers, booleans or strings, of any shape (scalars included)
+    unit: str  # as text, for example ``nm``; empty for dimensionless values and strings
     description: str = ""
-    error: np.ndarray | None = None
+    error: np.ndarray | None = None  # 1-sigma error in the same unit and of the same shape
 
     def __post_init__(self) -> None:
         if self.error is not None and np.shape(self.error) != np.shape(self.value):
@@ -86,7 +71,7 @@ class Quantity:
         return f"<Quantity {' '.join(filter(None, [shape, unit]))}: {description}>"
 
 
-SHOWN = 12  # arrays of a product, in its text
+SHOWN = 12  # arrays that the text of a product names at most
 
 
 @dataclass(frozen=True)
@@ -123,19 +108,11 @@ class Check:
 
 @dataclass(frozen=True)
 class Product:
-    """What one stage leaves behind.
-
-    Attributes
-    ----------
-    arrays : mapping of str to Quantity
-        Names may contain ``/``, which makes HDF5 groups.
-    results : dict
-        The stage's section of results.json.
-    """
+    """What one stage leaves behind."""
 
     stage: str
-    arrays: Mapping[str, Quantity]
-    results: dict[str, Any]
+    arrays: Mapping[str, Quantity]  # names may contain ``/``, which makes HDF5 groups
+    results: dict[str, Any]  # the stage's section of results.json
     checks: list[Check] = field(default_factory=list)
     config: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -153,16 +130,10 @@ class Product:
     def table(self, *names: str) -> QTable:
         """Return arrays of equal length as an `astropy.table.QTable` with units.
 
-        Parameters
-        ----------
-        *names : str
-            By default all arrays of one dimension that have the length of the first of them. An error
-            becomes the column ``<name>_error``.
+        By default these are all arrays of one dimension that have the length of the first of them. An error
+        becomes the column ``<name>_error``.
 
-        Raises
-        ------
-        ConfigurationError
-            When an array is unknown, or the lengths differ.
+        Raises `ConfigurationError` when an array is unknown, or the lengths differ.
         """
         from astropy.table import QTable
 
@@ -172,7 +143,7 @@ class Product:
                 raise ConfigurationError(
                     f"no array '{name}' in the product of '{self.stage}'{suggestion(name, arrays)}"
                 )
-        chosen = list(names) or _alike(arrays)
+        chosen = list(names) or _of_first_length(arrays)
         lengths = {name: len(np.atleast_1d(arrays[name].value)) for name in chosen}
         if len(set(lengths.values())) > 1:
             told = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -202,19 +173,10 @@ def declared(
 ) -> dict[str, Quantity]:
     """Return `values` as arrays of a product, with what a stage's table `arrays` says of them.
 
-    Parameters
-    ----------
-    values : mapping
-        Arrays by name; where the table has ±, an array and its standard error.
-    note : str
-        Added to the meaning of these values.
-    below : str
-        What their names begin with: the group of the product that they lie in.
+    `values` has arrays by name; where the table has ±, an array and its standard error. `note` is added to
+    the meaning of these values, and their names begin with `below`, the group of the product they lie in.
 
-    Raises
-    ------
-    KeyError
-        For a name that the table has not.
+    Raises `KeyError` for a name that the table has not.
     """
     found = {}
     for name, given in values.items():
@@ -234,7 +196,7 @@ def name_in(arrays: Arrays, name: str) -> str | None:
     return next((known for known, pattern in patterns.items() if re.fullmatch(pattern, name)), None)
 
 
-def _alike(arrays: Mapping[str, Quantity]) -> list[str]:
+def _of_first_length(arrays: Mapping[str, Quantity]) -> list[str]:
     """The arrays of one dimension that have the length of the first."""
     flat = [name for name, one in arrays.items() if np.ndim(one.value) == 1]
     return [name for name in flat if len(arrays[name].value) == len(arrays[flat[0]].value)]

@@ -133,10 +133,7 @@ class RunResults(ResultsPart):
     def of(self, kind: type[Results]) -> Results:
         """Return the section of the stage of `kind`; all defaults without that stage.
 
-        Raises
-        ------
-        InputDataError
-            When the section is not that of the stage.
+        Raises `InputDataError` when the section is not that of the stage.
         """
         return _parsed(kind, self.stages.get(kind.stage, {}), f"results of stage '{kind.stage}'")
 
@@ -144,33 +141,18 @@ class RunResults(ResultsPart):
 def results_of(kind: type[Results], product: Product) -> Results:
     """Return the results of a `product` as the model `kind` of its stage.
 
-    Raises
-    ------
-    InputDataError
-        When they are not those of the stage.
+    Raises `InputDataError` when they are not those of the stage.
     """
     return _parsed(kind, product.results, f"results of stage '{product.stage}'")
 
 
 def provenance_of(product: Product) -> Provenance:
-    """Return the provenance of a `product`.
-
-    Raises
-    ------
-    InputDataError
-        When it is damaged.
-    """
+    """Return the provenance of a `product`; `InputDataError` when it is damaged."""
     return _parsed(Provenance, product.provenance, f"provenance of stage '{product.stage}'")
 
 
 def read_run_results(path: Path) -> RunResults:
-    """Read the results.json at `path`.
-
-    Raises
-    ------
-    InputDataError
-        When it is missing, or not the results of a run.
-    """
+    """Read the results.json at `path`; `InputDataError` when it is missing, or not the results of a run."""
     try:
         content = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError) as error:
@@ -223,10 +205,7 @@ class Recorded(Observed):
 def recorded(provenance: Mapping[str, Any]) -> list[Recorded]:
     """Return the recordings that a product was made from, as its `provenance` lists them.
 
-    Raises
-    ------
-    InputDataError
-        When the list is damaged.
+    Raises `InputDataError` when the list is damaged.
     """
     try:
         return [Recorded.model_validate(entry) for entry in provenance.get("recordings", ())]

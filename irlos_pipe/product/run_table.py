@@ -1,4 +1,4 @@
-"""Checks and numbers of a run as one table: in CSV or SQLite, or beside those of another run."""
+"""Checks and numbers of a run as one table: in CSV or SQLite, or next to those of another run."""
 
 from __future__ import annotations
 
@@ -38,12 +38,8 @@ def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
     CSV has one table whose first column says ``check`` or ``number``; SQLite has the tables ``checks`` and
     ``numbers``. A number is named as in results.json, ``zernike_nm.4`` in stage ``calibrate``.
 
-    Raises
-    ------
-    ConfigurationError
-        When the file type is unknown, or the file exists and `replace` is False.
-    InputDataError
-        When it is not the folder of a run, or its files cannot be read.
+    Raises `ConfigurationError` when the file type is unknown, or the file exists and `replace` is False, and
+    `InputDataError` when it is not the folder of a run, or its files cannot be read.
     """
     writers = {".csv": _csv, ".sqlite": _sqlite}
     if path.suffix not in writers:
@@ -61,13 +57,7 @@ def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
 
 
 def read_checks(run: RunFolder) -> list[dict[str, Any]]:
-    """Return the checks of a `run` as they stand in qc.json.
-
-    Raises
-    ------
-    InputDataError
-        When it cannot be read.
-    """
+    """Return the checks of a `run` as they stand in qc.json; `InputDataError` when it cannot be read."""
     try:
         checks = json.loads(read_regular(run.quality))["checks"]
         return [{column: check[column] for column in CHECK_COLUMNS} for check in checks]
@@ -124,10 +114,7 @@ WAVEFRONT = re.compile(r"(.*\.)?zernike_nm\.\d+")
 def compare_runs(first: Path, second: Path) -> Comparison:
     """Compare the runs in the folders `first` and `second`.
 
-    Raises
-    ------
-    InputDataError
-        When one of them is not the folder of a run, or cannot be read.
+    Raises `InputDataError` when one of them is not the folder of a run, or cannot be read.
     """
     runs = existing_run(first), existing_run(second)
     one, other = (_values(run) for run in runs)
@@ -137,7 +124,7 @@ def compare_runs(first: Path, second: Path) -> Comparison:
         first=str(first),
         second=str(second),
         same_files=not files,
-        told=_pairs(*map(_told, runs)),
+        told=_pairs(*map(_stated, runs)),
         settings=_pairs(*map(settings_of, runs)),
         files=files,
         modes=list(_modes(numbers)),
@@ -161,7 +148,7 @@ def _values(run: RunFolder) -> dict[Place, Leaf]:
     return dict(leaves(read_run_results(run.results).stages))
 
 
-def _told(run: RunFolder) -> dict[str, Any]:
+def _stated(run: RunFolder) -> dict[str, Any]:
     """What a run says of itself: recipe, status, and the software of its last product."""
     results = read_run_results(run.results)
     told = {"recipe": results.recipe, "status": results.status}
@@ -178,10 +165,7 @@ def _files(run: RunFolder) -> dict[str, str]:
 def settings_of(run: RunFolder) -> dict[str, Any]:
     """Return the recipe of a `run` without its name and its inputs.
 
-    Raises
-    ------
-    InputDataError
-        When it cannot be read.
+    Raises `InputDataError` when it cannot be read.
     """
     recipe = load_yaml(run.recipe, InputDataError)[0]
     return {key: value for key, value in recipe.items() if key not in ("recipe", "title", "inputs")}
@@ -265,8 +249,8 @@ ERRORS = {
     "shown": "shown_sigma",
     "measured": "error",
 }
-CALLED = ("name", "recording", "effect", "method")  # what a row of a list is called by; `frame` tells on
-OF_THE_MACHINE = {"seconds"}  # differs between any two runs
+CALLED = ("name", "recording", "effect", "method")  # keys that name a row of a list; `frame` adds to them
+OF_THE_MACHINE = {"seconds"}  # keys that differ between any two runs, and are not compared
 
 
 @dataclass(frozen=True)
@@ -282,7 +266,7 @@ def leaves(tree: Any, error: Any = None, above: Place = ()) -> Iterator[tuple[Pl
 
     A row of a list is named by what it is called, not by its number, so that rows of two runs are matched
     by what they are of. Numbers of a list go by their place; a list of anything else is one value. Errors
-    are beside the values, or in a tree `error` of the same form.
+    are next to the values, or in a tree `error` of the same form.
     """
     if isinstance(tree, Mapping):
         for key, value in tree.items():
@@ -305,7 +289,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _error_of(key: str, tree: Mapping[str, Any], error: Any) -> Any:
-    """The error of a value of a tree: beside it, or in the tree of errors."""
+    """The error of a value of a tree: next to it, or in the tree of errors."""
     if isinstance(error, Mapping):
         return error.get(key)
     return next(

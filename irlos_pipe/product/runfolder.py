@@ -63,10 +63,7 @@ class RunFolder:
     def set_aside(self, names: Iterable[str]) -> None:
         """Move files that are no longer those of the run to the folder ``earlier``.
 
-        Raises
-        ------
-        IrlosError
-            When they cannot be moved.
+        Raises `IrlosError` when they cannot be moved.
         """
         for path in [path for name in names if (path := self.path / name).is_file()]:
             self._move_to_earlier(path)
@@ -98,10 +95,7 @@ class RunFolder:
     def products(self) -> dict[str, Path]:
         """Return the products behind results.json, by stage; none from other recipes or earlier settings.
 
-        Raises
-        ------
-        InputDataError
-            When results.json cannot be read.
+        Raises `InputDataError` when results.json cannot be read.
         """
         stages = load_yaml(self.recipe, InputDataError)[0]["stages"]
         return {
@@ -118,13 +112,7 @@ class RunFolder:
 
 
 def existing_run(folder: Path) -> RunFolder:
-    """Return the folder of an earlier run.
-
-    Raises
-    ------
-    InputDataError
-        When no run ever used this folder.
-    """
+    """Return the folder of an earlier run; `InputDataError` when no run ever used this folder."""
     run = RunFolder(Path(folder))
     if not run.recipe.is_file():
         runs = [path.parent for path in run.path.glob(f"*/{run.recipe.name}")]  # the last by name is `latest`
@@ -136,10 +124,7 @@ def existing_run(folder: Path) -> RunFolder:
 def require_outside_inputs(folder: Path, inputs: Mapping[str, Iterable[Path]]) -> None:
     """Refuse an output `folder` inside one of the `inputs`: its products would count as input data.
 
-    Raises
-    ------
-    ConfigurationError
-        When it lies there.
+    Raises `ConfigurationError` when it lies there.
     """
     for name, roots in inputs.items():
         for root in roots:
@@ -154,10 +139,7 @@ def require_free(folder: Path, own: Iterable[str] = OF_A_RUN) -> None:
 
     A folder in which one of the patterns `own` matches is one of our own.
 
-    Raises
-    ------
-    ConfigurationError
-        When it has other files, or is a file.
+    Raises `ConfigurationError` when it has other files, or is a file.
     """
     if not folder.exists():
         return
@@ -178,12 +160,7 @@ def owned_folder(path: Path) -> Iterator[RunFolder]:
 
     Where the file system has no locks, a file stands for the lock.
 
-    Raises
-    ------
-    Locked
-        When another run owns it.
-    IrlosError
-        When it cannot be made or written.
+    Raises `Locked` when another run owns it, and `IrlosError` when it cannot be made or written.
     """
     if (path / LOCK_NAME).is_symlink():
         raise IrlosError(f"{path / LOCK_NAME}: a link, which is not followed; remove it")

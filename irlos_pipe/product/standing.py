@@ -1,8 +1,8 @@
-"""Whether anything that a finished run depends on was touched since; told without loading what would run.
+"""Whether anything that a finished run depends on was touched since; found without loading what would run.
 
 A run that brought all of its products up to date leaves a stamp of what it depends on: name, size and time of
 every file of the package, of its own folder, and of the inputs. While the stamp holds, all products are up to
-date. Otherwise, or where the stamp cannot tell, a plan has to be made.
+date. Otherwise, or where the stamp does not decide, a plan has to be made.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.runfolder import RunFolder
 
 NAME = ".standing.json"
-REWRITTEN = ("run.log", "report.html")  # at any time, and nothing depends on them
+REWRITTEN = ("run.log", "report.html")  # files that may change at any time; nothing depends on them
 SIBLING_OF = "_PIX"  # a folder NAME_PIX is read together with NAME
-MOST_FILES = 20000  # listing more takes longer than a plan
+MOST_FILES = 20000  # to list; more take longer than a plan
 
 
 class _CannotTell(Exception):
@@ -33,7 +33,7 @@ class _CannotTell(Exception):
 
 
 def inputs_stamp(inputs: Iterable[Path]) -> str:
-    """Return the stamp of the files under `inputs` and beside them; empty where it cannot tell."""
+    """Return the stamp of the files under `inputs` and next to them; empty where it is not known."""
     try:
         return _digest(line for root in sorted(inputs) for line in _around(root))
     except (OSError, _CannotTell):
@@ -41,7 +41,7 @@ def inputs_stamp(inputs: Iterable[Path]) -> str:
 
 
 def listing_stamp(root: Path) -> str:
-    """Return the stamp of all that decides which files are read of an input; empty where it cannot tell."""
+    """Return the stamp of all that decides which files are read of an input; empty where it is not known."""
     inputs = inputs_stamp([root])
     return _digest([_package_stamp(), inputs]) if inputs else ""
 
@@ -63,7 +63,7 @@ def is_standing(run: RunFolder) -> bool:
 
 
 def _stamp(run: RunFolder) -> dict[str, str]:
-    """Stamps by what they are of; empty where they cannot tell."""
+    """Stamps by what they are of; empty where they are not known."""
     try:
         recipe = load_yaml(run.recipe)[0]
         package = Path(irlos_pipe.__file__).parent
@@ -98,7 +98,7 @@ def _digest(lines: Iterable[str]) -> str:
 
 
 def _around(root: Path) -> Iterator[str]:
-    """What lies under a file or folder given as input, and beside a file."""
+    """What lies under a file or folder given as input, and next to a file."""
     if root.is_dir():
         yield from _below(root)
     else:

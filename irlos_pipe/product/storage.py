@@ -43,7 +43,7 @@ from irlos_pipe.product.results import Provenance
 
 SCHEMA = "irlos-product"
 SCHEMA_VERSION = 1
-COMPRESS_ABOVE_BYTES = 4096
+COMPRESS_ABOVE_BYTES = 4096  # smaller arrays are stored as they are
 SUFFIX = ".h5"
 
 
@@ -60,10 +60,7 @@ class _Sections(BaseModel):
 def write_product(product: Product, path: Path) -> None:
     """Write a `product` to `path` atomically.
 
-    Raises
-    ------
-    IrlosError
-        When the file cannot be written; an earlier file of that name is then unchanged.
+    Raises `IrlosError` when the file cannot be written; an earlier file of that name is then unchanged.
     """
     sections = _sections(product)
     head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "stage": product.stage}
@@ -85,10 +82,8 @@ def read_product(path: Path, *, arrays: bool = True) -> Product:
 
     Strings come back as arrays of dtype ``str``.
 
-    Raises
-    ------
-    InputDataError
-        When the file is missing, truncated, not a product, or what is read of it is damaged.
+    Raises `InputDataError` when the file is missing, truncated, not a product, or what is read of it is
+    damaged.
     """
     with _readable(path):
         metadata = None if arrays else _front_metadata(path)
@@ -98,10 +93,8 @@ def read_product(path: Path, *, arrays: bool = True) -> Product:
 def open_product(path: Path) -> Product:
     """Return the product at `path` with `StoredArrays`, which are read when they are asked for.
 
-    Raises
-    ------
-    InputDataError
-        When the file is missing, truncated or not a product, or its metadata are damaged.
+    Raises `InputDataError` when the file is missing, truncated or not a product, or its metadata are
+    damaged.
     """
     with _readable(path):
         metadata = _front_metadata(path)
@@ -121,16 +114,9 @@ def is_intact(path: Path) -> bool:
 
 
 class StoredArrays(Mapping[str, Quantity]):
-    """The arrays of a product file, each read when it is first asked for.
+    """The arrays `names` of the product file `path` with metadata in front, each read when asked for.
 
     Before the first is read, the file is compared with its checksum.
-
-    Parameters
-    ----------
-    path : Path
-        A product with metadata in front.
-    names : iterable of str
-        Names of its arrays.
     """
 
     def __init__(self, path: Path, names: Iterable[str]) -> None:

@@ -18,44 +18,24 @@ from irlos_pipe.product.header import Card, Origin, Value, header_cards
 
 @dataclass(frozen=True)
 class Column:
-    """A column of numbers.
+    """A column of numbers."""
 
-    Attributes
-    ----------
-    name : str
-        Its name in CSV, with the unit, for example ``offset_nm``; FITS has it in capitals without.
-    pattern : str
-        Format of a number in CSV.
-    """
-
-    name: str
+    name: str  # in CSV, with the unit, for example ``offset_nm``; FITS has it in capitals without
     unit: str
     values: np.ndarray
     description: str = ""
-    pattern: str = ""
+    pattern: str = ""  # format of a number in CSV
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table for other programs.
+    """A table for other programs."""
 
-    Attributes
-    ----------
-    name : str
-        Of the table, for FITS.
-    category : str
-        Category of the product.
-    note : str
-        The convention that nobody may miss; the first line of a CSV file.
-    facts : sequence of Card
-        Further cards of the header.
-    """
-
-    name: str
-    category: str
+    name: str  # for FITS
+    category: str  # of the product
     columns: Sequence[Column]
-    note: str = ""
-    facts: Sequence[Card] = ()
+    note: str = ""  # the convention that nobody may miss; the first line of a CSV file
+    facts: Sequence[Card] = ()  # further cards of the header
 
 
 def table_content(table: Table, suffix: str, origin: Origin) -> bytes:
@@ -108,8 +88,8 @@ def _plain_name(column: Column) -> str:
 
 # -- FITS files with full headers and checksums --------------------------------------------------------
 
-CARD_LETTERS = 80
-MAX_CARDS = 9  # of one text
+CARD_LETTERS = 80  # of a card, by the standard of FITS
+MAX_CARDS = 9  # over which one text may be spread
 # Letters of units and comments that FITS, which is ASCII, does not have.
 SPELT = str.maketrans(
     {"χ": "chi", "ν": "nu", "σ": "sigma", "λ": "lambda", "Σ": "sum", "²": "2", "±": "+-", "→": "->", "–": "-",

@@ -47,10 +47,7 @@ def new_version(folder: Path) -> Path:
 def require_free_for_versions(folder: Path) -> None:
     """Refuse a `folder` with files in it that are no versions, or whose ``latest`` is no link.
 
-    Raises
-    ------
-    ConfigurationError
-        When it cannot hold versions.
+    Raises `ConfigurationError` when it cannot hold versions.
     """
     require_free(folder, OWN)
     link = folder / LATEST

@@ -62,32 +62,18 @@ SECTIONS = ("model", *STAGES)
 
 @dataclass(frozen=True)
 class Recipe:
-    """A valid recipe with every default filled in.
-
-    Attributes
-    ----------
-    instrument_name : str
-        Name of the profile, or the absolute path of its file.
-    inputs : dict of str to tuple of Path
-        Absolute paths by input name.
-    samples : tuple of str
-        Names of the inputs that are sample recordings of the package.
-    stages : tuple of str
-        Stage names in running order.
-    configs : dict of str to StageConfig
-        One configuration per stage of `stages`.
-    """
+    """A valid recipe with every default filled in."""
 
     path: Path
     name: str
     title: str
-    instrument_name: str
+    instrument_name: str  # of the profile, or the absolute path of its file
     instrument: Instrument
-    inputs: dict[str, tuple[Path, ...]]
-    samples: tuple[str, ...]
-    stages: tuple[str, ...]
+    inputs: dict[str, tuple[Path, ...]]  # absolute paths by input name
+    samples: tuple[str, ...]  # names of the inputs that are sample recordings of the package
+    stages: tuple[str, ...]  # names in running order
     model: ModelConfig
-    configs: dict[str, StageConfig]
+    configs: dict[str, StageConfig]  # by stage
     seed: int
 
     @property

@@ -30,19 +30,13 @@ DARK = "DARK"  # goes to every input; ingest takes the one that fits
 
 
 def read_sof(path: Path) -> list[Frame]:
-    """Read a set of frames.
+    """Read the set of frames at `path`.
 
-    Parameters
-    ----------
-    path : Path
-        Lines ``PATH TAG`` or ``PATH TAG GROUP``; ``#`` begins a comment, ``$NAME`` is taken from the
-        environment. A path with blanks stands in quotes, or has a backslash before each. Paths count from the
-        current folder.
+    It has lines ``PATH TAG`` or ``PATH TAG GROUP``; ``#`` begins a comment, ``$NAME`` is taken from the
+    environment. A path with blanks stands in quotes, or has a backslash before each. Paths count from the
+    current folder.
 
-    Raises
-    ------
-    InputDataError
-        When it cannot be read, is empty, or a line has no tag.
+    Raises `InputDataError` when it cannot be read, is empty, or a line has no tag.
     """
     try:
         text = read_regular(path)
@@ -67,10 +61,7 @@ def read_sof(path: Path) -> list[Frame]:
 def inputs_from(frames: Sequence[Frame], recipe: str | Path) -> tuple[str, ...]:
     """Return the inputs of a `recipe`, a path or a name, as `load_recipe` takes them: ``NAME=PATH``.
 
-    Raises
-    ------
-    ConfigurationError
-        When the recipe has no input for a tag.
+    Raises `ConfigurationError` when the recipe has no input for a tag.
     """
     declared = load_yaml(named_file(recipe, RECIPES))[0].get("inputs")
     names = list(declared) if isinstance(declared, dict) else []

@@ -1,4 +1,4 @@
-"""What stages, keys, effects, checks and numbers mean, told from the places that define them."""
+"""What stages, keys, effects, checks and numbers mean, from the places that define them."""
 
 from pathlib import Path
 

@@ -40,19 +40,11 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Entry:
-    """A name with its explanation.
-
-    Attributes
-    ----------
-    name : str
-        Where it stands, dotted: ``calibrate.method``.
-    text : str
-        What it means, in lines; the first is a summary.
-    """
+    """A name with its explanation."""
 
     kind: Kind
-    name: str
-    text: str
+    name: str  # where it stands, dotted: ``calibrate.method``
+    text: str  # what it means, in lines; the first is a summary
 
     @property
     def summary(self) -> str:
@@ -85,10 +77,7 @@ def all_entries() -> list[Entry]:
 def explain(name: str) -> str:
     """Return what a stage, key, effect, check, number, array or term called `name` means.
 
-    Raises
-    ------
-    ConfigurationError
-        When nothing is called so.
+    Raises `ConfigurationError` when nothing is called so.
     """
     entries = all_entries()
     wanted = name.strip().removeprefix("stages.")

@@ -1,4 +1,4 @@
-"""The reference pages of the documentation, made from what `irlos explain` tells."""
+"""The reference pages of the documentation, made from what `irlos explain` shows."""
 
 from __future__ import annotations
 

@@ -27,10 +27,7 @@ def recipe_list() -> str:
 def recipe_text(name: str) -> str:
     """Return the file of the recipe, or of the specification, called `name`.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is none.
+    Raises `ConfigurationError` when there is none.
     """
     known = [*shipped_names(RECIPES), *shipped_names(SIMULATIONS)]
     for kind in (RECIPES, SIMULATIONS):

@@ -78,7 +78,7 @@ def commands_schema() -> dict[str, Any]:
 
 
 def text_of(schema: dict[str, Any]) -> str:
-    """Return a `schema` as it lies beside this module, for programs that do not speak Python."""
+    """Return a `schema` as it lies next to this module, for programs that do not speak Python."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 

@@ -32,78 +32,39 @@ ConfigT = TypeVar("ConfigT", bound=StageConfig)
 
 @dataclass(frozen=True)
 class StageContext(Generic[ConfigT]):
-    """Everything a stage may use; ``StageContext[Config]`` states whose section `config` is.
+    """Everything a stage may use; ``StageContext[Config]`` states whose section `config` is."""
 
-    Attributes
-    ----------
-    config : StageConfig
-        The stage's own section of the recipe.
-    inputs : dict of str to tuple of Path
-        Input files and folders by the recipe's input names.
-    products : dict of str to Product
-        Products of the earlier stages by stage name, as read from disk.
-    device : str
-        ``cpu`` or ``cuda``.
-    jobs : int
-        Number of threads or processes to use.
-    progress : callable
-        ``progress(iterable=None, total=None, desc="")``, tqdm-like; silent unless on a terminal.
-    log : logging.Logger
-        Goes to run.log and into the product; shown on the terminal with ``-v``.
-    scratch : Path
-        Folder for finished parts of a long stage, made by the stage itself. It survives an interruption,
-        stays the same while nothing changes that the product depends on, and is removed when the
-        product has been written.
-    """
-
-    config: ConfigT
+    config: ConfigT  # the stage's own section of the recipe
     model: ModelConfig
     instrument: Instrument
-    inputs: dict[str, tuple[Path, ...]]
-    products: dict[str, Product]
-    device: str
+    inputs: dict[str, tuple[Path, ...]]  # input files and folders by the recipe's input names
+    products: dict[str, Product]  # of the earlier stages by stage name, as read from disk
+    device: str  # ``cpu`` or ``cuda``
     seed: int
-    jobs: int
+    jobs: int  # number of threads or processes to use
+    # ``progress(iterable=None, total=None, desc="")``, tqdm-like; silent unless on a terminal
     progress: Callable[..., Any]
-    log: logging.Logger
+    log: logging.Logger  # goes to run.log and into the product; shown on the terminal with ``-v``
+    # Folder for finished parts of a long stage, made by the stage itself. It survives an interruption, stays
+    # the same while nothing changes that the product depends on, and is removed when the product is written.
     scratch: Path
 
 
 @dataclass(frozen=True)
 class StageOutput:
-    """What a stage returns.
-
-    Attributes
-    ----------
-    results : StageResults
-        The stage's section of results.json.
-    files : dict of str to bytes or Table
-        Further files for the run folder, by file name; a table is written with its origin in the header.
-    summary : sequence of str
-        Lines for the table on the terminal.
-    failures : sequence of str
-        One line per exposure that failed while others succeeded; the run then counts as partial.
-    """
+    """What a stage returns."""
 
     arrays: dict[str, Quantity]
-    results: StageResults
+    results: StageResults  # the stage's section of results.json
     checks: Sequence[Check] = ()
+    # Further files for the run folder, by name; a table is written with its origin in the header.
     files: dict[str, bytes | Table] = field(default_factory=dict)
-    summary: Sequence[str] = ()
-    failures: Sequence[str] = ()
+    summary: Sequence[str] = ()  # lines for the table on the terminal
+    failures: Sequence[str] = ()  # one line per failed exposure while others succeed: the run is partial
 
 
 class Stage(Protocol):
     """The module of a stage: what can stand in a recipe.
-
-    Attributes
-    ----------
-    VERSION : int
-        Raised where its products change.
-    Config : type
-        Its section of a recipe.
-    Results : type
-        Its section of results.json.
 
     It may further define
 
@@ -122,9 +83,9 @@ class Stage(Protocol):
     """
 
     NAME: str
-    VERSION: int
-    Config: type[StageConfig]
-    Results: type[StageResults]
+    VERSION: int  # raised where its products change
+    Config: type[StageConfig]  # its section of a recipe
+    Results: type[StageResults]  # its section of results.json
 
     @staticmethod
     def run(ctx: StageContext[Any]) -> StageOutput:
@@ -155,5 +116,5 @@ def judged(stage: Stage, product: Product) -> Sequence[Check]:
 
 
 def depends_on(stage: Stage) -> frozenset[str]:
-    """Return the parts of the run, besides its own section, that the product of a `stage` depends on."""
+    """Return the parts of the run, apart from its own section, that the product of a `stage` depends on."""
     return frozenset(getattr(stage, "DEPENDS_ON", KEY_PARTS))

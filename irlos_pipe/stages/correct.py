@@ -34,12 +34,12 @@ NAME = "correct"
 VERSION = 6
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
-MAP_SAMPLES = 160
+MAP_SAMPLES = 160  # across the pupil in maps
 MIRROR_SIGN = (
     "offset: add it to the reference of the mode to cancel the aberration; in the unit of the table of "
     "modes, whose maps are OPD in nm; diversity, piston, tip and tilt not included"
 )
-LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000
+LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000  # of a table of mirror modes
 SIGN = (
     "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
     "diversity not included"
@@ -76,10 +76,7 @@ class MirrorFile(BaseModel):
 def mirror_file(value: Any) -> Any:
     """Return path and checksum for the path of a file; for both of before, those of the file as it is now.
 
-    Raises
-    ------
-    ValueError
-        Where the file cannot be read.
+    Raises `ValueError` where the file cannot be read.
     """
     named = value.get("file") if isinstance(value, dict) else value
     if not isinstance(named, str):
@@ -215,7 +212,7 @@ def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) 
 def _checks(ctx: StageContext[Config], recording: Recording, prediction: Prediction) -> list[Check]:
     """A Strehl ratio predicted without the AO residual may not exceed what the residual alone leaves.
 
-    Only where the seeing of the recording is told, and the calibration has not measured the residual.
+    Only where the seeing of the recording is declared, and the calibration has not measured the residual.
     """
     from irlos_pipe.effects import SeeingHalo
 
@@ -306,10 +303,7 @@ def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
 def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
     """Return the `output` of the stage with the offsets of a mirror's modes: arrays, results and files.
 
-    Raises
-    ------
-    InputDataError
-        If the table of modes that the settings of `ctx` name cannot be used.
+    Raises `InputDataError` if the table of modes that the settings of `ctx` name cannot be used.
     """
     named: MirrorFile = ctx.config.mirror_modes
     path = Path(named.file)

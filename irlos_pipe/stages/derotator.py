@@ -55,7 +55,7 @@ CHECKS = {
     ),
     "sense of rotation": ("how much worse the other sense of rotation fits", ""),
 }
-MAP_SAMPLES = 96
+MAP_SAMPLES = 96  # across the pupil in maps
 SENSES = {1: "anticlockwise", -1: "clockwise"}
 PARTS = ("rotating", "fixed", "unsplit")
 CERTAIN = 9.0  # Δχ² between the senses, in units of χ²/ν: three sigma

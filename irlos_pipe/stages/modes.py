@@ -39,7 +39,7 @@ ARRAYS = {
     "numbers/misfit": ("", "cube, number, block", "χ²/ν of unseen frames"),
     "numbers/excess": ("±", "number", "held-out χ²/ν above the least"),
 }
-MIN_MODES = 4
+MIN_MODES = 4  # one more than the parameters of the law
 
 
 class Config(StageConfig):

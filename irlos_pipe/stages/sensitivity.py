@@ -39,8 +39,10 @@ CURVE = {
     "failures": ("", "magnitude", "estimates that failed"),
 }
 ARRAYS = {f"curves/<n>/{name}": what for name, what in CURVE.items()}
-BYTES_PER_PIXEL = 40  # of every image that is estimated at once; 24 to 29 were measured with 48x48 px
-MANY = 20_000  # estimates; a processor makes some hundred per second of 64x64 px
+BYTES_PER_PIXEL = 40  # memory for every image that is estimated at once; 24 to 29 were measured with 48x48 px
+MANY = (
+    20_000  # estimates from which a scan takes minutes; a processor makes some hundred per second of 64x64 px
+)
 
 
 class Config(StageConfig):
@@ -320,8 +322,8 @@ def _noises_of(
 def _exposure_noise(ramp: Ramp, mag_j: float, instrument: Instrument) -> ExposureNoise | None:
     """Return the noise of an exposure of a ramp as the instrument reads it; None where that is not known.
 
-    Reads and their noise as told of the recording, else by the profile; the sky as told, else by its
-    brightness beside the star's.
+    Reads and their noise as declared for the recording, else by the profile; the sky as declared, else by
+    its brightness relative to the star's.
     """
     acquisition, defaults = ramp.acquisition, instrument.defaults
     detector, exposure_s = acquisition.detector, acquisition.exposure_s
@@ -361,20 +363,8 @@ def announce(
 ) -> None:
     """Say how many estimates there will be, as a warning where it takes minutes.
 
-    Parameters
-    ----------
-    frames : int
-        Bright frames that are dimmed.
-    window : (int, int)
-        Their rows and columns [px].
-    realisations, magnitudes, curves : int
-        Draws of the noise of every frame, magnitudes of a curve, and curves.
-    log : logging.Logger
-
-    Raises
-    ------
-    ConfigurationError
-        Where the memory does not suffice for one magnitude.
+    `window` has rows and columns [px] of the `frames` that are dimmed; `realisations` are draws of the noise
+    of every frame. Raises `ConfigurationError` where the memory does not suffice for one magnitude.
     """
     rows, columns = window
     at_once = frames * realisations

@@ -50,21 +50,15 @@ def require_calibration(recordings: Sequence[Recording]) -> None:
 
 @dataclass(frozen=True)
 class CubeInput:
-    """Frames of recordings taken alike, and their model.
+    """Frames of recordings of one set-up, and their model."""
 
-    Attributes
-    ----------
-    frames : Frames
-        Bad pixels that the model lists masked.
-    """
-
-    frames: Frames
+    frames: Frames  # bad pixels that the model lists are masked
     settings: PsfSettings
     effects: list[Effect]
 
 
 def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions) -> CubeInput:
-    """Return all frames of `recordings` taken alike and the model of the first; `options` state its modes.
+    """Return all frames of `recordings` of one set-up and the model of the first; `options` state its modes.
 
     `ctx` has the instrument and the section `model` of the recipe.
     """

@@ -1,4 +1,4 @@
-"""Quality control of stage `calibrate`: what a cube says against what was told of it."""
+"""Quality control of stage `calibrate`: what a cube shows against what was declared for it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.calibrate.stage import Limits
 
-LOWEST_KURTOSIS = 1.3  # two kinds in halves have 1, a sinusoidal vibration 1.5
+LOWEST_KURTOSIS = 1.3  # of the frames: two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
 
 
@@ -64,7 +64,7 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
 
 
 def _noise(result: Calibration) -> Check:
-    """Noise as told against the scatter of the frames, which nothing lowers much."""
+    """Declared noise against the scatter of the frames, which nothing lowers much."""
     ratio = result.noise_ratio
     why = ": e_per_adu is too small, or the read noise too large" if ratio < LOWEST_NOISE_RATIO else ""
     message = (
@@ -81,7 +81,7 @@ def frame_checks(
 ) -> list[Check]:
     """Return the checks of frames that are averaged: of one star, pointing and wavefront, and its motion.
 
-    `kurtosis` of the frames (`estimate.residual`) is NaN where it tells nothing, `motion` None without
+    `kurtosis` of the frames (`estimate.residual`) is NaN where it means nothing, `motion` None without
     any. Of the `window`, rows and columns, the star may move over `max_motion` times the smaller side.
     """
     checks = [_kinds(kurtosis)] if math.isfinite(kurtosis) else []
@@ -121,7 +121,7 @@ def _frames(limits: Limits, result: Calibration) -> Check:
 
 
 def _orientation(found: Mirrored) -> Check:
-    """The pupil as told against the mirrored one."""
+    """The pupil of the profile against the mirrored one."""
     why = ": the images are mirrored, or the pupil of the profile is" if found.seen else ""
     message = (
         f"the image shows {found.amplitude:.2f} ± {found.sigma:.2f} of the mirrored pupil; 0 is the pupil as "
@@ -131,7 +131,7 @@ def _orientation(found: Mirrored) -> Check:
 
 
 def _twin(result: Calibration) -> Check:
-    """The sign of the even modes, which only the diversity and the size of the NCPAs tell."""
+    """The sign of the even modes, which only the diversity and the size of the NCPAs determine."""
     twin = result.twin
     assert twin is not None
     verdict = {

@@ -191,24 +191,16 @@ class CalibrateResults(Estimate, StageResults):
 
 @dataclass(frozen=True)
 class CubeEstimate:
-    """Estimate of one cube, as read from a product.
-
-    Attributes
-    ----------
-    zernike_nm, sigma_nm : ndarray, (modes,)
-    covariance_nm2 : ndarray, (modes, modes)
-    frames_nm : ndarray, (frames, modes)
-    mean_image_e : ndarray, (rows, columns)
-    """
+    """Estimate of one cube, as read from a product."""
 
     name: str
     derotator_angle_deg: float
     nolls: tuple[int, ...]
-    zernike_nm: np.ndarray
-    sigma_nm: np.ndarray
-    covariance_nm2: np.ndarray
-    frames_nm: np.ndarray
-    mean_image_e: np.ndarray
+    zernike_nm: np.ndarray  # (modes,)
+    sigma_nm: np.ndarray  # (modes,)
+    covariance_nm2: np.ndarray  # (modes, modes)
+    frames_nm: np.ndarray  # (frames, modes)
+    mean_image_e: np.ndarray  # (rows, columns)
 
 
 def cube_estimates(product: Product) -> list[CubeEstimate]:

@@ -137,14 +137,14 @@ def _calibrated(
 
 # -- what is reported --------------------------------------------------------------------------------
 
-LABEL_WIDTH = 24  # of what stands before numbers in lines for the terminal; the longest effect has 22
+LABEL_WIDTH = 24  # letters before the numbers in lines for the terminal; the longest effect has 22
 MEAN = ("noll", "zernike_nm", "modes_nm", "covariance_nm2", "effects")  # arrays of the mean over cubes
 
 
 def _joint_output(
     ctx: StageContext[Config], result: Calibration, others: Sequence[Calibration], acquisition: Acquisition
 ) -> StageOutput:
-    """One estimate, those of other methods beside it; `acquisition` is that of the first recording."""
+    """One estimate, together with those of other methods; `acquisition` is that of the first recording."""
     results = CalibrateResults(
         **_estimate(result),
         effects=result.effects,
@@ -152,7 +152,7 @@ def _joint_output(
         seeing_arcsec=seeing_arcsec(ctx.instrument, acquisition),
         wavelength_nm=acquisition.wavelength_nm,
         twin=None if result.twin is None else Twin.filled_from(result.twin),
-        untested=untested_by_cubes(acquisition.diversity, _not_told(result)),
+        untested=untested_by_cubes(acquisition.diversity, _undetermined(result)),
         compare=[Estimate(**_estimate(other)) for other in others],
     )
     summary = _summary(result, others)
@@ -178,7 +178,7 @@ def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Seq
     arrays = _arrays(mean, note="mean over the cubes", only=MEAN)
     for cube in cubes:
         arrays |= _arrays(cube.result, f"{CUBES}/{cube.name}/")
-    why = [_not_told(cube.result) for cube in cubes]
+    why = [_undetermined(cube.result) for cube in cubes]
     results = CalibrateResults(
         **_estimate(mean),
         effects=mean.effects,
@@ -202,7 +202,7 @@ def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Seq
 
 
 def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
-    """Return the plain mean of estimates from cubes, which count alike however bright they are.
+    """Return the plain mean of estimates from cubes, which count equally however bright they are.
 
     It has the modes that all of them have, and the frames and fits of all.
     """
@@ -236,8 +236,8 @@ def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
     )
 
 
-def _not_told(result: Calibration) -> str:
-    """Return why a `result` does not tell whether the images are mirrored; empty where it does."""
+def _undetermined(result: Calibration) -> str:
+    """Return why a `result` does not determine whether the images are mirrored; empty where it does."""
     return "" if result.mirrored is not None and result.mirrored.tells else FAINT_VANES
 
 
@@ -382,7 +382,7 @@ TRIED_NOLLS = tuple(range(2, 46))
 
 
 def _lenslets(ctx: StageContext[Config], result: Calibration, cube: CubeInput) -> Lenslets:
-    """Return what the images of `cube` determine beside the prior, and what their centroids say."""
+    """Return what the images of `cube` determine in addition to the prior, and what their centroids say."""
     law = ctx.instrument.facility.ncpa_law
     scale = ctx.config.prior_scale or Config().prior_scale or 1.0
     known = dict(zip(result.nolls, result.fitted_modes_nm.tolist(), strict=True))

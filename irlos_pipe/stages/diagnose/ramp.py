@@ -32,17 +32,13 @@ from irlos_pipe.stages.model.effects import conditions_of
 def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[str, Any]]]:
     """Diagnose the ramp that `lift` estimated; `ctx` has its product, one frame in `every` is held out.
 
-    Returns
-    -------
-    StageOutput
-    list of dict
-        Entries that what was found adds to the model's effects.
+    Returns the output, and the entries that what was found adds to the model's effects.
     """
     began = time.perf_counter()
     ramp = read_ramp(ctx, ctx.config.input)
     lift = ctx.products["lift"]
     held_out = frames_held_out(ramp.commanded_nm, every)
-    ctx, lens, fit = _wanted_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
+    ctx, lens, fit = _preferred_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
     estimated = fit.defocus_nm if lens and fit else np.asarray(lift.arrays["defocus_nm"].value, float)
     try:
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
@@ -159,7 +155,7 @@ def _step(one: RampName, gap: Gap) -> StepRow:
 
 
 def sentence(result: RampDiagnosis, lens: LightPathName | None = None) -> str:
-    """Return the verdict as a sentence; `lens` is what the images want of the light path."""
+    """Return the verdict as a sentence; `lens` is the lens effect that the images prefer."""
     if lens is not None:
         if not lens.comparison.complete:
             near = " and ".join(one.phrase for one in result.nearest)
@@ -213,18 +209,13 @@ def _lens_candidates(ctx: StageContext, ramp: Ramp) -> list[LensEffect]:
     return found
 
 
-def _wanted_lens(
+def _preferred_lens(
     ctx: StageContext, ramp: Ramp, held_out: np.ndarray, sure: float
 ) -> tuple[StageContext, LightPathName | None, RampFit | None]:
-    """Return the lens effect that the images want, if there is one, and the fit that it was found with.
+    """Return the lens effect that the images prefer, if there is one, and the fit that it was found with.
 
-    Returns
-    -------
-    StageContext
-        Its model has the effect.
-    LightPathName or None
-    RampFit or None
-        The ramp fitted again; None where nothing had to be compared and the frames share nothing fitted.
+    The context returned has the effect in its model. The fit is of the whole ramp; None where nothing had to
+    be compared and the frames share nothing fitted.
     """
     candidates = _lens_candidates(ctx, ramp)
     if not candidates and not ctx.products["lift"].config["common_modes"]:

@@ -35,7 +35,7 @@ from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, s
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
 from irlos_pipe.stages.model.recording_settings import differences, in_time_order, pooled_frames, psf_settings
 
-EXPECTED_FITS = 11  # of one cube, for the progress bar
+EXPECTED_FITS = 11  # fits that one cube takes, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}
 
 
@@ -105,27 +105,18 @@ def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -
 # -- recordings that a diagnosis takes together ------------------------------------------------------
 
 COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator angle"}
-NIGHT_S = 12 * 3600.0  # between recordings, from which they are of different nights
+NIGHT_S = 12 * 3600.0  # gap between recordings from which they are of different nights
 
 
 @dataclass(frozen=True)
 class Alike:
-    """Recordings of one moment with equal settings.
+    """Recordings of one moment with equal settings."""
 
-    Attributes
-    ----------
-    recordings : sequence of Recording
-        In order of time.
-    moment : int
-        Number of the star and night.
-    """
-
-    recordings: Sequence[Recording]
-    moment: int = 0
+    recordings: Sequence[Recording]  # in order of time
+    moment: int = 0  # number of the star and night
 
     @property
     def first(self) -> Recording:
-        """The first recording."""
         return self.recordings[0]
 
     @property
@@ -144,7 +135,7 @@ def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) 
 
     The setting with the largest diversity comes first: errors of the diversity are stated for it. `apart`
     says whether every recording is of its own star or night, or all are of one; by default targets and
-    times tell.
+    times decide.
     """
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
     _require_common(recordings)

@@ -28,22 +28,14 @@ CALLED = {one.name: one.name for one in STORED} | {"good": "pixel_mask"}
 
 @dataclass(frozen=True)
 class Overview:
-    """What a report shows of a recording: all but its frames.
-
-    Attributes
-    ----------
-    name, input, acquisition, good, start_unix_s
-        See `Recording`.
-    mean_e : ndarray, (rows, columns)
-        Mean of the used frames [e-].
-    """
+    """What a report shows of a recording: attributes of `Recording`, without the frames."""
 
     name: str
     input: str
     acquisition: Acquisition
     good: np.ndarray
     start_unix_s: float
-    mean_e: np.ndarray
+    mean_e: np.ndarray  # mean of the used frames [e-], (rows, columns)
 
 
 def prefix_of(recording: Recording) -> str:
@@ -84,10 +76,7 @@ def screened_e(product: Product, recording: Recording) -> dict[tuple[int, int], 
 
     That is the mean signal [e-] by (row, column).
 
-    Raises
-    ------
-    InputDataError
-        When the product is of an earlier version, which did not keep them.
+    Raises `InputDataError` when the product is of an earlier version, which did not keep them.
     """
     rows = results_of(IngestResults, product).inputs
     row = next(row for row in rows if (row.input, row.name) == (recording.input, recording.name))
@@ -102,10 +91,7 @@ def screened_e(product: Product, recording: Recording) -> dict[tuple[int, int], 
 def recordings_from_product(product: Product, input: str | None = None) -> list[Recording]:
     """Return the recordings of an ingest `product`, those of one `input` if it is given, as they were read.
 
-    Raises
-    ------
-    InputDataError
-        When there are none.
+    Raises `InputDataError` when there are none.
     """
     recordings = [_recording(product, *key) for key in _keys(product) if input in (None, key[0])]
     if not recordings:

@@ -23,7 +23,7 @@ from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path, sidecar_problems
 from irlos_pipe.readers.times import counter_step
 
-SHORT_COUNTS = 2  # bytes; counts of a converter end with their type, sums of them do not
+SHORT_COUNTS = 2  # bytes of the counts of a converter, which saturate with their type; sums of them do not
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,6 @@ def read_sources(
         Files and folders by input name.
     keys_for : callable
         ``keys_for(input_name)``: side-car keys from the recipe, which win.
-
     instrument : Instrument
         Its profile gives the values that are stated nowhere else.
     log : logging.Logger
@@ -69,7 +68,7 @@ def read_sources(
     Raises
     ------
     NothingToDo
-        An input without recordings.
+        For an input without recordings.
     """
     sources: list[Source] = []
     failures: list[tuple[str, str]] = []
@@ -116,7 +115,7 @@ def _unless_a_copy(source: Source, earlier: Sequence[Source], log: logging.Logge
 
 
 def _same_frames(one: RawRecording, other: RawRecording) -> bool:
-    """Whether two files hold the same frames; the first frame alone tells nearly all apart."""
+    """Whether two files hold the same frames; the first frame alone distinguishes nearly all."""
     if one.path == other.path or one.adu.shape != other.adu.shape:
         return False
     same = np.array_equal(one.adu[0], other.adu[0])
@@ -134,17 +133,9 @@ def source_problems(
     keys_for: Callable[[str], AcquisitionKeys],
     instrument: Instrument,
 ) -> list[str]:
-    """Return a line for everything that keeps `read_sources` from reading a recording.
+    """Return a line for everything that keeps `read_sources`, of equal arguments, from reading a recording.
 
-    Parameters
-    ----------
-    inputs, keys_for, instrument
-        As of `read_sources`.
-
-    Raises
-    ------
-    NothingToDo
-        An input without recordings.
+    Raises `NothingToDo` for an input without recordings.
     """
     found: list[tuple[str, str]] = []
     for name, paths in inputs.items():
@@ -162,9 +153,7 @@ def source_problems(
 def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:
     """Give recordings without a dark the mean of a dark recording of the same input and window.
 
-    Returns
-    -------
-    stars, darks : list of Source
+    Returns the stars and the darks.
     """
     darks = [source for source in sources if source.role == "dark"]
     return [_with_dark(source, darks) for source in sources if source.role != "dark"], darks
@@ -225,16 +214,8 @@ def accumulated(source: Source, exposure_s: float) -> Source:
     without a gap, at one introduced defocus. What fills no sum is left out. A pixel that is saturated in one
     of the frames is so in their sum.
 
-    Parameters
-    ----------
-    source : Source
-    exposure_s : float
-        Of a sum.
-
-    Raises
-    ------
-    InputDataError
-        When the exposure of the frames is not known or does not divide `exposure_s`, or no sum is whole.
+    Raises `InputDataError` when the exposure of the frames is not known or does not divide `exposure_s`, or
+    no sum is whole.
     """
     raw, resolved = source.raw, source.resolved
     count = _frames_in_sum(source, exposure_s)

@@ -28,19 +28,15 @@ from irlos_pipe.stages.ingest.results import IngestResults, NoiseRow, RecordingR
 from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone, read_sources, with_darks
 from irlos_pipe.stages.ingest.stage import Config
 
-BYTES_PER_PIXEL = 1600  # of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
-BYTES_PER_VALUE = 8
+BYTES_PER_PIXEL = 1600  # memory for a pixel of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
+BYTES_PER_VALUE = 8  # memory for a pixel of every frame
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Read, calibrate and screen every recording of every input.
 
-    Raises
-    ------
-    NothingToDo
-        An input without recordings.
-    InputDataError
-        An input of which nothing can be used; the message states the first reason.
+    Raises `NothingToDo` for an input without recordings, and `InputDataError` for one of which nothing can be
+    used; the message states the first reason.
     """
     sources, failures = read_sources(ctx.inputs, ctx.config.keys_for, ctx.instrument, ctx.log)
     stars, darks = with_darks(sources)
@@ -56,7 +52,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             for line in (*_contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
             rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
-            quality += [*_checks(recording, ctx.config), _told_check(recording, told)]
+            quality += [*_checks(recording, ctx.config), _contradiction_check(recording, told)]
             arrays |= arrays_of(recording, cleaned, source.raw)
     _require_every_input(ctx.inputs, rows, failures)
     lines = [text for _, text in failures]
@@ -65,7 +61,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 def _accumulated(source: Source, ctx: StageContext[Config]) -> Source:
-    """The recording with raw frames summed, where that is wanted."""
+    """The recording with raw frames summed, where that is requested."""
     exposure_s = ctx.config.exposure_of(source.input)
     if exposure_s is None:
         return source
@@ -78,19 +74,8 @@ def _accumulated(source: Source, ctx: StageContext[Config]) -> Source:
 def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
     """Clean one recording; a second time where its frames contradict the profile's detector.
 
-    Parameters
-    ----------
-    source : Source
-        The recording as read, and how it was taken.
-    config : Config
-        Limits for pixels and frames.
-    instrument : Instrument
-        Gives the diameter of the pupil.
-
-    Raises
-    ------
-    InputDataError
-        None of its frames can be used, all are the same image, or the noise of a single one is not known.
+    `config` limits pixels and frames, `instrument` gives the diameter of the pupil. Raises `InputDataError`
+    if none of its frames can be used, all are the same image, or the noise of a single one is not known.
     """
     _require_room(source)
     cleaned = _cleaned(source, config, instrument)
@@ -135,7 +120,7 @@ def _step_s(raw: RawRecording) -> float:
     times_s, counter = raw.unix_s[known], raw.frame_counter[known]
     frames = (counter[-1] - counter[0]) / counter_step(raw.frame_counter)
     step_s = float((times_s[-1] - times_s[0]) / frames) if frames > 0 else 0.0
-    return step_s if step_s > 0 else float("nan")  # a clock that stands tells nothing
+    return step_s if step_s > 0 else float("nan")  # a clock that stands gives no step
 
 
 def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
@@ -245,8 +230,8 @@ def _observed(recording: Recording, raw: RawRecording, instrument: str) -> Obser
     )
 
 
-def _told_check(recording: Recording, told: Sequence[Told]) -> Check:
-    """Return the check that fails where the frames of a `recording` contradict what was `told` of it."""
+def _contradiction_check(recording: Recording, told: Sequence[Told]) -> Check:
+    """Return the check that fails where the frames of a `recording` contradict a declaration, by `told`."""
     wrong = [one.text for one in told if one.wrong]
     message = "; ".join(wrong) or "nothing that was told is contradicted by the frames beyond doubt"
     name = f"ingest/{recording.input}/{recording.name}/told"

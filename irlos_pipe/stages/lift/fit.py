@@ -49,8 +49,6 @@ def fit_frames(
 
     Parameters
     ----------
-    ctx : StageContext
-    ramp : Ramp
     calibrated : bool
         Whether the NCPAs of `calibrate` are a part of the known wavefront.
     halo : {"calibrated", "fit", "off"}
@@ -121,10 +119,7 @@ def light_path(
     Effects that are neither calibrated nor given values are taken as expected. `ctx`, `calibrated` and
     `halo` are as in `fit_frames`; of the `recording` only acquisition and window matter.
 
-    Raises
-    ------
-    ConfigurationError
-        For a recording of a 2x2 mode, whose images are not tabulated.
+    Raises `ConfigurationError` for a recording of a 2x2 mode, whose images are not tabulated.
     """
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     settings = psf_settings(ctx.instrument, ctx.model, recording, ncpa_nm=ncpa_nm)
@@ -143,10 +138,7 @@ def focus_sensor(
 ) -> Focus:
     """Return the sensor with a `model`, `good` pixels, `noise` of one read and `limits`, see `Focus`.
 
-    Raises
-    ------
-    ConfigurationError
-        If the images of such a model cannot be tabulated.
+    Raises `ConfigurationError` if the images of such a model cannot be tabulated.
     """
     try:
         return Focus(model, good, noise, limits or Limits())

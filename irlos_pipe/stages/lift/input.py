@@ -38,25 +38,13 @@ from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settin
 
 @dataclass(frozen=True)
 class Ramp:
-    """A ramp ready for estimation.
+    """A ramp ready for estimation."""
 
-    Attributes
-    ----------
-    recordings : list of Recording
-        Used frames only, in order of time.
-    data : RampData
-        All frames one after the other.
-    names, frame : list
-        Recording and frame number within it of every frame of `data`.
-    commanded_nm : ndarray, (frames,)
-        Defocus commanded from the focus stage, which `data` has unless the model knows better.
-    """
-
-    recordings: list[Recording]
-    data: RampData
-    names: list[str]
-    frame: list[int]
-    commanded_nm: np.ndarray
+    recordings: list[Recording]  # used frames only, in order of time
+    data: RampData  # all frames one after the other
+    names: list[str]  # recording of every frame of `data`
+    frame: list[int]  # its number within the recording
+    commanded_nm: np.ndarray  # (frames,), from the focus stage; `data` has it unless the model knows better
 
     @property
     def acquisition(self) -> Acquisition:
@@ -70,10 +58,7 @@ ROLES = ("defocus_ramp", "psf")
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
     """Return all used frames of the recipe input `input_name`, in order of time; `ctx` has the products.
 
-    Raises
-    ------
-    InputDataError
-        For recordings whose role is none of `ROLES`.
+    Raises `InputDataError` for recordings whose role is none of `ROLES`.
     """
     recordings = used_in_time_order(ctx.products["ingest"], input_name)
     for one in recordings:
@@ -93,10 +78,7 @@ def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
 def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
     """Return every mode estimated by `calibrate`, without the part that its effects hold.
 
-    Raises
-    ------
-    ConfigurationError
-        Without the stage `calibrate`.
+    Raises `ConfigurationError` without the stage `calibrate`.
     """
     if "calibrate" not in ctx.products:
         raise ConfigurationError(
@@ -125,15 +107,12 @@ def effects_for_lift(
     calibrated: bool = True,
     own_wavefront: bool = False,
 ) -> list[Effect]:
-    """Return the effects for LIFT, see `ramp_effects`.
+    """Return the effects for LIFT, see `ramp_effects`, under the conditions of the `recording`.
 
     A drift is left out: it belongs to the recording in which it was measured.
 
     Parameters
     ----------
-    ctx : StageContext
-    recording : Recording
-        Its acquisition sets the conditions.
     halo : {"calibrated", "fit", "off"}
         AO residual in the model.
     object_sigma_mas : float or {"calibrated", "fit"}
@@ -197,9 +176,9 @@ def ramp_start(
 # imitated.
 
 OWN = (ChromaticNcpa, FilterNcpa)
-ALIKE = 0.01  # mean wavelengths that differ by less are of one filter
+ALIKE = 0.01  # relative difference of mean wavelengths up to which they are of one filter
 EXCUSED = 3.0  # standard errors up to which a wavefront of filter or lens may be one of the calibration
-EXPLAINED = 0.5  # of the excess of χ²/ν over its nominal value: less, and the model lacks something else
+EXPLAINED = 0.5  # part of the excess of χ²/ν to be explained: less, and the model lacks something else
 
 
 def has_other_light(ctx: StageContext[Config], acquisition: Acquisition) -> bool:

@@ -31,7 +31,7 @@ from irlos_pipe.stages.lift.stage import Config
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
 
-OFFSET_SIGMA = 3.0  # standard errors from which an offset is none of chance
+OFFSET_SIGMA = 3.0  # standard errors from which an offset is not taken for chance
 SIGMA = 5.0  # standard errors that a slope may be off, and an RMS may rise, by chance
 WITHOUT_NCPAS = "without NCPAs"
 TURNED = "the sign of the diversity or of the offsets, or the orientation of the images, is wrong"
@@ -91,7 +91,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 def _fitted(ctx: StageContext[Config], ramp: Ramp) -> RampFit:
-    """The ramp with the calibrated wavefront, or with one of its own light beside that."""
+    """The ramp with the calibrated wavefront, or jointly with one of its own light."""
     config = ctx.config
     own = config.own_wavefront != "never" and has_other_light(ctx, ramp.acquisition)
     fit_with = partial(fit_frames, ctx, ramp, calibrated=config.calibrated, halo=config.halo)
@@ -209,18 +209,14 @@ def checks_of(
     calibration_nm: float,
     frames: int,
 ) -> list[Check]:
-    """Return the checks of a ramp.
+    """Return the checks of a ramp against the limits of `config`.
 
     Parameters
     ----------
-    config : Config
-        Its limits.
     converged : float
         Part of the frames whose fit converged.
-    summary : RampSummary
     others : mapping of str to RampSummary
         The ramp with parts of the model left out.
-    errors : FrameErrors
     calibration_nm : float
         Total error expected of the NCPAs [nm RMS]; 0 without.
     frames : int

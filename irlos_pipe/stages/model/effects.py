@@ -75,17 +75,9 @@ def model_effects(
     *,
     ncpa_wavelength_nm: float | None = None,
 ) -> list[Effect]:
-    """Return the effects of the recipe's model for one recording.
+    """Return the effects of the recipe's model for one recording; arguments as of `conditions_of`.
 
-    Parameters
-    ----------
-    instrument, model, recording, highest_noll, ncpa_wavelength_nm
-        See `conditions_of`.
-
-    Raises
-    ------
-    ConfigurationError
-        If an effect means nothing for this recording.
+    Raises `ConfigurationError` if an effect means nothing for this recording.
     """
     conditions = conditions_of(
         instrument, model, recording, highest_noll, ncpa_wavelength_nm=ncpa_wavelength_nm
@@ -113,7 +105,7 @@ def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -
 
 
 def shown(effects: Sequence[Effect], recordings: Sequence[Conditions]) -> list[Effect]:
-    """Return those `effects` that `recordings`, by their conditions, tell from the static wavefront."""
+    """Return the `effects` that `recordings`, by their conditions, distinguish from the static wavefront."""
     return [effect for effect in effects if effect.shown_by(recordings)]
 
 
@@ -143,18 +135,8 @@ def calibrated_effects(
     """Return effects as `calibrate` found them, by label, for a recording taken under another seeing.
 
     Each effect says what it is then, see `Effect.handed_on`. What belongs to the star, its light or the
-    moment stays behind, unless the recipe gives it or the recording is of the same star.
-
-    Parameters
-    ----------
-    product : Product
-        Of the calibration.
-    instrument, model, recording
-        See `conditions_of`.
-    calibration_seeing_arcsec : float
-    same_star : bool
-    ncpa_wavelength_nm : float, optional
-        See `Conditions`.
+    moment stays behind, unless the recipe gives it or the recording is of the same star. `product` is that of
+    the calibration; `instrument`, `model` and `recording` are as of `conditions_of`.
     """
     conditions = conditions_of(instrument, model, recording, ncpa_wavelength_nm=ncpa_wavelength_nm)
     known: dict[str, FixedEffect] = {}
@@ -198,7 +180,7 @@ def _measured(product: Product, label: str, entry: EffectEntry, conditions: Cond
 
 # -- dispersion and the colour of the star: in every broad band on sky unless a recipe says no -------
 
-BROAD = 0.05  # width of a band, of its mean wavelength, in which colours matter
+BROAD = 0.05  # width over mean wavelength of a band from which colours matter
 COST = (
     "100 mas/um that no model knows move the defocus by 20 to 70 nm, and what is found from the images "
     "instead is less certain on faint stars"
@@ -211,14 +193,14 @@ def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Condi
     Only where the band is broad, and on sky, that is with an AO residual, by the `conditions` of the
     recording; what the recipe lists itself stays as it is.
     """
-    if not _wants_colour(effects, model, conditions):
+    if not _needs_colour(effects, model, conditions):
         return list(effects)
     own = [AtmosphericDispersion.under(conditions), star_colour(conditions)]
     listed = {effect.name for effect in effects}
     return [*effects, *(effect for effect in own if effect.name not in listed)]
 
 
-def _wants_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
+def _needs_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
     """Whether colours belong to `effects` of a `model` under `conditions`, see `with_colour`."""
     settings = conditions.settings
     on_sky = any(effect.name == SeeingHalo.name for effect in effects)
@@ -253,10 +235,10 @@ def colour_warning(effects: Sequence[Effect], recordings: Sequence[Recording]) -
 # the refractivity of air of IAG 1999.
 
 UNKNOWN_MAS_PER_UM = 300.0  # what nothing corrects 60° from the zenith, at 1.4 µm
-UNSURE, LEAST_MAS_PER_UM = 0.1, 5.0  # part of what is computed that may be wrong, and at least
-LEFT = 0.2  # part that a corrector may leave
-STEP_UM = 0.01
-LOWEST_DEG = 10.0  # beyond it the formula errs
+UNSURE, LEAST_MAS_PER_UM = 0.1, 5.0  # error of what is computed: this part of it, and at least so much
+LEFT = 0.2  # part of the dispersion that a corrector may leave
+STEP_UM = 0.01  # of the finite difference over the wavelength
+LOWEST_DEG = 10.0  # altitude below which the formula errs
 
 
 def refraction_of(acquisition: Acquisition, mean_um: float) -> Refraction:
@@ -295,13 +277,7 @@ def refraction_mas(
 ) -> float:
     """Return by how much light of one wavelength is raised towards the zenith [mas].
 
-    Parameters
-    ----------
-    altitude_deg : float
-        At least `LOWEST_DEG`.
-    pressure_hpa, temperature_c, humidity_percent : float
-        Of the air at the telescope.
-    wavelength_um : float
+    The altitude is at least `LOWEST_DEG`; pressure, temperature and humidity are those at the telescope.
     """
     a, b = erfa.refco(pressure_hpa, temperature_c, humidity_percent / 100, wavelength_um)
     tangent = np.tan(np.pi / 2 - np.deg2rad(altitude_deg))

@@ -37,19 +37,10 @@ def psf_settings(
     introduced_nm: Mapping[int, float] | None = None,
     ncpa_nm: Mapping[int, float] | None = None,
 ) -> PsfSettings:
-    """Settings of the PSF model for one recording.
+    """Settings of the PSF model for one recording, whose diversity belongs to the known wavefront.
 
-    Parameters
-    ----------
-    instrument, model, recording
-        The recording's diversity belongs to the known wavefront.
-    introduced_nm, ncpa_nm : mapping of int to float, optional
-        What was introduced beside the diversity, and NCPAs to hold, see `KnownWavefront`.
-
-    Raises
-    ------
-    ConfigurationError
-        If the pupil is sampled too coarsely for the window.
+    `introduced_nm` is what was introduced in addition to the diversity, `ncpa_nm` are NCPAs to hold, see
+    `KnownWavefront`. Raises `ConfigurationError` if the pupil is sampled too coarsely for the window.
     """
     acquisition = recording.acquisition
     settings = PsfSettings(
@@ -127,10 +118,7 @@ def require_one_setup(recordings: Sequence[Recording]) -> None:
 def differences(one: Recording, other: Recording, terms: Mapping[str, str]) -> list[str]:
     """Return what differs between recordings `one` and `other`.
 
-    Parameters
-    ----------
-    terms : mapping of str to str
-        What to call numbers of the acquisition that may differ; the window is compared as well.
+    `terms` names the numbers of the acquisition that may differ; the window is compared as well.
     """
     here, there = one.acquisition, other.acquisition
     differing = [term for key, term in terms.items() if getattr(here, key) != getattr(there, key)]
@@ -147,21 +135,10 @@ def used_in_time_order(ingest: Product, input_name: str) -> list[Recording]:
 def pooled_frames(
     recordings: Sequence[Recording], listed: np.ndarray, settings: PsfSettings, *, steady: bool = True
 ) -> Frames:
-    """Return the frames of recordings of one set-up, of a star that moves `steadied`.
+    """Return the frames of recordings of one set-up; `steady` takes out the motion of a star that moves.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    listed : ndarray of bool, (rows, columns)
-        Pixels that are good by the model.
-    settings : PsfSettings
-    steady : bool
-        Whether to take the motion out.
-
-    Raises
-    ------
-    InputDataError
-        Without a frame.
+    `listed`, (rows, columns), are the pixels that are good by the model. Raises `InputDataError` without a
+    frame.
     """
     images_e, good, noise = pooled_images(recordings)
     if not len(images_e):

@@ -18,30 +18,16 @@ FIT = "fit"
 
 @dataclass(frozen=True)
 class EffectEntry:
-    """An effect as a recipe asks for it.
-
-    Attributes
-    ----------
-    values : dict
-        Public values it is held at, or starts from; empty for an effect to be estimated from scratch.
-    fit : bool
-        Whether it is estimated all the same.
-    """
+    """An effect as a recipe asks for it."""
 
     name: str
-    values: dict[str, Any]
+    values: dict[str, Any]  # public values it is held at, or starts from; empty if estimated from scratch
     options: dict[str, Any]
-    fit: bool
+    fit: bool  # whether it is estimated all the same
 
     @classmethod
     def of(cls, entry: Any) -> EffectEntry:
-        """From ``name`` or ``{name: {key: value}}``.
-
-        Raises
-        ------
-        ValueError
-            Saying what is wrong and what is allowed.
-        """
+        """From ``name`` or ``{name: {key: value}}``; `ValueError` says what is wrong and what is allowed."""
         name, given = entry, dict[str, Any]()
         if isinstance(entry, dict) and len(entry) == 1:
             name, given = next(iter(entry.items()))

@@ -1,4 +1,4 @@
-"""What recordings cannot tell of themselves, whatever their χ²/ν: it stands as told."""
+"""What recordings cannot tell of themselves, whatever their χ²/ν: it stands as declared."""
 
 from __future__ import annotations
 
