@@ -21,11 +21,7 @@ NM = 1e-9
 class NumpyLift:
     """Fits one frame after the other; pupil and modes are computed once.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-        Spectrum, plate scale, square window and known wavefront.
-    nolls : sequence of int
+    The `settings` have spectrum, plate scale, square window and known wavefront.
     """
 
     def __init__(self, settings: PsfSettings, nolls, read_noise_e: float):

@@ -35,14 +35,7 @@ RAMP_FRAMES = 42
 
 
 class OperatorTimes(TorchDispatchMode):
-    """Time of every dispatched operator, by group.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-    flops : float
-        Floating-point operations of all products of single-precision matrices.
-    """
+    """Time of every dispatched operator, by group; `flops` of all products of single-precision matrices."""
 
     def __init__(self):
         super().__init__()

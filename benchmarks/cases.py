@@ -209,13 +209,7 @@ class DimmedRamp:
 
 
 def prepared_lift(inputs: Inputs, count: int, with_halo: bool) -> Callable[[], dict[int, float]]:
-    """This project's LIFT of so many images in one batch.
-
-    Returns
-    -------
-    callable
-        Fits, and returns the error of the defocus of every image [nm].
-    """
+    """LIFT of so many images in one batch by this project; returns the error of each one's defocus [nm]."""
     dimmed = DimmedRamp(inputs)
     data, effects = dimmed.first(count), dimmed.halo if with_halo else []
 

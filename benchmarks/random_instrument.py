@@ -59,21 +59,13 @@ CONFIDENCE, RESAMPLES, BOOTSTRAP_SEED = 0.95, 2000, 1
 
 @dataclass(frozen=True)
 class Case:
-    """One cube; what is drawn follows from `seed` and `index`.
-
-    Attributes
-    ----------
-    diagnosed : bool
-        Whether it is calibrated again with what `diagnose` finds.
-    without : str
-        Name of the error that the instrument does not have; empty: it has all.
-    """
+    """One cube; what is drawn follows from `seed` and `index`."""
 
     seed: int
     index: int
     frames: int
-    diagnosed: bool = False
-    without: str = ""
+    diagnosed: bool = False  # whether it is calibrated again with what `diagnose` finds
+    without: str = ""  # name of the error that the instrument does not have; empty: it has all
     window: int = 64
 
     @property
@@ -277,14 +269,11 @@ def slim(outcome: Outcome) -> Outcome:
 def judged(outcome: Outcome, which: str) -> dict[str, Any]:
     """Judge the calibration `which` of an `outcome`, ``plain`` or ``diagnosed``.
 
-    Returns
-    -------
-    dict
-        ``error_nm`` is the RMS of Noll 2–30 against the mean wavefront of the frames, which is all that the
-        images have beyond the declared diversity; ``shape_nm`` that of Noll 4–30, without the star's place;
-        ``strict_nm`` has the error of the diversity in it; ``defocus_nm`` is that of Noll 4. ``pull`` is the
-        RMS of the errors of Noll 4–30 against the static wavefront over the quoted ones. ``bad``: nobody
-        should use the result; ``red``: the run said so.
+    ``error_nm`` is the RMS of Noll 2–30 against the mean wavefront of the frames, which is all that the
+    images have beyond the declared diversity; ``shape_nm`` that of Noll 4–30, without the star's place;
+    ``strict_nm`` has the error of the diversity in it; ``defocus_nm`` is that of Noll 4. ``pull`` is the RMS
+    of the errors of Noll 4–30 against the static wavefront over the quoted ones. ``bad``: the result should
+    not be used; ``red``: the run said so.
     """
     found, truth = outcome[which], outcome["truth"]
     error_nm, static_error_nm = (

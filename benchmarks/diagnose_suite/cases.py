@@ -192,29 +192,15 @@ IN_SKY_MODEL = ("seeing_halo", "tip_tilt_jitter")
 
 @dataclass(frozen=True)
 class Case:
-    """One recording, or one ramp with its calibration.
-
-    Attributes
-    ----------
-    effects : tuple of str
-        Hidden effects: of the catalogue, or one that it does not have.
-    level : str
-        Of all hidden effects; empty without.
-    number : int
-        Distinguishes draws of the same case.
-    dirty : bool
-        Whether everything has a mild error beside what is hidden.
-    suite_seed : int
-        Of all draws; the same case with another seed is another recording.
-    """
+    """One recording, or one ramp with its calibration."""
 
     kind: str
     setting: Setting
-    effects: tuple[str, ...] = ()
-    level: str = ""
-    number: int = 0
-    dirty: bool = False
-    suite_seed: int = 0
+    effects: tuple[str, ...] = ()  # hidden effects: of the catalogue, or one that it does not have
+    level: str = ""  # level of all hidden effects; empty without
+    number: int = 0  # distinguishes draws of the same case
+    dirty: bool = False  # whether everything has a mild error besides what is hidden
+    suite_seed: int = 0  # seed of all draws; the same case with another seed is another recording
 
     @property
     def name(self) -> str:
@@ -256,12 +242,8 @@ class Case:
 def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
     """Every case: those of one kind together, settings in turn.
 
-    Parameters
-    ----------
-    suite_seed : int
-    dirty : bool
-        All cases with mild errors, after the clean recordings without any, whose smallest detectable sizes
-        show what these errors cost.
+    `dirty` are all cases with mild errors, after the clean recordings without any, whose smallest detectable
+    sizes show what these errors cost.
     """
     seeded = [replace(case, suite_seed=suite_seed) for case in _cases()]
     if not dirty:
@@ -271,13 +253,7 @@ def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
 
 
 def in_one_setting(cases: Sequence[Case]) -> list[Case]:
-    """Every case in one of its settings, which take turns.
-
-    Parameters
-    ----------
-    cases : sequence of Case
-        As `all_cases` has them: settings of one case together.
-    """
+    """Every case in one of its settings, which take turns; `cases` in the order of `all_cases`."""
     groups = groupby(cases, lambda one: (one.dirty, one.kind, one.effects, one.level, one.number))
     alike = [list(group) for _, group in groups]
     return [some[number % len(some)] for number, some in enumerate(alike)]

@@ -37,19 +37,11 @@ Parameters = dict[str, Any]
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect as it is in a recording.
-
-    Attributes
-    ----------
-    parameters : mapping
-        Of the simulator.
-    truth : mapping
-        Under the public names of the catalogue, those that say how large it is.
-    """
+    """One effect as it is in a recording."""
 
     effect: str
-    parameters: Mapping[str, Any]
-    truth: Mapping[str, Any]
+    parameters: Mapping[str, Any]  # parameters of the simulator
+    truth: Mapping[str, Any]  # under the public names of the catalogue, those that say how large it is
 
     @property
     def known(self) -> dict[str, Any]:
@@ -227,17 +219,11 @@ ALIKE_IN_NARROW_BAND = frozenset({"plate_scale", "spectrum"})  # both only scale
 
 @dataclass(frozen=True)
 class Mild:
-    """The mild errors of one case; without arguments there are none.
+    """The mild errors of one case; without arguments there are none."""
 
-    Attributes
-    ----------
-    sections : mapping
-        Keys of a simulation spec, by section.
-    effects : mapping
-        Effects of the catalogue in every recording, with the simulator's parameters.
-    """
-
+    # Keys of a simulation spec, by section.
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    # Effects of the catalogue in every recording, with the simulator's parameters.
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def over(self, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

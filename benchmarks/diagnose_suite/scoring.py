@@ -287,13 +287,7 @@ def _draw(counts: np.ndarray, path: Path) -> None:
 
 
 def write_report(outcomes: Sequence[Outcome], failed: Mapping[str, str], folder: Path) -> str:
-    """Write both files into a folder; returns the table.
-
-    Parameters
-    ----------
-    failed : mapping of str to str
-        What stopped the cases that have no outcome, by name.
-    """
+    """Write both files into a folder; returns the table; `failed` says what stopped other cases, by name."""
     outcomes = sorted(outcomes, key=lambda one: one["case"])
     dirty = in_world(outcomes, dirty=True)
     parts = score_dirty(outcomes) if dirty else score(outcomes)

@@ -151,36 +151,22 @@ class Shot:
 
 @dataclass
 class Rig:
-    """A source of exposures for the loop, see `Source`: right ones, but for a spell.
-
-    Attributes
-    ----------
-    skies : Skies
-    mag_j : float
-    before, spell, after : int
-        Exposures.
-    look : Look
-        Of the right ones.
-    bad_look : Look or None
-        Of those of the spell.
-    spoil : callable
-        What becomes of an image in the spell; gets it, its number there, this object and random numbers.
-    arrive : callable
-        What arrives in place of a read in the spell.
-    answer : callable
-        Part of a change of the offset that is applied, by the number of the exposure; `late` exposures late.
-    """
+    """A source of exposures for the loop, see `Source`: right ones, but for a spell."""
 
     skies: Skies
     mag_j: float
     seed: int
+    # Exposures before, in and after the spell.
     before: int = 12
     spell: int = 8
     after: int = 12
-    look: Look = field(default_factory=Look)
-    bad_look: Look | None = None
+    look: Look = field(default_factory=Look)  # of the right exposures
+    bad_look: Look | None = None  # of the exposures in the spell
+    # What becomes of an image in the spell; gets it, its number there, this object and random numbers.
     spoil: Callable[[np.ndarray, int, Rig, np.random.Generator], np.ndarray] | None = None
+    # What arrives in place of a read in the spell.
     arrive: Callable[[Read, int, Rig], Sequence[Arrival]] | None = None
+    # Part of a change of the offset that is applied, by the number of the exposure; `late` exposures late.
     answer: Callable[[int], float] = lambda _: 1.0
     late: int = 0
     start_nm: float = 60.0
@@ -276,13 +262,10 @@ def is_wrong(record: dict, shot: Shot, sigmas: float = 3.0, least_nm: float = 5.
 def judged(outcome: Outcome) -> dict[str, Any]:
     """Return the counts of a run.
 
-    Returns
-    -------
-    dict
-        Exposures that were ``bad`` and ``right``; bad ones that were commanded although, with a value within
-        its error (``commanded_right``) or not (``commanded_wrongly``), and the ``reasons`` why others were
-        not; right ones that were not used (``refused``), and those whose value was commanded and is beyond
-        its error (``wrong_right``).
+    Exposures that were ``bad`` and ``right``; bad ones that were commanded although, with a value within its
+    error (``commanded_right``) or not (``commanded_wrongly``), and the ``reasons`` why others were not; right
+    ones that were not used (``refused``), and those whose value was commanded and is beyond its error
+    (``wrong_right``).
     """
     records = {one["counter"]: one for one in outcome.records}
     bad = [(records.get(shot.counter), shot) for shot in outcome.shots if not shot.right]

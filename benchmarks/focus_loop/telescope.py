@@ -37,38 +37,22 @@ SKY_STREAM, NOISE_STREAM, DRIFT_STREAM = range(3)
 
 @dataclass(frozen=True)
 class Night:
-    """What the telescope does.
+    """What the telescope does."""
 
-    Attributes
-    ----------
-    spec, section : str
-        Specification of a simulation and the recording in it that the frames are like.
-    mag_j : float
-    exposures, reads : int
-        Exposures of a second, and reads of each.
-    delay : int
-        Whole exposures from the end of one to the offset that follows from it.
-    start_nm : float
-        Defocus before the loop is closed.
-    burst_arcsec : float
-        Seeing of a burst.
-    faults : dict of str to list of (first, last)
-        Exposures with each fault, see `faults`.
-    ageing : Ageing
-        How NCPAs change; an exposure is a second.
-    """
-
+    # spec, section: specification of a simulation and the recording in it that the frames are like.
     spec: str = "on_sky"
     section: str = "ramp"
     mag_j: float = 12.0
+    # exposures, reads: exposures of a second, and reads of each.
     exposures: int = 120
     reads: int = 4
-    delay: int = 1
-    start_nm: float = 700.0
+    delay: int = 1  # whole exposures from the end of one to the offset that follows from it
+    start_nm: float = 700.0  # defocus before the loop is closed
     seed: int = 1
-    burst_arcsec: float = 1.3
+    burst_arcsec: float = 1.3  # seeing of a burst
+    # Exposures with each fault, see `faults`.
     faults: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
-    ageing: Ageing = field(default_factory=Ageing)
+    ageing: Ageing = field(default_factory=Ageing)  # how NCPAs change; an exposure is a second
 
     def has(self, fault: str, exposure: int) -> bool:
         """Return whether an `exposure` has a `fault`."""
@@ -89,14 +73,7 @@ class Exposed(NamedTuple):
 
 
 class Telescope:
-    """Exposes one after the other.
-
-    Parameters
-    ----------
-    night : Night
-    folder : Path
-        Keeps the tables, for the next start.
-    """
+    """Exposes one after the other; the `folder` keeps the tables for the next start."""
 
     def __init__(self, night: Night, folder: Path):
         self.night = night

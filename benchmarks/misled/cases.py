@@ -177,27 +177,15 @@ DIAGNOSED_RIGHTS = ("as usual", "bright", "poor seeing", "many frames")
 
 @dataclass(frozen=True)
 class Taken:
-    """A recording, or all recordings of a ramp.
+    """A recording, or all recordings of a ramp."""
 
-    Attributes
-    ----------
-    minutes : int
-        After the beginning of the night.
-    told, hidden : mapping
-        Changes of the side-car, and effects that nobody declared.
-    seen : str
-        What is done to the images.
-    foreign : bool
-        Taken with the NCPAs of another instrument.
-    harm : str
-        What became of the files: ``cut``, ``no side-car`` (of a ramp: of its third offset) or ``copied``.
-    """
-
-    minutes: int = 0
+    minutes: int = 0  # after the beginning of the night
+    # told, hidden: changes of the side-car, and effects that nobody declared.
     told: Change = field(default_factory=dict)
     hidden: Change = field(default_factory=dict)
-    seen: str = ""
-    foreign: bool = False
+    seen: str = ""  # what is done to the images
+    foreign: bool = False  # taken with the NCPAs of another instrument
+    # What became of the files: ``cut``, ``no side-car`` (of a ramp: of its third offset) or ``copied``.
     harm: str = ""
 
 
@@ -244,40 +232,19 @@ NIGHT_INHERENT = {
 
 @dataclass(frozen=True)
 class Case:
-    """One recording, one ramp with its calibration, or one night.
+    """One recording, one ramp with its calibration, or one night."""
 
-    Attributes
-    ----------
-    kind : str
-        `CALIBRATION`, `RAMP`, `DIAGNOSIS` or `NIGHT`.
-    family : str
-        What is wrong, or `RIGHT` and how.
-    setting : str
-        `BENCH` or `SKY`.
-    number, suite_seed : int
-        Draw of the family, and of all.
-    usual : mapping
-        Changes of the usual simulation.
-    taken : Taken
-        What is wrong.
-    both : bool
-        The calibration of a ramp has the same.
-    names : tuple of str
-        Effects that a diagnosis may rightly name.
-    cause : str
-        Words by which a result says before its numbers that it cannot tell this.
-    """
-
-    kind: str
-    family: str
-    setting: str
+    kind: str  # `CALIBRATION`, `RAMP`, `DIAGNOSIS` or `NIGHT`
+    family: str  # what is wrong, or `RIGHT` and how
+    setting: str  # `BENCH` or `SKY`
+    # number, suite_seed: draw of the family, and of all.
     number: int
     suite_seed: int
-    usual: Change = field(default_factory=dict)
-    taken: Taken = field(default_factory=Taken)
-    both: bool = False
-    names: tuple[str, ...] = ()
-    cause: str = ""
+    usual: Change = field(default_factory=dict)  # changes of the usual simulation
+    taken: Taken = field(default_factory=Taken)  # what is wrong
+    both: bool = False  # whether the calibration of a ramp has the same
+    names: tuple[str, ...] = ()  # effects that a diagnosis may rightly name
+    cause: str = ""  # words by which a result says before its numbers that it cannot tell this
 
     @property
     def right(self) -> bool:

@@ -64,18 +64,11 @@ SECOND: dict[str, Callable[[Scene], Scene]] = {
 
 @dataclass(frozen=True)
 class Made:
-    """Folders of the recordings by the recipe's input, and what is true.
-
-    Attributes
-    ----------
-    ncpa_nm : dict of int to float
-        Static modes of the calibration, Noll: nm RMS.
-    introduced_nm : dict of str to float
-        True defocus of the recordings of the ramp, by name.
-    """
+    """Folders of the recordings by the recipe's input, and what is true."""
 
     inputs: dict[str, list[Path]]
-    ncpa_nm: dict[int, float]
+    ncpa_nm: dict[int, float]  # static modes of the calibration, Noll: nm RMS
+    # True defocus of the recordings of the ramp, by name.
     introduced_nm: dict[str, float] = field(default_factory=dict)
 
 

@@ -94,10 +94,7 @@ def run_text(run: ShownRun) -> str:
 def run_status(folder: Path) -> RunStatus:
     """Return where each product of the run in `folder` stands.
 
-    Raises
-    ------
-    InputDataError
-        When `folder` holds no run.
+    Raises `InputDataError` when `folder` holds no run.
     """
     run = existing_run(folder)
     states = _states(run)

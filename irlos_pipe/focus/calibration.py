@@ -78,12 +78,8 @@ class CalibrationRequest:
     def load(self) -> Calibration:
         """Read the run.
 
-        Raises
-        ------
-        InputDataError
-            When the folder is not that of a run with a calibration, or of one whose QC has failed.
-        ConfigurationError
-            When its model cannot measure single frames.
+        Raises `InputDataError` when the folder is not that of a run with a calibration, or of one whose QC
+        has failed; `ConfigurationError` when its model cannot measure single frames.
         """
         folder = existing_run(self.run)
         paths = folder.products()

@@ -47,19 +47,11 @@ class Earlier:
 class Journal:
     """Appends records to the files of a folder, which this loop alone owns.
 
-    Attributes
-    ----------
-    last : Record or None
-        The last sound record that stands in the file.
-    damaged : int
-        Lines after it that are none, the last one included if it was not finished and is cut off.
-    problem : str
-        Why lines cannot be written; empty if they can.
+    `last` is the last sound record that stands in the file, if any; `damaged` counts the lines after it that
+    are none, the last one included if it was not finished and is cut off; `problem` says why lines cannot be
+    written.
 
-    Raises
-    ------
-    InputDataError
-        If the file of lines cannot be opened, or is none of a focus loop.
+    Raises `InputDataError` if the file of lines cannot be opened, or is none of a focus loop.
     """
 
     def __init__(self, folder: Path):

@@ -40,10 +40,7 @@ MOST_CLIENTS = 50  # of more, those that came first are dropped
 class PageSettings:
     """Where the page is: a port, 0 for a free one; an address; a token that requests carry, empty for none.
 
-    Raises
-    ------
-    ConfigurationError
-        For an address beyond the loopback without a token.
+    Raises `ConfigurationError` for an address beyond the loopback without a token.
     """
 
     port: int
@@ -67,10 +64,7 @@ class LivePage:
 
     It keeps the lines of the last hour, numbered from 1, under a name: a page may stay open beyond the loop.
 
-    Raises
-    ------
-    ConfigurationError
-        If the port cannot be had.
+    Raises `ConfigurationError` if the port cannot be had.
     """
 
     def __init__(self, settings: PageSettings):
@@ -194,10 +188,7 @@ class Publisher:
 
     A socket that an earlier loop left behind is replaced.
 
-    Raises
-    ------
-    ConfigurationError
-        If it cannot be made there, or another loop listens there.
+    Raises `ConfigurationError` if it cannot be made there, or another loop listens there.
     """
 
     def __init__(self, path: Path):

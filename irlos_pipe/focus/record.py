@@ -73,10 +73,7 @@ def event_line(sequence: int, unix_s: float, event: str) -> str:
 def content_of(line: str | bytes) -> dict[str, Any]:
     """Return the keys of the `line` of a record or an event.
 
-    Raises
-    ------
-    ValueError
-        If it is neither, or damaged.
+    Raises `ValueError` if it is neither, or damaged.
     """
     try:
         content: Any = json.loads(line)
@@ -90,10 +87,7 @@ def content_of(line: str | bytes) -> dict[str, Any]:
 def record_of(line: str | bytes) -> Record | None:
     """Return the record in a line; None for an event.
 
-    Raises
-    ------
-    ValueError
-        If the `line` is neither, or states what no loop can go on from.
+    Raises `ValueError` if the `line` is neither, or states what no loop can go on from.
     """
     content = content_of(line)
     if "event" in content:

@@ -42,10 +42,7 @@ class Replay:
 
     They come at `speed` times the rate at which they were taken; 0 is as fast as they can be measured.
 
-    Raises
-    ------
-    InputDataError
-        If the run has no such input.
+    Raises `InputDataError` if the run has no such input.
     """
 
     def __init__(self, run: Path, input_name: str, speed: float = 0.0):
@@ -93,10 +90,7 @@ class WatchedFolder:
     side-car contradicts the acquisition is not used. What has come since an earlier loop is read; without
     one, what is there already is not.
 
-    Raises
-    ------
-    InputDataError
-        If there is no such folder.
+    Raises `InputDataError` if there is no such folder.
     """
 
     def __init__(

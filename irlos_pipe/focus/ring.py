@@ -64,12 +64,7 @@ class RingWriter:
 
     An existing ring of the same shape is continued, any other file there is refused.
 
-    Raises
-    ------
-    InputDataError
-        If the file is no ring of this shape.
-    OSError
-        If it cannot be made.
+    Raises `InputDataError` if the file is no ring of this shape; `OSError` if it cannot be made.
     """
 
     def __init__(self, path: Path, window: tuple[int, int], slots: int = 64):
@@ -114,10 +109,7 @@ class RingSource:
     It reads the file and does not map it: a file that is cut short under a map kills the process. A ring that
     is taken away, cut short or made anew is named, waited for, and read again from its oldest frame.
 
-    Raises
-    ------
-    InputDataError
-        If the file is no ring.
+    Raises `InputDataError` if the file is no ring.
     """
 
     def __init__(self, path: Path):
@@ -217,10 +209,7 @@ class RingSource:
 def window_of(path: Path) -> tuple[int, int]:
     """Return rows and columns of the frames of the ring at `path`.
 
-    Raises
-    ------
-    InputDataError
-        If the file is no ring.
+    Raises `InputDataError` if the file is no ring.
     """
     return _shape_of(path)[:2]
 

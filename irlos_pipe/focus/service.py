@@ -60,12 +60,7 @@ class Service:
     def run(self, report: Tell, stopped: Callable[[], bool] = lambda: False) -> int:
         """Run until the source ends or `stopped` says so; `report` gets lines; return the number of records.
 
-        Raises
-        ------
-        IrlosError
-            When the loop cannot start.
-        Stopped
-            When it is interrupted.
+        Raises `IrlosError` when the loop cannot start; `Stopped` when it is interrupted.
         """
         with ExitStack() as stack:
             require_free(self.output, OWN)
@@ -90,10 +85,7 @@ class Service:
 def _require_agreement(source: Source, calibration: Calibration) -> None:
     """Frames must be those of the calibration, as far as the source knows from the start.
 
-    Raises
-    ------
-    InputDataError
-        If their window, instrument or light path is another.
+    Raises `InputDataError` if their window, instrument or light path is another.
     """
     window = getattr(source, "window", calibration.window)
     if window != calibration.window:
@@ -120,10 +112,7 @@ def _left_off(
 
     The command is written first, is checked by itself, and is what the telescope has done.
 
-    Raises
-    ------
-    InputDataError
-        If the offset that stands cannot be known, or is not within the limit.
+    Raises `InputDataError` if the offset that stands cannot be known, or is not within the limit.
     """
     last, command = journal.last, mailbox.read()
     number, offset_nm = (0, 0.0) if last is None else (last.sequence, last.offset_nm)

@@ -47,10 +47,8 @@ class ZeroMqSource:
     `token` messages must be signed, newer than all before, and not older than seconds: whoever plays messages
     back has no token.
 
-    Raises
-    ------
-    ConfigurationError
-        If pyzmq is not installed, the endpoint is none, or lies beyond this machine and there is no token.
+    Raises `ConfigurationError` if pyzmq is not installed, the endpoint is none, or lies beyond this machine
+    and there is no token.
     """
 
     def __init__(self, endpoint: str, token: str = "", window: tuple[int, int] = (512, 512)):

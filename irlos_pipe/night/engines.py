@@ -58,12 +58,9 @@ def _in_processes(work: Work, tasks: Sequence[Task], jobs: int) -> Iterator[Redu
 
 
 def dask_runner(scheduler: str) -> Runner:
-    """Return a runner on an existing cluster.
+    """Return a runner on the cluster of a `scheduler`, an address such as ``tls://10.0.0.1:8786``.
 
-    Parameters
-    ----------
-    scheduler : str
-        Address such as ``tls://10.0.0.1:8786``; certificates stand in Dask's own configuration.
+    Certificates stand in Dask's own configuration.
 
     Raises
     ------

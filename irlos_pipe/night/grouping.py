@@ -26,25 +26,13 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True)
 class Group:
-    """Recordings that are reduced together.
+    """Recordings that are reduced together."""
 
-    Attributes
-    ----------
-    kind : str
-        ``calibration``, ``ramp``, ``derotator``, ``psf`` or ``two_by_two``.
-    name : str
-        Name of its folder, unique in the night; it stays when recordings are added later.
-    inputs : dict of str to tuple of Description
-        Recordings for the inputs of a recipe, by the input's name.
-    choice : str
-        Which calibration a ramp is given, and why.
-    """
-
-    kind: Kind
+    kind: Kind  # ``calibration``, ``ramp``, ``derotator``, ``psf`` or ``two_by_two``
     night: str
-    name: str
-    inputs: Inputs
-    choice: str = ""
+    name: str  # name of its folder, unique in the night; it stays when recordings are added later
+    inputs: Inputs  # recordings for the inputs of a recipe, by the input's name
+    choice: str = ""  # which calibration a ramp is given, and why
 
     @property
     def first(self) -> Description:

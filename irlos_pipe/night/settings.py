@@ -102,10 +102,7 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
 
     Those are ``KIND=PATH``, relative to the current folder, or ``KIND=NAME``; a kind given again is a list.
 
-    Raises
-    ------
-    ConfigurationError
-        With one line ``where: message`` for every validation error.
+    Raises `ConfigurationError` with one line ``where: message`` for every validation error.
     """
     settings = NightSettings() if path is None else read_validated(path, NightSettings)
     folder = None if path is None else absolute(path).parent

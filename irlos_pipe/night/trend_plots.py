@@ -38,12 +38,8 @@ def structure_drawing(name: str, trend: Trend) -> Markup:
 def save_plot(trend: Trend, path: Path) -> None:
     """Plot the first `MAX_PANELS` series of a `trend` and its structure functions to the file `path`.
 
-    Raises
-    ------
-    ConfigurationError
-        When the name does not end in one of `FORMATS`.
-    IrlosError
-        When it cannot be written.
+    Raises `ConfigurationError` when the name does not end in one of `FORMATS`; `IrlosError` when it cannot be
+    written.
     """
     kind = path.suffix.lower()
     if kind not in FORMATS:

@@ -48,12 +48,8 @@ SECTIONS: dict[str, Callable[[RunData], Section]] = {
 def write_report(run_folder: Path) -> Path:
     """Build the report of a run, of which any stage may be missing; the same products give the same file.
 
-    Raises
-    ------
-    InputDataError
-        When it is not the folder of a run, or a product cannot be read.
-    IrlosError
-        When the report cannot be written.
+    Raises `InputDataError` when it is not the folder of a run, or a product cannot be read; `IrlosError` when
+    the report cannot be written.
     """
     run = read_run(run_folder)
     verdict = run.results(DiagnoseResults)

@@ -86,16 +86,9 @@ def panel(
 ) -> Markup:
     """Draw a picture (rows, columns) with its colour bar `label`; row 0 is at the bottom.
 
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    draw : callable
-        Adds to the axes what the picture has beside the values.
-    extend, ticks
-        Of the colour bar: ends that are pointed, and where it has numbers.
-    **look
-        For `Axes.imshow`.
+    The `name` is unique in the page; `draw` adds to the axes what the picture has besides the values;
+    `extend` and `ticks` are of the colour bar, ends that are pointed and where it has numbers; `look` is for
+    `Axes.imshow`.
     """
 
     def drawn(canvas: Canvas) -> None:
@@ -123,12 +116,7 @@ def image_panel(
 ) -> Markup:
     """Draw an image; axes in mas (px without a scale) from the centre of the window; see `panel`.
 
-    Parameters
-    ----------
-    good : ndarray of bool, optional
-        Pixels that are False were not used and get a cross.
-    ring : Ring, optional
-        Drawn about a place.
+    Pixels that are not `good` were not used and get a cross; a `ring` is drawn about a place.
     """
     step, axis_unit = (pixel_scale_mas, "mas") if pixel_scale_mas else (1.0, "px")
     half_y, half_x = (0.5 * step * side for side in image.shape)
@@ -245,16 +233,9 @@ def image_views(
     good: np.ndarray | None = None,
     width: Width = "full",
 ) -> Views:
-    """Return images on one scale, asinh or linear.
+    """Return `images`, by title (rows, columns) [e-] and a caption, on one scale, asinh or linear.
 
-    Parameters
-    ----------
-    images : mapping
-        By title: image (rows, columns) [e-], and a caption.
-    good : ndarray of bool, optional
-        Pixels that are False get a cross in the first image.
-    width : Width
-        Of all together.
+    Pixels that are not `good` get a cross in the first image; `width` is that of all together.
     """
     choices = {}
     for label, scale_of in {"logarithmic": brightness_scale, "linear": linear_scale}.items():
@@ -283,8 +264,6 @@ def residual_views(
         Standard errors, 0 or not finite where a pixel is not used; without them there are no σ.
     peak_e : float
         Of the predicted image.
-    width : Width
-        Of all together.
     """
     percent = 100 / peak_e if peak_e > 0 else np.nan
     units: dict[str, Callable[[np.ndarray], np.ndarray]] = {"% of the peak": lambda one: one * percent}
@@ -338,12 +317,10 @@ def wavefront_grid(
     limit_nm: float,
     images: np.ndarray | None = None,
 ) -> Markup:
-    """Draw rows of wavefronts, one column per recording.
+    """Draw rows of wavefronts, one column per recording, with `titles` of the columns.
 
     Parameters
     ----------
-    titles : sequence of str
-        Of the columns.
     rows : mapping of str to ndarray, (columns, samples, samples)
         OPD [nm], NaN outside the pupil; the first is the uppermost.
     limit_nm : float

@@ -71,11 +71,7 @@ def maps_figure(
 ) -> list[Figure]:
     """Draw all angles in a row: image, estimate, estimate turned back, and what the parts leave of it.
 
-    Parameters
-    ----------
-    images : ndarray, (angles, rows, columns), optional
-    prefix : str
-        Begin of the names of the stage's arrays.
+    The `images` have shape (angles, rows, columns); `prefix` begins the names of the stage's arrays.
     """
     of = StageData(run, stage, StageResults())
     found = {name: f"{prefix}maps/{name}" for name in ROWS if f"{prefix}maps/{name}" in of.arrays}

@@ -154,16 +154,9 @@ def sensitivity_plot(
     looks: Sequence[Look] = LOOKS,
     floor_nm: float | None = None,
 ) -> Markup:
-    """Draw median errors above and failures below.
+    """Draw median errors above and failures below, with the `criterion` as levels.
 
-    Parameters
-    ----------
-    criterion : CriterionRow
-        Drawn as levels.
-    looks : sequence of Look
-        One per curve; repeated if there are fewer.
-    floor_nm : float, optional
-        Median error of a perfect sensor.
+    Fewer `looks` than curves are repeated; `floor_nm` is the median error of a perfect sensor.
     """
 
     def draw(canvas: Canvas) -> None:
