@@ -14,7 +14,7 @@ from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
 
 PUPIL_SAMPLES = 127
-MAX_ITERATIONS, RELATIVE_FALL = 20, 1e-4  # stop when χ² falls by less than this
+MAX_ITERATIONS, RELATIVE_FALL = 20, 1e-4  # stop when χ² falls by less than this part
 NM = 1e-9
 
 

@@ -191,7 +191,7 @@ def lay_out(suite: Suite, file: Path, cases: Iterable[Case], output: Path) -> No
 
 
 def keep(suite: Suite, file: Path, outcomes: Iterable[Outcome]) -> None:
-    """Write `outcomes` into a `file` beside those that it has, numbers rounded to six digits."""
+    """Write `outcomes` into a `file` jointly with those that it has, numbers rounded to six digits."""
     every = {suite.key(one): suite.slim(one) for one in (*read_lines(file), *outcomes)}
     lines = (
         json.dumps(_rounded(every[key]), allow_nan=False, ensure_ascii=False) + "\n" for key in sorted(every)
@@ -218,7 +218,7 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[Any]], sides: str = ""
 
 
 def put(page: Path, parts: Mapping[str, str]) -> None:
-    """Write every text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page; exit if it has no such marks."""
+    """Write every text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page; exit without them."""
     text = page.read_text(encoding="utf-8")
     for name, content in parts.items():
         begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"

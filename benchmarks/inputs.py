@@ -38,7 +38,7 @@ RECIPES = SAMPLES.parent / "recipes"
 WAVELENGTH_NM = 1600.0
 WINDOW_PX, PIXEL_SCALE_MAS = 64, 9.7
 READ_NOISE_E = 1.0
-SUBEXPOSURES = 5  # of the AO residual and the image motion within a frame
+SUBEXPOSURES = 5  # samples of the AO residual and the image motion within a frame
 NOLLS = tuple(range(2, 31))
 DIVERSITY_NM = {6: -170.0}
 SEED = 17
@@ -49,7 +49,7 @@ class BenchFrames:
     """Frames and what an estimate is compared with."""
 
     images_e: np.ndarray  # (frames, rows, columns), float32: photo-electrons, background subtracted
-    # (frames, modes), nm RMS: least-squares coefficients of `NOLLS` of the wavefront averaged over each frame.
+    # (frames, modes), nm RMS: least-squares `NOLLS` of the wavefront averaged over each frame.
     truth_nm: np.ndarray
 
     def error_nm(self, estimates_nm: np.ndarray) -> float:

@@ -45,11 +45,11 @@ MAG_J = 7.0
 POINTS_PER_BAND = 5  # wavelengths of the simulation; the side-car states three
 SCENE, INSTRUMENT = range(2)  # streams of random numbers of a case
 DIVERSITY_NM = 10.0
-FILTER_NM, FILTER_NOLLS = 30.0, range(4, 16)  # RMS of all modes together
+FILTER_NM, FILTER_NOLLS = 30.0, range(4, 16)  # RMS of all modes of a filter together
 STARS_K = (3000.0, 10_000.0)
-PLANCK_UM_K = 14_387.77  # hc/k
+PLANCK_UM_K = 14_387.77  # hc/k of Planck's law
 HIGHEST_TRUE_NOLL = 200  # fitted to true wavefronts: with fewer modes what lies beyond falls on the last ones
-BAD_NM, BAD_PULL = 12.0, 3.0  # an error, and an RMS pull, above which nobody should use a calibration
+BAD_NM, BAD_PULL = 12.0, 3.0  # error, and RMS pull, above which a calibration should not be used
 SHAPES = tuple(noll for noll in REPORTED_NOLLS if noll not in TIP_TILT)
 CONFIDENCE, RESAMPLES, BOOTSTRAP_SEED = 0.95, 2000, 1
 

@@ -12,14 +12,14 @@ import numpy as np
 
 from benchmarks.diagnose_suite.foreign import FOREIGN
 
-RAMP_FRAMES = 8  # at every offset
-EXPOSURE_S = 0.1  # of a frame; on sky ten screens long
+RAMP_FRAMES = 8  # frames at every offset
+EXPOSURE_S = 0.1  # exposure of a frame; on sky ten screens long
 # Up and down between each other, so that every direction of travel meets every part of the ramp.
 OFFSETS_NM = (-300, -200, -100, 0, 100, 200, 300, 250, 150, 50, -50, -150, -250)
 BENCH, SKY = "bench", "sky"
 NARROW, BROAD = "narrow_h", "j_h"
 DIVERSITY_NM = {6: -170.0}
-SEEING_ARCSEC, NCPA_NM, MOTION_MAS = (0.4, 0.8), (80.0, 160.0), (5.0, 9.0)  # drawn between
+SEEING_ARCSEC, NCPA_NM, MOTION_MAS = (0.4, 0.8), (80.0, 160.0), (5.0, 9.0)  # ranges from which they are drawn
 WAVELENGTHS_PER_BAND = 11
 SKY_PUPIL_SAMPLES = 96  # 4.5 times what the window needs at the shortest wavelength
 
@@ -255,8 +255,8 @@ def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
 def in_one_setting(cases: Sequence[Case]) -> list[Case]:
     """Every case in one of its settings, which take turns; `cases` in the order of `all_cases`."""
     groups = groupby(cases, lambda one: (one.dirty, one.kind, one.effects, one.level, one.number))
-    alike = [list(group) for _, group in groups]
-    return [some[number % len(some)] for number, some in enumerate(alike)]
+    equal = [list(group) for _, group in groups]
+    return [some[number % len(some)] for number, some in enumerate(equal)]
 
 
 def _cases() -> Iterator[Case]:

@@ -86,7 +86,7 @@ def hidden_in(case: Case) -> list[Hidden]:
 
 
 def mild_in(case: Case, hidden: Sequence[Hidden]) -> Mild:
-    """Return the mild errors beside what is `hidden`."""
+    """Return the mild errors besides what is `hidden`."""
     if not case.dirty:
         return Mild()
     parameters = {one.effect: one.parameters for one in hidden}

@@ -32,11 +32,11 @@ from irlos_pipe.paper.common.focus_loop import FrameTable
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.scene import Scene
 
-READS = 4  # of an exposure of a second
+READS = 4  # reads of an exposure of a second
 TABLED_MAG_J = 8.0
 REACH_NM, NODES, TABLED_READS = 450.0, 20, 32
-NEAR_NM, NEAR_NODES, NEAR_READS = 160.0, 10, 12  # of scenes with something wrong
-USUAL_SEEING = 0.5  # of the calibration
+NEAR_NM, NEAR_NODES, NEAR_READS = 160.0, 10, 12  # of the tables of scenes with something wrong
+USUAL_SEEING = 0.5  # seeing of the calibration
 _TABLES: dict[Path, FrameTable] = {}
 
 
@@ -116,11 +116,11 @@ def _scene(look: Look, seed: int) -> Scene:
 START_UNIX_S = 1.75e9
 FIRST_COUNTER = 5000
 DELAY, GAIN = 1, 0.4
-THERMAL_NM = 0.1  # drift per exposure, beside the sodium layer's
+THERMAL_NM = 0.1  # drift per exposure, on top of the sodium layer's
 
 
 class FakeTime:
-    """Clocks that pass when they are told to."""
+    """Clocks that pass on command."""
 
     def __init__(self) -> None:
         self.passed_s, self.set_s = 0.0, 0.0
@@ -188,7 +188,6 @@ class Rig:
         self._commanded_nm = [last["offset_nm"]] * len(self._commanded_nm)
 
     def poll(self, timeout_s: float) -> Sequence[Arrival] | None:
-        """See `Source.poll`."""
         if self._index >= self._exposures:
             return None
         index, self._index = self._index, self._index + 1

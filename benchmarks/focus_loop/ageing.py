@@ -1,7 +1,7 @@
 """NCPAs that change while a loop runs with the calibration of its beginning.
 
 A part of them lies before the derotator and turns with the field; the others drift. Tip, tilt and focus
-stay as they are: what a sensor has of those beside the science camera no loop can see, so only what the
+stay as they are: what a sensor has of those next to the science camera no loop can see, so only what the
 other modes do to its measurements is looked at here.
 """
 
@@ -17,7 +17,7 @@ from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import rotated_nm
 
-AGEING_STREAM = 3  # of the seed of a night, beside those of the telescope
+AGEING_STREAM = 3  # stream of a night's seed, after those of the telescope
 
 
 @dataclass(frozen=True)

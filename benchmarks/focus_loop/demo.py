@@ -15,7 +15,7 @@ from benchmarks.focus_loop.run import Outcome, Trial
 from benchmarks.focus_loop.telescope import Night
 
 RECORDINGS = ["--set", "recordings.calibration.frames=100", "--set", "recordings.ramp.frames=2"]
-OPTIONS = ["--page-port", "0", "--despite-qc"]  # of 100 frames
+OPTIONS = ["--page-port", "0", "--despite-qc"]  # QC may fail: the calibration has only 100 frames
 SETTLED = 20  # exposures after the loop has closed that do not count
 
 

@@ -25,10 +25,10 @@ from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.recordings.spec import load_spec
 from irlos_pipe.simulate.scene import Sampling, Scene
 
-REACH_NM, NODES = 1100.0, 44  # of the tables: beyond the largest defocus of a bootstrap
-CLOSED_REACH_NM, CLOSED_NODES = 400.0, 18  # of those of a loop that has been closed long since
-SKY_READS, BURST_READS = 24, 8  # tabulated
-DRIFT_STEPS = 10  # per exposure
+REACH_NM, NODES = 1100.0, 44  # defocus of the tables: beyond the largest of a bootstrap
+CLOSED_REACH_NM, CLOSED_NODES = 400.0, 18  # the same for a loop that has long been closed
+SKY_READS, BURST_READS = 24, 8  # reads in the tables
+DRIFT_STEPS = 10  # steps of the drift per exposure
 START_UNIX_S = 1_707_620_000.0
 FIRST_COUNTER = 400_000
 LAYER = SodiumLayer(1.95, 23.0, 89.4e3)

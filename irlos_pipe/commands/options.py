@@ -1,6 +1,6 @@
 """The command line of a command is the signature of its function; parameters that several commands share.
 
-``output: Path = option("--output DIR", "Folder for …")`` is an option, spelt as in the help. Its type tells
+``output: Path = option("--output DIR", "Folder for …")`` is an option, spelt as in the help. Its type says
 the rest: a bool is a flag, a tuple may be given again, what may be None need not be given.
 """
 

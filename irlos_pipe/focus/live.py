@@ -26,14 +26,14 @@ from urllib.parse import parse_qs, urlsplit
 
 from irlos_pipe.conventions.errors import ConfigurationError
 
-HOUR_S = 3600.0  # of lines that are kept
-MOST_LINES = 40_000  # kept, of exposures of a tenth of a second an hour
+HOUR_S = 3600.0  # age of the lines that are kept
+MOST_LINES = 40_000  # lines that are kept: an hour of exposures of a tenth of a second
 LOOPBACK = "127.0.0.1"
-SHORTEST_TOKEN = 16
-LONGEST_NUMBER = 16  # digits
-MOST_CONNECTIONS, CONNECTION_S = 20, 10.0  # at once, and how long one may say nothing
-LONGEST_PATH = 100  # of a socket, a limit of the system
-MOST_CLIENTS = 50  # of more, those that came first are dropped
+SHORTEST_TOKEN = 16  # characters
+LONGEST_NUMBER = 16  # digits of a line's number in a request
+MOST_CONNECTIONS, CONNECTION_S = 20, 10.0  # connections at once, and how long one may say nothing
+LONGEST_PATH = 100  # bytes of a socket's path, a limit of the system
+MOST_CLIENTS = 50  # clients at once; of more, those that came first are dropped
 
 
 @dataclass(frozen=True)

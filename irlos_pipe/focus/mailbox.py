@@ -22,7 +22,7 @@ MAGIC = b"IRLOSCMD"
 BODY = struct.Struct("<8sQdq")
 CRC = struct.Struct("<I")
 SIZE = BODY.size + CRC.size
-ATTEMPTS = 100
+ATTEMPTS = 100  # to read before the file counts as damaged
 
 
 class Command(NamedTuple):

@@ -10,10 +10,10 @@ from typing import Any
 from irlos_pipe.control.controller import BOOTSTRAP, TRACKING, ControllerState
 from irlos_pipe.files.json import jsonable
 
-SCHEMA, SCHEMA_VERSION = "irlos-focus", 2  # of 1, `sigma_nm` was the error by photons
+SCHEMA, SCHEMA_VERSION = "irlos-focus", 2  # in version 1 `sigma_nm` was the error by photons
 SHADOW = "shadow"
 
-# Reasons of the program, beside those of `Focus`.
+# Reasons of the program, besides those of `Focus`.
 WINDOW, LATE, STALE, INCOMPLETE = "window", "late", "stale_calibration", "incomplete"
 FAILED, FROZEN, OLD = "failed", "frozen", "old"
 
@@ -108,9 +108,9 @@ def _is_sound(record: Record) -> bool:
     """Whether the next exposure can go on from a record."""
     numbers = (record.sequence, record.exposure, record.counter, record.settling, record.outside)
     whole = all(type(one) is int and abs(one) < 1 << 63 for one in numbers)
-    told = (*record.reasons, record.recording, record.calibration, record.held)
+    stated = (*record.reasons, record.recording, record.calibration, record.held)
     timed = isinstance(record.unix_s, float | int) and isinstance(record.recorded_unix_s, float | int)
-    known = record.mode in (BOOTSTRAP, TRACKING, SHADOW) and all(isinstance(one, str) for one in told)
+    known = record.mode in (BOOTSTRAP, TRACKING, SHADOW) and all(isinstance(one, str) for one in stated)
     first = record.sequence > 0 and min(record.settling, record.outside) >= 0
     return whole and known and timed and first and math.isfinite(record.offset_nm)
 

@@ -12,11 +12,11 @@ import scipy
 from irlos_pipe.night.settings import BandSettings
 
 GAUSSIAN_MAD = 1.4826  # standard deviation of Gaussian values over their median absolute deviation (MAD)
-MAD_EFFICIENCY = 0.37  # of the MAD as an estimator of the standard deviation, relative to the sample's own
+MAD_EFFICIENCY = 0.37  # efficiency of the MAD as an estimate of the standard deviation
 MEDIAN_VARIANCE = np.pi / 2  # variance of the median of Gaussian values over that of their mean
 # Nights that the errors of a number count for: alone, and where many modes show how good their errors are.
 ERROR_NIGHTS, POOLED_ERROR_NIGHTS = 5.0, 10.0
-FURTHEST_SIGMA = 37.0  # beyond this the probability is below the smallest number
+FURTHEST_SIGMA = 37.0  # deviation beyond which the probability is below the smallest number
 
 
 @dataclass(frozen=True)

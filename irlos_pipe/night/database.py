@@ -73,7 +73,7 @@ MIDNIGHT = "CAST(strftime('%s', night, '+1 day', '+282 minutes') AS REAL)"
 # -- the dashboard for Grafana --
 SOURCE = {"type": "frser-sqlite-datasource", "uid": "${DS_IRLOS}"}
 WINDOW = "coalesce(start_unix_s, strftime('%s', night)) BETWEEN $__from / 1000 AND $__to / 1000"
-COLUMNS, HEIGHT = 12, 8  # of a panel; the page has 24 columns
+COLUMNS, HEIGHT = 12, 8  # size of a panel; the page has 24 columns
 POINTS = (  # every number is a line of its own
     "SELECT CAST(coalesce(start_unix_s, strftime('%s', night)) AS INTEGER) AS time, "
     "name || ' ' || recipe AS metric, value FROM numbers JOIN runs USING (run) "

@@ -109,8 +109,8 @@ def _single(kind: Kind, cube: Description) -> Group:
 
 def _series(found: Sequence[Description], gap_s: float) -> Iterator[tuple[Description, ...]]:
     """Split recordings, in order of time, into series."""
-    alike = _split(found, lambda one: (one.configuration, one.spectrum, one.target, one.path.parent))
-    for members in alike.values():
+    same_setup = _split(found, lambda one: (one.configuration, one.spectrum, one.target, one.path.parent))
+    for members in same_setup.values():
         steps = enumerate(pairwise(members), 1)
         ends = [index for index, (one, other) in steps if _apart_s(one, other) > gap_s]
         for start, end in pairwise((0, *ends, len(members))):

@@ -15,7 +15,7 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.product.runfolder import EARLIER, LOCK_NAME, RunFolder
 
-EARLIER_SLOTS = ("a", "b")  # to one of which `path` was a link in trees of earlier versions
+EARLIER_SLOTS = ("a", "b")  # folders to one of which `path` was a link in trees of earlier versions
 
 
 @dataclass(frozen=True)

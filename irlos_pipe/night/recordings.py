@@ -30,7 +30,7 @@ from irlos_pipe.stages.ingest.sources import Source, read_sources
 # A night is named after its evening. It ends at local noon of Paranal (70.4 degrees west).
 NOON_UTC = timedelta(hours=12 + 70.4 / 15)
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
-DESCRIPTION_VERSION = 3  # of what a description holds; those of an earlier one are read anew
+DESCRIPTION_VERSION = 3  # version of what a description holds; files with an earlier one are read again
 UNPRINTABLE = "{!r}: the name holds characters that cannot be shown; rename it"
 BY_PATH, BY_FILE = "the date in its path", "the date of its file"
 # Warnings of the readers are reported when the recording is reduced.
@@ -211,7 +211,7 @@ def _describe(
 
 
 def _stored(content: Any) -> Description | None:
-    """A description from the database; None if there is none or it is damaged: the file is read anew."""
+    """A description from the database; None if there is none or it is damaged: the file is read again."""
     try:
         found = DESCRIPTION.validate_json(content or "")
         date.fromisoformat(found.night)  # the name of a folder is made of it

@@ -169,14 +169,14 @@ def _nothing_text(request: Request, state: RunState) -> str:
     return f"{where}: no recordings"
 
 
-def _work_on(request: Request, state: RunState, runner: Runner, wanted: Callable[[Job], bool]) -> None:
-    """Work on those of the jobs that are `wanted` and not up to date; one that fails does not stop others."""
-    jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if wanted(job)}
+def _work_on(request: Request, state: RunState, runner: Runner, requested: Callable[[Job], bool]) -> None:
+    """Work on the jobs that are `requested` and not up to date; one that fails does not stop others."""
+    jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if requested(job)}
     for reduced in list(filter(None, (_without_work(job.task) for job in jobs.values()))):
         _record(request, state, jobs[reduced.name], reduced)
     todo = []
     for night in state.nights.values():
-        if tasks := [job.task for job in night.unfinished if wanted(job)]:
+        if tasks := [job.task for job in night.unfinished if requested(job)]:
             write_page(request.tree, night, None, running=True)
             todo += tasks
     for number, reduced in enumerate(runner(reduce_group, todo) if todo else (), 1):

@@ -12,10 +12,10 @@ DAY_S = 86400.0
 LAG_EDGES_S = np.concatenate([[0.0, 3600.0], DAY_S * (2.0 ** np.arange(13) - 0.5)])
 CONFIDENCE = 0.95
 TAILS = (50 * (1 - CONFIDENCE), 100 - 50 * (1 - CONFIDENCE))
-DRAWS = 200
-MOST_POINTS = 100  # of the nights that are drawn; more would make the interval no narrower, but take long
-LEAST_NM2 = 1e-6  # change of calibrations that are the same
-MIN_DRAWN_MODES, MAX_DRAWN_MODES = 1, 40
+DRAWS = 200  # series of nights for a confidence interval
+MOST_POINTS = 100  # calibrations in the nights that are drawn: more take long and narrow no interval
+LEAST_NM2 = 1e-6  # change of calibrations that are the same, as of rounding
+MIN_DRAWN_MODES, MAX_DRAWN_MODES = 1, 40  # modes in which nights are drawn to change
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ def _section(stage: str, run: RunData) -> Section:
 
 
 def _untested(run: RunData) -> list[str]:
-    """Return what the data of all stages cannot tell, to be read before the numbers, everything once."""
+    """Return what the data of all stages do not determine, to be read before the numbers, everything once."""
     lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
     return list(dict.fromkeys(line.replace("`", "") for line in lines))
 

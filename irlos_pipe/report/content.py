@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 Item = TypeVar("Item")
 Width = Literal["third", "half", "two-thirds", "full"]
-MOST_CHOICES = 4
+MOST_CHOICES = 4  # views of a figure for which report.css has rules
 
 
 @dataclass(frozen=True)

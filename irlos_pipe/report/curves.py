@@ -20,10 +20,10 @@ from irlos_pipe.report.run_data import StageData
 from irlos_pipe.report.text import is_known, number
 
 PROFILE_IN = (4.4, 3.2)
-FEWEST = 20  # values that are worth a plot of quantiles
-DRAWN = 300  # points in the middle; the ends are all drawn
-ENDS = 25
-BAND = 0.95
+FEWEST = 20  # values from which quantiles are worth a plot
+DRAWN = 300  # points drawn in the middle; those at the ends are all drawn
+ENDS = 25  # points at either end
+BAND = 0.95  # probability of the grey band
 OTF = (
     "Modulus of the OTF along x (solid) and y (dashed), pixels included; 1 at zero frequency. Nothing can be "
     "transferred beyond D/λ, the dotted line."
@@ -121,7 +121,7 @@ def star_profile(
     model_e: np.ndarray,
     pixel_scale_mas: float | None,
 ) -> Markup:
-    """Draw radial means about the centroid of a star's `model_e`, (rows, columns); radii in px without a scale.
+    """Draw radial means about the centroid of a star's `model_e`, (rows, columns); radii in px if no scale.
 
     `images` are by label: image (rows, columns) [e-], NaN where it is not used, colour and line style.
     """

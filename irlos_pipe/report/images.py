@@ -26,18 +26,18 @@ PANEL_IN = (3.7, 2.85)
 # Where the image and its colour bar stand in a panel: left, bottom, width, height [inch].
 IMAGE_BOX_IN = (0.65, 0.45, 2.3, 2.3)
 BAR_BOX_IN = (3.03, 0.45, 0.1, 2.3)
-SIGMA_LIMIT = 5.0
-DECADES = 4.0
+SIGMA_LIMIT = 5.0  # least end of the scale of residuals in σ
+DECADES = 4.0  # below the maximum that a logarithmic scale shows
 # The asinh scale turns linear below this part of the peak.
 LINEAR_PART = 3e-3
-MANY_DIGITS = 1e4  # from which numbers are written as 12k
-TICK_ROOM = 0.07  # part of a colour bar, that a label needs
+MANY_DIGITS = 1e4  # number from which ticks are written as 12k or with a power of ten
+TICK_ROOM = 0.07  # part of a colour bar that a label needs
 PERCENTILE = 99.8  # of residuals, for the end of their scale: single pixels would swallow it
 LINEAR_SIGMA = 2.0  # within which an asinh scale of residuals is linear: what is noise
 CELL_IN, LARGE_CELL_IN = 1.05, 1.9
 PAGE_IN = 10.0
 LABEL_IN, TITLE_IN, BAR_IN = 0.3, 0.45, 0.75
-MAP_PERCENTILE = 99.5  # the very edge of the pupil would swallow the scale
+MAP_PERCENTILE = 99.5  # end of the scale: the very edge of the pupil would swallow it
 
 
 class Ring(NamedTuple):
@@ -150,10 +150,12 @@ def asinh_ticks(scale: AsinhNorm) -> list[float]:
     low, high, width = scale.vmin or 0.0, scale.vmax or 1.0, scale.linear_width
     last = math.floor(math.log10(max(abs(low), abs(high))))
     powers = [sign * 10.0**power for power in range(last, last - 9, -1) for sign in (1, -1)]
-    wanted = np.array([0.0, *powers, *(3 * power for power in powers)])
-    wanted = wanted[(low <= wanted) & (wanted <= high) & ((abs(wanted) > width / 10) | (wanted == 0))]
+    candidates = np.array([0.0, *powers, *(3 * power for power in powers)])
+    candidates = candidates[
+        (low <= candidates) & (candidates <= high) & ((abs(candidates) > width / 10) | (candidates == 0))
+    ]
     found: dict[float, float] = {}
-    for tick, place in zip(wanted.tolist(), np.asarray(scale(wanted)).tolist(), strict=True):
+    for tick, place in zip(candidates.tolist(), np.asarray(scale(candidates)).tolist(), strict=True):
         if all(abs(place - other) > TICK_ROOM for other in found.values()):
             found[tick] = place
     return sorted(found)

@@ -99,8 +99,8 @@ class StageData(Generic[Results]):
     def recordings(self) -> list[Overview]:
         """Recordings of the recipe input that the stage works on."""
         product = self.run.products.get(self.stage)
-        wanted = product.config.get("input") if product else None
-        return [recording for recording in self.run.recordings if recording.input == wanted]
+        requested = product.config.get("input") if product else None
+        return [recording for recording in self.run.recordings if recording.input == requested]
 
     @property
     def pixel_scale_mas(self) -> float | None:

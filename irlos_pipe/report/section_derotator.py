@@ -14,7 +14,7 @@ from irlos_pipe.report.text import number, plural, with_error
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.derotator import DerotatorResults
 
-FEW_COLUMNS = 3
+FEW_COLUMNS = 3  # angles up to which a figure is narrow
 ROWS = {
     "measured_nm": ("as measured", "As measured: on the detector"),
     "turned_back_nm": (
@@ -61,9 +61,9 @@ def _maps(of: Series) -> list[Figure]:
     calibrate = of.run.of(CalibrateResults)
     names = [f"cubes/{cube.name}/mean_image_e" for cube in of.results.cubes]
     images = [calibrate[name] for name in names if name in calibrate.arrays]
-    alike = len({image.shape for image in images}) == 1 and len(images) == len(names)
+    stackable = len({image.shape for image in images}) == 1 and len(images) == len(names)
     title = "Wavefront at every angle"
-    return maps_figure(of.run, of.stage, title, np.stack(images) if alike else None)
+    return maps_figure(of.run, of.stage, title, np.stack(images) if stackable else None)
 
 
 def maps_figure(
