@@ -36,7 +36,6 @@ def or_files(propose: Completion) -> Completion:
 
 @_proposed
 def recipes(context: click.Context) -> Iterable[str]:
-    """Names of the recipes."""
     from irlos_pipe.files.shipped import RECIPES, shipped_names
 
     return shipped_names(RECIPES)

@@ -128,7 +128,6 @@ class FocusOptions:
             raise click.UsageError("give one of --ring, --folder, --zeromq and --replay")
 
     def say(self, text: str) -> None:
-        """Print a `text` for people."""
         if not self.quiet:
             click.echo(text)
 

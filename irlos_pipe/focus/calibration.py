@@ -61,7 +61,6 @@ class Calibration:
 
     @property
     def window(self) -> tuple[int, int]:
-        """Rows and columns of the frames."""
         return self.sensor.window
 
 

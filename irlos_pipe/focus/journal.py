@@ -219,7 +219,6 @@ class _Database:
         self._problem = problem
 
     def release(self) -> None:
-        """Let go of the tables."""
         connection, self._connection = self._connection, None
         if connection is not None:
             with suppress(sqlite3.Error):

@@ -74,7 +74,6 @@ class Mailbox:
         return None
 
     def close(self) -> None:
-        """Close the file."""
         os.close(self._descriptor)
 
     def _write(self, command: Command) -> None:

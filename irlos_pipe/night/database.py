@@ -159,7 +159,7 @@ class Database:
     def store_run(self, head: tuple, measured: Measurements) -> None:
         """Store what was `measured` in a run, and remove the numbers of its earlier products.
 
-        The `head` are its columns of the table `runs` up to the target; the measurements are the others, and
+        The `head` has its columns of the table `runs` up to the target, the measurements have the others, and
         the rows of `numbers` and `checks`.
         """
         run = head[0]

@@ -23,10 +23,10 @@ from irlos_pipe.stages.lift.results import LiftResults
 class Measurements:
     """What a run measured."""
 
-    status: str  # status of the run, as in results.json
+    status: str  # as in results.json
     # Value and standard error (None where there is none) by name; the name ends in the unit.
     numbers: dict[str, tuple[float, float | None]]
-    # verdict, effects: verdict of `diagnose` and the effects it found; None and empty without that stage.
+    # Verdict of `diagnose` and the effects it found; None and empty without that stage.
     verdict: str | None
     effects: list[str]
     model: str  # versions of the software and of the stages

@@ -59,9 +59,9 @@ def run_night(request: Request, runner: Runner) -> RunState:
     The `runner` says where tasks are worked on, see `engines`. Ramps come last, when it is known which
     calibrations can serve them.
 
-    Raises `NothingToDo` when there is no recording, or no recipe for any; the page of the night says so;
-    `Locked` when another run owns the tree; `IrlosError` when the whole run cannot go on; the pages say what
-    stopped it, finished products stay.
+    Raises `NothingToDo` when there is no recording, or no recipe for any, which the page of the night says;
+    `Locked` when another run owns the tree; `IrlosError` when the whole run cannot go on, where the pages say
+    what stopped it and finished products stay.
     """
     _require_usable(request)
     with owned_folder(request.tree), written_to(request.tree / LOG_NAME):

@@ -73,7 +73,6 @@ def write_report(run_folder: Path) -> Path:
 
 
 def report_sections(run: RunData) -> list[Section]:
-    """Return all sections of the report of a run."""
     sections = (*stage_sections(run).values(), quality_section(run), origin_section(run))
     return [section for section in sections if section]
 

@@ -39,7 +39,6 @@ class Chapter:
 
     @property
     def time(self) -> str:
-        """Return the wall time as text."""
         return duration(self.seconds)
 
 

@@ -94,7 +94,7 @@ def kept_by(keep: Keep) -> Iterator[None]:
 
 
 def svg(name: str, size_in: tuple[float, float], draw: Callable[[Canvas], None]) -> Markup:
-    """Return a figure that `draw` fills as SVG to stand inside a page, where its `name` is unique."""
+    """Return a figure that `draw` fills as SVG inside a page, where identifiers begin with its `name`."""
     with own_style():
         figure = Canvas(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
         draw(figure)

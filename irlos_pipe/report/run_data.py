@@ -97,7 +97,6 @@ class StageData(Generic[Results]):
 
     @property
     def recordings(self) -> list[Overview]:
-        """Recordings of the recipe input that the stage works on."""
         product = self.run.products.get(self.stage)
         requested = product.config.get("input") if product else None
         return [recording for recording in self.run.recordings if recording.input == requested]

@@ -65,7 +65,6 @@ Correction = StageData[CorrectResults]
 
 
 def calibrate_section(run: RunData) -> Section:
-    """Build the section on the calibration."""
     of = run.of(CalibrateResults)
     blocks = of.blocks(
         _images,
@@ -304,7 +303,6 @@ def _methods(results: CalibrateResults) -> Table | None:
 
 
 def correct_section(run: RunData) -> Section:
-    """Build the section on the correction."""
     of = run.of(CorrectResults)
     results, files = of.results, ", ".join(provenance_of(run.products[of.stage]).files)
     lead = (

@@ -32,7 +32,6 @@ Series = StageData[DerotatorResults]
 
 
 def derotator_section(run: RunData) -> Section:
-    """Build the section."""
     of = run.of(DerotatorResults)
     if not of.results.parts:
         blocks = of.blocks(_maps, lambda of: Stack([_angles(of)]))

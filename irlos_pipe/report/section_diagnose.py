@@ -116,7 +116,6 @@ ADDED_PERCENTILE, NOTHING = 99.0, 1e-9  # end of the scale of what is added; siz
 
 
 def diagnose_section(run: RunData) -> Section:
-    """Build the section."""
     of = run.of(DiagnoseResults)
     results = of.results
     ramp, gap = of.blocks(_ramp), of.blocks(_gap_figure)

@@ -54,7 +54,6 @@ Prior = StageData[PriorResults]
 
 
 def lift_section(run: RunData) -> Section:
-    """Build the section on LIFT."""
     of = run.of(LiftResults)
     results, own = of.results, own_text(of.results.effects)
     ncpas = "in the known wavefront" if results.calibrated else "left out"
@@ -231,7 +230,6 @@ def _relative_residual(measured: np.ndarray, model: np.ndarray) -> np.ndarray:
 
 
 def prior_section(run: RunData) -> Section:
-    """Build the section on the elongation prior."""
     of = run.of(PriorResults)
     results, (low, high) = of.results, of.results.valid_nm
     scatter = number(results.law_residual_nm, ".0f", "nm")

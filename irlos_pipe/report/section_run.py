@@ -35,7 +35,6 @@ FOLDED_ABOVE = 10
 
 
 def ingest_section(run: RunData) -> Section:
-    """Build the section on the recordings."""
     rows = run.results(IngestResults).inputs
     pictures = {
         (one.input, one.name): thumbnail(np.where(one.good, one.mean_e, np.nan), one.name)

@@ -28,7 +28,6 @@ Sensitivity = StageData[SensitivityResults]
 
 
 def sensitivity_section(run: RunData) -> Section:
-    """Build the section."""
     of = run.of(SensitivityResults)
     trials = [row.trials for row in of.results.curves if row.trials is not None]
     lead = (
