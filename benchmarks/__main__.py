@@ -37,26 +37,15 @@ THREAD_VARIABLES = (
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the table.
+    """One line of the table."""
 
-    Attributes
-    ----------
-    case : str
-        A function of `cases`.
-    frames, quick_frames : int
-        Frames that are really worked on, by default and with ``--quick``.
-    threads : int
-        Workers of irlos_pipe.
-    gpu : bool
-        Run only where PyTorch finds a CUDA device.
-    """
-
-    case: str
+    case: str  # a function of `cases`
     label: str
+    # frames, quick_frames: frames that are really worked on, by default and with ``--quick``.
     frames: int
     quick_frames: int
-    threads: int = 1
-    gpu: bool = False
+    threads: int = 1  # workers of irlos_pipe
+    gpu: bool = False  # run only where PyTorch finds a CUDA device
 
 
 GROUPS: dict[str, tuple[Entry, ...]] = {

@@ -23,13 +23,7 @@ WINDOW, RELATIVE_FALL = 10, 1e-3  # stop when the loss falls by less than this o
 
 
 class FftModel:
-    """Images by zero-padded FFT, differentiable by autograd.
-
-    Parameters
-    ----------
-    diversity_nm : dict of int to float
-        Noll index to nm RMS.
-    """
+    """Images by zero-padded FFT, differentiable by autograd; the diversity is by Noll index [nm RMS]."""
 
     def __init__(
         self,
@@ -65,14 +59,7 @@ class FftModel:
 
 
 def fit(model: FftModel, images_e: torch.Tensor) -> tuple[np.ndarray, int]:
-    """Coefficients, flux and background of every frame.
-
-    Returns
-    -------
-    coefficients_nm : ndarray, (frames, modes)
-    evaluations : int
-        Of the loss and its gradient.
-    """
+    """Coefficients of every frame, (frames, modes) [nm RMS], and evaluations of the loss and its gradient."""
     flux_e = images_e.sum((1, 2), keepdim=True)
     modes = len(model.basis)
     values = torch.zeros(len(images_e), modes + 2, requires_grad=True)

@@ -14,18 +14,14 @@ from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
 
 PUPIL_SAMPLES = 127
-MAX_ITERATIONS, RELATIVE_FALL = 20, 1e-4  # stop when χ² falls by less than this
+MAX_ITERATIONS, RELATIVE_FALL = 20, 1e-4  # stop when χ² falls by less than this part
 NM = 1e-9
 
 
 class NumpyLift:
     """Fits one frame after the other; pupil and modes are computed once.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-        Spectrum, plate scale, square window and known wavefront.
-    nolls : sequence of int
+    The `settings` have spectrum, plate scale, square window and known wavefront.
     """
 
     def __init__(self, settings: PsfSettings, nolls, read_noise_e: float):

@@ -26,13 +26,8 @@ NM = 1e-9
 class SolvephaseFit:
     """Fits one frame after the other; the model is built once.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-        Spectrum, plate scale and known wavefront.
-    modes : int
-        Noll 2 to ``modes + 1`` are fitted, with flux and background.
-    loss : {"gaussian", "poisson"}
+    The `settings` have spectrum, plate scale and known wavefront; fitted are Noll 2 to ``modes + 1``, flux
+    and background; the `loss` is ``gaussian`` or ``poisson``.
     """
 
     def __init__(self, settings: PsfSettings, modes: int, read_noise_e: float, loss: str):

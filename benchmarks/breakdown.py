@@ -29,20 +29,13 @@ COMPLEX_PRODUCTS, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
     "elementwise and copies",
 )
 PYTHON = "set-up of the model, Python, dispatch"
-FLOPS = {COMPLEX_PRODUCTS: 8.0, REAL_PRODUCTS: 2.0}  # per product of two elements and its sum
-RATE_SIZE, RATE_REPEATS = 1024, 10
+FLOPS = {COMPLEX_PRODUCTS: 8.0, REAL_PRODUCTS: 2.0}  # operations per product of two elements and its sum
+RATE_SIZE, RATE_REPEATS = 1024, 10  # size of the product that measures the processor's rate, and repetitions
 RAMP_FRAMES = 42
 
 
 class OperatorTimes(TorchDispatchMode):
-    """Time of every dispatched operator, by group.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-    flops : float
-        Floating-point operations of all products of single-precision matrices.
-    """
+    """Time of every dispatched operator, by group; `flops` of all products of single-precision matrices."""
 
     def __init__(self):
         super().__init__()

@@ -153,7 +153,7 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
 # noise of its own. Errors are those of the defocus against what was introduced.
 
 REALISATIONS, FACTOR, DIMMED_SEED = 10, 0.5, 5
-REPEATS = 5  # of fits that take less than a second; the median counts
+REPEATS = 5  # repetitions of fits that take less than a second; the median counts
 FEW = 3  # frames with which libraries start up before the clock does
 TWO_WAVELENGTHS = ((1215.0, 0.5), (1625.0, 0.5))
 
@@ -209,13 +209,7 @@ class DimmedRamp:
 
 
 def prepared_lift(inputs: Inputs, count: int, with_halo: bool) -> Callable[[], dict[int, float]]:
-    """This project's LIFT of so many images in one batch.
-
-    Returns
-    -------
-    callable
-        Fits, and returns the error of the defocus of every image [nm].
-    """
+    """LIFT of so many images in one batch by this project; returns the error of each one's defocus [nm]."""
     dimmed = DimmedRamp(inputs)
     data, effects = dimmed.first(count), dimmed.halo if with_halo else []
 
@@ -399,7 +393,7 @@ def stream_10000(inputs: Inputs, count: int) -> dict:
 
 
 def write_cube(path: Path, images_e: np.ndarray, count: int) -> None:
-    """Repeat drawn frames with further read noise as counts of a plain FITS cube, its side-car beside it."""
+    """Repeat drawn frames with further read noise as counts of a plain FITS cube, its side-car next to it."""
     rng = np.random.default_rng(SEED)
     adu = np.empty((count, *images_e.shape[1:]), np.uint16)
     for number in range(count):

@@ -1,4 +1,4 @@
-"""Whether an export of `Focus.measure` would be faster: it beside its arithmetic in operators of PyTorch.
+"""Whether an export of `Focus.measure` would be faster: it next to its arithmetic in operators of PyTorch.
 
 What is exported does less, and so has the better of it: it fits the highest maximum of the scan only, by a
 fixed number of evaluations without a test of convergence or shorter steps, in single precision throughout,

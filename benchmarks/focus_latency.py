@@ -29,7 +29,7 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 WINDOW = (WINDOW_PX, WINDOW_PX)
 NOISE = NoiseModel(1.0, 1.0)
 FLUX_E, SPREAD_NM, IMAGES = 1e5, 100.0, 256
-BLOCK, LIFT_SHARE = 500, 10  # calls of the sensor, and of LIFT, in turn
+BLOCK, LIFT_SHARE = 500, 10  # calls of the sensor and of LIFT, which take turns
 EDGES_MS = (0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, np.inf)
 
 

@@ -44,34 +44,19 @@ class Case(Protocol):
 
 @dataclass(frozen=True)
 class Suite:
-    """What is done with the cases; worker processes import its functions by name.
+    """What is done with the cases; worker processes import its functions by name."""
 
-    Attributes
-    ----------
-    outcome : callable
-        What comes of a case, in JSON types, by the case and the folder of the suite.
-    key : callable
-        What an outcome says of its case.
-    report : callable
-        Tables as text, by the outcomes, what stopped the other cases, by name, and the folder.
-    page, mark : str
-        Page of the documentation, and the mark there; none where tables are not put into one.
-    inside : str
-        Folder of the outcomes within that of the suite.
-    slim : callable
-        What of an outcome is kept with the project.
-    present : callable
-        An outcome of an earlier version as it is written now.
-    """
-
+    # What comes of a case, in JSON types, by the case and the folder of the suite.
     outcome: Callable[[Any, Path], Outcome]
-    key: Callable[[Outcome], tuple]
+    key: Callable[[Outcome], tuple]  # what an outcome says of its case
+    # Tables as text, by the outcomes, what stopped the other cases, by name, and the folder.
     report: Callable[[Sequence[Outcome], Mapping[str, str], Path], str]
+    # page, mark: page of the documentation, and the mark there; none where tables are not put into one.
     page: str = ""
     mark: str = ""
-    inside: str = ""
-    slim: Callable[[Outcome], Outcome] = dict
-    present: Callable[[Outcome], Outcome] = dict
+    inside: str = ""  # folder of the outcomes within that of the suite
+    slim: Callable[[Outcome], Outcome] = dict  # what of an outcome is kept with the project
+    present: Callable[[Outcome], Outcome] = dict  # an outcome of an earlier version as it is written now
 
     def path(self, case: Case, output: Path) -> Path:
         """Return the file of an outcome; there when the case is finished."""
@@ -206,7 +191,7 @@ def lay_out(suite: Suite, file: Path, cases: Iterable[Case], output: Path) -> No
 
 
 def keep(suite: Suite, file: Path, outcomes: Iterable[Outcome]) -> None:
-    """Write `outcomes` into a `file` beside those that it has, numbers rounded to six digits."""
+    """Write `outcomes` into a `file` jointly with those that it has, numbers rounded to six digits."""
     every = {suite.key(one): suite.slim(one) for one in (*read_lines(file), *outcomes)}
     lines = (
         json.dumps(_rounded(every[key]), allow_nan=False, ensure_ascii=False) + "\n" for key in sorted(every)
@@ -233,13 +218,7 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[Any]], sides: str = ""
 
 
 def put(page: Path, parts: Mapping[str, str]) -> None:
-    """Write every text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page.
-
-    Raises
-    ------
-    SystemExit
-        When the page has no such marks.
-    """
+    """Write every text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page; exit without them."""
     text = page.read_text(encoding="utf-8")
     for name, content in parts.items():
         begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"

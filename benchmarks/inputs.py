@@ -38,7 +38,7 @@ RECIPES = SAMPLES.parent / "recipes"
 WAVELENGTH_NM = 1600.0
 WINDOW_PX, PIXEL_SCALE_MAS = 64, 9.7
 READ_NOISE_E = 1.0
-SUBEXPOSURES = 5  # of the AO residual and the image motion within a frame
+SUBEXPOSURES = 5  # samples of the AO residual and the image motion within a frame
 NOLLS = tuple(range(2, 31))
 DIVERSITY_NM = {6: -170.0}
 SEED = 17
@@ -46,17 +46,10 @@ SEED = 17
 
 @dataclass(frozen=True)
 class BenchFrames:
-    """Frames and what an estimate is compared with.
+    """Frames and what an estimate is compared with."""
 
-    Attributes
-    ----------
-    images_e : ndarray, (frames, rows, columns), float32
-        Photo-electrons, background subtracted.
-    truth_nm : ndarray, (frames, modes)
-        Least-squares coefficients of `NOLLS` of the wavefront averaged over each frame [nm RMS].
-    """
-
-    images_e: np.ndarray
+    images_e: np.ndarray  # (frames, rows, columns), float32: photo-electrons, background subtracted
+    # (frames, modes), nm RMS: least-squares `NOLLS` of the wavefront averaged over each frame.
     truth_nm: np.ndarray
 
     def error_nm(self, estimates_nm: np.ndarray) -> float:
@@ -68,10 +61,7 @@ class BenchFrames:
 def draw(count: int, progress=iter) -> BenchFrames:
     """Draw frames of 0.1 s under the conditions of ``data_samples/calibration-sky``, at one wavelength.
 
-    Parameters
-    ----------
-    progress : callable
-        Wraps the iterable of frame numbers, for a progress bar.
+    `progress` wraps the iterable of frame numbers, for a progress bar.
     """
     simulator = _Simulator(count)
     drawn = [simulator.frame() for _ in progress(range(count))]
@@ -146,18 +136,10 @@ def prepare(folder: Path, frames: int, progress) -> None:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Prepared inputs of the cases.
+    """Prepared inputs of the cases."""
 
-    Attributes
-    ----------
-    folder : Path
-        Where `prepare` left them.
-    device : str
-        Where this project's code computes.
-    """
-
-    folder: Path
-    device: str = "cpu"
+    folder: Path  # where `prepare` left them
+    device: str = "cpu"  # where this project's code computes
 
     @cached_property
     def frames(self) -> BenchFrames:

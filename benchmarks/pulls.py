@@ -32,7 +32,7 @@ SHAPES: tuple[Shape, ...] = get_args(Shape)
 MAG_J, RAMP_MAG_J = 7.0, 12.0
 OFFSETS_NM, FRAMES_PER_OFFSET = (-200.0, -100.0, 0.0, 100.0, 200.0), 3
 NOLLS = range(4, HIGHEST_REPORTED_NOLL + 1)  # tip and tilt are the star's place, not an aberration
-DRAWS, BOOTSTRAP_SEED = 2000, 1
+DRAWS, BOOTSTRAP_SEED = 2000, 1  # resamples of the pulls for confidence intervals
 HEAD = (
     "cubes",
     "",
@@ -83,7 +83,7 @@ class Case:
 
 
 def outcome_of(case: Case, *_) -> Outcome:
-    """Simulate and estimate a `case`; return errors beside what was quoted."""
+    """Simulate and estimate a `case`; return errors next to the quoted ones."""
     cube = ObservedCube.of(case.scene())
     calibration = cube.calibrated(VARIANTS[DEFAULT])
     return {

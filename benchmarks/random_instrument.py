@@ -45,11 +45,11 @@ MAG_J = 7.0
 POINTS_PER_BAND = 5  # wavelengths of the simulation; the side-car states three
 SCENE, INSTRUMENT = range(2)  # streams of random numbers of a case
 DIVERSITY_NM = 10.0
-FILTER_NM, FILTER_NOLLS = 30.0, range(4, 16)  # RMS of all modes together
+FILTER_NM, FILTER_NOLLS = 30.0, range(4, 16)  # RMS of all modes of a filter together
 STARS_K = (3000.0, 10_000.0)
-PLANCK_UM_K = 14_387.77  # hc/k
+PLANCK_UM_K = 14_387.77  # hc/k of Planck's law
 HIGHEST_TRUE_NOLL = 200  # fitted to true wavefronts: with fewer modes what lies beyond falls on the last ones
-BAD_NM, BAD_PULL = 12.0, 3.0  # an error, and an RMS pull, above which nobody should use a calibration
+BAD_NM, BAD_PULL = 12.0, 3.0  # error, and RMS pull, above which a calibration should not be used
 SHAPES = tuple(noll for noll in REPORTED_NOLLS if noll not in TIP_TILT)
 CONFIDENCE, RESAMPLES, BOOTSTRAP_SEED = 0.95, 2000, 1
 
@@ -59,21 +59,13 @@ CONFIDENCE, RESAMPLES, BOOTSTRAP_SEED = 0.95, 2000, 1
 
 @dataclass(frozen=True)
 class Case:
-    """One cube; what is drawn follows from `seed` and `index`.
-
-    Attributes
-    ----------
-    diagnosed : bool
-        Whether it is calibrated again with what `diagnose` finds.
-    without : str
-        Name of the error that the instrument does not have; empty: it has all.
-    """
+    """One cube; what is drawn follows from `seed` and `index`."""
 
     seed: int
     index: int
     frames: int
-    diagnosed: bool = False
-    without: str = ""
+    diagnosed: bool = False  # whether it is calibrated again with what `diagnose` finds
+    without: str = ""  # name of the error that the instrument does not have; empty: it has all
     window: int = 64
 
     @property
@@ -277,14 +269,11 @@ def slim(outcome: Outcome) -> Outcome:
 def judged(outcome: Outcome, which: str) -> dict[str, Any]:
     """Judge the calibration `which` of an `outcome`, ``plain`` or ``diagnosed``.
 
-    Returns
-    -------
-    dict
-        ``error_nm`` is the RMS of Noll 2–30 against the mean wavefront of the frames, which is all that the
-        images have beyond the declared diversity; ``shape_nm`` that of Noll 4–30, without the star's place;
-        ``strict_nm`` has the error of the diversity in it; ``defocus_nm`` is that of Noll 4. ``pull`` is the
-        RMS of the errors of Noll 4–30 against the static wavefront over the quoted ones. ``bad``: nobody
-        should use the result; ``red``: the run said so.
+    ``error_nm`` is the RMS of Noll 2–30 against the mean wavefront of the frames, which is all that the
+    images have beyond the declared diversity; ``shape_nm`` that of Noll 4–30, without the star's place;
+    ``strict_nm`` has the error of the diversity in it; ``defocus_nm`` is that of Noll 4. ``pull`` is the RMS
+    of the errors of Noll 4–30 against the static wavefront over the quoted ones. ``bad``: the result should
+    not be used; ``red``: the run said so.
     """
     found, truth = outcome[which], outcome["truth"]
     error_nm, static_error_nm = (

@@ -49,13 +49,13 @@ DETECTORS = {
     OLD: {"e_per_adu": 3.0, "read_noise_e": 11.0, "excess_noise_factor": 1.25},
     NEW: {"e_per_adu": 9.8 / 68, "read_noise_e": 1.0, "excess_noise_factor": 1.25},
 }
-WANTED_NM, OF_BOUND = 10.0, 1.2
+REQUIRED_NM, OF_BOUND = 10.0, 1.2  # required error, or times the Cramér–Rao bound if that is larger
 TTF = (2, 3, 4)
 BANDS = (Band.of(J, 0.5), Band.of(H, 0.5))
 EXCESS, READ_NOISE_E, READ_S = 1.25, 1.0, 0.005
 TRUE_NM, DIVERSITY_NM = 60.0, {6: -170.0}
-RANGE_NM = 900.0  # of defocus, beyond which a frame is lost, as for the loop
-BELIEVED_POINTS = 3  # per band; the simulator has more
+RANGE_NM = 900.0  # defocus beyond which a frame is lost, as for the loop
+BELIEVED_POINTS = 3  # wavelengths per band in the model; the simulator has more
 
 
 def archive_spec(files: int, seed: int) -> dict:
@@ -129,7 +129,7 @@ def _measured(folder: Path, name: str, keys: Any) -> dict[str, Any]:
 
 
 def archive_table(found: Sequence[dict[str, Any]]) -> str:
-    """Return the archive in Markdown; wanted are 10 nm, or 1.2 times the Cramér–Rao bound if larger."""
+    """Return the archive in Markdown; required are 10 nm, or 1.2 times the Cramér–Rao bound if larger."""
     head = [
         "file",
         "mode",
@@ -158,7 +158,7 @@ def archive_table(found: Sequence[dict[str, Any]]) -> str:
                 f"{one['truth_nm']:+.1f}",
                 f"{one['defocus_nm']:+.1f} ± {one['sigma_nm']:.1f}",
                 f"{one['defocus_nm'] - one['truth_nm']:+.1f}",
-                f"{max(WANTED_NM, OF_BOUND * one['bound_nm']):.1f}",
+                f"{max(REQUIRED_NM, OF_BOUND * one['bound_nm']):.1f}",
                 f"{one['bound_nm']:.1f}",
                 f"{one['centroids_nm'] - one['truth_nm']:+.1f}",
             ]

@@ -12,14 +12,14 @@ import numpy as np
 
 from benchmarks.diagnose_suite.foreign import FOREIGN
 
-RAMP_FRAMES = 8  # at every offset
-EXPOSURE_S = 0.1  # of a frame; on sky ten screens long
+RAMP_FRAMES = 8  # frames at every offset
+EXPOSURE_S = 0.1  # exposure of a frame; on sky ten screens long
 # Up and down between each other, so that every direction of travel meets every part of the ramp.
 OFFSETS_NM = (-300, -200, -100, 0, 100, 200, 300, 250, 150, 50, -50, -150, -250)
 BENCH, SKY = "bench", "sky"
 NARROW, BROAD = "narrow_h", "j_h"
 DIVERSITY_NM = {6: -170.0}
-SEEING_ARCSEC, NCPA_NM, MOTION_MAS = (0.4, 0.8), (80.0, 160.0), (5.0, 9.0)  # drawn between
+SEEING_ARCSEC, NCPA_NM, MOTION_MAS = (0.4, 0.8), (80.0, 160.0), (5.0, 9.0)  # ranges from which they are drawn
 WAVELENGTHS_PER_BAND = 11
 SKY_PUPIL_SAMPLES = 96  # 4.5 times what the window needs at the shortest wavelength
 
@@ -192,29 +192,15 @@ IN_SKY_MODEL = ("seeing_halo", "tip_tilt_jitter")
 
 @dataclass(frozen=True)
 class Case:
-    """One recording, or one ramp with its calibration.
-
-    Attributes
-    ----------
-    effects : tuple of str
-        Hidden effects: of the catalogue, or one that it does not have.
-    level : str
-        Of all hidden effects; empty without.
-    number : int
-        Distinguishes draws of the same case.
-    dirty : bool
-        Whether everything has a mild error beside what is hidden.
-    suite_seed : int
-        Of all draws; the same case with another seed is another recording.
-    """
+    """One recording, or one ramp with its calibration."""
 
     kind: str
     setting: Setting
-    effects: tuple[str, ...] = ()
-    level: str = ""
-    number: int = 0
-    dirty: bool = False
-    suite_seed: int = 0
+    effects: tuple[str, ...] = ()  # hidden effects: of the catalogue, or one that it does not have
+    level: str = ""  # level of all hidden effects; empty without
+    number: int = 0  # distinguishes draws of the same case
+    dirty: bool = False  # whether everything has a mild error besides what is hidden
+    suite_seed: int = 0  # seed of all draws; the same case with another seed is another recording
 
     @property
     def name(self) -> str:
@@ -256,12 +242,8 @@ class Case:
 def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
     """Every case: those of one kind together, settings in turn.
 
-    Parameters
-    ----------
-    suite_seed : int
-    dirty : bool
-        All cases with mild errors, after the clean recordings without any, whose smallest detectable sizes
-        show what these errors cost.
+    `dirty` are all cases with mild errors, after the clean recordings without any, whose smallest detectable
+    sizes show what these errors cost.
     """
     seeded = [replace(case, suite_seed=suite_seed) for case in _cases()]
     if not dirty:
@@ -271,16 +253,10 @@ def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
 
 
 def in_one_setting(cases: Sequence[Case]) -> list[Case]:
-    """Every case in one of its settings, which take turns.
-
-    Parameters
-    ----------
-    cases : sequence of Case
-        As `all_cases` has them: settings of one case together.
-    """
+    """Every case in one of its settings, which take turns; `cases` in the order of `all_cases`."""
     groups = groupby(cases, lambda one: (one.dirty, one.kind, one.effects, one.level, one.number))
-    alike = [list(group) for _, group in groups]
-    return [some[number % len(some)] for number, some in enumerate(alike)]
+    equal = [list(group) for _, group in groups]
+    return [some[number % len(some)] for number, some in enumerate(equal)]
 
 
 def _cases() -> Iterator[Case]:

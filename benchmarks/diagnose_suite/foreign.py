@@ -18,19 +18,11 @@ Image = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Foreign:
-    """One such effect: its drawn numbers, and what it does.
-
-    Attributes
-    ----------
-    image : callable
-        Mean photo-electrons (rows, columns) with the effect, from those without.
-    patches : tuple of Vane
-        Opaque rectangles added to the pupil.
-    """
+    """One such effect: its drawn numbers, and what it does."""
 
     truth: Mapping[str, Any] = field(default_factory=dict)
-    image: Image = np.asarray
-    patches: tuple[Vane, ...] = ()
+    image: Image = np.asarray  # mean photo-electrons (rows, columns) with the effect, from those without
+    patches: tuple[Vane, ...] = ()  # opaque rectangles added to the pupil
 
 
 def scratch(rng: np.random.Generator) -> Foreign:

@@ -1,4 +1,4 @@
-"""What is hidden: effects of the catalogue, drawn at a size; and mild errors of everything beside them."""
+"""What is hidden: effects of the catalogue, drawn at a size; and mild errors of everything else."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from irlos_pipe.simulate.effects.sky import JITTER_CORRELATION_S
 from irlos_pipe.simulate.light import mean_centre_nm
 from irlos_pipe.simulate.recordings.spec import BANDS
 
-SPREAD = 0.25  # of the drawn size about its level, natural logarithm
-LINES_HZ = (24.2, 45.5, 48.3, 72.5)  # of UT4 above 20 Hz
+SPREAD = 0.25  # largest deviation of a drawn size from its level, natural logarithm
+LINES_HZ = (24.2, 45.5, 48.3, 72.5)  # vibrations of UT4 above 20 Hz
 PIXEL_SCALE_MAS = 9.7
 # Parameters that say how large an effect is, where its others do not: places, directions, frequencies.
 SIZED_BY = {
@@ -37,19 +37,11 @@ Parameters = dict[str, Any]
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect as it is in a recording.
-
-    Attributes
-    ----------
-    parameters : mapping
-        Of the simulator.
-    truth : mapping
-        Under the public names of the catalogue, those that say how large it is.
-    """
+    """One effect as it is in a recording."""
 
     effect: str
-    parameters: Mapping[str, Any]
-    truth: Mapping[str, Any]
+    parameters: Mapping[str, Any]  # parameters of the simulator
+    truth: Mapping[str, Any]  # under the public names of the catalogue, those that say how large it is
 
     @property
     def known(self) -> dict[str, Any]:
@@ -144,7 +136,7 @@ def _low_wind(rng: Rng, size: float, setting: Setting) -> Parameters:
 
 
 def _ghost(rng: Rng, size: float, setting: Setting) -> Parameters:
-    """Out of focus by as much as tells it from a companion."""
+    """Out of focus by as much as distinguishes it from a companion."""
     defocus_nm = float(rng.uniform(50, 200)) * _sign(rng)
     return {"flux_ratio": size, **second_image_place(rng, setting), "defocus_nm": defocus_nm}
 
@@ -204,14 +196,14 @@ DRAWS: dict[str, Callable[[Rng, float, Setting], Parameters]] = {
 # The instrument as it is, of which the diagnosis is given the nominal one. Every recording has errors of
 # these sizes; signs, directions, places and patterns are random.
 
-OBSCURATION = 0.10  # of its diameter
+OBSCURATION = 0.10  # relative error of the diameter
 VANES_DEG = 3.0
 STOP_M = 0.05
-PLATE_SCALE = 0.005
-BAND_NM = 5.0
+PLATE_SCALE = 0.005  # relative
+BAND_NM = 5.0  # error of the wavelengths
 TAIL_NM, TAIL_NOLLS = 2.0, (52, 200)
-FLAT = 0.005  # RMS
-GHOST = 0.003  # of the star's light
+FLAT = 0.005  # RMS error of the flat
+GHOST = 0.003  # part of the star's light
 GHOST_DEFOCUS_NM = 100.0
 # Of the AO residual, inside the correction band; the model expects a power law of free slope, and the
 # simulator's default is a slope of 2.
@@ -221,23 +213,17 @@ LAWS: tuple[Mapping[str, Any], ...] = (
     {"shape": "servo_lag"},
     {"shape": "aliasing"},
 )
-OUTER_SCALES = (0.5, 2.0)  # of the profile's
-ALIKE_IN_NARROW_BAND = frozenset({"plate_scale", "spectrum"})  # both only scale the image
+OUTER_SCALES = (0.5, 2.0)  # range, in units of the profile's
+DEGENERATE_IN_NARROW_BAND = frozenset({"plate_scale", "spectrum"})  # both only scale the image
 
 
 @dataclass(frozen=True)
 class Mild:
-    """The mild errors of one case; without arguments there are none.
+    """The mild errors of one case; without arguments there are none."""
 
-    Attributes
-    ----------
-    sections : mapping
-        Keys of a simulation spec, by section.
-    effects : mapping
-        Effects of the catalogue in every recording, with the simulator's parameters.
-    """
-
+    # Keys of a simulation spec, by section.
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    # Effects of the catalogue in every recording, with the simulator's parameters.
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def over(self, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -247,12 +233,16 @@ class Mild:
         return dict(sections) | changed | shared
 
     def without(self, hidden: Mapping[str, Mapping[str, Any]], setting: Setting) -> Mild:
-        """Return the errors that remain beside what is `hidden`, effects with the simulator's parameters.
+        """Return the errors that remain besides what is `hidden`, effects with the simulator's parameters.
 
         What is hidden takes the place of an error of the same parameter, and of one that has the same image:
         two of them would add up or cancel.
         """
-        alike = ALIKE_IN_NARROW_BAND if setting.bands == NARROW and ALIKE_IN_NARROW_BAND & set(hidden) else ()
+        alike = (
+            DEGENERATE_IN_NARROW_BAND
+            if setting.bands == NARROW and DEGENERATE_IN_NARROW_BAND & set(hidden)
+            else ()
+        )
         rest = {
             name: {key: value for key, value in own.items() if key not in hidden.get(name, {})}
             for name, own in self.effects.items()

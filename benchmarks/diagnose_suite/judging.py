@@ -21,11 +21,11 @@ SECOND_IMAGES = ("companion", "ghost")
 CONFIDENCE = 0.95
 NEGLIGIBLE = 1e-9  # a component of a direction that is zero but for rounding
 PETAL_KINDS = ("piston_nm", "tip_nm", "tilt_nm")  # of which the mean belongs to the whole pupil
-CLEARLY_THERE = 3.0  # times the smallest detectable size
+CLEARLY_THERE = 3.0  # times the smallest detectable size, below which a hidden effect is small
 
 
 def is_dirty(outcome: Outcome) -> bool:
-    """Whether everything has a mild error beside what is hidden."""
+    """Whether everything has a mild error besides what is hidden."""
     return bool(outcome["truth"].get("dirty", False))
 
 
@@ -116,7 +116,7 @@ def is_untestable(outcome: Outcome) -> bool:
     return not found and bool(hidden & set(diagnosis["untestable"]))
 
 
-# -- beside mild errors of everything ----------------------------------------------------------
+# -- jointly with mild errors of everything ----------------------------------------------------------
 
 
 def first_is_wrong(outcome: Outcome) -> bool:
@@ -142,7 +142,7 @@ def _is_there(outcome: Outcome, step: Mapping[str, Any]) -> bool:
 
 
 def _is_hidden(outcome: Outcome, step: Mapping[str, Any]) -> bool:
-    """Whether a name is that of a hidden effect; a second image beside a ghost has to be in its place."""
+    """Whether a name is that of a hidden effect; a second image next to a ghost has to be in its place."""
     truth, effect = outcome["truth"], step["effect"]
     if effect not in SECOND_IMAGES or "ghost" not in truth.get("mild", {}):
         return effect in truth["effects"]
@@ -295,7 +295,7 @@ def sorted_singles(
     dirty: bool = False,
     smallest: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Singles:
-    """Split the recordings with one effect, beside mild errors of everything (`dirty`) or alone.
+    """Split the recordings with one effect, jointly with mild errors of everything (`dirty`) or alone.
 
     An effect is untestable where the diagnosis says so, and small below `CLEARLY_THERE` times the `smallest`
     detectable size, of such recordings unless given; where that is not known it counts as large.

@@ -86,7 +86,7 @@ def hidden_in(case: Case) -> list[Hidden]:
 
 
 def mild_in(case: Case, hidden: Sequence[Hidden]) -> Mild:
-    """Return the mild errors beside what is `hidden`."""
+    """Return the mild errors besides what is `hidden`."""
     if not case.dirty:
         return Mild()
     parameters = {one.effect: one.parameters for one in hidden}
@@ -134,14 +134,9 @@ def _with_patches(planned: Planned, foreign: Foreign) -> Planned:
 
 
 def make_case(case: Case, data: Path, truth: Path) -> dict[str, Any]:
-    """Simulate a case; returns what is true.
+    """Simulate a case into the folder `data`, which `diagnose` reads; returns what is true.
 
-    Parameters
-    ----------
-    data : Path
-        Folder for its recordings, which `diagnose` reads.
-    truth : Path
-        Folder for ``<case>.json``, what is true, and ``<case>.yaml``, the spec.
+    The folder `truth` gets that as ``<case>.json``, and the spec as ``<case>.yaml``.
     """
     truth.mkdir(parents=True, exist_ok=True)
     plan = plan_case(case, truth / f"{case.name}.yaml")

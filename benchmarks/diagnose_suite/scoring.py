@@ -55,7 +55,7 @@ from irlos_pipe.files.json import json_text
 
 RESULTS, PICTURE = "suite.json", "confusion.png"
 BIASED_NM = 5.0  # error of the NCPAs from which an effect counts as having biased them
-CELL_IN = 0.32  # of the figure
+CELL_IN = 0.32  # size of a cell of the figure [inch]
 # Kinds of cases in the matrix, its rows (what is hidden) and columns (what was called).
 KINDS = (CLEAN, SINGLE, OUTSIDE, RAMP_CLEAN, RAMP_SINGLE, RAMP_OUTSIDE)
 NOTHING, NOT_IN_CATALOGUE, UNTESTABLE = "(nothing)", "(outside)", "(untestable)"
@@ -177,7 +177,7 @@ def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
     ]
 
 
-# -- where everything has a mild error beside what is hidden -----------------------------------
+# -- where everything has a mild error besides what is hidden -----------------------------------
 
 
 def score_dirty(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
@@ -192,8 +192,8 @@ def score_dirty(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
 
     return {
         "without mild errors": _clean(in_world(outcomes, dirty=False)),
-        "one effect beside mild errors": _beside_mild(singles),
-        "one effect beside mild errors, from 3 MDB without these on": _beside_mild(as_if_clean),
+        "one effect beside mild errors": _with_mild_errors(singles),
+        "one effect beside mild errors, from 3 MDB without these on": _with_mild_errors(as_if_clean),
         "one effect beside mild errors, by grade": [
             row for one in GRADES for row in _of_grade(one, singles.testable)
         ],
@@ -205,7 +205,7 @@ def score_dirty(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
         ],
         "gap": _gaps(dirty),
         "ramps, beside mild errors": [
-            *_beside_mild(ramps),
+            *_with_mild_errors(ramps),
             wrong("ramps with nothing hidden", RAMP_CLEAN),
             wrong("frames in another order", RAMP_OUTSIDE),
         ],
@@ -213,7 +213,7 @@ def score_dirty(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
     }
 
 
-def _beside_mild(singles: Singles) -> list[Row]:
+def _with_mild_errors(singles: Singles) -> list[Row]:
     testable, small = singles.testable, singles.small
     return [
         rate("named", is_named, testable, ">= 90 %"),
@@ -287,13 +287,7 @@ def _draw(counts: np.ndarray, path: Path) -> None:
 
 
 def write_report(outcomes: Sequence[Outcome], failed: Mapping[str, str], folder: Path) -> str:
-    """Write both files into a folder; returns the table.
-
-    Parameters
-    ----------
-    failed : mapping of str to str
-        What stopped the cases that have no outcome, by name.
-    """
+    """Write both files into a folder; returns the table; `failed` says what stopped other cases, by name."""
     outcomes = sorted(outcomes, key=lambda one: one["case"])
     dirty = in_world(outcomes, dirty=True)
     parts = score_dirty(outcomes) if dirty else score(outcomes)

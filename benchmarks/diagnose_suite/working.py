@@ -29,7 +29,7 @@ TRUTH_KEPT = ("kind", "suite_seed", "dirty", "setting", "level", "effects", "siz
 # Of outcomes that are kept with the project: what scores need.
 SLIM_DIAGNOSIS = ("verdict", "grade", "gap", "chi2_nu", "seconds", "untestable", "why_unknown")
 SLIM_STEP = ("effect", "indistinguishable", "parameters", "sigma", "significance")
-NOLLS = range(2, 31)  # of which the error is reported
+NOLLS = range(2, 31)  # modes of which the error is reported
 
 
 def outcome_of(case: Case, output: Path) -> Outcome:
@@ -48,7 +48,7 @@ def outcome_of(case: Case, output: Path) -> Outcome:
     ended = time.process_time()
     errors_nm = None if case.is_ramp else _rms_nm(diagnosis, truth["mean_zernike_nm"][CUBE])
     biases_nm = None
-    # It is worth while to fit the true model; of mild errors nobody has one.
+    # It is worth while to fit the true model; of mild errors there is none.
     if case.kind == SINGLE and not case.dirty and errors_nm["before"] > BIASED_NM:
         # The same frames are fitted, so the noise and speckles that they share are no part of the bias.
         true_model = _diagnosed(case, data, reference, case.true_model(truth["known"]))
@@ -74,7 +74,7 @@ def _diagnosed(case: Case, data: Path, output: Path, effects: Sequence[Any] | No
 
 
 def settings_of(effects: Sequence[Any] | None) -> list[str]:
-    """What is set beside the recipe."""
+    """Settings on top of the recipe."""
     if effects is None:
         return []
     return [f"model.effects={yaml.safe_dump(list(effects), default_flow_style=True, width=1000000).strip()}"]

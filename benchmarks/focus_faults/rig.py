@@ -32,11 +32,11 @@ from irlos_pipe.paper.common.focus_loop import FrameTable
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.scene import Scene
 
-READS = 4  # of an exposure of a second
+READS = 4  # reads of an exposure of a second
 TABLED_MAG_J = 8.0
 REACH_NM, NODES, TABLED_READS = 450.0, 20, 32
-NEAR_NM, NEAR_NODES, NEAR_READS = 160.0, 10, 12  # of scenes with something wrong
-USUAL_SEEING = 0.5  # of the calibration
+NEAR_NM, NEAR_NODES, NEAR_READS = 160.0, 10, 12  # of the tables of scenes with something wrong
+USUAL_SEEING = 0.5  # seeing of the calibration
 _TABLES: dict[Path, FrameTable] = {}
 
 
@@ -116,11 +116,11 @@ def _scene(look: Look, seed: int) -> Scene:
 START_UNIX_S = 1.75e9
 FIRST_COUNTER = 5000
 DELAY, GAIN = 1, 0.4
-THERMAL_NM = 0.1  # drift per exposure, beside the sodium layer's
+THERMAL_NM = 0.1  # drift per exposure, on top of the sodium layer's
 
 
 class FakeTime:
-    """Clocks that pass when they are told to."""
+    """Clocks that pass on command."""
 
     def __init__(self) -> None:
         self.passed_s, self.set_s = 0.0, 0.0
@@ -151,36 +151,22 @@ class Shot:
 
 @dataclass
 class Rig:
-    """A source of exposures for the loop, see `Source`: right ones, but for a spell.
-
-    Attributes
-    ----------
-    skies : Skies
-    mag_j : float
-    before, spell, after : int
-        Exposures.
-    look : Look
-        Of the right ones.
-    bad_look : Look or None
-        Of those of the spell.
-    spoil : callable
-        What becomes of an image in the spell; gets it, its number there, this object and random numbers.
-    arrive : callable
-        What arrives in place of a read in the spell.
-    answer : callable
-        Part of a change of the offset that is applied, by the number of the exposure; `late` exposures late.
-    """
+    """A source of exposures for the loop, see `Source`: right ones, but for a spell."""
 
     skies: Skies
     mag_j: float
     seed: int
+    # Exposures before, in and after the spell.
     before: int = 12
     spell: int = 8
     after: int = 12
-    look: Look = field(default_factory=Look)
-    bad_look: Look | None = None
+    look: Look = field(default_factory=Look)  # of the right exposures
+    bad_look: Look | None = None  # of the exposures in the spell
+    # What becomes of an image in the spell; gets it, its number there, this object and random numbers.
     spoil: Callable[[np.ndarray, int, Rig, np.random.Generator], np.ndarray] | None = None
+    # What arrives in place of a read in the spell.
     arrive: Callable[[Read, int, Rig], Sequence[Arrival]] | None = None
+    # Part of a change of the offset that is applied, by the number of the exposure; `late` exposures late.
     answer: Callable[[int], float] = lambda _: 1.0
     late: int = 0
     start_nm: float = 60.0
@@ -202,7 +188,6 @@ class Rig:
         self._commanded_nm = [last["offset_nm"]] * len(self._commanded_nm)
 
     def poll(self, timeout_s: float) -> Sequence[Arrival] | None:
-        """See `Source.poll`."""
         if self._index >= self._exposures:
             return None
         index, self._index = self._index, self._index + 1
@@ -276,13 +261,10 @@ def is_wrong(record: dict, shot: Shot, sigmas: float = 3.0, least_nm: float = 5.
 def judged(outcome: Outcome) -> dict[str, Any]:
     """Return the counts of a run.
 
-    Returns
-    -------
-    dict
-        Exposures that were ``bad`` and ``right``; bad ones that were commanded although, with a value within
-        its error (``commanded_right``) or not (``commanded_wrongly``), and the ``reasons`` why others were
-        not; right ones that were not used (``refused``), and those whose value was commanded and is beyond
-        its error (``wrong_right``).
+    Exposures that were ``bad`` and ``right``; bad ones that were commanded although, with a value within its
+    error (``commanded_right``) or not (``commanded_wrongly``), and the ``reasons`` why others were not; right
+    ones that were not used (``refused``), and those whose value was commanded and is beyond its error
+    (``wrong_right``).
     """
     records = {one["counter"]: one for one in outcome.records}
     bad = [(records.get(shot.counter), shot) for shot in outcome.shots if not shot.right]

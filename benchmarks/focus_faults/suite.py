@@ -24,7 +24,7 @@ from irlos_pipe.control.exposures import Read
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 from irlos_pipe.focus.source import Arrival
 
-REPORTED_SEED = 4  # of the reported run; the limits of the loop rest on the skies of seeds 1 to 3
+REPORTED_SEED = 4  # seed of the reported run; the limits of the loop rest on the skies of 1 to 3
 LIGHT, TIMES, FOCUS, FILES, VISITORS, HOURS = "light", "times", "focus", "files", "visitors", "hours"
 MAGNITUDES = (9.0, 12.0, 15.0)
 SEEINGS, HOUR_MAGNITUDES, HOUR = (0.3, 0.5, 0.8, 1.3), (8.0, 12.0, 15.0, 17.0, 18.5), 3600

@@ -1,7 +1,7 @@
 """NCPAs that change while a loop runs with the calibration of its beginning.
 
 A part of them lies before the derotator and turns with the field; the others drift. Tip, tilt and focus
-stay as they are: what a sensor has of those beside the science camera no loop can see, so only what the
+stay as they are: what a sensor has of those next to the science camera no loop can see, so only what the
 other modes do to its measurements is looked at here.
 """
 
@@ -17,29 +17,18 @@ from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import rotated_nm
 
-AGEING_STREAM = 3  # of the seed of a night, beside those of the telescope
+AGEING_STREAM = 3  # stream of a night's seed, after those of the telescope
 
 
 @dataclass(frozen=True)
 class Ageing:
-    """By how much NCPAs have changed after an hour; both changes are steady.
+    """By how much NCPAs have changed after an hour; both changes are steady."""
 
-    Attributes
-    ----------
-    turn_deg : float
-        Angle by which the derotator has turned [deg, anticlockwise].
-    turning : float
-        Part of every coefficient that turns with it.
-    drift_nm : float
-        RMS of what has been added, a wavefront drawn by the instrument's law of NCPAs [nm].
-    step_s : float
-        Time for which nothing changes: light is simulated once for each.
-    """
-
-    turn_deg: float = 0.0
-    turning: float = 0.5
+    turn_deg: float = 0.0  # angle by which the derotator has turned [deg, anticlockwise]
+    turning: float = 0.5  # part of every coefficient that turns with it
+    # RMS of what has been added, a wavefront drawn by the instrument's law of NCPAs [nm].
     drift_nm: float = 0.0
-    step_s: float = 300.0
+    step_s: float = 300.0  # time for which nothing changes: light is simulated once for each
 
     @property
     def none(self) -> bool:
@@ -49,13 +38,7 @@ class Ageing:
     def change_nm(self, scene: Scene, hours: float, seed: int) -> dict[int, float]:
         """Return what has been added to the NCPAs of a `scene` after some `hours`, Noll: nm RMS.
 
-        Parameters
-        ----------
-        scene : Scene
-            With the NCPAs of the beginning.
-        hours : float
-        seed : int
-            Of the direction of the drift.
+        The `scene` has the NCPAs of the beginning; the `seed` gives the direction of the drift.
         """
         before = {noll: self.turning * value_nm for noll, value_nm in scene.ncpa_nm.items() if noll > DEFOCUS}
         changed = dict.fromkeys(before, 0.0)

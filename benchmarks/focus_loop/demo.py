@@ -15,7 +15,7 @@ from benchmarks.focus_loop.run import Outcome, Trial
 from benchmarks.focus_loop.telescope import Night
 
 RECORDINGS = ["--set", "recordings.calibration.frames=100", "--set", "recordings.ramp.frames=2"]
-OPTIONS = ["--page-port", "0", "--despite-qc"]  # of 100 frames
+OPTIONS = ["--page-port", "0", "--despite-qc"]  # QC may fail: the calibration has only 100 frames
 SETTLED = 20  # exposures after the loop has closed that do not count
 
 
@@ -51,11 +51,7 @@ def main(output: Path, exposures: int, speed: float, mag_j: float, start_nm: flo
 def calibrated(output: Path, ncpa_nm: Mapping[int, float] | None = None) -> Path:
     """Return a run folder with a calibration, made from a simulated recording if it is not there yet.
 
-    Parameters
-    ----------
-    output : Path
-    ncpa_nm : mapping, optional
-        Noll: nm RMS; those of `on_sky` if left out.
+    `ncpa_nm` are by Noll index [nm RMS], those of `on_sky` if left out.
     """
     run, data = output / "calibration", output / "simulation"
     if not (run / "results.json").exists():

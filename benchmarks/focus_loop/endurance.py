@@ -59,7 +59,6 @@ class _MadeUp:
         return self
 
     def poll(self, timeout_s: float) -> Sequence[Read] | None:
-        """See `Source.poll`."""
         if self._number >= self._left:
             return None
         reads = [self._read() for _ in range(READS)]

@@ -1,4 +1,4 @@
-"""An accelerated hour of the loop with everything that can happen to it, beside truth and theory."""
+"""An accelerated hour of the loop with everything that can happen to it, next to truth and theory."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.ring import RingWriter
 
 SLOTS = 256
-PATIENCE_S, PATIENCE_FIRST_S = 1.0, 120.0  # for an answer, and for the loop to start
+PATIENCE_S, PATIENCE_FIRST_S = 1.0, 120.0  # longest waits for an answer, and for the loop to start
 POLL_S = 0.0002
 
 

@@ -25,26 +25,14 @@ LOOK_S = 0.02
 
 @dataclass
 class Trial:
-    """One night in a folder.
+    """One night in a folder."""
 
-    Attributes
-    ----------
-    folder : Path
-        Gets everything.
-    calibration : Path
-        Run folder.
-    night : Night
-    actions : dict of int to callable
-        What happens when the telescope has reached an exposure; gets the trial.
-    options : list of str
-        Further options of `irlos focus`.
-    """
-
-    folder: Path
-    calibration: Path
+    folder: Path  # gets everything
+    calibration: Path  # run folder
     night: Night
+    # What happens when the telescope has reached an exposure; gets the trial.
     actions: dict[int, Callable[[Trial], None]] = field(default_factory=dict)
-    options: list[str] = field(default_factory=list)
+    options: list[str] = field(default_factory=list)  # further options of `irlos focus`
     speed: float = 0.0
 
     def __post_init__(self) -> None:

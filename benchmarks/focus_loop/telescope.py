@@ -25,10 +25,10 @@ from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.recordings.spec import load_spec
 from irlos_pipe.simulate.scene import Sampling, Scene
 
-REACH_NM, NODES = 1100.0, 44  # of the tables: beyond the largest defocus of a bootstrap
-CLOSED_REACH_NM, CLOSED_NODES = 400.0, 18  # of those of a loop that has been closed long since
-SKY_READS, BURST_READS = 24, 8  # tabulated
-DRIFT_STEPS = 10  # per exposure
+REACH_NM, NODES = 1100.0, 44  # defocus of the tables: beyond the largest of a bootstrap
+CLOSED_REACH_NM, CLOSED_NODES = 400.0, 18  # the same for a loop that has long been closed
+SKY_READS, BURST_READS = 24, 8  # reads in the tables
+DRIFT_STEPS = 10  # steps of the drift per exposure
 START_UNIX_S = 1_707_620_000.0
 FIRST_COUNTER = 400_000
 LAYER = SodiumLayer(1.95, 23.0, 89.4e3)
@@ -37,38 +37,22 @@ SKY_STREAM, NOISE_STREAM, DRIFT_STREAM = range(3)
 
 @dataclass(frozen=True)
 class Night:
-    """What the telescope does.
+    """What the telescope does."""
 
-    Attributes
-    ----------
-    spec, section : str
-        Specification of a simulation and the recording in it that the frames are like.
-    mag_j : float
-    exposures, reads : int
-        Exposures of a second, and reads of each.
-    delay : int
-        Whole exposures from the end of one to the offset that follows from it.
-    start_nm : float
-        Defocus before the loop is closed.
-    burst_arcsec : float
-        Seeing of a burst.
-    faults : dict of str to list of (first, last)
-        Exposures with each fault, see `faults`.
-    ageing : Ageing
-        How NCPAs change; an exposure is a second.
-    """
-
+    # spec, section: specification of a simulation and the recording in it that the frames are like.
     spec: str = "on_sky"
     section: str = "ramp"
     mag_j: float = 12.0
+    # exposures, reads: exposures of a second, and reads of each.
     exposures: int = 120
     reads: int = 4
-    delay: int = 1
-    start_nm: float = 700.0
+    delay: int = 1  # whole exposures from the end of one to the offset that follows from it
+    start_nm: float = 700.0  # defocus before the loop is closed
     seed: int = 1
-    burst_arcsec: float = 1.3
+    burst_arcsec: float = 1.3  # seeing of a burst
+    # Exposures with each fault, see `faults`.
     faults: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
-    ageing: Ageing = field(default_factory=Ageing)
+    ageing: Ageing = field(default_factory=Ageing)  # how NCPAs change; an exposure is a second
 
     def has(self, fault: str, exposure: int) -> bool:
         """Return whether an `exposure` has a `fault`."""
@@ -89,14 +73,7 @@ class Exposed(NamedTuple):
 
 
 class Telescope:
-    """Exposes one after the other.
-
-    Parameters
-    ----------
-    night : Night
-    folder : Path
-        Keeps the tables, for the next start.
-    """
+    """Exposes one after the other; the `folder` keeps the tables for the next start."""
 
     def __init__(self, night: Night, folder: Path):
         self.night = night

@@ -17,7 +17,7 @@ Change = Mapping[str, Any]
 CALIBRATION, RAMP, DIAGNOSIS, NIGHT = "calibration", "ramp", "diagnosis", "night"
 BENCH, SKY = "bench", "sky"
 RIGHT = "right"
-RIGHT_DRAWS = {CALIBRATION: 3, RAMP: 2, DIAGNOSIS: 1, NIGHT: 1}  # times those of the wrong ones
+RIGHT_DRAWS = {CALIBRATION: 3, RAMP: 2, DIAGNOSIS: 1, NIGHT: 1}  # right cases in draws of the wrong ones
 SKY_ONLY = frozenset({"seeing_arcsec", "shape"})  # keys that a bench does not have
 
 # Changes of a side-car: key, and a number to multiply by or a value to replace.
@@ -81,7 +81,7 @@ RIGHTS: dict[str, Change] = {
     "long exposures": {"exposure_s": 0.3, "mag_j": 9.0},
     "residual along the wind": {"shape": "servo_lag"},
 }
-# What no cube can tell of itself, and the words by which a result says so before its numbers.
+# What no cube shows by itself, and the words by which a result says so before its numbers.
 INHERENT = {
     "diversity of wrong sign": "sign of the even modes",
     "diversity 15 % off": "size and mode of the diversity",
@@ -93,7 +93,7 @@ INHERENT = {
     "wavelength and scale 10 % off": "same factor",
 }
 
-# Ramps: `both` says that the calibration cube has the same; `offsets` as told are those of `as_told`.
+# Ramps: `both` says that the calibration cube has the same; the declared offsets are those of `as_told`.
 RAMP_TOLD: dict[str, Change] = {
     "offsets of wrong sign": {"offsets": -1.0},
     "offsets × 2": {"offsets": 2.0},
@@ -150,7 +150,7 @@ RAMP_RIGHTS: dict[str, Change] = {
     "ramp in an odd window": {"window": (43, 56)},
 }
 
-# Diagnoses: effects that nobody told, and facts told wrongly with the names that would be right for them.
+# Diagnoses: effects that are not declared, and facts declared wrongly with the right names for them.
 DIAGNOSED: dict[str, Change] = {
     name: HIDDEN[name] for name in ("companion 5 %", "low wind", "pupil 20 cm off", "non-linearity 30 %")
 } | {
@@ -158,7 +158,7 @@ DIAGNOSED: dict[str, Change] = {
     "ghost 5 %": {"ghost": {"flux_ratio": 0.05, "sep_mas": 120.0, "pa_deg": 300.0, "defocus_nm": 100.0}},
     "bump 200 nm": {"phase_bump": {"nm": 200.0, "x_m": 2.0, "y_m": -1.0, "width_m": 0.5}},
 }
-SCALES = ("plate_scale", "spectrum")  # in a narrow band one cannot be told from the other
+SCALES = ("plate_scale", "spectrum")  # degenerate in a narrow band
 DIAGNOSED_TOLD: dict[str, tuple[str, ...]] = {
     "scale 2 % off": SCALES,
     "wavelength 2 % off": SCALES,
@@ -177,27 +177,15 @@ DIAGNOSED_RIGHTS = ("as usual", "bright", "poor seeing", "many frames")
 
 @dataclass(frozen=True)
 class Taken:
-    """A recording, or all recordings of a ramp.
+    """A recording, or all recordings of a ramp."""
 
-    Attributes
-    ----------
-    minutes : int
-        After the beginning of the night.
-    told, hidden : mapping
-        Changes of the side-car, and effects that nobody declared.
-    seen : str
-        What is done to the images.
-    foreign : bool
-        Taken with the NCPAs of another instrument.
-    harm : str
-        What became of the files: ``cut``, ``no side-car`` (of a ramp: of its third offset) or ``copied``.
-    """
-
-    minutes: int = 0
+    minutes: int = 0  # after the beginning of the night
+    # told, hidden: changes of the side-car, and effects that are not declared.
     told: Change = field(default_factory=dict)
     hidden: Change = field(default_factory=dict)
-    seen: str = ""
-    foreign: bool = False
+    seen: str = ""  # what is done to the images
+    foreign: bool = False  # taken with the NCPAs of another instrument
+    # What became of the files: ``cut``, ``no side-car`` (of a ramp: of its third offset) or ``copied``.
     harm: str = ""
 
 
@@ -235,7 +223,7 @@ RIGHT_NIGHTS: dict[str, tuple[Sequence[Taken], Taken | None]] = {
     "calibration of the night before": ((LAST_NIGHT,), Taken(RAMP_AT)),
     "night of cubes only": ((GOOD, Taken(LATE)), None),
 }
-# What no cube of a night can tell of itself, and its words.
+# What no cube of a night shows by itself, and its words.
 NIGHT_INHERENT = {
     "diversity of wrong sign in the cube": "sign of the even modes",
     "nearest cube flipped": "mirrored",
@@ -244,40 +232,19 @@ NIGHT_INHERENT = {
 
 @dataclass(frozen=True)
 class Case:
-    """One recording, one ramp with its calibration, or one night.
+    """One recording, one ramp with its calibration, or one night."""
 
-    Attributes
-    ----------
-    kind : str
-        `CALIBRATION`, `RAMP`, `DIAGNOSIS` or `NIGHT`.
-    family : str
-        What is wrong, or `RIGHT` and how.
-    setting : str
-        `BENCH` or `SKY`.
-    number, suite_seed : int
-        Draw of the family, and of all.
-    usual : mapping
-        Changes of the usual simulation.
-    taken : Taken
-        What is wrong.
-    both : bool
-        The calibration of a ramp has the same.
-    names : tuple of str
-        Effects that a diagnosis may rightly name.
-    cause : str
-        Words by which a result says before its numbers that it cannot tell this.
-    """
-
-    kind: str
-    family: str
-    setting: str
+    kind: str  # `CALIBRATION`, `RAMP`, `DIAGNOSIS` or `NIGHT`
+    family: str  # what is wrong, or `RIGHT` and how
+    setting: str  # `BENCH` or `SKY`
+    # number, suite_seed: draw of the family, and of all.
     number: int
     suite_seed: int
-    usual: Change = field(default_factory=dict)
-    taken: Taken = field(default_factory=Taken)
-    both: bool = False
-    names: tuple[str, ...] = ()
-    cause: str = ""
+    usual: Change = field(default_factory=dict)  # changes of the usual simulation
+    taken: Taken = field(default_factory=Taken)  # what is wrong
+    both: bool = False  # whether the calibration of a ramp has the same
+    names: tuple[str, ...] = ()  # effects that a diagnosis may rightly name
+    cause: str = ""  # words by which a result says before its numbers that it cannot tell this
 
     @property
     def right(self) -> bool:

@@ -1,4 +1,4 @@
-"""Recordings: simulated, spoilt as a case says, and written with what is told of them."""
+"""Recordings: simulated, spoilt as a case says, and written with what is declared of them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.scene import Sampling, Scene
 
 FACILITY = load_instrument("irlos").facility
-TOTAL_NM = 142.0  # in Noll 2 to 51
-THROUGHPUT = 0.047  # of the narrow band, relative to J and H
+TOTAL_NM = 142.0  # RMS in Noll 2 to 51
+THROUGHPUT = 0.047  # throughput of the narrow band, relative to J and H
 DIVERSITY_NM = -170.0
 GAIN_E, PEDESTAL_ADU = 0.5, 200.0
 OFFSETS_NM = (-200.0, -100.0, 0.0, 100.0, 200.0)
@@ -39,7 +39,7 @@ USUAL: dict[str, Any] = {
 }
 RAMP_USUAL: dict[str, Any] = {"frames": 4, "mag_j": 9.0, "exposure_s": 0.5}
 SMALL_PX = 24
-ASIDE_PX = 6  # by which frames are displaced at most
+ASIDE_PX = 6  # displacement of frames at most
 FOCUS_STEP, FOCUS_STEP_NM = "defocus of 60 nm more half way", 60.0
 # Displacement of the frames along x [px] by their time, 0 to 1.
 STEPS_PX: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]] = {
@@ -49,7 +49,7 @@ STEPS_PX: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]] = {
     "two pointings by turns": lambda time, rng: 2 * (np.arange(len(time)) % 2),
     "jumps of 1.5 px": lambda time, rng: np.rint(rng.normal(0, 1.5, len(time))).astype(int),
 }
-# Scenes of the frames that are not like the others.
+# Scenes of the frames that differ from the others.
 SECOND: dict[str, Callable[[Scene], Scene]] = {
     "half of another star": lambda scene: replace(
         scene, ncpa_nm={noll: -nm for noll, nm in scene.ncpa_nm.items()}
@@ -64,18 +64,11 @@ SECOND: dict[str, Callable[[Scene], Scene]] = {
 
 @dataclass(frozen=True)
 class Made:
-    """Folders of the recordings by the recipe's input, and what is true.
-
-    Attributes
-    ----------
-    ncpa_nm : dict of int to float
-        Static modes of the calibration, Noll: nm RMS.
-    introduced_nm : dict of str to float
-        True defocus of the recordings of the ramp, by name.
-    """
+    """Folders of the recordings by the recipe's input, and what is true."""
 
     inputs: dict[str, list[Path]]
-    ncpa_nm: dict[int, float]
+    ncpa_nm: dict[int, float]  # static modes of the calibration, Noll: nm RMS
+    # True defocus of the recordings of the ramp, by name.
     introduced_nm: dict[str, float] = field(default_factory=dict)
 
 

@@ -1,4 +1,4 @@
-"""What a user is told of each case, counted by family."""
+"""What a user learns of each case, counted by family."""
 
 from __future__ import annotations
 

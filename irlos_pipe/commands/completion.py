@@ -18,7 +18,7 @@ def _proposed(names: Callable[[click.Context], Iterable[str]]) -> Completion:
     """Propose what `names` returns."""
 
     def propose(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-        with suppress(IrlosError, OSError):  # nobody wants an error while typing
+        with suppress(IrlosError, OSError):  # no error while somebody types
             return [CompletionItem(name) for name in names(context) if name.startswith(begun)]
         return []
 
@@ -36,7 +36,6 @@ def or_files(propose: Completion) -> Completion:
 
 @_proposed
 def recipes(context: click.Context) -> Iterable[str]:
-    """Names of the recipes."""
     from irlos_pipe.files.shipped import RECIPES, shipped_names
 
     return shipped_names(RECIPES)

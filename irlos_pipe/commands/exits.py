@@ -39,16 +39,14 @@ class IrlosGroup(click.Group):
     """A group that reports every error in one line per problem and exits with the code of the error."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """See `click.Group.list_commands`; here in the order in which they are used."""
+        """Return the commands in the order in which they are used."""
         return list(self.commands)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """See `click.Group.main`."""
         mend_streams()
         return super().main(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> object:
-        """See `click.Group.invoke`."""
         with terminated_like_interrupted() as ctx.meta[SIGNALS]:
             try:
                 return super().invoke(ctx)
@@ -90,7 +88,7 @@ def _lines(error: IrlosError) -> str:
 
 def report_error(message: str) -> None:
     """Write the lines of an error `message` to stderr."""
-    with suppress(OSError, ValueError):  # there is nobody left to tell
+    with suppress(OSError, ValueError):  # nothing is left to report to
         for line in message.split("\n"):
             click.echo(f"irlos: error: {printable(line)}", err=True)
 

@@ -48,12 +48,9 @@ FROM_0_S = click.FloatRange(min=0)
 
 @dataclass(frozen=True)
 class FocusOptions:
-    """Options of `irlos focus`, and what the service wants of them.
+    """Options of `irlos focus`, and what the service needs of them.
 
-    Raises
-    ------
-    click.UsageError
-        Unless there is one source of frames.
+    Raises `click.UsageError` unless there is one source of frames.
     """
 
     output: Path = option("--output DIR", "Folder for the record and the command.")
@@ -131,7 +128,6 @@ class FocusOptions:
             raise click.UsageError("give one of --ring, --folder, --zeromq and --replay")
 
     def say(self, text: str) -> None:
-        """Print a `text` for people."""
         if not self.quiet:
             click.echo(text)
 
@@ -146,10 +142,7 @@ class FocusOptions:
     def settings(self) -> LoopSettings:
         """What the loop does with a measurement.
 
-        Raises
-        ------
-        ConfigurationError
-            The controller cannot work with them.
+        Raises `ConfigurationError` if the controller cannot work with them.
         """
         from irlos_pipe.focus.loop import LoopSettings
 

@@ -1,6 +1,6 @@
 """The command line of a command is the signature of its function; parameters that several commands share.
 
-``output: Path = option("--output DIR", "Folder for …")`` is an option, spelt as in the help. Its type tells
+``output: Path = option("--output DIR", "Folder for …")`` is an option, spelt as in the help. Its type says
 the rest: a bool is a flag, a tuple may be given again, what may be None need not be given.
 """
 
@@ -42,13 +42,8 @@ PATH = _NamedPath(path_type=Path, readable=False)
 def option(spelling: str, help: str, **settings: Any) -> Any:
     """Return the default of a parameter that is an option: it makes that of the parameter's name and type.
 
-    Parameters
-    ----------
-    spelling : str
-        As in the help: ``-q, --quiet`` or ``--output DIR``.
-    help : str
-    **settings
-        Of `click.Option`, beyond what the type of the parameter tells.
+    The `spelling` is that in the help, ``-q, --quiet`` or ``--output DIR``; `settings` are those of
+    `click.Option` beyond what the type of the parameter says.
     """
     names = [word.rstrip(",") for word in spelling.split() if word.startswith("-")]
     metavar = " ".join(word for word in spelling.split() if not word.startswith("-")) or None
@@ -85,15 +80,7 @@ def _type_of(kind: Any) -> Any:
 
 
 def command(*more: type, **settings: Any) -> Callable[[Callable[..., None]], click.Command]:
-    """Make a command of a function.
-
-    Parameters
-    ----------
-    *more : type
-        Dataclasses whose fields are options, too.
-    **settings
-        Of `click.command`.
-    """
+    """Make a command of a function; fields of the dataclasses `more` are options, too."""
 
     def make(function: Callable[..., None]) -> click.Command:
         parts: list[Callable[..., Any]] = [function, *more]
@@ -160,16 +147,10 @@ def at_work(verbose: int, quiet: bool) -> Iterator[None]:
 
 
 def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
-    """Return the resources that the options state.
+    """Return the resources that the options state; all processors without `jobs`.
 
-    Parameters
-    ----------
-    device : {"cpu", "cuda", "auto"}
-        It is an error at once that there is no ``cuda``; what ``auto`` means is seen when a stage runs.
-    jobs : int or None
-        Threads or processes; None for all processors.
-    quiet : bool
-        Show no progress bars, as when stderr is not a terminal.
+    It is an error at once that there is no ``cuda``; what ``auto`` means is seen when a stage runs. `quiet`
+    shows no progress bars, as when stderr is not a terminal.
     """
     from irlos_pipe.pipeline import resources
 

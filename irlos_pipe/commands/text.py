@@ -36,7 +36,7 @@ FOREIGN, UNKNOWN = "not of this recipe", "cannot be checked"
 State = tuple[str, str]  # and why
 
 SHOWN = 20  # numbers of a comparison, unless all are asked for
-LONGEST = 60
+LONGEST = 60  # characters of a value in a table
 SAME = "the same"
 SAME_FILES = "the same; the errors are not independent, and noise makes differences of far less than 1 σ"
 
@@ -94,10 +94,7 @@ def run_text(run: ShownRun) -> str:
 def run_status(folder: Path) -> RunStatus:
     """Return where each product of the run in `folder` stands.
 
-    Raises
-    ------
-    InputDataError
-        When `folder` holds no run.
+    Raises `InputDataError` when `folder` holds no run.
     """
     run = existing_run(folder)
     states = _states(run)

@@ -36,10 +36,10 @@ from irlos_pipe.stages.lift.results import LiftResults
 from irlos_pipe.stages.lift.stage import Config
 
 LOG = logging.getLogger(__name__)
-QC_FAILED = "qc_failed"  # as results.json says
-LOOK_S = 1.0  # between looks at a run folder
-PART = 1e-3  # of a wavelength, weight, pixel scale or gain; of less, side-cars are rounded
-DIVERSITY_NM = 0.5
+QC_FAILED = "qc_failed"  # status in results.json
+LOOK_S = 1.0  # between looks at a run folder for another calibration
+PART = 1e-3  # relative difference of spectrum, pixel scale or gain: side-cars are rounded to less
+DIVERSITY_NM = 0.5  # difference of a mode of the diversity from which it is another
 
 Spectrum = Sequence[tuple[float, float]]
 _Frames = tuple[Recording, np.ndarray, NoiseModel, Iterable[np.ndarray]]
@@ -55,13 +55,12 @@ class Calibration:
     instrument_name: str
     acquisition: Acquisition  # of the frames to be measured
     made_unix_s: float  # of the recording behind it; NaN if not known
-    errors: SharedErrors | None = None  # beside those by photons; None without a ramp that shows them
+    errors: SharedErrors | None = None  # besides those by photons; None without a ramp that shows them
     ordinary: Ordinary = field(default_factory=Ordinary.usual)  # how right exposures fit
     notice: str = ""  # what has to be said before any result, as of samples
 
     @property
     def window(self) -> tuple[int, int]:
-        """Rows and columns of the frames."""
         return self.sensor.window
 
 
@@ -78,12 +77,8 @@ class CalibrationRequest:
     def load(self) -> Calibration:
         """Read the run.
 
-        Raises
-        ------
-        InputDataError
-            When the folder is not that of a run with a calibration, or of one whose QC has failed.
-        ConfigurationError
-            When its model cannot measure single frames.
+        Raises `InputDataError` when the folder is not that of a run with a calibration, or of one whose QC
+        has failed; `ConfigurationError` when its model cannot measure single frames.
         """
         folder = existing_run(self.run)
         paths = folder.products()

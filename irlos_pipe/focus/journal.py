@@ -2,7 +2,7 @@
 
 The lines are the record. A line that cannot be written, for lack of space above all, waits in memory and is
 written, in order, as soon as it can be: the loop goes on meanwhile. The database is filled from the lines and
-can be made from them again; what is wrong with it is told and does not stop the loop.
+can be made from them again; what is wrong with it is reported and does not stop the loop.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT N
 """
 COLUMNS = ["sequence", "unix_s", "defocus_nm", "sigma_nm", "valid", "offset_nm"]
 COLUMNS += ["mode", "reasons", "latency_ms", "calibration", "line"]
-COMMIT_S = 1.0  # between transactions
+COMMIT_S = 1.0  # between transactions of the database
 BLOCK_BYTES = 1 << 16  # of the lines that are read at once from the end
-LONGEST_LINE = 1 << 20  # bytes; records have a thousand
-RECENT_BYTES = 1 << 26  # at the end of the lines in which recent ones are looked for
+LONGEST_LINE = 1 << 20  # bytes of a line; records have a thousand
+RECENT_BYTES = 1 << 26  # bytes at the end of the file in which recent lines are looked for
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,11 @@ class Earlier:
 class Journal:
     """Appends records to the files of a folder, which this loop alone owns.
 
-    Attributes
-    ----------
-    last : Record or None
-        The last sound record that stands in the file.
-    damaged : int
-        Lines after it that are none, the last one included if it was not finished and is cut off.
-    problem : str
-        Why lines cannot be written; empty if they can.
+    `last` is the last sound record that stands in the file, if any; `damaged` counts the lines after it that
+    are none, the last one included if it was not finished and is cut off; `problem` says why lines cannot be
+    written.
 
-    Raises
-    ------
-    InputDataError
-        If the file of lines cannot be opened, or is none of a focus loop.
+    Raises `InputDataError` if the file of lines cannot be opened, or is none of a focus loop.
     """
 
     def __init__(self, folder: Path):
@@ -130,7 +122,7 @@ class Journal:
             self._database.fill()
 
     def news(self) -> str:
-        """Return what has become of the database since the last call, if it has to be told."""
+        """Return what has become of the database since the last call, if it has to be reported."""
         told, self._database.news = self._database.news, ""
         return told
 
@@ -227,7 +219,6 @@ class _Database:
         self._problem = problem
 
     def release(self) -> None:
-        """Let go of the tables."""
         connection, self._connection = self._connection, None
         if connection is not None:
             with suppress(sqlite3.Error):

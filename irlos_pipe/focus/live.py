@@ -26,24 +26,21 @@ from urllib.parse import parse_qs, urlsplit
 
 from irlos_pipe.conventions.errors import ConfigurationError
 
-HOUR_S = 3600.0  # of lines that are kept
-MOST_LINES = 40_000  # kept, of exposures of a tenth of a second an hour
+HOUR_S = 3600.0  # age of the lines that are kept
+MOST_LINES = 40_000  # lines that are kept: an hour of exposures of a tenth of a second
 LOOPBACK = "127.0.0.1"
-SHORTEST_TOKEN = 16
-LONGEST_NUMBER = 16  # digits
-MOST_CONNECTIONS, CONNECTION_S = 20, 10.0  # at once, and how long one may say nothing
-LONGEST_PATH = 100  # of a socket, a limit of the system
-MOST_CLIENTS = 50  # of more, those that came first are dropped
+SHORTEST_TOKEN = 16  # characters
+LONGEST_NUMBER = 16  # digits of a line's number in a request
+MOST_CONNECTIONS, CONNECTION_S = 20, 10.0  # connections at once, and how long one may say nothing
+LONGEST_PATH = 100  # bytes of a socket's path, a limit of the system
+MOST_CLIENTS = 50  # clients at once; of more, those that came first are dropped
 
 
 @dataclass(frozen=True)
 class PageSettings:
     """Where the page is: a port, 0 for a free one; an address; a token that requests carry, empty for none.
 
-    Raises
-    ------
-    ConfigurationError
-        For an address beyond the loopback without a token.
+    Raises `ConfigurationError` for an address beyond the loopback without a token.
     """
 
     port: int
@@ -67,10 +64,7 @@ class LivePage:
 
     It keeps the lines of the last hour, numbered from 1, under a name: a page may stay open beyond the loop.
 
-    Raises
-    ------
-    ConfigurationError
-        If the port cannot be had.
+    Raises `ConfigurationError` if the port cannot be had.
     """
 
     def __init__(self, settings: PageSettings):
@@ -194,10 +188,7 @@ class Publisher:
 
     A socket that an earlier loop left behind is replaced.
 
-    Raises
-    ------
-    ConfigurationError
-        If it cannot be made there, or another loop listens there.
+    Raises `ConfigurationError` if it cannot be made there, or another loop listens there.
     """
 
     def __init__(self, path: Path):

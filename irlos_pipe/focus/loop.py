@@ -36,12 +36,8 @@ class LoopSettings:
 class FocusLoop:
     """Makes a record of every exposure; goes on from the last record of an earlier start.
 
-    Attributes
-    ----------
-    problem : str
-        What was unforeseen in the last measurement; empty if nothing was.
-    open : str
-        How the focus answers the offsets, where the loop is not closed: from then on the offset is held.
+    `problem` says what was unforeseen in the last measurement, if anything was; `open` says how the focus
+    answers the offsets, where the loop is not closed: from then on the offset is held.
     """
 
     def __init__(self, calibration: Calibration, settings: LoopSettings, last: Record | None = None):

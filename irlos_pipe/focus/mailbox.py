@@ -22,7 +22,7 @@ MAGIC = b"IRLOSCMD"
 BODY = struct.Struct("<8sQdq")
 CRC = struct.Struct("<I")
 SIZE = BODY.size + CRC.size
-ATTEMPTS = 100
+ATTEMPTS = 100  # to read before the file counts as damaged
 
 
 class Command(NamedTuple):
@@ -34,17 +34,9 @@ class Command(NamedTuple):
 
 
 class Mailbox:
-    """The file with the last command, made if it does not exist.
+    """The file with the last command, made if it does not exist; `damaged` if what stood there is no command.
 
-    Attributes
-    ----------
-    damaged : bool
-        Whether what stood there when it was opened is no command.
-
-    Raises
-    ------
-    InputDataError
-        If there is another file.
+    Raises `InputDataError` if there is another file.
     """
 
     def __init__(self, path: Path):
@@ -67,10 +59,7 @@ class Mailbox:
     def write(self, command: Command) -> None:
         """Replace the command.
 
-        Raises
-        ------
-        ValueError
-            If its offset is no finite number: the telescope could do nothing with it.
+        Raises `ValueError` if its offset is no finite number: the telescope could do nothing with it.
         """
         if not math.isfinite(command.offset_nm):
             raise ValueError(f"an offset of {command.offset_nm} nm")
@@ -85,7 +74,6 @@ class Mailbox:
         return None
 
     def close(self) -> None:
-        """Close the file."""
         os.close(self._descriptor)
 
     def _write(self, command: Command) -> None:

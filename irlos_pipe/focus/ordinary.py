@@ -1,4 +1,4 @@
-"""What the frames of a run's own ramp show of right exposures: how they fit, and errors beside photons."""
+"""What the frames of a run's own ramp show of right exposures: fit, and errors besides those by photons."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from irlos_pipe.estimate.lift_errors import FrameErrors, spread_over
 from irlos_pipe.stages.lift.results import LiftResults
 
 MISFIT = "misfit"
-FEWEST_FRAMES = 6  # of a ramp that shows how frames fit
+FEWEST_FRAMES = 6  # frames of a ramp that show how right exposures fit
 # Amplitude of structure, and variance of motion, over those of the ramp from which an exposure is another:
 # thousands of right ones, simulated in seeing of 0.3 to 1.3", stay below 3.2 and 3.3 times, halo allowed for.
 # Motion matters where it imitates more defocus than this many times the most that the ramp shows.
 STRUCTURE_TIMES, BLUR_TIMES, SHIFT_TIMES = 4.0, 4.0, 3.0
-NOISE_TIMES = 5.0  # of the errors by noise, beyond
-WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # of the noise: with more weight for the core, and for what surrounds it
+NOISE_TIMES = 5.0  # errors by noise that are allowed besides
+WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # part of the noise that weights are for: less gives the core more weight
 # Part of the light that the AO residual of a usual night leaves in the halo: speckles grow with it, and it
 # cannot be less than none; and what the worst seeing takes from the core.
 HALO, MOST_HALO = 0.2, 0.5
-USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.0024, 0.12, 0.05, 4.0  # without a ramp
+USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.0024, 0.12, 0.05, 4.0  # where no ramp shows
 
 
 @dataclass(frozen=True, eq=False)
 class Ordinary:
-    """What right exposures have beside the model."""
+    """What right exposures show beyond the model."""
 
     frames: int  # of the ramp that has shown it; 0 for values of simulated exposures
     structure: np.ndarray  # (weights,), median of the rest, see `Structure`, for each of `WEIGHTED_AS_FOR`
@@ -68,7 +68,7 @@ class Ordinary:
         return cls(0, structure, 4 * structure, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM)
 
     def fits(self, found: Unexplained, largest: float) -> bool:
-        """Return whether what is `found` beside the model is no more than right exposures may have.
+        """Return whether what is `found` beyond the model is no more than right exposures may have.
 
         The `largest` part of the light may at most be unexplained, whatever the ramp shows.
         """

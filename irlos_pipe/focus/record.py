@@ -10,10 +10,10 @@ from typing import Any
 from irlos_pipe.control.controller import BOOTSTRAP, TRACKING, ControllerState
 from irlos_pipe.files.json import jsonable
 
-SCHEMA, SCHEMA_VERSION = "irlos-focus", 2  # of 1, `sigma_nm` was the error by photons
+SCHEMA, SCHEMA_VERSION = "irlos-focus", 2  # in version 1 `sigma_nm` was the error by photons
 SHADOW = "shadow"
 
-# Reasons of the program, beside those of `Focus`.
+# Reasons of the program, besides those of `Focus`.
 WINDOW, LATE, STALE, INCOMPLETE = "window", "late", "stale_calibration", "incomplete"
 FAILED, FROZEN, OLD = "failed", "frozen", "old"
 
@@ -73,10 +73,7 @@ def event_line(sequence: int, unix_s: float, event: str) -> str:
 def content_of(line: str | bytes) -> dict[str, Any]:
     """Return the keys of the `line` of a record or an event.
 
-    Raises
-    ------
-    ValueError
-        If it is neither, or damaged.
+    Raises `ValueError` if it is neither, or damaged.
     """
     try:
         content: Any = json.loads(line)
@@ -90,10 +87,7 @@ def content_of(line: str | bytes) -> dict[str, Any]:
 def record_of(line: str | bytes) -> Record | None:
     """Return the record in a line; None for an event.
 
-    Raises
-    ------
-    ValueError
-        If the `line` is neither, or states what no loop can go on from.
+    Raises `ValueError` if the `line` is neither, or states what no loop can go on from.
     """
     content = content_of(line)
     if "event" in content:
@@ -114,9 +108,9 @@ def _is_sound(record: Record) -> bool:
     """Whether the next exposure can go on from a record."""
     numbers = (record.sequence, record.exposure, record.counter, record.settling, record.outside)
     whole = all(type(one) is int and abs(one) < 1 << 63 for one in numbers)
-    told = (*record.reasons, record.recording, record.calibration, record.held)
+    stated = (*record.reasons, record.recording, record.calibration, record.held)
     timed = isinstance(record.unix_s, float | int) and isinstance(record.recorded_unix_s, float | int)
-    known = record.mode in (BOOTSTRAP, TRACKING, SHADOW) and all(isinstance(one, str) for one in told)
+    known = record.mode in (BOOTSTRAP, TRACKING, SHADOW) and all(isinstance(one, str) for one in stated)
     first = record.sequence > 0 and min(record.settling, record.outside) >= 0
     return whole and known and timed and first and math.isfinite(record.offset_nm)
 

@@ -29,12 +29,12 @@ from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.model.recording_settings import used_in_time_order
 
-LONGEST_WAIT_S = 3600.0  # of a replay for its next frame
-POLL_S = 0.02
+LONGEST_WAIT_S = 3600.0  # longest wait of a replay for its next frame
+POLL_S = 0.02  # between looks at what has been read
 PART = "#"  # between the name of a file and that of one of its recordings
 QUIET_S = 0.2  # a file that has not changed for so long is complete
-LARGEST_BYTES = 1 << 30  # of a file that is read: half an hour of reads of 64x64 pixels, 64 a second
-PATIENCE_S, TOLD_S, GIVEN_UP_S = 1.0, 5.0, 60.0  # reading is waited for, told of, and given up
+LARGEST_BYTES = 1 << 30  # largest file that is read: half an hour of 64 reads a second of 64x64 px
+PATIENCE_S, TOLD_S, GIVEN_UP_S = 1.0, 5.0, 60.0  # a poll waits for reading; it is reported; it is given up
 
 
 class Replay:
@@ -42,10 +42,7 @@ class Replay:
 
     They come at `speed` times the rate at which they were taken; 0 is as fast as they can be measured.
 
-    Raises
-    ------
-    InputDataError
-        If the run has no such input.
+    Raises `InputDataError` if the run has no such input.
     """
 
     def __init__(self, run: Path, input_name: str, speed: float = 0.0):
@@ -65,7 +62,6 @@ class Replay:
         self._speed, self._started, self._first_s = speed, time.monotonic(), math.nan
 
     def poll(self, timeout_s: float) -> Sequence[Read] | None:
-        """See `Source.poll`."""
         read = next(self._reads, None)
         if read is None:
             return None
@@ -93,10 +89,7 @@ class WatchedFolder:
     side-car contradicts the acquisition is not used. What has come since an earlier loop is read; without
     one, what is there already is not.
 
-    Raises
-    ------
-    InputDataError
-        If there is no such folder.
+    Raises `InputDataError` if there is no such folder.
     """
 
     def __init__(
@@ -112,7 +105,6 @@ class WatchedFolder:
         self._away = False
 
     def poll(self, timeout_s: float) -> Sequence[Arrival]:
-        """See `Source.poll`."""
         until = time.monotonic() + timeout_s
         while True:
             try:
@@ -190,7 +182,7 @@ class WatchedFolder:
             recordings = read_recordings(path, self._instrument)
         except InputDataError as error:
             return [Fault(" ".join(str(error).split()))]
-        except Exception as error:  # nobody foresees all that can stand in a file
+        except Exception as error:  # what a file can contain is not foreseeable
             return [Fault(f"{path}: cannot be used: {type(error).__name__}: {error}")]
         found: list[Read | Fault] = []
         for raw in recordings:
@@ -224,7 +216,7 @@ class _Reading:
     thread: threading.Thread | None = None
 
     def __init__(self, path: Path | None = None, read: Callable[[Path], list[Read | Fault]] | None = None):
-        self._path, self._began_s, self._told = path, time.monotonic(), False
+        self._path, self._began_s, self._reported = path, time.monotonic(), False
         self._found: list[Read | Fault] = []
         if path is not None and read is not None:
             self.thread = threading.Thread(target=lambda: self._found.extend(read(path)), daemon=True)
@@ -242,7 +234,7 @@ class _Reading:
         if lasts_s > GIVEN_UP_S:
             self.thread = None
             return [Fault(f"{self._path}: given up after reading for {lasts_s:.0f} s")]
-        if lasts_s > TOLD_S and not self._told:
-            self._told = True
+        if lasts_s > TOLD_S and not self._reported:
+            self._reported = True
             return [Notice(f"reading {self._path} since {lasts_s:.0f} s")]
         return []

@@ -32,7 +32,7 @@ HEAD = struct.Struct("<8s4I")
 HEAD_BYTES, WRITTEN_AT = 64, 24
 NUMBER = struct.Struct("<Q")
 BODY = struct.Struct("<qdI4x")
-POLL_S = 0.0005
+POLL_S = 0.0005  # between looks for a frame
 LOOK_S = 0.25  # between looks whether the file is still the one that is open
 LARGEST_SIDE = 4096
 
@@ -64,12 +64,7 @@ class RingWriter:
 
     An existing ring of the same shape is continued, any other file there is refused.
 
-    Raises
-    ------
-    InputDataError
-        If the file is no ring of this shape.
-    OSError
-        If it cannot be made.
+    Raises `InputDataError` if the file is no ring of this shape; `OSError` if it cannot be made.
     """
 
     def __init__(self, path: Path, window: tuple[int, int], slots: int = 64):
@@ -112,12 +107,9 @@ class RingSource:
     """Reads frames; begins with the oldest that is still there.
 
     It reads the file and does not map it: a file that is cut short under a map kills the process. A ring that
-    is taken away, cut short or made anew is named, waited for, and read again from its oldest frame.
+    is taken away, cut short or made again is reported, waited for, and read again from its oldest frame.
 
-    Raises
-    ------
-    InputDataError
-        If the file is no ring.
+    Raises `InputDataError` if the file is no ring.
     """
 
     def __init__(self, path: Path):
@@ -125,7 +117,6 @@ class RingSource:
         self._take(*_opened(path))
 
     def poll(self, timeout_s: float) -> Sequence[Arrival]:
-        """See `Source.poll`."""
         until = time.monotonic() + timeout_s
         while True:
             if self._looked_s + LOOK_S < time.monotonic() and (news := self._look()):
@@ -137,7 +128,6 @@ class RingSource:
             time.sleep(POLL_S)
 
     def close(self) -> None:
-        """See `Source.close`."""
         os.close(self._descriptor)
 
     def _take(self, descriptor: int, shape: _Shape) -> None:
@@ -217,10 +207,7 @@ class RingSource:
 def window_of(path: Path) -> tuple[int, int]:
     """Return rows and columns of the frames of the ring at `path`.
 
-    Raises
-    ------
-    InputDataError
-        If the file is no ring.
+    Raises `InputDataError` if the file is no ring.
     """
     return _shape_of(path)[:2]
 

@@ -26,11 +26,11 @@ from irlos_pipe.focus.source import Arrival, Clock, Fault, Source
 from irlos_pipe.product.runfolder import owned_folder, require_free
 
 COMMAND = "command"
-POLL_S = 0.25  # between looks at everything that is no frame
-CLOCK_STEP_S = 0.5
-AHEAD_S = 5.0  # of both clocks of the loop: no read is of the future
+POLL_S = 0.25  # longest wait for frames between looks at everything else
+CLOCK_STEP_S = 0.5  # step of the system's clock against the steady one that is reported
+AHEAD_S = 5.0  # ahead of both clocks of the loop, from which a read's time is in the future
 OWN = ("focus.jsonl", COMMAND)
-FAULTS_A_MINUTE, MINUTE_S = 20, 60.0  # that are told each
+FAULTS_A_MINUTE, MINUTE_S = 20, 60.0  # faults that are reported each in a minute; further ones are counted
 
 Tell = Callable[[str], None]  # gets lines for people
 
@@ -60,12 +60,7 @@ class Service:
     def run(self, report: Tell, stopped: Callable[[], bool] = lambda: False) -> int:
         """Run until the source ends or `stopped` says so; `report` gets lines; return the number of records.
 
-        Raises
-        ------
-        IrlosError
-            When the loop cannot start.
-        Stopped
-            When it is interrupted.
+        Raises `IrlosError` when the loop cannot start; `Stopped` when it is interrupted.
         """
         with ExitStack() as stack:
             require_free(self.output, OWN)
@@ -90,10 +85,7 @@ class Service:
 def _require_agreement(source: Source, calibration: Calibration) -> None:
     """Frames must be those of the calibration, as far as the source knows from the start.
 
-    Raises
-    ------
-    InputDataError
-        If their window, instrument or light path is another.
+    Raises `InputDataError` if their window, instrument or light path is another.
     """
     window = getattr(source, "window", calibration.window)
     if window != calibration.window:
@@ -120,10 +112,7 @@ def _left_off(
 
     The command is written first, is checked by itself, and is what the telescope has done.
 
-    Raises
-    ------
-    InputDataError
-        If the offset that stands cannot be known, or is not within the limit.
+    Raises `InputDataError` if the offset that stands cannot be known, or is not within the limit.
     """
     last, command = journal.last, mailbox.read()
     number, offset_nm = (0, 0.0) if last is None else (last.sequence, last.offset_nm)
@@ -253,7 +242,7 @@ class _Running:
             self.note(f"no frames for {limit_s:g} s{self.unused()}")
 
     def unused(self) -> str:
-        """Reads that no record tells of."""
+        """Reads that no record accounts for."""
         count = self.accumulator.unused
         return f"; {count} reads since the last record came too late or twice" if count else ""
 
@@ -330,27 +319,27 @@ class _SparingNotes:
 
     tell: Tell
     _began_s: float = field(default_factory=time.monotonic)
-    _told: int = 0
-    _untold: int = 0
+    _reported: int = 0
+    _unreported: int = 0
     _last: str = ""
 
     def add(self, text: str) -> None:
         """Tell a fault, a `text` of one line, or count it."""
         self.look()
-        if self._told < FAULTS_A_MINUTE:
-            self._told += 1
+        if self._reported < FAULTS_A_MINUTE:
+            self._reported += 1
             self.tell(text)
         else:
-            self._untold, self._last = self._untold + 1, text
+            self._unreported, self._last = self._unreported + 1, text
 
     def look(self) -> None:
-        """Tell at the end of a minute how many were not told."""
+        """Tell at the end of a minute how many were not reported."""
         if time.monotonic() - self._began_s >= MINUTE_S:
             self.finish()
-            self._began_s, self._told = time.monotonic(), 0
+            self._began_s, self._reported = time.monotonic(), 0
 
     def finish(self) -> None:
-        """Tell how many were not told yet."""
-        if self._untold:
-            self.tell(f"{self._untold} more faults, the last: {self._last}")
-        self._untold = 0
+        """Tell how many are not reported yet."""
+        if self._unreported:
+            self.tell(f"{self._unreported} more faults, the last: {self._last}")
+        self._unreported = 0

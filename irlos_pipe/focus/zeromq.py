@@ -27,9 +27,9 @@ from irlos_pipe.focus.source import Clock, Fault
 
 MAGIC, VERSION = b"IRLOSFRM", 1
 HEAD = struct.Struct("<8s3I4xqd")
-KEPT = 1024  # messages that wait for the loop
-LARGER = 4  # than a frame of the loop's window, and no message is taken
-TOLD, MOST = 20, 2000  # faults of a poll that are told each, and messages that it takes
+KEPT = 1024  # messages that wait for the loop at most
+LARGER = 4  # times a frame of the loop's window, above which no message is taken
+REPORTED, MOST = 20, 2000  # faults of a poll that are reported each, and messages that it takes
 FRESH_S = 10.0  # age of a signed message from which it may be one played back
 
 
@@ -47,10 +47,8 @@ class ZeroMqSource:
     `token` messages must be signed, newer than all before, and not older than seconds: whoever plays messages
     back has no token.
 
-    Raises
-    ------
-    ConfigurationError
-        If pyzmq is not installed, the endpoint is none, or lies beyond this machine and there is no token.
+    Raises `ConfigurationError` if pyzmq is not installed, the endpoint is none, or lies beyond this machine
+    and there is no token.
     """
 
     def __init__(self, endpoint: str, token: str = "", window: tuple[int, int] = (512, 512)):
@@ -71,27 +69,25 @@ class ZeroMqSource:
             raise ConfigurationError(f"--zeromq {endpoint}: {error.strerror}") from None
 
     def poll(self, timeout_s: float) -> Sequence[Read | Fault]:
-        """See `Source.poll`."""
         until = time.monotonic() + timeout_s
         found: list[Read | Fault] = self._faults()
         if not found:
             self._socket.poll(max(0, math.ceil(1e3 * (until - time.monotonic()))))
-        untold, last = 0, ""
+        unreported, last = 0, ""
         for _ in range(MOST):
             if not self._socket.poll(0):
                 break
             one = self._frame(self._socket.recv_multipart())
-            if isinstance(one, Read) or len(found) < TOLD:
+            if isinstance(one, Read) or len(found) < REPORTED:
                 found.append(one)
             else:
-                untold, last = untold + 1, one.text
-        if untold:
-            text = f"{last}; {untold} of the kind at once: frames between them may be lost"
-            found.append(Fault(text, untold))
+                unreported, last = unreported + 1, one.text
+        if unreported:
+            text = f"{last}; {unreported} of the kind at once: frames between them may be lost"
+            found.append(Fault(text, unreported))
         return found
 
     def close(self) -> None:
-        """See `Source.close`."""
         self._socket.disable_monitor()
         self._context.destroy(linger=0)
 

@@ -12,30 +12,22 @@ import scipy
 from irlos_pipe.night.settings import BandSettings
 
 GAUSSIAN_MAD = 1.4826  # standard deviation of Gaussian values over their median absolute deviation (MAD)
-MAD_EFFICIENCY = 0.37  # of the MAD as an estimator of the standard deviation, relative to the sample's own
+MAD_EFFICIENCY = 0.37  # efficiency of the MAD as an estimate of the standard deviation
 MEDIAN_VARIANCE = np.pi / 2  # variance of the median of Gaussian values over that of their mean
 # Nights that the errors of a number count for: alone, and where many modes show how good their errors are.
 ERROR_NIGHTS, POOLED_ERROR_NIGHTS = 5.0, 10.0
-FURTHEST_SIGMA = 37.0  # beyond this the probability is below the smallest number
+FURTHEST_SIGMA = 37.0  # deviation beyond which the probability is below the smallest number
 
 
 @dataclass(frozen=True)
 class Band:
-    """The range in which a number is expected, from `nights` earlier nights.
-
-    Attributes
-    ----------
-    lowest : float
-        What the number cannot be below.
-    freedom : float
-        Degrees of freedom of Student's t, of which `half_width` is a quantile.
-    """
+    """The range in which a number is expected, from `nights` earlier nights."""
 
     centre: float
     half_width: float
     nights: int
-    lowest: float = -np.inf
-    freedom: float = np.inf
+    lowest: float = -np.inf  # what the number cannot be below
+    freedom: float = np.inf  # degrees of freedom of Student's t, of which `half_width` is a quantile
 
     @property
     def low(self) -> float:
@@ -54,42 +46,25 @@ class Band:
 
 @dataclass(frozen=True)
 class Point:
-    """One number of one run: a row of the table that all texts, pages and plots are made from.
-
-    Attributes
-    ----------
-    unix_s : float
-        Start of the recording [s since 1970]; the middle of the night where it is not known.
-    sigma : float or None
-        Standard error.
-    band : Band or None
-        From the nights before; None where these are too few.
-    alarm : str
-        What is said of it where it is not as expected; else empty.
-    """
+    """One number of one run: a row of the table that all texts, pages and plots are made from."""
 
     run: str
     night: str
-    unix_s: float
+    unix_s: float  # start of the recording [s since 1970]; the middle of the night where it is not known
     name: str
     recipe: str
     configuration: str
     value: float
-    sigma: float | None
-    band: Band | None = None
-    alarm: str = ""
+    sigma: float | None  # standard error
+    band: Band | None = None  # from the nights before; None where these are too few
+    alarm: str = ""  # what is said of it where it is not as expected; else empty
 
 
 @dataclass(frozen=True)
 class History:
-    """A number before some night: one value per earlier night.
+    """A number before some night: one value per earlier night."""
 
-    Attributes
-    ----------
-    medians, errors : ndarray, (nights,)
-        Medians over the night of values and of their standard errors; NaN where there is no error.
-    """
-
+    # (nights,): medians over the night of values and of their standard errors; NaN where there is no error.
     medians: np.ndarray
     errors: np.ndarray
 
@@ -122,12 +97,7 @@ def excess_scatter(modes: Sequence[History]) -> float:
 
     The mean square over the modes of (value − median)/error is taken for every night, and the median over
     the nights of that: one bad night does not count. Deviations from the median of n nights are smaller by
-    √(1 − 1/n).
-
-    Parameters
-    ----------
-    modes : sequence of History
-        Of the same nights.
+    √(1 − 1/n). All `modes` are of the same nights.
     """
     known = [one for one in modes if np.all(np.isfinite(one.errors)) and np.all(one.errors > 0)]
     if not known or len(known[0].medians) < 2:
@@ -153,18 +123,8 @@ def band_of(
     measured on many modes, and 5 with k = 1 otherwise. The half width is that of a prediction interval,
     ``t(1 − p/2; ν + ν₀) √(s² (1 + π/2n) + max(σ² − ε², 0))`` with the value's own error σ.
 
-    Parameters
-    ----------
-    history : History
-        The number before the night.
-    sigma : float or None
-        Standard error of the value.
-    rule : BandSettings
-        Probability p of a false alarm, and how many nights it takes.
-    excess : float, optional
-        k, see `excess_scatter`.
-    lowest : float
-        What the number cannot be below.
+    The `history` is that before the night; the `rule` has the probability p of a false alarm, and how many
+    nights it takes; `excess` is k, see `excess_scatter`; the number cannot be below `lowest`.
     """
     count, error = len(history.medians), history.error
     if count < (rule.least_nights_with_errors if np.isfinite(error) else rule.least_nights):
@@ -189,18 +149,11 @@ def _quantile(false_alarm: float, freedom: float) -> float:
 
 @dataclass(frozen=True)
 class WavefrontTest:
-    """All modes of a run against the nights before it.
+    """All modes of a run against the nights before it."""
 
-    Attributes
-    ----------
-    change_nm : float
-        RMS of the differences from the medians [nm].
-    chi2, limit : float
-        Sum of the squares of the differences in standard deviations, and what it exceeds with the
-        probability of a false alarm.
-    """
-
-    change_nm: float
+    change_nm: float  # RMS of the differences from the medians [nm]
+    # Sum of the squares of the differences in standard deviations, and what it exceeds with the
+    # probability of a false alarm.
     chi2: float
     limit: float
     modes: int
@@ -219,20 +172,11 @@ class WavefrontTest:
 
 
 def wavefront_test(values: Sequence[float], found: Sequence[Band], rule: BandSettings) -> WavefrontTest:
-    """Test all modes of a run together.
+    """Test all modes of a run together: `values` [nm] against the bands `found` for them.
 
     A change that no single mode shows is seen in the sum of squares: every difference is taken to the
     Gaussian deviation of the same probability, so that the sum follows χ² also where the scatter is known
-    from few nights.
-
-    Parameters
-    ----------
-    values : sequence of float
-        The modes [nm].
-    found : sequence of Band
-        Their bands.
-    rule : BandSettings
-        Probability of a false alarm.
+    from few nights. The `rule` has the probability of a false alarm.
     """
     differences = np.array([value - band.centre for value, band in zip(values, found, strict=True)])
     unit = np.array([band.half_width / _quantile(rule.false_alarm, band.freedom) for band in found])

@@ -73,7 +73,7 @@ MIDNIGHT = "CAST(strftime('%s', night, '+1 day', '+282 minutes') AS REAL)"
 # -- the dashboard for Grafana --
 SOURCE = {"type": "frser-sqlite-datasource", "uid": "${DS_IRLOS}"}
 WINDOW = "coalesce(start_unix_s, strftime('%s', night)) BETWEEN $__from / 1000 AND $__to / 1000"
-COLUMNS, HEIGHT = 12, 8  # of a panel; the page has 24 columns
+COLUMNS, HEIGHT = 12, 8  # size of a panel; the page has 24 columns
 POINTS = (  # every number is a line of its own
     "SELECT CAST(coalesce(start_unix_s, strftime('%s', night)) AS INTEGER) AS time, "
     "name || ' ' || recipe AS metric, value FROM numbers JOIN runs USING (run) "
@@ -159,12 +159,8 @@ class Database:
     def store_run(self, head: tuple, measured: Measurements) -> None:
         """Store what was `measured` in a run, and remove the numbers of its earlier products.
 
-        Parameters
-        ----------
-        head : tuple
-            Its columns of the table `runs` up to the target.
-        measured : Measurements
-            The others, and the rows of `numbers` and `checks`.
+        The `head` has its columns of the table `runs` up to the target, the measurements have the others, and
+        the rows of `numbers` and `checks`.
         """
         run = head[0]
         for table in ("checks", "numbers", "runs"):
@@ -223,10 +219,8 @@ class Database:
 def opened(tree: Path) -> Iterator[Database]:
     """Open the database of a tree, creating it if necessary; the block is one transaction.
 
-    Raises
-    ------
-    IrlosError
-        When the file cannot be read or written, or is not such a database; it is unchanged then.
+    Raises `IrlosError` when the file cannot be read or written, or is not such a database; it is unchanged
+    then.
     """
     path = tree / NAME
     if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -271,10 +265,7 @@ def copied(tree: Path) -> Iterator[Database]:
 def existing(tree: Path) -> Iterator[Database]:
     """Open the database of a tree for reading.
 
-    Raises
-    ------
-    InputDataError
-        When there is none.
+    Raises `InputDataError` when there is none.
     """
     if not (tree / NAME).is_file():
         raise InputDataError(
@@ -300,10 +291,7 @@ def _require_schema(connection: sqlite3.Connection, path: Path) -> None:
 def write_dashboard(tree: Path, path: Path) -> None:
     """Write a dashboard for Grafana that shows the database of a `tree` to the file `path`.
 
-    Raises
-    ------
-    ConfigurationError
-        When its name does not end in ``.json``.
+    Raises `ConfigurationError` when its name does not end in ``.json``.
     """
     if path.suffix != ".json":
         raise ConfigurationError(f"--dashboard {path}: give a name that ends in .json")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 KILLED = "its process was killed: memory ran out (try fewer --jobs), or it hung beyond its --limit"
-CONNECT_S = 30
+CONNECT_S = 30  # for a scheduler to answer
 WORKERS_S = 600  # a batch system may need this long to start the first
 IN_FLIGHT = 2000  # tasks known to the scheduler at a time, which bounds its memory
 _one_at_a_time = threading.Lock()
@@ -58,12 +58,9 @@ def _in_processes(work: Work, tasks: Sequence[Task], jobs: int) -> Iterator[Redu
 
 
 def dask_runner(scheduler: str) -> Runner:
-    """Return a runner on an existing cluster.
+    """Return a runner on the cluster of a `scheduler`, an address such as ``tls://10.0.0.1:8786``.
 
-    Parameters
-    ----------
-    scheduler : str
-        Address such as ``tls://10.0.0.1:8786``; certificates stand in Dask's own configuration.
+    Certificates stand in Dask's own configuration.
 
     Raises
     ------
@@ -96,7 +93,7 @@ def dask_runner(scheduler: str) -> Runner:
 
 
 def _is_private(scheduler: str) -> bool:
-    """Whether nobody else can reach a scheduler: within this process, this machine, or with certificates."""
+    """Whether no one else can reach a scheduler: within this process, this machine, or with certificates."""
     scheme, _, location = scheduler.rpartition("://")
     host = location.rpartition(":")[0].strip("[]")
     return scheme in ("tls", "inproc") or host in ("localhost", "::1") or host.startswith("127.")

@@ -26,25 +26,13 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True)
 class Group:
-    """Recordings that are reduced together.
+    """Recordings that are reduced together."""
 
-    Attributes
-    ----------
-    kind : str
-        ``calibration``, ``ramp``, ``derotator``, ``psf`` or ``two_by_two``.
-    name : str
-        Name of its folder, unique in the night; it stays when recordings are added later.
-    inputs : dict of str to tuple of Description
-        Recordings for the inputs of a recipe, by the input's name.
-    choice : str
-        Which calibration a ramp is given, and why.
-    """
-
-    kind: Kind
+    kind: Kind  # ``calibration``, ``ramp``, ``derotator``, ``psf`` or ``two_by_two``
     night: str
-    name: str
-    inputs: Inputs
-    choice: str = ""
+    name: str  # name of its folder, unique in the night; it stays when recordings are added later
+    inputs: Inputs  # recordings for the inputs of a recipe, by the input's name
+    choice: str = ""  # which calibration a ramp is given, and why
 
     @property
     def first(self) -> Description:
@@ -121,8 +109,8 @@ def _single(kind: Kind, cube: Description) -> Group:
 
 def _series(found: Sequence[Description], gap_s: float) -> Iterator[tuple[Description, ...]]:
     """Split recordings, in order of time, into series."""
-    alike = _split(found, lambda one: (one.configuration, one.spectrum, one.target, one.path.parent))
-    for members in alike.values():
+    same_setup = _split(found, lambda one: (one.configuration, one.spectrum, one.target, one.path.parent))
+    for members in same_setup.values():
         steps = enumerate(pairwise(members), 1)
         ends = [index for index, (one, other) in steps if _apart_s(one, other) > gap_s]
         for start, end in pairwise((0, *ends, len(members))):

@@ -21,31 +21,17 @@ from irlos_pipe.stages.lift.results import LiftResults
 
 @dataclass(frozen=True)
 class Measurements:
-    """What a run measured.
+    """What a run measured."""
 
-    Attributes
-    ----------
-    status : str
-        Status of the run, as in results.json.
-    numbers : dict of str to tuple of float
-        Value and standard error (None where there is none) by name; the name ends in the unit.
-    verdict, effects : str or None, list of str
-        Verdict of `diagnose` and the effects it found; None and empty without that stage.
-    model : str
-        Versions of the software and of the stages.
-    key : str
-        Key of the last product: a checksum of everything that it depends on.
-    checks : list of (str, Check)
-        All QC checks with their stage.
-    """
-
-    status: str
+    status: str  # as in results.json
+    # Value and standard error (None where there is none) by name; the name ends in the unit.
     numbers: dict[str, tuple[float, float | None]]
+    # Verdict of `diagnose` and the effects it found; None and empty without that stage.
     verdict: str | None
     effects: list[str]
-    model: str
-    key: str
-    checks: list[tuple[str, Check]] = field(default_factory=list)
+    model: str  # versions of the software and of the stages
+    key: str  # key of the last product: a checksum of everything that it depends on
+    checks: list[tuple[str, Check]] = field(default_factory=list)  # all QC checks with their stage
 
     @property
     def checks_failed(self) -> list[str]:
@@ -59,10 +45,7 @@ def read_measurements(folder: Path, kind: Kind) -> Measurements:
     NCPAs are taken from calibration cubes and defocus from ramps, so that nothing is counted twice
     when the reduction of a ramp calibrates with the same cube again.
 
-    Raises
-    ------
-    InputDataError
-        When the run cannot be read.
+    Raises `InputDataError` when the run cannot be read.
     """
     run = existing_run(folder)
     products = [read_product(path, arrays=False) for path in run.products().values()]

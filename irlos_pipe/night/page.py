@@ -50,7 +50,7 @@ STRUCTURE_CAPTION = (
 )
 GAP_LEAD = "Gap: Σ|measured − predicted| / Σ measured of frames that no fit has seen; the latest come first."
 MAX_VERDICT_ROWS, MAX_VERDICTS = 30, 4  # rows of the table, and numbers at the top
-FEW_ROWS = 12
+FEW_ROWS = 12  # rows above which a table is folded
 REDUCTION_COLUMNS = ("group", "recipe", "target", "result", "what was done", "why", "report")
 VERDICT_COLUMNS = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
 RECORDING_COLUMNS = (
@@ -197,16 +197,16 @@ def trend_section(trend: Trend) -> Section | None:
 
     modes, others = _drawn(trend, DRAWN_MODES), _drawn(trend, DRAWN_OTHERS)
     blocks: list[Figure | Table | Text | Stack] = []
-    beside: list[Figure] = []
+    side_by_side: list[Figure] = []
     if modes:
         blocks.append(Figure(series_drawing("modes", modes), "NCPAs", MODES_CAPTION))
     if others:
-        beside.append(Figure(series_drawing("others", others), "Ramp, sky and model", OTHERS_CAPTION))
+        side_by_side.append(Figure(series_drawing("others", others), "Ramp, sky and model", OTHERS_CAPTION))
     if trend.stabilities:
         drawing = structure_drawing("structure", trend)
         said = " ".join(validity_text(validity) for _, validity in trend.stabilities.values())
-        beside.append(Figure(drawing, "Stability of the NCPAs", f"{said} {STRUCTURE_CAPTION}"))
-    blocks.extend([Stack(beside)] if beside else [])
+        side_by_side.append(Figure(drawing, "Stability of the NCPAs", f"{said} {STRUCTURE_CAPTION}"))
+    blocks.extend([Stack(side_by_side)] if side_by_side else [])
     return Section("trend", "Trend", "", blocks) if blocks else None
 
 

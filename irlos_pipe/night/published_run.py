@@ -15,7 +15,7 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.product.runfolder import EARLIER, LOCK_NAME, RunFolder
 
-EARLIER_SLOTS = ("a", "b")  # to one of which `path` was a link in trees of earlier versions
+EARLIER_SLOTS = ("a", "b")  # folders to one of which `path` was a link in trees of earlier versions
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,8 @@ class PublishedRun:
     def prepare(self) -> Path:
         """Return the work folder; it starts with the published products unless work has begun there.
 
-        Raises
-        ------
-        IrlosError
-            When something else has this name, a folder above it is a link, or the folder cannot be written.
+        Raises `IrlosError` when something else has this name, a folder above it is a link, or the folder
+        cannot be written.
         """
         for folder in (self.path.parent.parent, self.path.parent):
             if folder.is_symlink():
@@ -57,10 +55,7 @@ class PublishedRun:
     def publish(self) -> None:
         """Replace the published products by those of the work folder, and remove the old ones.
 
-        Raises
-        ------
-        IrlosError
-            When they cannot be replaced; both sets are then still there.
+        Raises `IrlosError` when they cannot be replaced; both sets are then still there.
         """
         old = self._hidden("old")
         try:

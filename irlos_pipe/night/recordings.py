@@ -30,7 +30,7 @@ from irlos_pipe.stages.ingest.sources import Source, read_sources
 # A night is named after its evening. It ends at local noon of Paranal (70.4 degrees west).
 NOON_UTC = timedelta(hours=12 + 70.4 / 15)
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
-DESCRIPTION_VERSION = 3  # of what a description holds; those of an earlier one are read anew
+DESCRIPTION_VERSION = 3  # version of what a description holds; files with an earlier one are read again
 UNPRINTABLE = "{!r}: the name holds characters that cannot be shown; rename it"
 BY_PATH, BY_FILE = "the date in its path", "the date of its file"
 # Warnings of the readers are reported when the recording is reduced.
@@ -39,49 +39,26 @@ SILENT = logging.Logger("describe", logging.CRITICAL + 1)
 
 @dataclass(frozen=True)
 class Description:
-    """What is known of a recording before it is reduced: enough to assign it to a night and a group.
+    """What is known of a recording before it is reduced: enough to assign it to a night and a group."""
 
-    Attributes
-    ----------
-    path : Path
-        The recorder's folder, or the file: the input that a recipe is given.
-    night : str
-        Date of its evening, ISO.
-    start_unix_s : float or None
-        Start time since 1970 [s]; None where the recording does not state it.
-    mode : str
-        Read-out mode, empty where the file layout has none.
-    configuration : str
-        What the NCPAs depend on: read-out mode, pixel scale, diversity. Recordings with equal text
-        were taken through the same optics.
-    spectrum : str
-        Wavelengths and weights.
-    window : tuple of int
-        Rows and columns [px].
-    full_pupil : bool
-        False for the images of a 2x2 mode.
-    content : str
-        Checksum of the frames, the same for a copy.
-    night_by : str
-        What the night was taken from where the recording states no time; else empty.
-    """
-
-    path: Path
+    path: Path  # the recorder's folder, or the file: the input that a recipe is given
     name: str
     role: str
-    night: str
-    start_unix_s: float | None = None
-    mode: str = ""
+    night: str  # date of its evening, ISO
+    start_unix_s: float | None = None  # start time since 1970 [s]; None where the recording does not state it
+    mode: str = ""  # read-out mode, empty where the file layout has none
+    # What the NCPAs depend on: read-out mode, pixel scale, diversity. Recordings with equal text were taken
+    # through the same optics.
     configuration: str = ""
-    spectrum: str = ""
-    window: tuple[int, int] = (0, 0)
+    spectrum: str = ""  # wavelengths and weights
+    window: tuple[int, int] = (0, 0)  # rows and columns [px]
     frames: int = 0
     target: str = ""
     exposure_s: float | None = None
     derotator_angle_deg: float = 0.0
-    full_pupil: bool = True
-    content: str = ""
-    night_by: str = ""
+    full_pupil: bool = True  # False for the images of a 2x2 mode
+    content: str = ""  # checksum of the frames, the same for a copy
+    night_by: str = ""  # what the night was taken from where the recording states no time; else empty
 
     def same_frames(self, other: Description) -> bool:
         """Whether `other` holds the same frames, taken at the same time as far as that is known."""
@@ -101,18 +78,12 @@ DESCRIPTION = TypeAdapter(Description)
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A recording that is not reduced, or what cannot be read as one; `alarming` when somebody should know.
-
-    Attributes
-    ----------
-    found_as : str
-        ``unusable`` or ``copy``, which is known before recordings are grouped; else empty.
-    """
+    """A recording that is not reduced, or what cannot be read as one; `alarming` if somebody should know."""
 
     recording: Description
     reason: str
     alarming: bool = False
-    found_as: str = ""
+    found_as: str = ""  # ``unusable`` or ``copy``, which is known before recordings are grouped; else empty
 
 
 def discover(
@@ -129,10 +100,7 @@ def discover(
     side-car has. The `database` has descriptions of earlier runs; new ones are added. Reading one recording
     may take `limit_s`; there is no limit if that is 0.
 
-    Raises
-    ------
-    InputDataError
-        When one of the folders does not exist.
+    Raises `InputDataError` when one of the folders does not exist.
     """
     found: list[Description] = []
     problems: list[tuple[Path, str]] = []
@@ -243,7 +211,7 @@ def _describe(
 
 
 def _stored(content: Any) -> Description | None:
-    """A description from the database; None if there is none or it is damaged: the file is read anew."""
+    """A description from the database; None if there is none or it is damaged: the file is read again."""
     try:
         found = DESCRIPTION.validate_json(content or "")
         date.fromisoformat(found.night)  # the name of a folder is made of it

@@ -26,27 +26,16 @@ NEW, REDONE, UNCHANGED, FAILED = "new", "redone", "up to date", "failed"
 
 @dataclass(frozen=True)
 class Task:
-    """A recipe and the recordings to run it on: small, and the same in any process on any machine.
+    """A recipe and the recordings to run it on: small, and the same in any process on any machine."""
 
-    Attributes
-    ----------
-    name : str
-        ``<night>/<group>/<recipe>``, unique in the tree.
-    folder : Path
-        Where the products are found when they are complete, see `PublishedRun`.
-    recipe, settings, inputs :
-        Arguments of `load_recipe`.
-    limit_s : float
-        Longest time that it may take [s]; no limit if 0.
-    """
-
-    name: str
-    folder: Path
+    name: str  # ``<night>/<group>/<recipe>``, unique in the tree
+    folder: Path  # where the products are found when they are complete, see `PublishedRun`
+    # recipe, settings, inputs: arguments of `load_recipe`.
     recipe: Path
     settings: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     device: str = "cpu"
-    limit_s: float = 0.0
+    limit_s: float = 0.0  # longest time that it may take [s]; no limit if 0
 
     def load(self) -> Recipe:
         """Return the validated recipe."""
@@ -63,36 +52,18 @@ class Job:
 
 @dataclass(frozen=True)
 class Reduced:
-    """The outcome of a task.
-
-    Attributes
-    ----------
-    action : str
-        ``new``, ``redone``, ``up to date`` or ``failed``: there are no new products.
-    status : str
-        As in results.json; ``failed`` also when nothing was written.
-    checks_failed : tuple of str
-        Messages of the QC checks that failed.
-    reasons : tuple of str
-        One line per stage that was redone: which, and why.
-    problem : str
-        The error that stopped it, or a problem beside the results, in one line.
-    key : str
-        Key of the last product, where it is known; see `Step`.
-    seconds : float
-        Wall time.
-    """
+    """The outcome of a task."""
 
     name: str
     folder: Path
-    action: str
-    status: str = "ok"
-    checks_failed: tuple[str, ...] = ()
-    reasons: tuple[str, ...] = ()
-    problem: str = ""
-    key: str = ""
+    action: str  # ``new``, ``redone``, ``up to date`` or ``failed``: there are no new products
+    status: str = "ok"  # as in results.json; ``failed`` also when nothing was written
+    checks_failed: tuple[str, ...] = ()  # messages of the QC checks that failed
+    reasons: tuple[str, ...] = ()  # one line per stage that was redone: which, and why
+    problem: str = ""  # the error that stopped it, or a problem next to the results, in one line
+    key: str = ""  # key of the last product, where it is known; see `Step`
     log: Path = Path()
-    seconds: float = 0.0
+    seconds: float = 0.0  # wall time [s]
 
     @property
     def failed(self) -> bool:
@@ -110,10 +81,8 @@ def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device
     The `settings` have the recipes by kind of the `groups`, and changes of their settings; products go to
     ``tree/<night>/<group>/<recipe>`` of the `tree`; `device` is ``cpu``, ``cuda`` or ``auto``.
 
-    Raises
-    ------
-    ConfigurationError
-        When a recipe is not valid, or declares an input that its kind of group does not have.
+    Raises `ConfigurationError` when a recipe is not valid, or declares an input that its kind of group does
+    not have.
     """
     tree = tree.absolute()  # tasks may be worked on elsewhere
     jobs = []

@@ -43,22 +43,14 @@ NO_RECIPE = "no recipe for groups of kind {0}; give one with --recipe {0}=PATH"
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be run: recordings in `folders`, results into the `tree`.
-
-    Attributes
-    ----------
-    since : str
-        First night to look at, ISO date; all if empty.
-    acknowledge : bool
-        What is wrong is known from now on, and not reported again.
-    """
+    """What is to be run: recordings in `folders`, results into the `tree`."""
 
     folders: Sequence[Path]
     tree: Path
     settings: NightSettings
-    since: str = ""
+    since: str = ""  # first night to look at, ISO date; all if empty
     device: str = "cpu"
-    acknowledge: bool = False
+    acknowledge: bool = False  # what is wrong is known from now on, and not reported again
 
 
 def run_night(request: Request, runner: Runner) -> RunState:
@@ -67,14 +59,9 @@ def run_night(request: Request, runner: Runner) -> RunState:
     The `runner` says where tasks are worked on, see `engines`. Ramps come last, when it is known which
     calibrations can serve them.
 
-    Raises
-    ------
-    NothingToDo
-        When there is no recording, or no recipe for any; the page of the night says so.
-    Locked
-        When another run owns the tree.
-    IrlosError
-        When the whole run cannot go on; the pages say what stopped it, finished products stay.
+    Raises `NothingToDo` when there is no recording, or no recipe for any, which the page of the night says;
+    `Locked` when another run owns the tree; `IrlosError` when the whole run cannot go on, where the pages say
+    what stopped it and finished products stay.
     """
     _require_usable(request)
     with owned_folder(request.tree), written_to(request.tree / LOG_NAME):
@@ -182,14 +169,14 @@ def _nothing_text(request: Request, state: RunState) -> str:
     return f"{where}: no recordings"
 
 
-def _work_on(request: Request, state: RunState, runner: Runner, wanted: Callable[[Job], bool]) -> None:
-    """Work on those of the jobs that are `wanted` and not up to date; one that fails does not stop others."""
-    jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if wanted(job)}
+def _work_on(request: Request, state: RunState, runner: Runner, requested: Callable[[Job], bool]) -> None:
+    """Work on the jobs that are `requested` and not up to date; one that fails does not stop others."""
+    jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if requested(job)}
     for reduced in list(filter(None, (_without_work(job.task) for job in jobs.values()))):
         _record(request, state, jobs[reduced.name], reduced)
     todo = []
     for night in state.nights.values():
-        if tasks := [job.task for job in night.unfinished if wanted(job)]:
+        if tasks := [job.task for job in night.unfinished if requested(job)]:
             write_page(request.tree, night, None, running=True)
             todo += tasks
     for number, reduced in enumerate(runner(reduce_group, todo) if todo else (), 1):

@@ -27,7 +27,7 @@ RECIPES: dict[Kind, list[str]] = {
 }
 
 Limits = tuple[float | None, float | None]
-# Names of the numbers that `numbers` takes from a run, beside those of the modes.
+# Names of the numbers that `numbers` takes from a run, besides those of the modes.
 OTHER_NUMBERS = (
     "ncpa_nm", "seeing_arcsec", "ao_residual_nm", "jitter_mas", "chi2_nu", "defocus_bias_nm", "ramp_slope",
     "ramp_error_nm", "focus_2x2_nm", "gap_before", "gap_after", "gap_floor",
@@ -102,10 +102,7 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
 
     Those are ``KIND=PATH``, relative to the current folder, or ``KIND=NAME``; a kind given again is a list.
 
-    Raises
-    ------
-    ConfigurationError
-        With one line ``where: message`` for every validation error.
+    Raises `ConfigurationError` with one line ``where: message`` for every validation error.
     """
     settings = NightSettings() if path is None else read_validated(path, NightSettings)
     folder = None if path is None else absolute(path).parent

@@ -12,34 +12,22 @@ DAY_S = 86400.0
 LAG_EDGES_S = np.concatenate([[0.0, 3600.0], DAY_S * (2.0 ** np.arange(13) - 0.5)])
 CONFIDENCE = 0.95
 TAILS = (50 * (1 - CONFIDENCE), 100 - 50 * (1 - CONFIDENCE))
-DRAWS = 200
-MOST_POINTS = 100  # of the nights that are drawn; more would make the interval no narrower, but take long
-LEAST_NM2 = 1e-6  # change of calibrations that are the same
-MIN_DRAWN_MODES, MAX_DRAWN_MODES = 1, 40
+DRAWS = 200  # series of nights for a confidence interval
+MOST_POINTS = 100  # calibrations in the nights that are drawn: more take long and narrow no interval
+LEAST_NM2 = 1e-6  # change of calibrations that are the same, as of rounding
+MIN_DRAWN_MODES, MAX_DRAWN_MODES = 1, 40  # modes in which nights are drawn to change
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Structure function in bins of the lag; all arrays have shape (bins,), empty bins are left out.
+    """Structure function in bins of the lag; all arrays have shape (bins,), empty bins are left out."""
 
-    Attributes
-    ----------
-    lag_s : ndarray
-        Mean lag of the pairs [s].
-    change_nm2 : ndarray
-        Mean square change of the wavefront after the noise is subtracted; may be negative [nm²].
-    noise_nm2 : ndarray
-        The noise that was subtracted [nm²].
-    pairs : ndarray of int
-        Number of pairs.
-    low_nm, high_nm : ndarray
-        Confidence interval of the RMS change [nm], see `with_confidence`; NaN without it.
-    """
-
-    lag_s: np.ndarray
+    lag_s: np.ndarray  # mean lag of the pairs [s]
+    # Mean square change of the wavefront after the noise is subtracted; may be negative [nm²].
     change_nm2: np.ndarray
-    noise_nm2: np.ndarray
+    noise_nm2: np.ndarray  # the noise that was subtracted [nm²]
     pairs: np.ndarray
+    # low_nm, high_nm: confidence interval of the RMS change [nm], see `with_confidence`; NaN without it.
     low_nm: np.ndarray
     high_nm: np.ndarray
 
@@ -95,18 +83,10 @@ def _square_changes(modes_nm: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Drift:
-    """A wavefront that changes from one calibration to the next: D(lag) = white + rate · lag.
+    """A wavefront that changes from one calibration to the next: D(lag) = white + rate · lag."""
 
-    Attributes
-    ----------
-    white_nm2 : float
-        Mean square change that does not depend on the lag [nm²].
-    rate_nm2_per_day : float
-        Growth of the mean square change [nm²/day], as of a random walk.
-    """
-
-    white_nm2: float
-    rate_nm2_per_day: float
+    white_nm2: float  # mean square change that does not depend on the lag [nm²]
+    rate_nm2_per_day: float  # growth of the mean square change [nm²/day], as of a random walk
 
     def change_nm2(self, lag_s: np.ndarray) -> np.ndarray:
         """Return the mean square change after `lag_s` [nm²]."""
@@ -123,23 +103,14 @@ class Drift:
 
 @dataclass(frozen=True)
 class Validity:
-    """How long the NCPAs stay within some RMS change.
-
-    Attributes
-    ----------
-    change_nm : float
-        The RMS change [nm].
-    days, low_days, high_days : float
-        The time, and its confidence interval; infinite where no drift is seen.
-    seen_days : float
-        The longest lag between two calibrations.
-    """
+    """How long the NCPAs stay within some RMS change."""
 
     change_nm: float
+    # days, low_days, high_days: the time, and its confidence interval; infinite where no drift is seen.
     days: float
     low_days: float
     high_days: float
-    seen_days: float
+    seen_days: float  # the longest lag between two calibrations
 
 
 def fitted_drift(found: Structure) -> Drift:
@@ -170,14 +141,7 @@ def with_confidence(
     the errors of the measurement, in as many modes as have a share in the changes. What the same statistics
     make of them, relative to the truth, bounds the truth behind what was measured.
 
-    Parameters
-    ----------
-    found : Structure
-        Structure function of the calibrations.
-    unix_s, modes_nm, sigma_nm :
-        As of `structure_function`.
-    change_nm : float
-        RMS change until which a calibration is valid [nm].
+    The arrays are those of `structure_function`; a calibration is valid until an RMS change of `change_nm`.
     """
     drift = fitted_drift(found)
     drawn = list(_drawn(drift, unix_s, modes_nm, sigma_nm))

@@ -27,32 +27,19 @@ def page_path(tree: Path, date: str) -> Path:
 
 @dataclass
 class Night:
-    """One night.
+    """One night."""
 
-    Attributes
-    ----------
-    date : str
-        Date of its evening, ISO.
-    reduced : dict of str to Reduced
-        Outcomes of the jobs, by the name of their task.
-    alarms : list of str
-        Numbers of this night that left their band, one line each.
-    nothing : str
-        Why there is nothing to do; empty if there is something.
-    stopped : str
-        What stopped the whole run before the night was finished, if anything did.
-    acknowledged : frozenset of str
-        Problems that somebody has seen already: they are `known` and count no more.
-    """
-
-    date: str
+    date: str  # date of its evening, ISO
     recordings: list[Description] = field(default_factory=list)
     jobs: list[Job] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
+    # Outcomes of the jobs, by the name of their task.
     reduced: dict[str, Reduced] = field(default_factory=dict)
+    # Numbers of this night that left their band, one line each.
     alarms: list[str] = field(default_factory=list)
-    nothing: str = ""
-    stopped: str = ""
+    nothing: str = ""  # why there is nothing to do; empty if there is something
+    stopped: str = ""  # what stopped the whole run before the night was finished, if anything did
+    # Problems that somebody has seen already: they are `known` and count no more.
     acknowledged: frozenset[str] = frozenset()
 
     @property
@@ -150,10 +137,7 @@ class RunState:
     def acknowledge(self, tree: Path) -> None:
         """Make all problems of these nights known in a `tree`.
 
-        Raises
-        ------
-        IrlosError
-            When they cannot be written down.
+        Raises `IrlosError` when they cannot be written down.
         """
         problems = {_as_line(line) for one in self.nights.values() for line in (*one.failures, *one.doubts)}
         known = read_acknowledged(tree) | problems
@@ -173,10 +157,7 @@ class RunState:
 def read_acknowledged(tree: Path) -> frozenset[str]:
     """Return the problems that are acknowledged in a `tree`, none without the file.
 
-    Raises
-    ------
-    IrlosError
-        When the file cannot be read.
+    Raises `IrlosError` when the file cannot be read.
     """
     path = tree / ACKNOWLEDGED
     if not path.is_file():

@@ -27,8 +27,8 @@ VERDICT_COLUMNS = ("night", "group", "verdict", "effects")
 POINT_COLUMNS = (
     "name", "recipe", "configuration", "night", "run", "unix_s", "value", "sigma", "low", "high", "alarm",
 )  # fmt: skip
-MOST_VERDICTS = 3
-FAR = 2.0  # times the longest lag between calibrations: a drift is not drawn out further
+MOST_VERDICTS = 3  # verdicts of `diagnose` that are shown
+FAR = 2.0  # times the longest lag between calibrations, beyond which no drift is extrapolated
 
 
 # -- irlos night --------------------------------------------------------------------------------

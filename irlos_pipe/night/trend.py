@@ -71,24 +71,15 @@ class Series:
 
 @dataclass(frozen=True)
 class Trend:
-    """What the nights of a tree show.
+    """What the nights of a tree show."""
 
-    Attributes
-    ----------
-    points : tuple of Point
-        All numbers, series after series, in order of time.
-    wavefronts : tuple of (Point, WavefrontTest)
-        Every calibration with enough nights before it, in order of time: the modes from Noll 4 together,
-        as the RMS change, and the test of it.
-    names : tuple of str
-        Numbers to show; all if empty.
-    """
-
-    points: tuple[Point, ...] = ()
+    points: tuple[Point, ...] = ()  # all numbers, series after series, in order of time
+    # Every calibration with enough nights before it, in order of time: the modes from Noll 4 together, as the
+    # RMS change, and the test of it.
     wavefronts: tuple[tuple[Point, WavefrontTest], ...] = ()
     verdicts: tuple[Verdict, ...] = ()
     rule: BandSettings = field(default_factory=BandSettings)
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()  # numbers to show; all if empty
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
@@ -138,12 +129,8 @@ def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until:
     The `rule` says when a number counts as out of its band. If `names` of numbers are given, only these are
     shown, without verdicts.
 
-    Raises
-    ------
-    InputDataError, NothingToDo
-        When it is no such tree, or has no numbers.
-    ConfigurationError
-        When a name is unknown.
+    Raises `InputDataError` or `NothingToDo` when it is no such tree, or has no numbers; `ConfigurationError`
+    when a name is unknown.
     """
     with existing(tree) as database:
         trend = make_trend(database.points(), database.verdicts(), rule)

@@ -19,8 +19,8 @@ from irlos_pipe.night.trend import Series, Trend, label
 from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, own_style, svg
 
 WIDTH_IN, PANEL_IN, STRUCTURE_IN = 5.6, 0.95, 3.2
-MAX_PANELS = 16
-WIDEST_BAND = 3.0  # shown whole, in ranges of the values
+MAX_PANELS = 16  # series that are plotted
+WIDEST_BAND = 3.0  # ranges of the values within which a band is shown whole
 LAGS_DAYS = {1 / 24: "1 hour", 1: "1 day", 7: "1 week", 30: "1 month", 182: "6 months", 730: "2 years"}
 FORMATS = (".svg", ".png", ".pdf")
 
@@ -38,12 +38,8 @@ def structure_drawing(name: str, trend: Trend) -> Markup:
 def save_plot(trend: Trend, path: Path) -> None:
     """Plot the first `MAX_PANELS` series of a `trend` and its structure functions to the file `path`.
 
-    Raises
-    ------
-    ConfigurationError
-        When the name does not end in one of `FORMATS`.
-    IrlosError
-        When it cannot be written.
+    Raises `ConfigurationError` when the name does not end in one of `FORMATS`; `IrlosError` when it cannot be
+    written.
     """
     kind = path.suffix.lower()
     if kind not in FORMATS:

@@ -48,12 +48,8 @@ SECTIONS: dict[str, Callable[[RunData], Section]] = {
 def write_report(run_folder: Path) -> Path:
     """Build the report of a run, of which any stage may be missing; the same products give the same file.
 
-    Raises
-    ------
-    InputDataError
-        When it is not the folder of a run, or a product cannot be read.
-    IrlosError
-        When the report cannot be written.
+    Raises `InputDataError` when it is not the folder of a run, or a product cannot be read; `IrlosError` when
+    the report cannot be written.
     """
     run = read_run(run_folder)
     verdict = run.results(DiagnoseResults)
@@ -77,7 +73,6 @@ def write_report(run_folder: Path) -> Path:
 
 
 def report_sections(run: RunData) -> list[Section]:
-    """Return all sections of the report of a run."""
     sections = (*stage_sections(run).values(), quality_section(run), origin_section(run))
     return [section for section in sections if section]
 
@@ -100,7 +95,7 @@ def _section(stage: str, run: RunData) -> Section:
 
 
 def _untested(run: RunData) -> list[str]:
-    """Return what the data of all stages cannot tell, to be read before the numbers, everything once."""
+    """Return what the data of all stages do not determine, to be read before the numbers, everything once."""
     lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
     return list(dict.fromkeys(line.replace("`", "") for line in lines))
 

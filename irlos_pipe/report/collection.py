@@ -23,47 +23,29 @@ LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report sho
 
 @dataclass(frozen=True)
 class Chapter:
-    """What a report shows of one experiment.
-
-    Attributes
-    ----------
-    status : str
-        As in results.json, ``failed`` where there are none.
-    problems : list of str
-        Why it failed, and what it warned of.
-    sizes : str
-        The whole numbers among the settings of its last stage: how much was drawn.
-    seconds : float
-        Wall time of all stages.
-    made : Provenance or None
-        Provenance of the last stage.
-    """
+    """What a report shows of one experiment."""
 
     name: str
     title: str
-    status: str = "failed"
-    problems: list[str] = field(default_factory=list)
+    status: str = "failed"  # as in results.json, ``failed`` where there are none
+    problems: list[str] = field(default_factory=list)  # why it failed, and what it warned of
     sections: list[Section] = field(default_factory=list)
     settings: Table | None = None
     seed: int | None = None
-    sizes: str = ""
-    seconds: float | None = None
+    sizes: str = ""  # the whole numbers among the settings of its last stage: how much was drawn
+    seconds: float | None = None  # wall time of all stages [s]
     finished: str = ""
-    made: Provenance | None = None
+    made: Provenance | None = None  # provenance of the last stage
 
     @property
     def time(self) -> str:
-        """Return the wall time as text."""
         return duration(self.seconds)
 
 
 def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
     """Read the run of an experiment, which a `problem` may have stopped; identifiers begin with its `name`.
 
-    Raises
-    ------
-    InputDataError
-        When it is not the folder of a run, or a product cannot be read.
+    Raises `InputDataError` when it is not the folder of a run, or a product cannot be read.
     """
     run = read_run(folder)
     # Whole numbers among the settings of the last stage, without true and false.
@@ -121,10 +103,7 @@ def _shown(value: Any) -> str:
 def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapter]) -> Path:
     """Write the page with a `note` below its title; the same chapters give the same file.
 
-    Raises
-    ------
-    IrlosError
-        When it cannot be written.
+    Raises `IrlosError` when it cannot be written.
     """
     contents = Table.of(
         chapters,

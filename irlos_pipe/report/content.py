@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 Item = TypeVar("Item")
 Width = Literal["third", "half", "two-thirds", "full"]
-MOST_CHOICES = 4
+MOST_CHOICES = 4  # views of a figure for which report.css has rules
 
 
 @dataclass(frozen=True)
@@ -31,26 +31,16 @@ class Figure:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under column names.
-
-    Attributes
-    ----------
-    marks : sequence of str
-        Per row ``good``, ``bad`` or nothing; may be empty.
-    folded : bool
-        Shown by its title only until opened.
-    prose : bool
-        Whether cells hold sentences, which are broken into lines.
-    """
+    """Rows of text under column names."""
 
     kind: ClassVar[str] = "table"
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     title: str = ""
     caption: str = ""
-    marks: Sequence[str] = ()
-    folded: bool = False
-    prose: bool = False
+    marks: Sequence[str] = ()  # per row ``good``, ``bad`` or nothing; may be empty
+    folded: bool = False  # shown by its title only until opened
+    prose: bool = False  # whether cells hold sentences, which are broken into lines
 
     @classmethod
     def of(

@@ -20,10 +20,10 @@ from irlos_pipe.report.run_data import StageData
 from irlos_pipe.report.text import is_known, number
 
 PROFILE_IN = (4.4, 3.2)
-FEWEST = 20  # values that are worth a plot of quantiles
-DRAWN = 300  # points in the middle; the ends are all drawn
-ENDS = 25
-BAND = 0.95
+FEWEST = 20  # values from which quantiles are worth a plot
+DRAWN = 300  # points drawn in the middle; those at the ends are all drawn
+ENDS = 25  # points at either end
+BAND = 0.95  # probability of the grey band
 OTF = (
     "Modulus of the OTF along x (solid) and y (dashed), pixels included; 1 at zero frequency. Nothing can be "
     "transferred beyond D/λ, the dotted line."
@@ -121,16 +121,9 @@ def star_profile(
     model_e: np.ndarray,
     pixel_scale_mas: float | None,
 ) -> Markup:
-    """Draw radial means about the centroid of a star.
+    """Draw radial means about the centroid of a star's `model_e`, (rows, columns); radii in px if no scale.
 
-    Parameters
-    ----------
-    images : mapping
-        By label: image (rows, columns) [e-], NaN where it is not used, colour and line style.
-    model_e : ndarray, (rows, columns)
-        Model of the star, which gives the centroid.
-    pixel_scale_mas : float or None
-        None draws radii in pixels.
+    `images` are by label: image (rows, columns) [e-], NaN where it is not used, colour and line style.
     """
     centre, curves = star_position(np.nan_to_num(model_e)), {}
     for label, (image, colour, style) in images.items():
@@ -147,14 +140,8 @@ def profile_plot(
 ) -> Markup:
     """Draw profiles on a logarithmic axis; values that are not positive leave gaps.
 
-    Parameters
-    ----------
-    curves : mapping
-        By label: radius, values, colour and line style.
-    units : tuple of str
-        Unit of the radius, and label of the axis of the values.
-    size_in : tuple of float
-        Width and height [inch].
+    `curves` are by label: radius, values, colour and line style; `units` are the unit of the radius and the
+    label of the axis of the values.
     """
 
     def draw(canvas: Canvas) -> None:
@@ -193,10 +180,7 @@ def quantile_band(count: int) -> tuple[np.ndarray, np.ndarray]:
 def quantile_figure(name: str, residuals: Mapping[Look, np.ndarray]) -> Figure | None:
     """Return quantiles of residuals against those of noise; None where too few values are known.
 
-    Parameters
-    ----------
-    residuals : mapping of Look to ndarray
-        In σ, of any shape; NaN where a pixel does not count.
+    The `residuals` are in σ, of any shape, NaN where a pixel does not count.
     """
     found = {look: np.sort(values[np.isfinite(values)]) for look, values in residuals.items()}
     known = {look: values for look, values in found.items() if len(values) >= FEWEST}
@@ -217,15 +201,10 @@ def quantile_figure(name: str, residuals: Mapping[Look, np.ndarray]) -> Figure |
 
 
 def chi2_figure(name: str, chi2_nu: np.ndarray, nominal: float, limit: float) -> Figure | None:
-    """Return χ²/ν frame by frame; None where none is known.
+    """Return χ²/ν frame by frame, (frames,); None where none is known.
 
-    Parameters
-    ----------
-    chi2_nu : ndarray, (frames,)
-    nominal : float
-        What a right model would give; NaN where it is not known.
-    limit : float
-        Median beyond which quality control fails; NaN without.
+    A right model would give the `nominal` value, NaN where it is not known; quality control fails for a
+    median beyond the `limit`, NaN without.
     """
     if not np.any(np.isfinite(chi2_nu)):
         return None

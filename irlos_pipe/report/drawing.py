@@ -94,17 +94,7 @@ def kept_by(keep: Keep) -> Iterator[None]:
 
 
 def svg(name: str, size_in: tuple[float, float], draw: Callable[[Canvas], None]) -> Markup:
-    """Draw a figure and return it as SVG to stand inside a page.
-
-    Parameters
-    ----------
-    name : str
-        Unique in the page: identifiers inside the SVG begin with it.
-    size_in : tuple of float
-        Width and height [inch]; the page scales it.
-    draw : callable
-        Fills the empty figure.
-    """
+    """Return a figure that `draw` fills as SVG inside a page, where identifiers begin with its `name`."""
     with own_style():
         figure = Canvas(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
         draw(figure)
@@ -127,18 +117,10 @@ def plot(
     legend: Any = "best",
     **settings: Any,
 ) -> Figure:
-    """Return a figure with one pair of axes; see `svg` and `Figure`.
+    """Return a figure with one pair of axes, which `draw` fills; see `svg` and `Figure`.
 
-    Parameters
-    ----------
-    draw : callable
-        Fills the axes; what has a label stands in the legend.
-    labels : tuple of str
-        Of the axes x and y.
-    legend : str
-        Where in the axes it stands, or ``above`` or ``below`` them.
-    **settings
-        What else `Axes.set` takes: ticks, limits.
+    The `labels` are those of x and y; the `legend` has a place in the axes, or is ``above`` or ``below``
+    them; `settings` are what else `Axes.set` takes.
     """
 
     def drawn(canvas: Canvas) -> None:

@@ -28,17 +28,8 @@ NO_DATE = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
 def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path]:
     """Write all figures of the report of a `run`, owned by the caller, into ``figures``, replacing others.
 
-    Returns
-    -------
-    list of Path
-        The files, in the order of the report.
-
-    Raises
-    ------
-    InputDataError
-        When a product cannot be read.
-    IrlosError
-        When a file cannot be written.
+    Returns the files, in the order of the report. Raises `InputDataError` when a product cannot be read;
+    `IrlosError` when a file cannot be written.
     """
     if run.figures.is_symlink():
         raise IrlosError(f"{run.figures}: a link, through which nothing is written; remove it")
@@ -55,17 +46,9 @@ def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path
 
 
 def figures(path: Path | str) -> dict[str, Figure]:
-    """Return every figure of the report of a run by name, for notebooks, papers and slides.
+    """Return every figure of the report of a finished run by name, for notebooks, papers and slides.
 
-    Parameters
-    ----------
-    path : Path or str
-        Folder of a finished run.
-
-    Raises
-    ------
-    InputDataError
-        When it is not the folder of a run, or a product cannot be read.
+    Raises `InputDataError` when it is not the folder of a run, or a product cannot be read.
     """
     return _drawn(Path(path), lambda figure: figure)
 

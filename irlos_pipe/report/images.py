@@ -26,18 +26,18 @@ PANEL_IN = (3.7, 2.85)
 # Where the image and its colour bar stand in a panel: left, bottom, width, height [inch].
 IMAGE_BOX_IN = (0.65, 0.45, 2.3, 2.3)
 BAR_BOX_IN = (3.03, 0.45, 0.1, 2.3)
-SIGMA_LIMIT = 5.0
-DECADES = 4.0
+SIGMA_LIMIT = 5.0  # least end of the scale of residuals in σ
+DECADES = 4.0  # below the maximum that a logarithmic scale shows
 # The asinh scale turns linear below this part of the peak.
 LINEAR_PART = 3e-3
-MANY_DIGITS = 1e4  # from which numbers are written as 12k
-TICK_ROOM = 0.07  # part of a colour bar, that a label needs
+MANY_DIGITS = 1e4  # number from which ticks are written as 12k or with a power of ten
+TICK_ROOM = 0.07  # part of a colour bar that a label needs
 PERCENTILE = 99.8  # of residuals, for the end of their scale: single pixels would swallow it
 LINEAR_SIGMA = 2.0  # within which an asinh scale of residuals is linear: what is noise
 CELL_IN, LARGE_CELL_IN = 1.05, 1.9
 PAGE_IN = 10.0
 LABEL_IN, TITLE_IN, BAR_IN = 0.3, 0.45, 0.75
-MAP_PERCENTILE = 99.5  # the very edge of the pupil would swallow the scale
+MAP_PERCENTILE = 99.5  # end of the scale: the very edge of the pupil would swallow it
 
 
 class Ring(NamedTuple):
@@ -86,16 +86,9 @@ def panel(
 ) -> Markup:
     """Draw a picture (rows, columns) with its colour bar `label`; row 0 is at the bottom.
 
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    draw : callable
-        Adds to the axes what the picture has beside the values.
-    extend, ticks
-        Of the colour bar: ends that are pointed, and where it has numbers.
-    **look
-        For `Axes.imshow`.
+    The `name` is unique in the page; `draw` adds to the axes what the picture has besides the values;
+    `extend` and `ticks` are of the colour bar, ends that are pointed and where it has numbers; `look` is for
+    `Axes.imshow`.
     """
 
     def drawn(canvas: Canvas) -> None:
@@ -123,12 +116,7 @@ def image_panel(
 ) -> Markup:
     """Draw an image; axes in mas (px without a scale) from the centre of the window; see `panel`.
 
-    Parameters
-    ----------
-    good : ndarray of bool, optional
-        Pixels that are False were not used and get a cross.
-    ring : Ring, optional
-        Drawn about a place.
+    Pixels that are not `good` were not used and get a cross; a `ring` is drawn about a place.
     """
     step, axis_unit = (pixel_scale_mas, "mas") if pixel_scale_mas else (1.0, "px")
     half_y, half_x = (0.5 * step * side for side in image.shape)
@@ -162,10 +150,12 @@ def asinh_ticks(scale: AsinhNorm) -> list[float]:
     low, high, width = scale.vmin or 0.0, scale.vmax or 1.0, scale.linear_width
     last = math.floor(math.log10(max(abs(low), abs(high))))
     powers = [sign * 10.0**power for power in range(last, last - 9, -1) for sign in (1, -1)]
-    wanted = np.array([0.0, *powers, *(3 * power for power in powers)])
-    wanted = wanted[(low <= wanted) & (wanted <= high) & ((abs(wanted) > width / 10) | (wanted == 0))]
+    candidates = np.array([0.0, *powers, *(3 * power for power in powers)])
+    candidates = candidates[
+        (low <= candidates) & (candidates <= high) & ((abs(candidates) > width / 10) | (candidates == 0))
+    ]
     found: dict[float, float] = {}
-    for tick, place in zip(wanted.tolist(), np.asarray(scale(wanted)).tolist(), strict=True):
+    for tick, place in zip(candidates.tolist(), np.asarray(scale(candidates)).tolist(), strict=True):
         if all(abs(place - other) > TICK_ROOM for other in found.values()):
             found[tick] = place
     return sorted(found)
@@ -245,16 +235,9 @@ def image_views(
     good: np.ndarray | None = None,
     width: Width = "full",
 ) -> Views:
-    """Return images on one scale, asinh or linear.
+    """Return `images`, by title (rows, columns) [e-] and a caption, on one scale, asinh or linear.
 
-    Parameters
-    ----------
-    images : mapping
-        By title: image (rows, columns) [e-], and a caption.
-    good : ndarray of bool, optional
-        Pixels that are False get a cross in the first image.
-    width : Width
-        Of all together.
+    Pixels that are not `good` get a cross in the first image; `width` is that of all together.
     """
     choices = {}
     for label, scale_of in {"logarithmic": brightness_scale, "linear": linear_scale}.items():
@@ -283,8 +266,6 @@ def residual_views(
         Standard errors, 0 or not finite where a pixel is not used; without them there are no σ.
     peak_e : float
         Of the predicted image.
-    width : Width
-        Of all together.
     """
     percent = 100 / peak_e if peak_e > 0 else np.nan
     units: dict[str, Callable[[np.ndarray], np.ndarray]] = {"% of the peak": lambda one: one * percent}
@@ -338,12 +319,10 @@ def wavefront_grid(
     limit_nm: float,
     images: np.ndarray | None = None,
 ) -> Markup:
-    """Draw rows of wavefronts, one column per recording.
+    """Draw rows of wavefronts, one column per recording, with `titles` of the columns.
 
     Parameters
     ----------
-    titles : sequence of str
-        Of the columns.
     rows : mapping of str to ndarray, (columns, samples, samples)
         OPD [nm], NaN outside the pupil; the first is the uppermost.
     limit_nm : float

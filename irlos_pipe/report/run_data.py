@@ -30,27 +30,17 @@ class Absent(Exception):
 
 @dataclass(frozen=True)
 class RunData:
-    """A finished run, or what there is of it.
+    """A finished run, or what there is of it."""
 
-    Attributes
-    ----------
-    recipe : dict
-        The resolved recipe; `recipe_text` is its file.
-    status, error, notice : str
-        As in results.json.
-    products : dict of str to Product
-        By stage name, in the order of the recipe; their arrays are read when they are asked for.
-    recordings : list of Overview
-        What ingest left, without frames; empty without ingest.
-    """
-
-    recipe: dict[str, Any]
+    recipe: dict[str, Any]  # the resolved recipe; `recipe_text` is its file
     recipe_text: str
+    # status, error, notice: as in results.json.
     status: str
     error: str
     notice: str
+    # By stage name, in the order of the recipe; their arrays are read when they are asked for.
     products: dict[str, Product]
-    recordings: list[Overview]
+    recordings: list[Overview]  # what ingest left, without frames; empty without ingest
 
     def results(self, kind: type[Results]) -> Results:
         """Return the results of a stage as the model `kind`; all defaults without that stage."""
@@ -77,10 +67,7 @@ class StageData(Generic[Results]):
     def __getitem__(self, name: str) -> np.ndarray:
         """Return the array `name` of the product.
 
-        Raises
-        ------
-        Absent
-            Where there is none.
+        Raises `Absent` where there is none.
         """
         if name not in self.arrays:
             raise Absent(f"{self.stage}: {name}")
@@ -89,10 +76,7 @@ class StageData(Generic[Results]):
     def known(self, names: Mapping[Key, str]) -> dict[Key, np.ndarray]:
         """Return those of some arrays that are there, given by a key for each.
 
-        Raises
-        ------
-        Absent
-            Where there is none of them.
+        Raises `Absent` where there is none of them.
         """
         found = {key: self[name] for key, name in names.items() if name in self.arrays}
         if not found:
@@ -113,10 +97,9 @@ class StageData(Generic[Results]):
 
     @property
     def recordings(self) -> list[Overview]:
-        """Recordings of the recipe input that the stage works on."""
         product = self.run.products.get(self.stage)
-        wanted = product.config.get("input") if product else None
-        return [recording for recording in self.run.recordings if recording.input == wanted]
+        requested = product.config.get("input") if product else None
+        return [recording for recording in self.run.recordings if recording.input == requested]
 
     @property
     def pixel_scale_mas(self) -> float | None:
@@ -135,10 +118,7 @@ def _own_product(path: Path, stage: str, results: RunResults) -> Product:
 def read_run(folder: Path) -> RunData:
     """Read a run folder.
 
-    Raises
-    ------
-    InputDataError
-        When it is not the folder of a run, or a file of it cannot be read.
+    Raises `InputDataError` when it is not the folder of a run, or a file of it cannot be read.
     """
     run = existing_run(folder)
     results = read_run_results(run.results)

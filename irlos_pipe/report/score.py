@@ -24,18 +24,10 @@ from irlos_pipe.stages.lift.results import LiftResults, Point
 
 
 class Truth(ResultsPart):
-    """What a simulation states of a recording; further keys are not used here.
+    """What a simulation states of a recording; further keys are not used here."""
 
-    Attributes
-    ----------
-    mean_zernike_nm : dict of int to float or None
-        Time-averaged wavefront without the diversity (Noll: nm RMS).
-    ncpa_nm : dict of int to float
-        Its static part.
-    """
-
-    mean_zernike_nm: ByNoll | None = None
-    ncpa_nm: ByNoll = {}
+    mean_zernike_nm: ByNoll | None = None  # time-averaged wavefront without the diversity (Noll: nm RMS)
+    ncpa_nm: ByNoll = {}  # its static part
 
     @property
     def defocus_beyond_ncpa_nm(self) -> float:
@@ -50,22 +42,11 @@ Truths = Mapping[str, Truth]
 def score_run(run_folder: Path, truth: Path) -> Score:
     """Compare the calibration and the ramp of a run with the truth.
 
-    Parameters
-    ----------
-    run_folder : Path
-        Folder of a run.
-    truth : Path
-        A JSON file, or a folder of them, one per recording and named like it; ``/`` in a name is
-        written ``__``, and what stands before ``__`` need not match. Its keys are those of `Truth`.
+    The `truth` is a JSON file, or a folder of them, one per recording and named like it; ``/`` in a name is
+    written ``__``, and what stands before ``__`` need not match. Its keys are those of `Truth`.
 
-    Returns
-    -------
-    Score
-
-    Raises
-    ------
-    InputDataError
-        When the run has nothing to compare, or the truth cannot be read or belongs to other recordings.
+    Raises `InputDataError` when the run has nothing to compare, or the truth cannot be read or belongs to
+    other recordings.
     """
     paths = existing_run(run_folder).products()
     products = {stage: read_product(path, arrays=False) for stage, path in paths.items()}
@@ -205,10 +186,7 @@ def _read_truth(path: Path) -> Truth:
 def _truth_of(name: str, truths: Truths) -> Truth | None:
     """Truth of a recording: by its full name, else by what follows ``__``; None if there is none.
 
-    Raises
-    ------
-    InputDataError
-        When several fit.
+    Raises `InputDataError` when several fit.
     """
     own = name.rpartition("__")[2]
     fitting = [key for key in truths if key == name] or [

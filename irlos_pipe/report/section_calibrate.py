@@ -49,8 +49,8 @@ from irlos_pipe.report.text import (
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 from irlos_pipe.stages.correct import CorrectResults
 
-MODES_IN_TIME = 5
-MAP_PERCENTILE = 97  # the very edge of the pupil would swallow the scale
+MODES_IN_TIME = 5  # largest modes that are drawn against time
+MAP_PERCENTILE = 97  # end of the scale: the very edge of the pupil would swallow it
 LEFT = Look("residual", BLUE)
 EFFECTS = "Standard errors, from the scatter of the frames where there are enough, grown by the misfit."
 WIDTH_IN, BAR_IN = 4.4, 0.165
@@ -65,7 +65,6 @@ Correction = StageData[CorrectResults]
 
 
 def calibrate_section(run: RunData) -> Section:
-    """Build the section on the calibration."""
     of = run.of(CalibrateResults)
     blocks = of.blocks(
         _images,
@@ -98,8 +97,8 @@ def _images(of: Calibration) -> list[Views]:
         "Model": (model, "Same scale."),
     }
     nominal = number(results.nominal_chi2_nu, ".2f")
-    told = "" if nominal == MISSING else f", where a complete model gives {nominal} with as many parameters"
-    caption = f"Measured − model; χ²/ν {number(results.chi2_nu, '.2f')}{told}."
+    stated = "" if nominal == MISSING else f", where a complete model gives {nominal} with as many parameters"
+    caption = f"Measured − model; χ²/ν {number(results.chi2_nu, '.2f')}{stated}."
     residual = {"Residual": (measured - model, caption)}
     return [
         image_views("cal-images", images, mas, _good_pixels(of), "two-thirds"),
@@ -171,10 +170,10 @@ def _maps(of: Calibration) -> list[Figure]:
 def _orientation(of: Calibration) -> str:
     """How a map of the pupil lies: as the images, with the angles that were declared."""
     angles = {f"{one.acquisition.derotator_angle_deg:g}°" for one in of.recordings}
-    told = [f"derotator {', '.join(sorted(angles))}"] if angles else []
+    stated = [f"derotator {', '.join(sorted(angles))}"] if angles else []
     parallactic = {one.acquisition.parallactic_angle_deg for one in of.recordings}
-    told += [f"parallactic angle {number(one, '.1f')}°" for one in parallactic if is_known(one)][:1]
-    return f"x and y as in the images, +x right and +y up{'; ' if told else ''}{', '.join(told)}."
+    stated += [f"parallactic angle {number(one, '.1f')}°" for one in parallactic if is_known(one)][:1]
+    return f"x and y as in the images, +x right and +y up{'; ' if stated else ''}{', '.join(stated)}."
 
 
 def _correlations(of: Calibration) -> Figure | None:
@@ -304,7 +303,6 @@ def _methods(results: CalibrateResults) -> Table | None:
 
 
 def correct_section(run: RunData) -> Section:
-    """Build the section on the correction."""
     of = run.of(CorrectResults)
     results, files = of.results, ", ".join(provenance_of(run.products[of.stage]).files)
     lead = (

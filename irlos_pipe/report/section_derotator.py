@@ -14,7 +14,7 @@ from irlos_pipe.report.text import number, plural, with_error
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.derotator import DerotatorResults
 
-FEW_COLUMNS = 3
+FEW_COLUMNS = 3  # angles up to which a figure is narrow
 ROWS = {
     "measured_nm": ("as measured", "As measured: on the detector"),
     "turned_back_nm": (
@@ -32,7 +32,6 @@ Series = StageData[DerotatorResults]
 
 
 def derotator_section(run: RunData) -> Section:
-    """Build the section."""
     of = run.of(DerotatorResults)
     if not of.results.parts:
         blocks = of.blocks(_maps, lambda of: Stack([_angles(of)]))
@@ -61,9 +60,9 @@ def _maps(of: Series) -> list[Figure]:
     calibrate = of.run.of(CalibrateResults)
     names = [f"cubes/{cube.name}/mean_image_e" for cube in of.results.cubes]
     images = [calibrate[name] for name in names if name in calibrate.arrays]
-    alike = len({image.shape for image in images}) == 1 and len(images) == len(names)
+    stackable = len({image.shape for image in images}) == 1 and len(images) == len(names)
     title = "Wavefront at every angle"
-    return maps_figure(of.run, of.stage, title, np.stack(images) if alike else None)
+    return maps_figure(of.run, of.stage, title, np.stack(images) if stackable else None)
 
 
 def maps_figure(
@@ -71,11 +70,7 @@ def maps_figure(
 ) -> list[Figure]:
     """Draw all angles in a row: image, estimate, estimate turned back, and what the parts leave of it.
 
-    Parameters
-    ----------
-    images : ndarray, (angles, rows, columns), optional
-    prefix : str
-        Begin of the names of the stage's arrays.
+    The `images` have shape (angles, rows, columns); `prefix` begins the names of the stage's arrays.
     """
     of = StageData(run, stage, StageResults())
     found = {name: f"{prefix}maps/{name}" for name in ROWS if f"{prefix}maps/{name}" in of.arrays}

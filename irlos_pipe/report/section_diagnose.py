@@ -108,15 +108,14 @@ FINE = (
     "Structure finer than λ/D, which no light through the pupil can make: {} times what noise leaves "
     "there ({} σ). More comes from the pixels: flat, offsets, response."
 )
-NUMBERS_IN_NOTE = 3
+NUMBERS_IN_NOTE = 3  # further numbers of an effect in the note of its tile
 MANY = 100.0  # χ²/ν from which decimals say nothing
-FEW = 3  # candidates, below which a table shows all
-LEADING_PERCENTILE = 99.5
-ADDED_PERCENTILE, NOTHING = 99.0, 1e-9
+FEW = 3  # candidates below which a table shows all
+LEADING_PERCENTILE = 99.5  # end of the scale of the leading mode: single pixels would swallow it
+ADDED_PERCENTILE, NOTHING = 99.0, 1e-9  # end of the scale of what is added; size that stands for none
 
 
 def diagnose_section(run: RunData) -> Section:
-    """Build the section."""
     of = run.of(DiagnoseResults)
     results = of.results
     ramp, gap = of.blocks(_ramp), of.blocks(_gap_figure)
@@ -384,7 +383,7 @@ def separation_table(results: DiagnoseResults) -> Table:
 
 
 def _what_separates(other: Alternative) -> str:
-    """What separates two effects, and the second recording in which they are least alike."""
+    """What separates two effects, and the second recording in which they are least degenerate."""
     if not other.second_recording:
         return other.separated_by
     cosine = number(other.likeness_then, ".2f")

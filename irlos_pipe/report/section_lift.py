@@ -31,11 +31,11 @@ TRAVEL = {
     -1: ("defocus was lowered", "v", BLUE),
     0: ("first offset", "o", PURPLE),
 }
-SPREAD = 0.3  # of the step between offsets
-STRIP_COLUMNS = 9
+SPREAD = 0.3  # part of the step between offsets over which its frames are spread
+STRIP_COLUMNS = 9  # offsets in a strip of images
 CELL_IN = 1.5
-MOST_OFFSETS = 12
-FEW_OFFSETS = 3
+MOST_OFFSETS = 12  # offsets above which their table is folded
+FEW_OFFSETS = 3  # offsets up to which a figure takes half the width
 RAMP = (
     "Frames of one offset stand side by side in order of time; the colour shows from which side "
     "the offset was reached."
@@ -54,7 +54,6 @@ Prior = StageData[PriorResults]
 
 
 def lift_section(run: RunData) -> Section:
-    """Build the section on LIFT."""
     of = run.of(LiftResults)
     results, own = of.results, own_text(of.results.effects)
     ncpas = "in the known wavefront" if results.calibrated else "left out"
@@ -231,7 +230,6 @@ def _relative_residual(measured: np.ndarray, model: np.ndarray) -> np.ndarray:
 
 
 def prior_section(run: RunData) -> Section:
-    """Build the section on the elongation prior."""
     of = run.of(PriorResults)
     results, (low, high) = of.results, of.results.valid_nm
     scatter = number(results.law_residual_nm, ".0f", "nm")

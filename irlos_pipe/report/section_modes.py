@@ -24,7 +24,6 @@ Modes = StageData[ModesResults]
 
 
 def modes_section(run: RunData) -> Section:
-    """Build the section."""
     of = run.of(ModesResults)
     results = of.results
     text = f"{results.method} on {plural(results.cubes, 'cube')}, each by itself"

@@ -26,8 +26,8 @@ from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.lift.results import LiftResults
 from irlos_pipe.stages.sensitivity import SensitivityResults
 
-MOST_THUMBNAILS = 60
-CHECKSUM_DIGITS = 12
+MOST_THUMBNAILS = 60  # images of recordings that are shown
+CHECKSUM_DIGITS = 12  # of a checksum that are shown
 # A stage with more passed checks than this shows them when asked.
 FOLDED_ABOVE = 10
 
@@ -35,7 +35,6 @@ FOLDED_ABOVE = 10
 
 
 def ingest_section(run: RunData) -> Section:
-    """Build the section on the recordings."""
     rows = run.results(IngestResults).inputs
     pictures = {
         (one.input, one.name): thumbnail(np.where(one.good, one.mean_e, np.nan), one.name)

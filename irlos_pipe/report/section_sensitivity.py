@@ -28,7 +28,6 @@ Sensitivity = StageData[SensitivityResults]
 
 
 def sensitivity_section(run: RunData) -> Section:
-    """Build the section."""
     of = run.of(SensitivityResults)
     trials = [row.trials for row in of.results.curves if row.trials is not None]
     lead = (
@@ -154,16 +153,9 @@ def sensitivity_plot(
     looks: Sequence[Look] = LOOKS,
     floor_nm: float | None = None,
 ) -> Markup:
-    """Draw median errors above and failures below.
+    """Draw median errors above and failures below, with the `criterion` as levels.
 
-    Parameters
-    ----------
-    criterion : CriterionRow
-        Drawn as levels.
-    looks : sequence of Look
-        One per curve; repeated if there are fewer.
-    floor_nm : float, optional
-        Median error of a perfect sensor.
+    Fewer `looks` than curves are repeated; `floor_nm` is the median error of a perfect sensor.
     """
 
     def draw(canvas: Canvas) -> None:

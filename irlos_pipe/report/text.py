@@ -46,7 +46,7 @@ WORDS = {
     "": "size",
 }
 PARTS_OF_ONE = ("flux_ratio", "fraction", "fraction_at_peak")
-MOST_ROWS = 16  # of one effect; tables of modes and petals have more
+MOST_ROWS = 16  # rows of one effect that are shown at once; tables of modes and petals have more
 
 
 def is_known(value: float | None) -> TypeGuard[float]:
