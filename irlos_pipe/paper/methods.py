@@ -95,16 +95,8 @@ def speckle_floor_nm(errors_nm: Mapping[float, Sequence[float]]) -> tuple[float,
     """Split the default's error into a part that falls with the number of frames and the rest.
 
     ``error² = floor² / part + rest²``, least squares over the mean squares at every part of the cube.
-
-    Parameters
-    ----------
-    errors_nm : mapping
-        Errors over samples by the part of the cube that was used, 1 for the whole cube.
-
-    Returns
-    -------
-    floor_nm, rest_nm : float
-        Error from the finite number of speckles in the whole cube; error of an endless cube.
+    `errors_nm` are those over samples by the part of the cube that was used, 1 for the whole cube. Returns
+    the error from the finite number of speckles in the whole cube, and that of an endless cube [nm].
     """
     parts = np.array(sorted(errors_nm))
     squares = np.array([np.mean(np.square(errors_nm[part])) for part in parts])

@@ -57,7 +57,7 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 
 def rows(star: ex.Sample) -> ex.Rows:
-    """Close every loop on a star, and tell every mirror the truth."""
+    """Close every loop on a star, and give every mirror the true wavefront."""
     sizes, scene = star.sizes, scene_of(star)
     errors, diameter_m = MirrorErrors(sizes.gain, sizes.shift, sizes.turn_deg), star.facility.pupil.diameter_m
     bench = Bench(scene, sizes.star_frames)
@@ -85,9 +85,9 @@ def rows(star: ex.Sample) -> ex.Rows:
     for pitch_m in sizes.pitches_m:
         for error, own in errors.alone().items():
             mirror = own.mirror(diameter_m, pitch_m)
-            told = [bench.of(one) for one in bench.told(mirror, 0.0, sizes.corrections)]
+            states = [bench.of(one) for one in bench.told(mirror, 0.0, sizes.corrections)]
             which = {"pitch_m": pitch_m, "actuators": int(mirror.actuators.present.sum()), "error": error}
-            for done, left in enumerate(told):
+            for done, left in enumerate(states):
                 yield {"what": "alone", **which, "corrections": done, **left}
 
 

@@ -113,7 +113,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
-    """DIP is best at the number introduced (the paper's appendix B), and the frames tell this number."""
+    """DIP is best at the number introduced (the paper's appendix B), and held-out frames give this number."""
     curves, recommended = tables["curves"].query(f"method == '{PAPER_CHOICE}'"), tables["cubes"]
     others = int((recommended.recommended_noll != LAST).sum())
     return [

@@ -124,7 +124,7 @@ def mode_errors(
     dict
         ``rms_nm`` of the defocus against the introduced one and the NCPA given to the estimator;
         ``true_rms_nm`` and ``bias_nm`` against the one there was in the frame. Of every mode, (modes,): RMS
-        ``mode_nm`` of the error; ``scatter_nm`` and ``true_scatter_nm`` over the frames beside that which
+        ``mode_nm`` of the error; ``scatter_nm`` and ``true_scatter_nm`` over the frames without that which
         goes with the introduced defocus, estimated and there; and the ``leak`` of the introduced defocus into
         it (defocus itself: 1 less).
     """

@@ -36,10 +36,7 @@ def colour_of(temperature_k: float) -> float:
 def temperature_of(j_minus_h: float, where: str) -> float:
     """Return the temperature of the black body that has a colour `j_minus_h` [K]; `where` begins an error.
 
-    Raises
-    ------
-    InputDataError
-        For a colour that no star from 1000 to 50000 K has.
+    Raises `InputDataError` for a colour that no star from 1000 to 50000 K has.
     """
     bluest, reddest = colour_of(HOTTEST_K), colour_of(COOLEST_K)
     if not bluest < j_minus_h < reddest:
@@ -56,10 +53,8 @@ def spectrum_of(curve: Sequence[Point], temperature_k: float, where: str) -> lis
     Each third of a band's photons stands at its own mean wavelength. The `curve` has wavelengths [nm] and
     transmissions, `temperature_k` is that of the star, `where` begins the message of an error.
 
-    Raises
-    ------
-    InputDataError
-        For a curve that is no function of wavelength, or ends where the filter still transmits.
+    Raises `InputDataError` for a curve that is no function of wavelength, or ends where the filter still
+    transmits.
     """
     wavelengths_nm, transmission = _checked(curve, where)
     fine = np.linspace(wavelengths_nm[0], wavelengths_nm[-1], 4000)

@@ -153,10 +153,7 @@ class ResidualScreens:
 
     They are those of a `sky` over a `facility`, on the grid of `telescope`, drawn from `rng`.
 
-    Raises
-    ------
-    SceneError
-        If the fitting error alone exceeds the total residual.
+    Raises `SceneError` if the fitting error alone exceeds the total residual.
     """
 
     def __init__(self, sky: Sky, facility: Facility, telescope: Telescope, rng: np.random.Generator):

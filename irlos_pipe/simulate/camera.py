@@ -62,18 +62,9 @@ class Imager:
 
     ``PSF(a) = |∫ P(u) exp(2πi Φ(u)/λ) exp(-2πi a·u/λ) du|²``, integrated over every pixel.
 
-    Parameters
-    ----------
-    u_m : ndarray, (n,)
-        Samples of the pupil along x and along y [m].
-    amplitudes : mapping of (float, float) to ndarray, (n, n)
-        Pupil amplitude, real or complex, for every `Ray.pupil`.
-    area_m2 : float
-        Clear area that stands for all the star's light.
-    rays : sequence of Ray
-        Those of one `Ray.pupil` share the field there.
-    pixels : PixelGrid
-    dtype : numpy.complex64 or numpy.complex128
+    The pupil is sampled at `u_m`, (n,), along x and along y [m]; `amplitudes` are real or complex, (n, n),
+    for every `Ray.pupil`, and `area_m2` is the clear area that stands for all the star's light. Those of the
+    `rays` with the same `Ray.pupil` share the field there.
     """
 
     def __init__(
@@ -168,14 +159,8 @@ class Camera:
     The many images of a frame with an AO residual are sampled at the pixels' centres, in single
     precision, and integrated over the pixels by a factor on the spectrum too; those of a wavefront at
     rest, in double precision, by `STATIC_NODES` points per pixel. Of a distorted image the mean of a frame is
-    sampled finer, and the pixels look at that.
-
-    Parameters
-    ----------
-    scene : Scene
-    pupil : Pupil
-    motion_mas : float
-        RMS of the motion that `frame` will be asked for, per axis; 0 if it will not.
+    sampled finer, and the pixels look at that. `motion_mas` is the RMS of the motion that `frame` will be
+    asked for, per axis; 0 if it will not.
     """
 
     def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
@@ -209,16 +194,10 @@ class Camera:
         return self._imager.images(opd_nm)
 
     def frame(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
-        """Return the mean of images in motion, (rows, columns).
+        """Return the mean of `images` at rest, from the method of this name, in motion, (rows, columns).
 
-        Parameters
-        ----------
-        images : ndarray
-            Of `images`, at rest.
-        positions_mas : ndarray, (times, positions, 2), or None
-            Where each image is while it is exposed; a single image may be given for all times.
-        blur : MotionBlur
-            Motion of all images on top.
+        `positions_mas`, (times, positions, 2), is where each image is while it is exposed; a single image may
+        be given for all times. `blur` is the motion of all images on top.
         """
         if not (self._sampled or self._blurred):
             return self._pixels(images.mean(axis=0))

@@ -99,7 +99,7 @@ def context(scratch: Path, jobs: int = 2) -> StageContext:
 
 
 def lift(ctx: StageContext) -> StageOutput:
-    """A stage that draws samples; its marks lie beside the input."""
+    """A stage that draws samples; its marks lie next to the input."""
     found = run_samples(draw, draws(ctx.inputs["cube"][0].parent / "marks"), ctx, "draws")
     traces = np.array([one["trace"] for (one,) in found])
     return StageOutput({"traces": Quantity(traces, "")}, fake_stages.FreeResults(traces=traces.tolist()))

@@ -63,7 +63,7 @@ def recording(name: str, owner: str, frames: int, introduced_nm: float = 0.0) ->
 
 
 def row(name: str, owner: str, frames: int) -> dict[str, Any]:
-    """What ingest tells of a recording."""
+    """What ingest states of a recording."""
     return {
         "name": name,
         "input": owner,

@@ -28,7 +28,7 @@ READ_NOISE = NoiseModel(1.0, 1.0)
 def settings(
     window: int | tuple[int, int] = 64, spectrum=NARROW_H, diversity=DIVERSITY, **changes
 ) -> PsfSettings:
-    """Settings of the UT4 pupil, 9.7 mas pixels; a square window unless told otherwise."""
+    """Settings of the UT4 pupil, 9.7 mas pixels; a square window unless stated otherwise."""
     shape = (window, window) if isinstance(window, int) else window
     return PsfSettings(
         **{

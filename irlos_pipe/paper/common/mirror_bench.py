@@ -71,7 +71,7 @@ class Bench:
         return replace(scene, ncpa_nm=ncpa_nm, mirror=replace(mirror, offsets_nm=sent_nm))
 
     def coefficients_nm(self, opd_nm: np.ndarray) -> dict[int, float]:
-        """Return Noll 2..30 of a wavefront `opd_nm`, (n, n), fitted beside modes beyond: nm RMS."""
+        """Return Noll 2..30 of a wavefront `opd_nm`, (n, n), fitted jointly with modes beyond [nm RMS]."""
         fitted_nm = self.telescope.fit_zernike_nm(opd_nm, LAST_FITTED)[: HIGHEST_REPORTED_NOLL - 1]
         return dict(enumerate(fitted_nm.tolist(), start=2))
 

@@ -95,14 +95,9 @@ def in_four_images(star: Scene) -> Scene:
 def star_image(cube: Scene, frames: int, ncpa_nm: Mapping[int, float]) -> tuple[np.ndarray, float]:
     """Return the averaged image of the star of a `cube` without diversity, and its Strehl ratio.
 
-    The star has the aberrations `ncpa_nm` in place of those of the cube, and a mirror keeps its offsets.
-
-    Returns
-    -------
-    ndarray, (rows, columns)
-        Part of the photons per pixel.
-    float
-        Its peak over that of a star without any aberration.
+    The star has the aberrations `ncpa_nm` in place of those of the cube, and a mirror keeps its offsets. The
+    image, (rows, columns), is the part of the photons per pixel; the ratio is that of its peak to that of a
+    star without any aberration.
     """
     seed = (*cube.seed, SEED_OF_STAR)
     star = replace(cube, ncpa_nm=dict(ncpa_nm), diversity_nm={}, frames=frames, seed=seed)

@@ -50,7 +50,7 @@ def record(planned: Planned, folder: Path, spool: Path, report: Callable[[int], 
 
     The mean images go to the file `spool` first: the non-linearity is stated at the peak of the mean image,
     which is known only at the end. Memory does not grow with the number of frames, whose number so far
-    `report` is told after every frame.
+    `report` is called after every frame.
     """
     scene = planned.scene
     wavefronts, mean_image_e = Wavefronts(telescope_of(scene)), np.zeros(scene.window)
@@ -156,14 +156,7 @@ def make_all(
 ) -> Generator[tuple[Job, Made], None, None]:
     """Make recordings in a hidden folder below `parent`, on the same disk; yield them as they are finished.
 
-    Parameters
-    ----------
-    planned : sequence of Planned
-    parent : Path
-    jobs : int
-        Worker processes.
-    progress : callable or None
-        Makes a progress bar that counts frames, see `simulate`.
+    There are `jobs` worker processes; `progress` makes a progress bar that counts frames, see `simulate`.
     """
     if not planned:
         return

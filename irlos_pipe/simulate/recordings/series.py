@@ -37,7 +37,7 @@ def plan_recordings(spec: Spec) -> list[Planned]:
 
 
 def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[Planned]:
-    """Recordings of one section of the spec, which starts as told or by its place (`slot`) there."""
+    """Recordings of one section of the spec, which starts as declared or by its place (`slot`) there."""
     scene, hidden = spec.scenes[name], keys.hidden
     rng = np.random.default_rng([spec.seed, number(name), number("focus stage")])
     duration_s = MOVE_S + int(np.ceil(scene.frames * scene.period_s))

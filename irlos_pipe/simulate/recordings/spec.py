@@ -60,11 +60,8 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
     Aberrations are drawn from the `seed` of the spec; what the section leaves out is that of the
     `instrument`.
 
-    Raises
-    ------
-    ConfigurationError
-        When the window is wider than the images that the sampling of the pupil allows, or the central hole
-        as wide as the pupil.
+    Raises `ConfigurationError` when the window is wider than the images that the sampling of the pupil
+    allows, or the central hole as wide as the pupil.
     """
     diversity, lenslets = keys.diversity, keys.lenslet_images or LensletKeys()
     effects = {one: its for one, its in keys.hidden.items() if not issubclass(EFFECTS[one], FocusStageEffect)}
@@ -225,22 +222,12 @@ class Spec:
 
 
 def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None = None) -> Spec:
-    """Read and check a spec.
+    """Read and check the spec at `path`, or one that comes with the package by its name, such as ``on_sky``.
 
-    Parameters
-    ----------
-    path : str or Path
-        The specification: a file, or the name of one that comes with the package, such as ``on_sky``.
-    settings : iterable of str
-        ``key.key=VALUE``, applied in order; the value is YAML. The path of ``instrument=PATH`` counts from
-        the current folder.
-    seed : int, optional
-        Replaces the spec's seed.
+    The `settings` ``key.key=VALUE`` are applied in order; the value is YAML. The path of ``instrument=PATH``
+    counts from the current folder. A `seed` replaces that of the spec.
 
-    Raises
-    ------
-    ConfigurationError
-        With one line ``where: message`` for everything that is wrong.
+    Raises `ConfigurationError` with one line ``where: message`` for everything that is wrong.
     """
     path = named_file(path, SIMULATIONS)
     read = read_overridden(
