@@ -28,7 +28,7 @@ from irlos_pipe.simulate.scene import Scene
 PATTERN_STREAM = 4  # child of a sample's seed that the pistons are drawn from
 WITHOUT, WITH = "without", "with"
 NARROW, BROAD = "narrow H", "J+H"
-ASKED_NM = 10.0  # of a calibration that has the petals in its model
+ASKED_NM = 10.0  # requirement on a calibration that has the petals in its model
 
 
 class Sizes(ex.StageConfig):

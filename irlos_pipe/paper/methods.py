@@ -28,8 +28,8 @@ MODEL_SHAPE: Shape = "power_law"  # what the model assumes, up to slope and dire
 OTHER_SHAPES: tuple[Shape, ...] = ("servo_lag", "aliasing", "non_stationary")
 PARTS = tuple(name for name in VARIANTS if name not in PUBLISHED)
 METHODS = tuple(METHOD_NAMES)
-OVER_FLOOR = 1.3  # asked of the default: its error over what the number of speckles allows
-SEVERAL_TIMES = 3.0  # by which a residual in the model has to do better than the paper's choice
+OVER_FLOOR = 1.3  # requirement on the default's error over what the number of speckles allows
+SEVERAL_TIMES = 3.0  # factor by which a model with AO residual has to be better than the paper's choice
 DRAWN_NM, DRAWN_SCATTER_NM = 142.0, 30.0  # the paper's NCPAs, Sect. 5.4
 STANDARD_ERRORS = 3.0
 

@@ -24,8 +24,8 @@ from irlos_pipe.paper.common.ramps import knowledge_of
 from irlos_pipe.paper.common.scenes import FINE, MIRROR_DIVERSITY_NM, star_image
 from irlos_pipe.simulate.scene import Scene
 
-IMPROVES = 0.9  # an estimate is followed where it is below this part of the one before
-ASKED_NM = 10.0  # of the default with a diversity that is as declared, in Noll 4–30
+IMPROVES = 0.9  # an estimate is applied where it is below this part of the one before
+ASKED_NM = 10.0  # requirement on the default with the declared diversity, in Noll 4–30
 LOOPS = ((DEFAULT, EXACT), (PAPER_CHOICE, EXACT), (DEFAULT, BY_MIRROR))
 STATE = (*LEFT, "strehl", "seen_nm")
 

@@ -23,7 +23,7 @@ from irlos_pipe.paper.common.observation import NoiseOf, Read, as_read
 
 LIFT = "lift_avg"
 MODES_INTRODUCED = 50
-LAST = MODES_INTRODUCED + 1  # the highest of them
+LAST = MODES_INTRODUCED + 1  # highest Noll mode introduced
 HELD_OUT = "held-out frames"
 # The default has its prior; the others have none, as published.
 METHODS = {

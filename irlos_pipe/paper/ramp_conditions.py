@@ -29,7 +29,7 @@ from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
-NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # of the paper's second ramp on sky
+NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # exposure and star of the paper's second ramp on sky
 
 
 class Sizes(ex.StageConfig):

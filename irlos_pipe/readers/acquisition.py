@@ -29,7 +29,7 @@ from irlos_pipe.readers.star_spectrum import spectrum_of, temperature_of
 REQUIRED = tuple(key for key, known in KNOWN.items() if known.form)
 REQUIRED_FOR = {"dark": ("role",), "defocus_ramp": (*REQUIRED, "introduced_defocus_nm")}
 HARMLESS = {key: known.otherwise for key, known in KNOWN.items() if known.otherwise is not None}
-ALTITUDE = ("altitude_deg", "airmass")  # two ways to say the same
+ALTITUDE = ("altitude_deg", "airmass")  # two keys for the same quantity
 AIRMASS_TOLERANCE = 0.03  # an exposure begins and ends at another one; sec z is within 1 % above 15°
 COADDS, READ_S, READ_NOISE = "detector.coadds", "detector.read_s", "detector.read_noise_e"
 

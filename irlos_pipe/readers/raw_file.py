@@ -18,7 +18,7 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.fitsfile import header_number
 from irlos_pipe.readers.sidecar import KNOWN
 
-MONITOR = "mass_dimm"  # whose seeing stands in an ESO header
+MONITOR = "mass_dimm"  # seeing monitor of ESO's headers
 # Cards that products inherit.
 PLAIN = frozenset(
     (
@@ -31,7 +31,7 @@ GROUPS = re.compile(
     r"ESO (OBS (ID|NAME|PROG ID|TARG NAME)|TPL (ID|NAME|START)|DPR (CATG|TYPE|TECH)|INS (MODE|DROT [A-Z]+)|"
     r"TEL (ALT|AZ|AIRM [A-Z]+|PARANG [A-Z]+|AMBI [A-Z0-9 ]+)|SEQ NGS MAG|AOS MAIN MODES IRLOS)"
 )
-MAX_CARDS = 100  # a header may say the same many times
+MAX_CARDS = 100  # that a product inherits: a header may repeat a card many times
 
 
 @dataclass(frozen=True, kw_only=True)

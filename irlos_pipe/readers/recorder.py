@@ -35,7 +35,7 @@ PIXELS = "Pixels"
 NOT_READ = (".z", ".zip")  # what nobody can unpack here is no reason to refuse the recording next to it
 # Calibration images next to the table: IRAcq.DET1.DARK.fits and its siblings.
 PREFIX, KINDS = "IRAcq.DET1.", ("DARK", "BACKGROUND", "FLAT", "DEAD", "WEIGHT")
-MAX_BAD_FRACTION = 0.5  # a map that excludes more than this means something else
+MAX_BAD_FRACTION = 0.5  # a map that excludes a larger part of the pixels has another meaning
 PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) next to NAME_IR_PIX (pixels)
 
 

@@ -15,8 +15,8 @@ from irlos_pipe.conventions.errors import InputDataError
 
 C2_NM_K = 1.438776877e7  # second radiation constant
 J_NM, H_NM, VEGA_K = 1235.0, 1662.0, 9600.0  # 2MASS bands, and the black body that has no colour between them
-OPEN_END = 0.05  # of the largest transmission, beyond which a curve ends too early
-DARK = 0.01  # of it, below which nothing passes
+OPEN_END = 0.05  # a filter curve that ends above this part of its largest transmission is cut off
+DARK = 0.01  # part of the largest transmission below which a filter counts as opaque
 POINTS_PER_BAND = 3
 COOLEST_K, HOTTEST_K = 1000.0, 50_000.0
 Point = tuple[float, float]

@@ -17,12 +17,12 @@ from irlos_pipe.files.fits import fits
 from irlos_pipe.files.limits import require_memory
 
 CARD_BYTES, BLOCK_BYTES = 80, 2880
-PIECE_BYTES = BLOCK_BYTES * 364  # about a megabyte
+PIECE_BYTES = BLOCK_BYTES * 364  # about a megabyte, read at once for a checksum
 MAX_HDUS = 5000
 MAX_HEADER_BYTES = 2**24  # of all headers of a file, 200 000 cards
-MAX_REST_BYTES = 2**20  # looked at behind the last HDU
+MAX_REST_BYTES = 2**20  # that are examined behind the last HDU
 MAX_TILED_BYTES = 2**29  # of a tile-compressed image: 30 000 frames of 64x64 px
-MAX_COMPRESSION = 1100  # deflate makes no more of less
+MAX_COMPRESSION = 1100  # the largest ratio that deflate reaches
 MAX_AXES = 999
 BIT_PIXELS = (8, 16, 32, 64, -32, -64)
 # What is asked of a header here, with its value.

@@ -12,7 +12,7 @@ from irlos_pipe.readers.fitsfile import header_number
 
 SECONDS_COLUMNS = ("Seconds", "Sec")
 MICROSECONDS_COLUMNS = ("USeconds", "USec")
-LATEST_UNIX_S = 4102444800  # the year 2100
+LATEST_UNIX_S = 4102444800  # the year 2100, beyond which a time is not credible
 MJD_OF_1970, DAY_S = 40587, 86400
 
 

@@ -15,11 +15,11 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.simulate import SceneError, require_known
 from irlos_pipe.simulate.telescope import Telescope
 
-VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3)
+VON_KARMAN = 0.0229  # coefficient of the phase spectrum, in rad² m^(-11/3) r0^(-5/3)
 SEEING_NM = 500.0
-WIND_SCATTER = 0.3  # of the wind vectors of all layers about their mean, relative
-ALIASING_SHARE = 0.6  # of the in-band variance of the shape `aliasing`; the rest is servo lag
-ALIASES = 3  # folded bands on each side
+WIND_SCATTER = 0.3  # relative scatter of the wind vectors of all layers about their mean
+ALIASING_SHARE = 0.6  # part of the in-band variance of the shape `aliasing`; the rest is servo lag
+ALIASES = 3  # folded bands on each side of the correction band that are summed
 Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
 
 

@@ -23,14 +23,14 @@ from irlos_pipe.simulate.pupil import FINE, Pupil, amplitude, nominal_area_m2
 from irlos_pipe.simulate.scene import Scene
 
 BATCH = 10  # wavefronts imaged together
-SPLINE = 5  # order: errs by less than 1e-5 of the peak where a sample holds less than 0.2 cycles
-SPLINE_EDGE_PX = 8  # beyond which a spline does not see where the image ends
-STATIC_NODES = 4  # per pixel and axis
-FINEST_CYCLES_PER_PX = 0.4  # that the image of a pixel may hold; above, pixels are computed in parts
-FINEST_DISTORTED = 0.2  # the same where splines follow the image
+SPLINE = 5  # order of the interpolation: errs by less than 1e-5 of the peak below 0.2 cycles per sample
+SPLINE_EDGE_PX = 8  # distance from the end of the image beyond which a spline does not notice it
+STATIC_NODES = 4  # Gauss–Legendre nodes per pixel and axis
+FINEST_CYCLES_PER_PX = 0.4  # highest frequency of an image in whole pixels; above, they are computed in parts
+FINEST_DISTORTED = 0.2  # the same where splines interpolate the image
 REACH_SIGMAS = 4.0
-EDGE_PX = 3  # margin for the ringing of the discrete transform at the border
-MIRROR_PX = 8  # border beyond the margin that keeps opposite edges apart
+EDGE_PX = 3  # margin of images in which the discrete transform rings at the border
+MIRROR_PX = 8  # mirrored border beyond the margin, so that opposite edges do not mix
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope, rotated_nm, sum_nm
 
-LAST_NOLL = 31  # of the coefficients kept per frame
+LAST_NOLL = 31  # highest Noll mode of the coefficients kept per frame
 
 
 @dataclass(frozen=True)

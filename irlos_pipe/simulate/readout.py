@@ -21,8 +21,8 @@ from irlos_pipe.simulate.detector import (
 from irlos_pipe.simulate.effects.detector import DetectorEffect
 from irlos_pipe.simulate.scene import Scene
 
-DARK_FRAMES = 64  # averaged to the dark image
-FLAT_ERROR = 1e-4  # of the measured flat, relative RMS
+DARK_FRAMES = 64  # raw frames that are averaged to the dark image
+FLAT_ERROR = 1e-4  # relative RMS noise of the measured flat
 
 
 def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:

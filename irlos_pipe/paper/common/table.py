@@ -35,7 +35,7 @@ Record = Mapping[str, Any]
 Tables = Mapping[str, Frame]
 MISSING = "–"
 DRAWS, BOOTSTRAP_SEED = 4000, 0
-TAIL = 0.05  # beyond each end of a range of 90 %
+TAIL = 0.05  # probability beyond each end of a range of 90 %
 ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
 
 

@@ -11,7 +11,7 @@ from irlos_pipe.conventions.keys import key
 from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
 
-GHOST_NODES = 6  # per axis of the Gauss-Hermite rule of the blur
+GHOST_NODES = 6  # nodes per axis of the Gauss–Hermite rule for the blur of a ghost
 
 
 class LightEffect(SimulatedEffect):

@@ -20,7 +20,7 @@ from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.motion import MotionBlur
 
 JITTER_CORRELATION_S = 0.010
-FAST_HZ = 20.0  # a vibration of no given frequency is the strongest line above
+FAST_HZ = 20.0  # a vibration without a stated frequency is the telescope's strongest line above this
 Shape = Literal["sinusoidal", "gaussian"]
 
 

@@ -32,7 +32,7 @@ LOG = logging.getLogger("irlos_pipe.run")
 VERSION = 2  # of the simulator; raised when the same spec and seed give other data or another truth
 DETECTOR_STREAM = 1  # child of the scene's seed; the wavefront has its own
 WORK_PREFIX = ".simulating-"
-LOOK_S = 0.3  # between looks at the progress of the worker processes
+LOOK_S = 0.3  # interval at which the progress of the worker processes is read
 
 
 @dataclass(frozen=True)

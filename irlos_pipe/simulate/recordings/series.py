@@ -15,8 +15,8 @@ from irlos_pipe.simulate.recordings.keys import RecordingKeys
 from irlos_pipe.simulate.recordings.spec import Spec, number
 
 FIRST_START_UNIX_S = 1_707_618_000
-SLOT_S = 86_400  # between the starts of two sections of a spec, so that changing one moves no other
-MOVE_S = 24  # of focus stage or derotator, between the recordings of a series
+SLOT_S = 86_400  # between the starts of two sections of a spec, so that a change of one moves no other
+MOVE_S = 24  # time that focus stage or derotator take between the recordings of a series
 FIRST_COUNTER, COUNTER_WRAP = 1000, 2**30
 
 

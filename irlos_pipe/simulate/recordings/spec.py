@@ -45,13 +45,14 @@ BANDS = {
 }
 PRESENT = "2024-02-11"  # day of recordings whose start is not given
 SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
-WHOLE = {"ncpa", "rotating"}  # half of a draw and half of a list make no sense
-NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # becomes the name of a folder
+WHOLE = {"ncpa", "rotating"}  # replaced as a whole: half of a draw and half of a list make no sense
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # of a section; it becomes the name of a folder
 # keys that a scene has under the same names
 SAME = (
     "frames", "exposure_s", "role", "target", "mag_j", "window", "lenslets", "pupil_rotation_deg", "motion",
 )  # fmt: skip
-THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
+# Part of the photons in J+H that a filter passes.
+THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}
 
 
 def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys) -> Scene:
