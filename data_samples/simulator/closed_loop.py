@@ -131,7 +131,6 @@ class Hardware:
 
     @property
     def actuators(self) -> int:
-        """Number of actuators."""
         return int(self.used.sum())
 
     def mirror_nm(self, command_nm: np.ndarray) -> np.ndarray:

@@ -80,7 +80,6 @@ def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: 
 
 
 def truth_of(ctx: ex.Context) -> Truth:
-    """Return the wavefront of all angles."""
     law = ctx.instrument.facility.ncpa_law
     return draw_truth((ctx.seed,), law, ctx.config.rotating_nm, ctx.config.fixed_nm)
 

@@ -91,7 +91,6 @@ class ExperimentResults(StageResults):
     tables: dict[str, list[dict[str, Any]]] = {}
 
     def frames(self) -> dict[str, Frame]:
-        """Return the tables as frames."""
         return {name: frame(rows) for name, rows in self.tables.items()}
 
 
@@ -105,7 +104,6 @@ class Drawn:
 
     @property
     def sizes(self) -> Mapping[str, Any]:
-        """Return the sizes it was run with."""
         return self.run.products[self.stage].config
 
     def array(self, name: str) -> np.ndarray:

@@ -105,7 +105,6 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 
 def drift_of(ctx: ex.Context) -> Drift:
-    """Return the drift of the layer's defocus."""
     return SodiumLayer(**ctx.config.layer.model_dump()).drift(ctx.instrument.facility.pupil.diameter_m)
 
 

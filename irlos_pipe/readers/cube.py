@@ -40,8 +40,6 @@ SHOWN = 6
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """An image of a file."""
-
     index: int
     hdu: fits.hdu.base._BaseHDU
 

@@ -71,12 +71,8 @@ def recording_files(paths: Sequence[Path], refused: Refused | None = None) -> li
     wrong. `refused` is called with each folder below that may not be read, and the error, which is raised
     otherwise.
 
-    Raises
-    ------
-    InputDataError
-        A path that does not exist, is no FITS file, or may not be read.
-    NothingToDo
-        No recording under any of the paths.
+    Raises `InputDataError` for a path that does not exist, is no FITS file, or may not be read, and
+    `NothingToDo` where no path has a recording.
     """
     files = each_once([file for path in paths for file in _files_under(Path(path), refused or _raise)])
     if not files:

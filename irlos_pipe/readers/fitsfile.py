@@ -45,11 +45,8 @@ def open_fits(path: Path, *, verify: bool = True, notes: list[str] | None = None
     With `verify` the data are compared with their checksums, which reads all of them. `notes` gets a line
     that names the cards that cannot be read; they are left out.
 
-    Raises
-    ------
-    InputDataError
-        No access, no regular file, empty, truncated, damaged by its own checksum, changed while the
-        block lasts, or not FITS; also for any error of astropy inside the block.
+    Raises `InputDataError` for a file that may not be read, is no regular one, empty, truncated, damaged by
+    its own checksum, changed while the block lasts, or not FITS; also for any error of astropy inside it.
     """
     try:
         before = _stamp(path)

@@ -65,7 +65,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
-    """See `irlos_pipe.readers.find.Reader.read`.
+    """Read the recording, see `irlos_pipe.readers.find.Reader.read`.
 
     Raises `InputDataError` for a column that is missing, a window that changes or does not fit the pixel
     vector, no rows, or calibration images that do not fit.

@@ -89,7 +89,7 @@ def iso_time(unix_s: float) -> str:
 
 
 def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """Look up times of frames by exactly equal counters: those that are `wanted`, (frames,).
+    """Look up times of frames by exactly equal counters: those `wanted`, (frames,).
 
     `counter` and `times_s` (rows,) are of the other table, in any order. A frame whose counter it lacks gets
     NaN: the next best row belongs to another frame.

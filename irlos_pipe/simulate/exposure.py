@@ -27,8 +27,6 @@ LAST_NOLL = 31  # highest Noll mode of the coefficients kept per frame
 
 @dataclass(frozen=True)
 class Exposure:
-    """One frame."""
-
     mean_e: np.ndarray  # mean photo-electrons, (rows, columns), float64
     opd_nm: np.ndarray  # time-mean wavefront, (n, n), the declared diversity and introduced defocus excluded
     stated_nm: dict[int, float]  # modes of the wavefront that the scene states as such, Noll: nm RMS

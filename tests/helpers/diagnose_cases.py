@@ -67,7 +67,6 @@ def with_second_images(*seconds: dict[str, float]) -> np.ndarray:
 
 
 def with_companion() -> np.ndarray:
-    """A second source."""
     return with_second_images(COMPANION)
 
 
@@ -101,7 +100,6 @@ def with_another_pupil() -> np.ndarray:
 
 
 def cube(image: np.ndarray, seed: int = 3) -> Frames:
-    """Noisy frames of one image."""
     images = draw_frames(image * FLUX_E, FRAMES, seed=seed)
     return Frames(images, everything(images), READ_NOISE)
 

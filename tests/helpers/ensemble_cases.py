@@ -48,7 +48,6 @@ def draw(sample: Draw) -> list[dict]:
 
 
 def refuse(sample: Draw) -> list[dict]:
-    """Fail on some samples."""
     if sample.seed == 2:
         raise InputDataError("no star in the window")
     return [{"seed": sample.seed}]
@@ -74,7 +73,6 @@ def object_array(sample: Draw) -> list[dict]:
 
 
 def draws(folder: Path, names=NAMES) -> list[Draw]:
-    """One sample per name."""
     return [Draw(name, seed, str(folder)) for seed, name in enumerate(names)]
 
 
@@ -87,7 +85,6 @@ def computed(folder: Path) -> list[str]:
 
 
 def silent_progress(total: int, desc: str) -> tqdm:
-    """A progress bar that shows nothing."""
     return tqdm(total=total, desc=desc, disable=True)
 
 

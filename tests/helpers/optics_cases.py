@@ -82,5 +82,4 @@ def draw_frames(mean_e: np.ndarray, frames: int, seed: int, noise: NoiseModel = 
 
 
 def everything(images: torch.Tensor) -> torch.Tensor:
-    """Mask that keeps every pixel."""
     return torch.ones(images.shape[-2:], dtype=torch.bool)

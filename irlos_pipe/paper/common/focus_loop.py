@@ -269,13 +269,10 @@ def outcome_of(
 ) -> dict[str, Any]:
     """Summarise one loop from its records, (skies, drifts, frames) each, `settle` frames left out.
 
-    Returns
-    -------
-    dict
-        ``residual_nm``, RMS over time and over the runs that did not diverge, what wanders within a frame
-        included, and ``residual_error_nm`` from the scatter between runs; ``bias_nm``, RMS over skies of the
-        mean residual; ``lost``, the part of the measurements that the sensor could not give; ``slope`` and
-        ``noise_nm``: measurement = slope × true residual + noise.
+    ``residual_nm`` is the RMS over time and over the runs that did not diverge, what wanders within a frame
+    included, and ``residual_error_nm`` follows from the scatter between runs; ``bias_nm`` is the RMS over
+    skies of the mean residual, ``lost`` the part of the measurements that the sensor could not give, and
+    ``slope`` and ``noise_nm`` are those of measurement = slope × true residual + noise.
     """
     late = residual_nm[..., settle:]
     alive = np.isfinite(late).all(-1)

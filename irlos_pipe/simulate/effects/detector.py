@@ -73,7 +73,7 @@ class CorrelatedNoise(DetectorEffect):
     period_px: float | None = None
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """See `DetectorEffect.on`; stripes of independent reads add up in variance."""
+        """Return the `pixels` with stripes of one read; those of independent reads add up in variance."""
         of_one = self.e_rms / np.sqrt(pixels.reads)
         return replace(pixels, pattern=Pattern(float(of_one), self.axis, self.period_px))
 

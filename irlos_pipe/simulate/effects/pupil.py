@@ -110,7 +110,7 @@ class LowWindEffect(PupilEffect):
     tilt_nm: Sequence[float] | None = None
 
     def misfit(self, setup: RecordingSetup) -> str:
-        """See `SimulatedEffect.misfit`: as many values as petals."""
+        """Return why there are not as many values as petals."""
         given = {"piston_nm": self.piston_nm, "tip_nm": self.tip_nm, "tilt_nm": self.tilt_nm}
         return _misfit(self.name, "petals", petal_count(setup.geometry), given)
 
@@ -132,7 +132,7 @@ class SegmentPiston(PupilEffect):
     piston_nm: Sequence[float]
 
     def misfit(self, setup: RecordingSetup) -> str:
-        """See `SimulatedEffect.misfit`: as many values as segments."""
+        """Return why there are not as many values as segments."""
         return _misfit(self.name, "segments", segment_count(setup.geometry), {"piston_nm": self.piston_nm})
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:

@@ -234,7 +234,7 @@ class HighAperture(LensEffect):
     sine: float
 
     def defocus(self, telescope: Telescope) -> np.ndarray:
-        """See `LensEffect.defocus`: the path ``1 - cos θ`` over its part of Noll 4."""
+        """Return the path ``1 - cos θ`` over its part of Noll 4, (n, n)."""
         s2 = self.sine**2
         if s2 == 0:
             return super().defocus(telescope)

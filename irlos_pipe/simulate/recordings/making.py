@@ -1,6 +1,6 @@
 """Makes recordings and their truth in a hidden folder, in one process or several; each appears when complete.
 
-The truth is what an estimate is compared with; it is kept apart from the data.
+The truth is what an estimate is compared with; it is stored separately from the data.
 """
 
 from __future__ import annotations
@@ -37,8 +37,6 @@ LOOK_S = 0.3  # interval at which the progress of the worker processes is read
 
 @dataclass(frozen=True)
 class Made:
-    """A recording that was made."""
-
     truth: dict[str, Any]  # content of its truth file
     wavefront_fits: bytes
     brightest_adu: int  # highest value of all frames
@@ -131,7 +129,6 @@ class Job:
 
     @property
     def folder(self) -> Path:
-        """Return the folder in which the recording is made."""
         return self.work / "data" / self.planned.name
 
     def frames_done(self) -> np.ndarray:
@@ -140,7 +137,6 @@ class Job:
         return np.memmap(path, np.int64, "r+" if path.exists() else "w+", shape=self.count)
 
     def perform(self, report: Callable[[], Any] = lambda: None) -> Made:
-        """Make the recording."""
         frames_done = self.frames_done()
 
         def show(frames: int) -> None:

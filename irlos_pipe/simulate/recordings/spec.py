@@ -201,8 +201,6 @@ class SpecKeys(Shared):
 
 @dataclass(frozen=True)
 class Spec:
-    """A valid spec."""
-
     # name, title, instrument (its name, or the absolute path of its file) and seed, by their keys
     head: dict[str, Any]
     recordings: dict[str, RecordingKeys]  # by name, the shared sections filled in
@@ -210,7 +208,6 @@ class Spec:
 
     @property
     def seed(self) -> int:
-        """Seed of everything random."""
         return self.head["seed"]
 
     def resolved_yaml(self) -> str:
