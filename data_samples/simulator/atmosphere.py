@@ -23,7 +23,7 @@ IN_BAND_WIND_M_S = (6.0, 2.0)
 FITTING_WIND_M_S = (10.0, -4.0)
 VIBRATION_HZ = 48.3
 VIBRATION_DAMPING = 0.01
-VIBRATION_SHARE = 0.35  # part of the variance
+VIBRATION_SHARE = 0.35  # part of the variance of the image motion
 WANDER_BANDWIDTH_HZ = 4.0
 
 

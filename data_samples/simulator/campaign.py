@@ -151,7 +151,7 @@ MUSE = replace(
 
 
 def sample_scenes() -> list[Scene]:
-    """Return the scenes of the data samples, the longest first; times tell the order of the ramp."""
+    """Return the scenes of the data samples, the longest first; times give the order of the ramp."""
     ramp = [
         _ramp_step(
             CALIBRATION,

@@ -26,10 +26,10 @@ SUBAPERTURES = 42  # across the grid; the outermost are outside the pupil
 SAMPLES_PER_SUBAPERTURE = 3
 SAMPLES = SUBAPERTURES * SAMPLES_PER_SUBAPERTURE  # of the loop's grid, along an axis
 STEP_M = SUBAPERTURE_M / SAMPLES_PER_SUBAPERTURE
-LIT_SHARE = 0.5  # of a subaperture's area, for it to be used
+LIT_SHARE = 0.5  # lit part of its area that a subaperture needs to be used
 GAIN, LEAK = 0.4, 0.005
 DELAY_STEPS = 2
-REGULARISATION = 0.01  # over the mean diagonal of the normal matrix
+REGULARISATION = 0.01  # relative to the mean diagonal of the normal matrix
 SLOPE_NOISE_NM = 100.0  # OPD across a subaperture: 0.1 arcsec
 TIP_TILT_STEPS = 5  # the natural star is read at 200 Hz
 TIP_TILT_GAIN = 0.4
@@ -131,7 +131,6 @@ class Hardware:
 
     @property
     def actuators(self) -> int:
-        """Number of actuators."""
         return int(self.used.sum())
 
     def mirror_nm(self, command_nm: np.ndarray) -> np.ndarray:

@@ -66,7 +66,7 @@ def write_truth(
 ) -> None:
     """Write the truth: coefficients drawn, those of the mean wavefront, parameters of the simulation.
 
-    `residual` is what is known of the AO residual beside the parameters of the scene.
+    `residual` is what is known of the AO residual besides the parameters of the scene.
     """
     told_above = {"ncpa_nm", "introduced_defocus_nm"}
     parameters = {key: value for key, value in asdict(scene).items() if key not in told_above}

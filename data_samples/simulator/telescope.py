@@ -45,7 +45,6 @@ class Telescope:
 
     @property
     def step_m(self) -> float:
-        """Distance between samples [m]."""
         return float(self.grid.delta[0])
 
     def opd_nm(self, zernike_nm: dict[int, float]) -> np.ndarray:

@@ -36,7 +36,7 @@ from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Sampling, Scene
 from irlos_pipe.stages.derotator import SplitOutput, map_of
 
-LARGEST_PULL = 1.5  # error over quoted error
+LARGEST_PULL = 1.5  # requirement on the error over the quoted error
 PARTS = {"rotating": "turns with the derotator", "fixed": "does not turn"}
 
 
@@ -80,7 +80,6 @@ def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: 
 
 
 def truth_of(ctx: ex.Context) -> Truth:
-    """Return the wavefront of all angles."""
     law = ctx.instrument.facility.ncpa_law
     return draw_truth((ctx.seed,), law, ctx.config.rotating_nm, ctx.config.fixed_nm)
 

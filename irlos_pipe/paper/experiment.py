@@ -1,6 +1,6 @@
 """What an experiment of the paper is: samples, the rows that come of each, tables, checks, a section.
 
-An experiment is one module of this package. From top to bottom it tells its sizes, what one sample is, how
+An experiment is one module of this package. From top to bottom it states its sizes, what one sample is, how
 the rows of a sample are measured, what they are summarised to, what this has to keep, and how it is shown.
 It is a stage, so that a recipe runs it; `docs/extending.md` says how to add one. Experiments take what they
 need of the pipeline from here.
@@ -55,23 +55,13 @@ UNITS = {"nm": "nm", "arcsec": "arcsec", "mas": "mas", "deg": "deg", "s": "s", "
 
 @dataclass(frozen=True)
 class Sample:
-    """What one worker computes, and all that its rows depend on.
+    """What one worker computes, and all that its rows depend on."""
 
-    Attributes
-    ----------
-    name : str
-        For messages, and the column ``sample`` of its rows.
-    sizes : StageConfig
-        Of the experiment.
-    of : mapping of str to object
-        What this sample has of its own; numbers and texts are columns of its rows.
-    """
-
-    name: str
+    name: str  # for messages, and the column ``sample`` of its rows
     seed: tuple[int, ...]
     facility: Facility
-    sizes: Any
-    of: Mapping[str, Any] = field(default_factory=dict)
+    sizes: Any  # the settings of the experiment
+    of: Mapping[str, Any] = field(default_factory=dict)  # its own; numbers and texts are columns of its rows
 
     def __getitem__(self, key: str) -> Any:
         return self.of[key]
@@ -101,7 +91,6 @@ class ExperimentResults(StageResults):
     tables: dict[str, list[dict[str, Any]]] = {}
 
     def frames(self) -> dict[str, Frame]:
-        """Return the tables as frames."""
         return {name: frame(rows) for name, rows in self.tables.items()}
 
 
@@ -115,7 +104,6 @@ class Drawn:
 
     @property
     def sizes(self) -> Mapping[str, Any]:
-        """Return the sizes it was run with."""
         return self.run.products[self.stage].config
 
     def array(self, name: str) -> np.ndarray:
@@ -140,7 +128,7 @@ class Experiment:
     """An experiment as a stage of a recipe; `docs/extending.md` says what its parts state.
 
     Samples are what the workers compute, as many `unit`; `rows` are computed there. `tables` come from a
-    frame of the rows of all samples, checks from the tables, and quantities for the product, beside the
+    frame of the rows of all samples, checks from the tables, and quantities for the product, next to the
     numbers and texts of the rows, from `arrays`. The report has `lead`, a pattern for the first row of the
     first table, the figures, and the listings, of which the first is shown on the terminal as well.
     """

@@ -13,7 +13,7 @@ from pydantic import Field
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
 
-STEADY = 1.5  # the default may change by so much from one exposure to another: it fits the mean image
+STEADY = 1.5  # largest over smallest error of the default between exposures: it fits the mean image
 
 
 class Sizes(ex.StageConfig):

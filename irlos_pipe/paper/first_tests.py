@@ -36,7 +36,7 @@ from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 
 WRONG_NM = 50.0  # an estimate this far from the best minimum lies in another one
-BY_CHANCE = 1e-3  # probability with which right errors give a larger pull
+BY_CHANCE = 1e-3  # probability of a larger pull where the quoted errors are right
 # The paper's variant and this project's, begun from every start, and drawn.
 SHOWN = {"hand_9": "the paper: kernel by hand, nine modes", "default_3": "this pipeline, three modes"}
 

@@ -31,8 +31,8 @@ from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YEL
 from irlos_pipe.report.text import mode_label
 from irlos_pipe.simulate.exposure import expose
 
-ASKED_NM = 4.0  # RMS error of a calibrated ramp
-SLOPE_WITHIN = 0.03  # of 1: the ramp's sign and scale
+ASKED_NM = 4.0  # requirement on the RMS error of a calibrated ramp
+SLOPE_WITHIN = 0.03  # largest deviation of the slope from 1, which tests sign and scale of the ramp
 ASKED_OF = ("default_3", "default_9")
 CALIBRATED = ("published_3", "published_9", *ASKED_OF)
 DRAWN = {

@@ -28,7 +28,7 @@ from irlos_pipe.simulate.scene import Scene
 PATTERN_STREAM = 4  # child of a sample's seed that the pistons are drawn from
 WITHOUT, WITH = "without", "with"
 NARROW, BROAD = "narrow H", "J+H"
-ASKED_NM = 10.0  # of a calibration that has the petals in its model
+ASKED_NM = 10.0  # requirement on a calibration that has the petals in its model
 
 
 class Sizes(ex.StageConfig):
@@ -101,13 +101,9 @@ def scene(petals: ex.Sample, band: str, exposure_s: float, piston_nm: np.ndarray
 
 
 def left_of(cube: ObservedCube, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what a calibration leaves of the wavefront of a cube.
+    """Return what a calibration leaves of the wavefront of a cube, (points,) at the lit points of the pupil.
 
-    Returns
-    -------
-    left_nm, petal, weight : ndarray, (points,)
-        True minus estimated wavefront at the lit points of the simulator's pupil [nm], the petal there, and
-        its transmission.
+    Three arrays: true minus estimated wavefront [nm], the number of the petal, and the transmission.
     """
     exposed, geometry = cube.exposed, cube.scene.geometry
     lit, u_m = exposed.transmission > 0, exposed.telescope.u_m
@@ -123,7 +119,7 @@ def left_of(cube: ObservedCube, calibration: Calibration) -> tuple[np.ndarray, n
 
 
 def in_reported_modes(cube: ObservedCube, calibration: Calibration, left_nm: np.ndarray) -> np.ndarray:
-    """Return the part of `left_nm`, (points,), in Noll 2–30, fitted beside all other modes of a calibration.
+    """Return the part of `left_nm`, (points,), in Noll 2–30, fitted jointly with all other calibrated modes.
 
     Petals are no polynomials: fitted alone, these modes would take over what petals have beyond them.
     """

@@ -28,8 +28,8 @@ MODEL_SHAPE: Shape = "power_law"  # what the model assumes, up to slope and dire
 OTHER_SHAPES: tuple[Shape, ...] = ("servo_lag", "aliasing", "non_stationary")
 PARTS = tuple(name for name in VARIANTS if name not in PUBLISHED)
 METHODS = tuple(METHOD_NAMES)
-OVER_FLOOR = 1.3  # asked of the default: its error over what the number of speckles allows
-SEVERAL_TIMES = 3.0  # by which a residual in the model has to do better than the paper's choice
+OVER_FLOOR = 1.3  # requirement on the default's error over what the number of speckles allows
+SEVERAL_TIMES = 3.0  # factor by which a model with AO residual has to be better than the paper's choice
 DRAWN_NM, DRAWN_SCATTER_NM = 142.0, 30.0  # the paper's NCPAs, Sect. 5.4
 STANDARD_ERRORS = 3.0
 
@@ -95,16 +95,8 @@ def speckle_floor_nm(errors_nm: Mapping[float, Sequence[float]]) -> tuple[float,
     """Split the default's error into a part that falls with the number of frames and the rest.
 
     ``error² = floor² / part + rest²``, least squares over the mean squares at every part of the cube.
-
-    Parameters
-    ----------
-    errors_nm : mapping
-        Errors over samples by the part of the cube that was used, 1 for the whole cube.
-
-    Returns
-    -------
-    floor_nm, rest_nm : float
-        Error from the finite number of speckles in the whole cube; error of an endless cube.
+    `errors_nm` are those over samples by the part of the cube that was used, 1 for the whole cube. Returns
+    the error from the finite number of speckles in the whole cube, and that of an endless cube [nm].
     """
     parts = np.array(sorted(errors_nm))
     squares = np.array([np.mean(np.square(errors_nm[part])) for part in parts])

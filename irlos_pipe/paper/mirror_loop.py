@@ -24,8 +24,8 @@ from irlos_pipe.paper.common.ramps import knowledge_of
 from irlos_pipe.paper.common.scenes import FINE, MIRROR_DIVERSITY_NM, star_image
 from irlos_pipe.simulate.scene import Scene
 
-IMPROVES = 0.9  # an estimate is followed where it is below this part of the one before
-ASKED_NM = 10.0  # of the default with a diversity that is as declared, in Noll 4–30
+IMPROVES = 0.9  # an estimate is applied where it is below this part of the one before
+ASKED_NM = 10.0  # requirement on the default with the declared diversity, in Noll 4–30
 LOOPS = ((DEFAULT, EXACT), (PAPER_CHOICE, EXACT), (DEFAULT, BY_MIRROR))
 STATE = (*LEFT, "strehl", "seen_nm")
 
@@ -57,7 +57,7 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 
 def rows(star: ex.Sample) -> ex.Rows:
-    """Close every loop on a star, and tell every mirror the truth."""
+    """Close every loop on a star, and give every mirror the true wavefront."""
     sizes, scene = star.sizes, scene_of(star)
     errors, diameter_m = MirrorErrors(sizes.gain, sizes.shift, sizes.turn_deg), star.facility.pupil.diameter_m
     bench = Bench(scene, sizes.star_frames)
@@ -85,9 +85,9 @@ def rows(star: ex.Sample) -> ex.Rows:
     for pitch_m in sizes.pitches_m:
         for error, own in errors.alone().items():
             mirror = own.mirror(diameter_m, pitch_m)
-            told = [bench.of(one) for one in bench.told(mirror, 0.0, sizes.corrections)]
+            states = [bench.of(one) for one in bench.told(mirror, 0.0, sizes.corrections)]
             which = {"pitch_m": pitch_m, "actuators": int(mirror.actuators.present.sum()), "error": error}
-            for done, left in enumerate(told):
+            for done, left in enumerate(states):
                 yield {"what": "alone", **which, "corrections": done, **left}
 
 

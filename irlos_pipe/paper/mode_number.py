@@ -23,7 +23,7 @@ from irlos_pipe.paper.common.observation import NoiseOf, Read, as_read
 
 LIFT = "lift_avg"
 MODES_INTRODUCED = 50
-LAST = MODES_INTRODUCED + 1  # the highest of them
+LAST = MODES_INTRODUCED + 1  # highest Noll mode introduced
 HELD_OUT = "held-out frames"
 # The default has its prior; the others have none, as published.
 METHODS = {
@@ -113,7 +113,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
-    """DIP is best at the number introduced (the paper's appendix B), and the frames tell this number."""
+    """DIP is best at the number introduced (the paper's appendix B), and held-out frames give this number."""
     curves, recommended = tables["curves"].query(f"method == '{PAPER_CHOICE}'"), tables["cubes"]
     others = int((recommended.recommended_noll != LAST).sum())
     return [

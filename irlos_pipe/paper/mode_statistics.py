@@ -24,7 +24,7 @@ from irlos_pipe.report.section_modes import Points, strength_plot
 from irlos_pipe.stages.modes import LawRow
 
 INTRODUCED = 51  # highest Noll mode of the simulated NCPAs
-FIRST_FITTED = 4  # tip and tilt hold the residual image motion of a finite cube
+FIRST_FITTED = 4  # lowest mode in the fit of the law: tip and tilt hold the image motion of a finite cube
 TRUTH = "introduced"
 NAMES = {TRUTH: TRUTH} | {method: METHOD_NAMES[method] for method in (DEFAULT, PAPER_CHOICE)}
 

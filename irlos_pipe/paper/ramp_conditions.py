@@ -29,7 +29,7 @@ from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
-NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # of the paper's second ramp on sky
+NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # exposure and star of the paper's second ramp on sky
 
 
 class Sizes(ex.StageConfig):
@@ -119,14 +119,11 @@ def mode_errors(
 ) -> dict[str, Any]:
     """Return the errors of estimates `modes_nm`, (frames, modes), of `true_nm`; `given_nm` of the defocus.
 
-    Returns
-    -------
-    dict
-        ``rms_nm`` of the defocus against the introduced one and the NCPA given to the estimator;
-        ``true_rms_nm`` and ``bias_nm`` against the one there was in the frame. Of every mode, (modes,): RMS
-        ``mode_nm`` of the error; ``scatter_nm`` and ``true_scatter_nm`` over the frames beside that which
-        goes with the introduced defocus, estimated and there; and the ``leak`` of the introduced defocus into
-        it (defocus itself: 1 less).
+    ``rms_nm`` is that of the defocus against the introduced one and the NCPA given to the estimator,
+    ``true_rms_nm`` and ``bias_nm`` are those against the defocus that was in the frame. Of every mode,
+    (modes,), there are the RMS error ``mode_nm``; ``scatter_nm`` of the estimates and ``true_scatter_nm`` of
+    the truth over the frames, without what is linear in the introduced defocus; and the ``leak`` of the
+    introduced defocus into it (defocus itself: 1 less).
     """
     focus, wrong_nm = modes.index(DEFOCUS), modes_nm - true_nm
     slope, rest_nm = _line(introduced_nm, modes_nm)

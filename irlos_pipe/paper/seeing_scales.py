@@ -19,7 +19,7 @@ from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.report.drawing import BLUE, FAINT, INK, ORANGE, svg
 
-WITHIN = 0.02  # some six standard errors of the median of 20 000 draws
+WITHIN = 0.02  # of 1, for the ratio of medians: some six standard errors of 20 000 draws
 RANKS = {"median": 50.0, "p16": 16.0, "p84": 84.0}  # percentiles of the distributions
 SIZE_IN = (4.4, 3.2)
 

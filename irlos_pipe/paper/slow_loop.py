@@ -43,8 +43,8 @@ from irlos_pipe.simulate.scene import Scene
 UNCALIBRATED = "uncalibrated"
 # Children of a sample's seed; the last two are of the noise in the full-pupil and in the 2x2 mode.
 SKY_STREAM, CUBE_STREAM, DRIFT_STREAM, *NOISE_STREAMS = range(5)
-DRIFT_STEPS = 10  # per frame
-SEEN = 0.85  # part of the aperture's photons in the window: hole, spider and halo take the rest
+DRIFT_STEPS = 10  # steps of the drift per frame
+SEEN = 0.85  # part of the aperture's photons in the window; hole, spider and halo lose the rest
 SKY_FOCUS_NM = 5.0  # defocus of the AO residual in a frame of a second, as simulated
 REACH_NM, NODES = 240.0, 8  # of the table of frames; a loop whose residual exceeds the reach has diverged
 OVER_THEORY = 1.5
@@ -105,7 +105,6 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 
 def drift_of(ctx: ex.Context) -> Drift:
-    """Return the drift of the layer's defocus."""
     return SodiumLayer(**ctx.config.layer.model_dump()).drift(ctx.instrument.facility.pupil.diameter_m)
 
 

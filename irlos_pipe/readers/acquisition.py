@@ -29,30 +29,22 @@ from irlos_pipe.readers.star_spectrum import spectrum_of, temperature_of
 REQUIRED = tuple(key for key, known in KNOWN.items() if known.form)
 REQUIRED_FOR = {"dark": ("role",), "defocus_ramp": (*REQUIRED, "introduced_defocus_nm")}
 HARMLESS = {key: known.otherwise for key, known in KNOWN.items() if known.otherwise is not None}
-ALTITUDE = ("altitude_deg", "airmass")  # two ways to say the same
+ALTITUDE = ("altitude_deg", "airmass")  # two keys for the same quantity
 AIRMASS_TOLERANCE = 0.03  # an exposure begins and ends at another one; sec z is within 1 % above 15°
 COADDS, READ_S, READ_NOISE = "detector.coadds", "detector.read_s", "detector.read_noise_e"
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """How a recording was taken, from all sources.
-
-    Attributes
-    ----------
-    introduced_defocus_nm : ndarray, (frames,)
-        Introduced defocus [nm RMS].
-    warnings : tuple of str
-        What had to be taken from the header or the instrument profile.
-    """
+    """How a recording was taken, from all sources."""
 
     acquisition: Acquisition
-    introduced_defocus_nm: np.ndarray
-    warnings: tuple[str, ...]
+    introduced_defocus_nm: np.ndarray  # (frames,) [nm RMS]
+    warnings: tuple[str, ...]  # what had to be taken from the header or the instrument profile
 
 
 @dataclass(frozen=True)
-class _Settled:
+class _KnownKeys:
     """The value of every key and where it came from; `where` begins messages."""
 
     where: str
@@ -73,19 +65,11 @@ class _Settled:
 def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) -> Resolved:
     """Find the value of every key, and remember where it came from.
 
-    Parameters
-    ----------
-    raw : RawRecording
-        The recording, with what its header knows.
-    recipe : AcquisitionKeys
-        What the recipe says; it wins over everything.
-    instrument : Instrument
-        Its profile gives the values that are stated nowhere else, where that is safe.
+    The `recipe` wins over everything; the profile of the `instrument` gives the values that are stated
+    nowhere else, where that is safe.
 
-    Raises
-    ------
-    InputDataError
-        A key without a safe default is missing, or there is not one defocus per frame.
+    Raises `InputDataError` where a key without a safe default is missing, or there is not one defocus per
+    frame.
     """
     path = sidecar_path(raw.path)
     layers: dict[str, Mapping[str, Any]] = {RECIPE: recipe.flat(), SIDECAR: read_sidecar(path).flat()}
@@ -94,7 +78,7 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
         MODE: raw.of_mode,
         PROFILE: instrument.defaults | HARMLESS,
     }
-    known = _Settled(f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};")
+    known = _KnownKeys(f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};")
     for source, layer in layers.items():
         known.add(source, layer)
     values, sources = known.values, known.sources
@@ -104,7 +88,7 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     values["pupil_rotation_deg"] = _pupil_rotation(known, instrument)
     for key, degrees in _of_the_sky(known, instrument).items():
         values[key], sources[key] = degrees, sources.get(key, PROFILE)
-    _settle_exposure(known)
+    _resolve_exposure(known)
     reads = _reads(known)
     defocus = _per_frame(known, raw)
     warnings = _warnings(raw, known)
@@ -114,16 +98,16 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     return Resolved(_acquisition(raw, known, reads), defocus, warnings)
 
 
-def _of_header(header: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
+def _of_header(header: Mapping[str, Any], declared: Mapping[str, Any]) -> dict[str, Any]:
     """The header without values out of the range of their key: ESO writes -1 where nothing was measured.
 
-    Altitude and airmass are left out where either is `told`: they are of another moment.
+    Altitude and airmass are left out where either is `declared`: they are of another moment.
     """
-    dropped = ALTITUDE if any(key in told for key in ALTITUDE) else ()
+    dropped = ALTITUDE if any(key in declared for key in ALTITUDE) else ()
     return {key: value for key, value in header.items() if is_valid(key, value) and key not in dropped}
 
 
-def _require(known: _Settled) -> None:
+def _require(known: _KnownKeys) -> None:
     needed = REQUIRED_FOR.get(str(known.values.get("role")), REQUIRED)
     missing = [key for key in needed if not known.stated(key)]
     if missing:
@@ -134,7 +118,7 @@ def _require(known: _Settled) -> None:
         )
 
 
-def _spectrum(known: _Settled) -> list[SpectrumPoint]:
+def _spectrum(known: _KnownKeys) -> list[SpectrumPoint]:
     """What the curve of the filter passes of the star."""
     values, where = known.values, known.where
     kelvin = values.get("star_temperature_k")
@@ -146,7 +130,7 @@ def _spectrum(known: _Settled) -> list[SpectrumPoint]:
     return [SpectrumPoint(wavelength_nm=nm, weight=weight) for nm, weight in points]
 
 
-def _pupil_rotation(known: _Settled, instrument: Instrument) -> float:
+def _pupil_rotation(known: _KnownKeys, instrument: Instrument) -> float:
     """As stated; else by the profile's rule, where it has one, from the angles of the recording [deg]."""
     rule = instrument.profile.pupil.turns if instrument.profile.pupil else None
     if known.stated("pupil_rotation_deg") or rule is None or known.values["role"] == "dark":
@@ -161,7 +145,7 @@ def _pupil_rotation(known: _Settled, instrument: Instrument) -> float:
     return rule.rotation_deg(known.values)
 
 
-def _of_the_sky(known: _Settled, instrument: Instrument) -> dict[str, float]:
+def _of_the_sky(known: _KnownKeys, instrument: Instrument) -> dict[str, float]:
     """Altitude and direction of the zenith, as far as they are known [deg].
 
     The altitude as stated, or from the airmass; the direction as stated, or by the profile's rule.
@@ -178,10 +162,7 @@ def _of_the_sky(known: _Settled, instrument: Instrument) -> dict[str, float]:
 def altitude_deg(altitude: float | None, airmass: float | None, where: str) -> float | None:
     """Return the `altitude`, from the `airmass` where it is not stated [deg]; `where` begins a message.
 
-    Raises
-    ------
-    InputDataError
-        If the two contradict each other.
+    Raises `InputDataError` if the two contradict each other.
     """
     if airmass is None:
         return altitude
@@ -196,15 +177,15 @@ def altitude_deg(altitude: float | None, airmass: float | None, where: str) -> f
     return altitude
 
 
-def _settle_exposure(known: _Settled) -> None:
-    """As told; else of as many reads as told, before what the profile says. An archive may have lost it."""
+def _resolve_exposure(known: _KnownKeys) -> None:
+    """As declared; else of as many reads as declared, before the profile. An archive may have lost it."""
     if known.stated(COADDS) and known.stated(READ_S) and not known.stated("exposure_s"):
         known.sources["exposure_s"] = known.sources[READ_S]
         known.values["exposure_s"] = known.values[COADDS] * known.values[READ_S]
 
 
-def _reads(known: _Settled) -> int:
-    """How many reads make up a frame: as told; else as many told reads as fill the exposure.
+def _reads(known: _KnownKeys) -> int:
+    """How many reads make up a frame: as declared; else as many declared reads as fill the exposure.
 
     The profile's read noise is that of one read: with it and no word of reads, a frame has as many of the
     profile's reads as its exposure takes.
@@ -234,7 +215,7 @@ def _filling(exposure_s: float, read_s: float, coadds: int | None, where: str) -
     return coadds
 
 
-def _per_frame(known: _Settled, raw: RawRecording) -> np.ndarray:
+def _per_frame(known: _KnownKeys, raw: RawRecording) -> np.ndarray:
     source = known.sources["introduced_defocus_nm"]
     values = np.atleast_1d(np.asarray(known.values["introduced_defocus_nm"], dtype=np.float64))
     if values.size not in (1, raw.frames):
@@ -246,7 +227,7 @@ def _per_frame(known: _Settled, raw: RawRecording) -> np.ndarray:
     return np.broadcast_to(values, (raw.frames,)).copy()
 
 
-def _warnings(raw: RawRecording, known: _Settled) -> tuple[str, ...]:
+def _warnings(raw: RawRecording, known: _KnownKeys) -> tuple[str, ...]:
     """One line per source from which values had to be taken, and one for what stays unknown."""
     lines = []
     loud = [
@@ -263,7 +244,7 @@ def _warnings(raw: RawRecording, known: _Settled) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], known: _Settled) -> str:
+def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], known: _KnownKeys) -> str:
     """Whose scale the seeing is on: as the recipe says, else as the source of the seeing says."""
     if not known.stated("seeing_arcsec"):
         return SPARTA
@@ -292,7 +273,7 @@ def _put_on_sparta_scale(
     return f"{raw.name}: seeing of {given:.2f} arcsec by {monitor} taken as {seeing:.2f} arcsec by SPARTA"
 
 
-def _acquisition(raw: RawRecording, known: _Settled, reads: int) -> Acquisition:
+def _acquisition(raw: RawRecording, known: _KnownKeys, reads: int) -> Acquisition:
     values = known.values
     diversity = values.get("diversity")
     names = {one.name for one in fields(Acquisition)}
@@ -308,7 +289,7 @@ def _acquisition(raw: RawRecording, known: _Settled, reads: int) -> Acquisition:
     return Acquisition(**{key: value for key, value in values.items() if key in names} | changed)
 
 
-def _detector(known: _Settled, reads: int) -> Detector:
+def _detector(known: _KnownKeys, reads: int) -> Detector:
     """Constants of a frame; the keys are those of one read, of which a frame is the sum or mean."""
     values = known.values
     coadds = values.get(COADDS, reads if known.stated(READ_S) else 1)

@@ -29,10 +29,8 @@ def recognises(hdus: fits.HDUList) -> bool:
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
     """See `irlos_pipe.readers.find.Reader.read`: one recording per detector that looks at a star.
 
-    Raises
-    ------
-    InputDataError
-        aotpy is not installed, the file breaks the standard, or no detector recorded its pixels.
+    Raises `InputDataError` where aotpy is not installed, the file breaks the standard, or no detector
+    recorded its pixels.
     """
     system = _system(path)
     detectors = [detector for detector in _star_detectors(system) if _has_frames(detector)]

@@ -40,8 +40,6 @@ SHOWN = 6
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """An image of a file."""
-
     index: int
     hdu: fits.hdu.base._BaseHDU
 
@@ -83,10 +81,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     The recording is known by its shape, not its place: a cube before images, and of these a series of one
     window and name (``SCI,1`` to ``SCI,12``, ``FRAME1`` to ``FRAME12``, all without a name).
 
-    Raises
-    ------
-    InputDataError
-        Several images that could each be the recording, or one of a wrong shape.
+    Raises `InputDataError` for several images that could each be the recording, or one of a wrong shape.
     """
     images = [_Image(index, hdu) for index, hdu in enumerate(hdus) if has_image(hdu)]
     frames = _recording(path, images)
@@ -113,10 +108,10 @@ def _recording(path: Path, images: list[_Image]) -> list[_Image]:
     usable = [one for one in images if len(one.shape) in (2, 3) and min(one.shape[-2:]) >= MIN_WINDOW_PX]
     usable = [one for one in usable if not COMPANION.fullmatch(one.series)] or usable or images
     cubes = [one for one in usable if len(one.shape) == 3]
-    alike: dict[tuple, list[_Image]] = {}
+    groups: dict[tuple, list[_Image]] = {}
     for one in cubes or usable:
-        alike.setdefault((one.index,) if cubes else (one.series, one.shape), []).append(one)
-    found = _only([one for one in alike.values() if len(one) > 1]) or _only(list(alike.values()))
+        groups.setdefault((one.index,) if cubes else (one.series, one.shape), []).append(one)
+    found = _only([one for one in groups.values() if len(one) > 1]) or _only(list(groups.values()))
     if found is None or _is_doubtful(found, cubes or usable):
         several, what = (cubes, "cubes of frames") if cubes else (usable, "images")
         shown = ", ".join([one.label for one in several[:SHOWN]] + ["..."] * (len(several) > SHOWN))

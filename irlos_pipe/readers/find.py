@@ -29,9 +29,9 @@ from irlos_pipe.readers.times import start_of
 
 Refused = Callable[[Path, InputDataError], None]
 Identity = tuple[int, int]  # device and inode
-# Files of the real-time computer beside the frames: IRAcq.DET1.DARK.fits, IRCtr.SENSOR_2_MODES.fits
+# Files of the real-time computer next to the frames: IRAcq.DET1.DARK.fits, IRCtr.SENSOR_2_MODES.fits
 COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+", re.ASCII)
-# What tells a side-car from recipes, profiles and other YAML files: the key that each must have.
+# What distinguishes a side-car from recipes, profiles and other YAML files: the key that each must have.
 ROLE = re.compile(rf"^role[ \t]*:[ \t]*['\"]?({'|'.join(get_args(Role))})\b".encode(), re.MULTILINE)
 LOOKED_AT_BYTES = 2**16
 SHOWN_NAMES = 3
@@ -53,10 +53,8 @@ class Reader(Protocol):
 
         The `hdus` are open and checked; the `instrument` knows the read-out modes.
 
-        Raises
-        ------
-        InputDataError
-            The file, or one that belongs to it, does not hold what the layout asks for.
+        Raises `InputDataError` where the file, or one that belongs to it, does not hold what the layout asks
+        for.
         """
 
 
@@ -73,12 +71,8 @@ def recording_files(paths: Sequence[Path], refused: Refused | None = None) -> li
     wrong. `refused` is called with each folder below that may not be read, and the error, which is raised
     otherwise.
 
-    Raises
-    ------
-    InputDataError
-        A path that does not exist, is no FITS file, or may not be read.
-    NothingToDo
-        No recording under any of the paths.
+    Raises `InputDataError` for a path that does not exist, is no FITS file, or may not be read, and
+    `NothingToDo` where no path has a recording.
     """
     files = each_once([file for path in paths for file in _files_under(Path(path), refused or _raise)])
     if not files:
@@ -101,10 +95,7 @@ def files_of(path: Path) -> list[Path]:
 def read_recordings(path: Path, instrument: Instrument) -> list[RawRecording]:
     """Read the recordings of the FITS file `path`, whatever its layout; the `instrument` knows the modes.
 
-    Raises
-    ------
-    InputDataError
-        No layout is recognised, or the file cannot be read.
+    Raises `InputDataError` where no layout is recognised, or the file cannot be read.
     """
     if is_sidecar(path):
         raise InputDataError(what_lies_beside(path))
@@ -299,15 +290,15 @@ def lone_sidecars(sidecars: Sequence[Path], named: Sequence[Path], with_data: Co
 
 
 def what_lies_beside(sidecar: Path) -> str:
-    """Return a line that says that a side-car is no recording, and what lies beside it."""
+    """Return a line that says that a side-car is no recording, and what lies next to it."""
     own = sidecar.parent.name if sidecar.name == FOLDER_SIDECAR else sidecar.stem
     others = sorted(one.name for one in sidecar.parent.iterdir() if one != sidecar and one.name[0] != ".")
     names = [name for name in others if name.startswith(own)] or others
     more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-    beside = (
+    nearby = (
         f"beside it: {printable(', '.join(names[:SHOWN_NAMES]))}{more}" if names else "nothing lies beside it"
     )
     return (
-        f"{sidecar}: a side-car, and no recording that could be read belongs to it; {beside}; "
+        f"{sidecar}: a side-car, and no recording that could be read belongs to it; {nearby}; "
         "complete the recording, or remove the side-car"
     )

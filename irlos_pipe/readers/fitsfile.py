@@ -42,20 +42,11 @@ def stem(path: Path) -> str:
 def open_fits(path: Path, *, verify: bool = True, notes: list[str] | None = None) -> Iterator[fits.HDUList]:
     """Open a FITS file whose HDUs all fit into it.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    verify : bool
-        Compare the data with their checksums, which reads all of them.
-    notes : list of str, optional
-        Gets a line that names the cards that cannot be read; they are left out.
+    With `verify` the data are compared with their checksums, which reads all of them. `notes` gets a line
+    that names the cards that cannot be read; they are left out.
 
-    Raises
-    ------
-    InputDataError
-        No access, no regular file, empty, truncated, damaged by its own checksum, changed while the
-        block lasts, or not FITS; also for any error of astropy inside the block.
+    Raises `InputDataError` for a file that may not be read, is no regular one, empty, truncated, damaged by
+    its own checksum, changed while the block lasts, or not FITS; also for any error of astropy inside it.
     """
     try:
         before = _stamp(path)
@@ -107,10 +98,7 @@ def file_header(hdus: fits.HDUList) -> fits.Header:
 def first_image(path: Path, hdus: fits.HDUList) -> tuple[int, fits.hdu.base._BaseHDU]:
     """Return number and HDU of the first image among the `hdus` of the file `path`.
 
-    Raises
-    ------
-    InputDataError
-        No image in the file.
+    Raises `InputDataError` for a file without an image.
     """
     found = next(((index, hdu) for index, hdu in enumerate(hdus) if has_image(hdu)), None)
     if found is None:
@@ -127,10 +115,8 @@ def require_one(path: Path, found: Sequence[object], what: str) -> None:
 def image_array(hdu: fits.hdu.base._BaseHDU, where: str) -> np.ndarray:
     """Return the image of `hdu` as an array (frames, rows, columns) of native byte order.
 
-    Raises
-    ------
-    InputDataError
-        Wrong number of axes, no frames, or a window of absurd size; `where` begins the message.
+    Raises `InputDataError` for a wrong number of axes, no frames, or a window of absurd size; `where` begins
+    the message.
     """
     shape = image_shape(hdu)
     if len(shape) not in (2, 3):
@@ -150,10 +136,8 @@ def image_shape(hdu: fits.hdu.base._BaseHDU) -> tuple[int, ...]:
 def require_cube(data: np.ndarray, where: str) -> np.ndarray:
     """Return `data` (frames, rows, columns) if it can be a cube of images.
 
-    Raises
-    ------
-    InputDataError
-        Not numbers, no frames, or a window of absurd size; `where` begins the message.
+    Raises `InputDataError` for what is not numbers, has no frames, or a window of absurd size; `where` begins
+    the message.
     """
     if data.dtype.kind not in "iuf":
         raise InputDataError(f"{where}: pixels of type {data.dtype}, expected real numbers")

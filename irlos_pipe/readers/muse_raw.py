@@ -33,10 +33,7 @@ def recognises(hdus: fits.HDUList) -> bool:
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
     """See `irlos_pipe.readers.find.Reader.read`: in 2x2 modes the four images side by side, without borders.
 
-    Raises
-    ------
-    InputDataError
-        Unknown or missing mode string, or a cube that does not fit the mode.
+    Raises `InputDataError` for an unknown or missing mode string, or a cube that does not fit the mode.
     """
     require_one(path, [hdu for hdu in hdus if hdu.name.upper() == CUBE], f"images {CUBE}")
     index = next(i for i, hdu in enumerate(hdus) if hdu.name.upper() == CUBE)
@@ -61,8 +58,8 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
 
 
 def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
-    told = read_sidecar(sidecar_path(path))
-    name = str(header.get(MODE_KEY, "")).strip() or told.mode or ""
+    sidecar = read_sidecar(sidecar_path(path))
+    name = str(header.get(MODE_KEY, "")).strip() or sidecar.mode or ""
     if not name:
         raise InputDataError(
             f"{path}: HDU 0: header key {MODE_KEY} is missing or cannot be read, so the read-out "
@@ -75,7 +72,7 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
             f"{path}: HDU 0: {MODE_KEY} = '{name}' is no mode of {instrument.name}"
             f"{suggestion(name, modes)} (a new mode goes into the instrument profile)"
         )
-    if modes[name].lenslets > 1 and not day and not _says_what_changed(told):
+    if modes[name].lenslets > 1 and not day and not _says_what_changed(sidecar):
         raise InputDataError(
             f"{path}: HDU 0: DATE-OBS is missing or cannot be read, and with it the pixel scale and the gain "
             f"of {name}, which have changed; add pixel_scale_mas and detector.e_per_adu to the side-car"
@@ -83,9 +80,9 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
     return modes[name]
 
 
-def _says_what_changed(told: AcquisitionKeys) -> bool:
+def _says_what_changed(sidecar: AcquisitionKeys) -> bool:
     """Whether a side-car states what of the 2x2 modes depends on the date."""
-    return {"pixel_scale_mas", "detector.e_per_adu"} <= told.flat().keys()
+    return {"pixel_scale_mas", "detector.e_per_adu"} <= sidecar.flat().keys()
 
 
 def _from_mode(mode: Mode, instrument: Instrument) -> dict[str, Any]:
@@ -118,9 +115,9 @@ def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:
 
 def _start(hdus: fits.HDUList, header: fits.Header, path: Path) -> float:
     """Begin of the exposure [s since 1970]: of the header, else the first row of the atmosphere table."""
-    told = start_of(header)
-    if np.isfinite(told):
-        return told
+    stated = start_of(header)
+    if np.isfinite(stated):
+        return stated
     times = unix_seconds(hdus[ATMOSPHERE]) if ATMOSPHERE in hdus else None
     if times is None or not times.size:
         return float("nan")
@@ -134,10 +131,7 @@ def without_borders(cube: np.ndarray, where: str) -> np.ndarray:
     The `cube` (frames, rows, columns) has a border one pixel wide in each quadrant; returns (frames, rows -
     4, columns - 4). `where` begins the message of an error.
 
-    Raises
-    ------
-    InputDataError
-        A window that cannot be halved, or a border that is not zero.
+    Raises `InputDataError` for a window that cannot be halved, or a border that is not zero.
     """
     rows, columns = cube.shape[1:]
     if rows % 2 or columns % 2:

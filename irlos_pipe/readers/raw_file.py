@@ -18,7 +18,7 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.fitsfile import header_number
 from irlos_pipe.readers.sidecar import KNOWN
 
-MONITOR = "mass_dimm"  # whose seeing stands in an ESO header
+MONITOR = "mass_dimm"  # seeing monitor of ESO's headers
 # Cards that products inherit.
 PLAIN = frozenset(
     (
@@ -31,50 +31,25 @@ GROUPS = re.compile(
     r"ESO (OBS (ID|NAME|PROG ID|TARG NAME)|TPL (ID|NAME|START)|DPR (CATG|TYPE|TECH)|INS (MODE|DROT [A-Z]+)|"
     r"TEL (ALT|AZ|AIRM [A-Z]+|PARANG [A-Z]+|AMBI [A-Z0-9 ]+)|SEQ NGS MAG|AOS MAIN MODES IRLOS)"
 )
-MAX_CARDS = 100  # a header may say the same many times
+MAX_CARDS = 100  # that a product inherits: a header may repeat a card many times
 
 
 @dataclass(frozen=True, kw_only=True)
 class RawRecording(RawFrames):
-    """One recording as read from its files.
+    """One recording as read from its files."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the recording, from its file.
-    path : Path
-        The file with the frames.
-    layout : str
-        ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``.
-    unix_s : ndarray of float, (frames,), or None
-        Time of each frame, NaN where it is not known [s since 1970]; None when no frame has one.
-    header : mapping
-        Side-car keys (``detector.`` ones dotted) that the file itself knows.
-    mode : str
-        Read-out mode string, empty where the layout has none.
-    of_mode : mapping
-        Side-car keys that the instrument profile states of that mode.
-    start_unix_s : float
-        Begin of the recording, NaN if not known [s since 1970].
-    notes : tuple of str
-        Remarks for the log.
-    warnings : tuple of str
-        Remarks that people should see.
-    cards : mapping
-        What products inherit of the file's primary header, by keyword.
-    """
-
-    name: str
-    path: Path
-    layout: str
+    name: str  # of the recording, from its file
+    path: Path  # the file with the frames
+    layout: str  # ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``
+    # time of each frame, (frames,), NaN where it is not known [s since 1970]; None when no frame has one
     unix_s: np.ndarray | None = None
-    header: Mapping[str, Any] = field(default_factory=dict)
-    mode: str = ""
-    of_mode: Mapping[str, Any] = field(default_factory=dict)
-    start_unix_s: float = float("nan")
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    cards: Mapping[str, Any] = field(default_factory=dict)
+    header: Mapping[str, Any] = field(default_factory=dict)  # dotted side-car keys that the file itself knows
+    mode: str = ""  # of the read-out, empty where the layout has none
+    of_mode: Mapping[str, Any] = field(default_factory=dict)  # side-car keys that the profile has of the mode
+    start_unix_s: float = float("nan")  # begin of the recording, NaN if not known [s since 1970]
+    notes: tuple[str, ...] = ()  # remarks for the log
+    warnings: tuple[str, ...] = ()  # remarks that people should see
+    cards: Mapping[str, Any] = field(default_factory=dict)  # what products inherit of the primary header
 
 
 def header_keys(header: fits.Header) -> dict[str, Any]:
@@ -90,7 +65,7 @@ def plain_header_keys(
     """Return what `header_keys` finds in the `header` of the file `path` of any instrument, and remarks.
 
     The seeing is left out where the profile of the `instrument` has no scale for its monitor: no recording
-    should fail for what nobody told.
+    should fail for what nobody declared.
     """
     found = header_keys(header)
     if "seeing_arcsec" not in found or MONITOR in instrument.seeing_scales:

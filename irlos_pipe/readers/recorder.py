@@ -1,4 +1,4 @@
-"""SPARTA recorder folder: a table IRPixelFrame with one frame per row, calibration images beside it."""
+"""SPARTA recorder folder: a table IRPixelFrame with one frame per row, calibration images next to it."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ LAYOUT = "sparta_recorder"
 PIXEL_TABLE = "IRPIXELFRAME"
 LOOP_TABLE = "IRLOOPFRAME"
 PIXELS = "Pixels"
-NOT_READ = (".z", ".zip")  # what nobody can unpack here is no reason to refuse the recording beside it
-# Calibration images beside the table: IRAcq.DET1.DARK.fits and its siblings.
+NOT_READ = (".z", ".zip")  # what nobody can unpack here is no reason to refuse the recording next to it
+# Calibration images next to the table: IRAcq.DET1.DARK.fits and its siblings.
 PREFIX, KINDS = "IRAcq.DET1.", ("DARK", "BACKGROUND", "FLAT", "DEAD", "WEIGHT")
-MAX_BAD_FRACTION = 0.5  # a map that excludes more than this means something else
-PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) beside NAME_IR_PIX (pixels)
+MAX_BAD_FRACTION = 0.5  # a map that excludes a larger part of the pixels has another meaning
+PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) next to NAME_IR_PIX (pixels)
 
 
 def recognises(hdus: fits.HDUList) -> bool:
@@ -45,7 +45,7 @@ def recognises(hdus: fits.HDUList) -> bool:
 
 
 def is_telemetry(hdus: fits.HDUList) -> bool:
-    """Return whether a FITS file holds a table of the loop, which belongs to a recording beside it."""
+    """Return whether a FITS file holds a table of the loop, which belongs to a recording next to it."""
     return _table(hdus, LOOP_TABLE)[1] is not None
 
 
@@ -56,22 +56,19 @@ def files_of(path: Path) -> list[Path]:
     """
     folders = _folders(path)
     files = [path, *calibration_files(folders).values()]
-    beside = _loop_candidates(path, folders)
-    if beside:
+    candidates = _loop_candidates(path, folders)
+    if candidates:
         with open_fits(path, verify=False) as hdus:
             own = _table_times(path, hdus, PIXEL_TABLE) or _table_times(path, hdus, LOOP_TABLE)
-        files += [] if own else _searched(beside)[0]
+        files += [] if own else _searched(candidates)[0]
     return files
 
 
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
-    """See `irlos_pipe.readers.find.Reader.read`.
+    """Read the recording, see `irlos_pipe.readers.find.Reader.read`.
 
-    Raises
-    ------
-    InputDataError
-        A column that is missing, a window that changes or does not fit the pixel vector, no rows,
-        or calibration images that do not fit.
+    Raises `InputDataError` for a column that is missing, a window that changes or does not fit the pixel
+    vector, no rows, or calibration images that do not fit.
     """
     index, table = _table(hdus, PIXEL_TABLE)
     assert table is not None, f"{path}: not a recorder file"
@@ -155,7 +152,7 @@ def _table(hdus: fits.HDUList, name: str) -> tuple[int, fits.BinTableHDU | None]
 
 
 def _folders(path: Path) -> list[Path]:
-    """Folders that belong to a recording: its own, and the loop's beside a ``_PIX`` one."""
+    """Folders that belong to a recording: its own, and the loop's next to a ``_PIX`` one."""
     folder = path.parent
     loop = folder.with_name(folder.name.removesuffix(PIXEL_FOLDER_SUFFIX))
     return [folder, loop] if loop != folder and loop.is_dir() else [folder]
@@ -237,10 +234,7 @@ def read_calibration_maps(
 ) -> tuple[CalibrationMaps, tuple[str, ...]]:
     """Read the calibration images `found`, of a `window` (rows, columns); also remarks for the log.
 
-    Raises
-    ------
-    InputDataError
-        An image that cannot be read or does not fit the window.
+    Raises `InputDataError` for an image that cannot be read or does not fit the window.
     """
     images = {kind: _read_stack(path, window) for kind, path in found.items()}
     means = {kind: stack.mean(axis=0) for kind, stack in images.items()}

@@ -25,27 +25,13 @@ Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf", "dark"]
 
 @dataclass(frozen=True)
 class Known:
-    """What knows the value of a key where neither side-car nor recipe has it.
+    """What knows the value of a key where neither side-car nor recipe has it."""
 
-    Attributes
-    ----------
-    eso : str
-        Keyword of an ESO header with the same meaning and unit, which is believed.
-    proposed : tuple of str
-        Keywords of common use, whose values are only proposed to who writes the side-car.
-    otherwise : object
-        Value that does no harm where nothing is known.
-    mute : bool
-        Whether a value from elsewhere is not worth a warning.
-    form : str
-        What to write, of a key of which no value is safe to assume.
-    """
-
-    eso: str = ""
-    proposed: tuple[str, ...] = ()
-    otherwise: Any = None
-    mute: bool = False
-    form: str = ""
+    eso: str = ""  # keyword of an ESO header with the same meaning and unit, which is believed
+    proposed: tuple[str, ...] = ()  # keywords of common use; their values are only proposed in a new side-car
+    otherwise: Any = None  # value that does no harm where nothing is known
+    mute: bool = False  # whether a value from elsewhere is not worth a warning
+    form: str = ""  # what to write, of a key of which no value is safe to assume
 
     @property
     def keywords(self) -> tuple[str, ...]:
@@ -61,7 +47,7 @@ class _Section(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _numbers_are_no_truth_values(cls, values: Any) -> Any:
-        """Refuse ``true`` where a number is wanted, which would count as 1."""
+        """Refuse ``true`` where a number is expected, which would count as 1."""
         if isinstance(values, dict):
             for key, value in values.items():
                 field = cls.model_fields.get(str(key))
@@ -247,7 +233,7 @@ def own_sidecar(data_file: Path) -> Path:
 def sidecar_path(data_file: Path) -> Path:
     """Return where the side-car of a data file is, or would be.
 
-    ``<stem>.yaml`` beside the file if there is one, else ``acquisition.yaml`` in its folder.
+    ``<stem>.yaml`` next to the file if there is one, else ``acquisition.yaml`` in its folder.
     """
     own = own_sidecar(data_file)
     return own if own.is_file() else data_file.with_name(FOLDER_SIDECAR)
@@ -256,10 +242,7 @@ def sidecar_path(data_file: Path) -> Path:
 def read_sidecar(path: Path) -> AcquisitionKeys:
     """Read and check a side-car; one that does not exist has no keys.
 
-    Raises
-    ------
-    InputDataError
-        One line ``file:line: problem``, and how many more problems there are.
+    Raises `InputDataError` with one line ``file:line: problem``, and how many more problems there are.
     """
     try:
         return _read(path)

@@ -95,18 +95,15 @@ def _first(header: fits.Header, names: tuple[str, ...]) -> tuple[str, float | No
 def sidecar_template(path: Path, instrument: Instrument) -> str:
     """Return a commented side-car for the recording at `path`; the `instrument` has defaults.
 
-    Raises
-    ------
-    InputDataError
-        When there is no recording in the file.
+    Raises `InputDataError` when there is no recording in the file.
     """
     recordings = read_recordings(path, instrument)
     first = recordings[0]
     with open_fits(path, verify=False) as hdus:
-        told = proposals(file_header(hdus), first.frames)
-    told |= {key: Proposal(value, PROFILE) for key, value in first.of_mode.items()}
-    told |= {key: Proposal(value, HEADER) for key, value in first.header.items()}
-    lines = _lines(told, instrument.defaults)
+        candidates = proposals(file_header(hdus), first.frames)
+    candidates |= {key: Proposal(value, PROFILE) for key, value in first.of_mode.items()}
+    candidates |= {key: Proposal(value, HEADER) for key, value in first.header.items()}
+    lines = _lines(candidates, instrument.defaults)
     remarks = "".join(f"# {line}\n" for line in first.warnings)
     return HEAD.format(name=path.name) + remarks + "\n".join(lines) + "\n"
 
@@ -114,13 +111,10 @@ def sidecar_template(path: Path, instrument: Instrument) -> str:
 def write_template(text: str, data_file: Path, path: Path | None = None, *, replace: bool = False) -> Path:
     """Write `text` as the side-car of the recording `data_file`, and return where it is.
 
-    That is `path`, by default ``<stem>.yaml`` beside the recording, or ``acquisition.yaml`` where the folder
+    That is `path`, by default ``<stem>.yaml`` next to the recording, or ``acquisition.yaml`` where the folder
     has the recording's name. A file that is there is only replaced with `replace`.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is a file that is not to be replaced.
+    Raises `ConfigurationError` when there is a file that is not to be replaced.
     """
     if path is None:
         in_folder = data_file.absolute().parent.name == stem(data_file)
@@ -131,18 +125,18 @@ def write_template(text: str, data_file: Path, path: Path | None = None, *, repl
     return path
 
 
-def _lines(told: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> list[str]:
-    lines = {key: _line(key, told, assumed) for key in KEYS}
+def _lines(candidates: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> list[str]:
+    lines = {key: _line(key, candidates, assumed) for key in KEYS}
     inner = [line for key, line in lines.items() if "." in key]
     proposed = any(not line.startswith("#") for line in inner)
     own = [line for key, line in lines.items() if "." not in key]
     return [*own, "detector:" if proposed else "# detector:", *inner]
 
 
-def _line(key: str, told: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> str:
+def _line(key: str, candidates: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> str:
     if KNOWN[key].form:
         return f"{key}:  # {KNOWN[key].form}"
-    one = told.get(key, Proposal(assumed.get(key), PROFILE))
+    one = candidates.get(key, Proposal(assumed.get(key), PROFILE))
     origin = "" if one.value is None else f"; from {one.source}" + (f". {one.doubt}" if one.doubt else "")
     mark = "# " if one.value is None or one.doubt or one.source in (HEADER, PROFILE) else ""
     indent = "  " if "." in key else ""

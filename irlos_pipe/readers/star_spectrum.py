@@ -15,8 +15,8 @@ from irlos_pipe.conventions.errors import InputDataError
 
 C2_NM_K = 1.438776877e7  # second radiation constant
 J_NM, H_NM, VEGA_K = 1235.0, 1662.0, 9600.0  # 2MASS bands, and the black body that has no colour between them
-OPEN_END = 0.05  # of the largest transmission, beyond which a curve ends too early
-DARK = 0.01  # of it, below which nothing passes
+OPEN_END = 0.05  # a filter curve that ends above this part of its largest transmission is cut off
+DARK = 0.01  # part of the largest transmission below which a filter counts as opaque
 POINTS_PER_BAND = 3
 COOLEST_K, HOTTEST_K = 1000.0, 50_000.0
 Point = tuple[float, float]
@@ -36,10 +36,7 @@ def colour_of(temperature_k: float) -> float:
 def temperature_of(j_minus_h: float, where: str) -> float:
     """Return the temperature of the black body that has a colour `j_minus_h` [K]; `where` begins an error.
 
-    Raises
-    ------
-    InputDataError
-        For a colour that no star from 1000 to 50000 K has.
+    Raises `InputDataError` for a colour that no star from 1000 to 50000 K has.
     """
     bluest, reddest = colour_of(HOTTEST_K), colour_of(COOLEST_K)
     if not bluest < j_minus_h < reddest:
@@ -56,10 +53,8 @@ def spectrum_of(curve: Sequence[Point], temperature_k: float, where: str) -> lis
     Each third of a band's photons stands at its own mean wavelength. The `curve` has wavelengths [nm] and
     transmissions, `temperature_k` is that of the star, `where` begins the message of an error.
 
-    Raises
-    ------
-    InputDataError
-        For a curve that is no function of wavelength, or ends where the filter still transmits.
+    Raises `InputDataError` for a curve that is no function of wavelength, or ends where the filter still
+    transmits.
     """
     wavelengths_nm, transmission = _checked(curve, where)
     fine = np.linspace(wavelengths_nm[0], wavelengths_nm[-1], 4000)

@@ -17,12 +17,12 @@ from irlos_pipe.files.fits import fits
 from irlos_pipe.files.limits import require_memory
 
 CARD_BYTES, BLOCK_BYTES = 80, 2880
-PIECE_BYTES = BLOCK_BYTES * 364  # about a megabyte
+PIECE_BYTES = BLOCK_BYTES * 364  # about a megabyte, read at once for a checksum
 MAX_HDUS = 5000
 MAX_HEADER_BYTES = 2**24  # of all headers of a file, 200 000 cards
-MAX_REST_BYTES = 2**20  # looked at behind the last HDU
+MAX_REST_BYTES = 2**20  # that are examined behind the last HDU
 MAX_TILED_BYTES = 2**29  # of a tile-compressed image: 30 000 frames of 64x64 px
-MAX_COMPRESSION = 1100  # deflate makes no more of less
+MAX_COMPRESSION = 1100  # the largest ratio that deflate reaches
 MAX_AXES = 999
 BIT_PIXELS = (8, 16, 32, 64, -32, -64)
 # What is asked of a header here, with its value.
@@ -42,27 +42,13 @@ OF_THE_DATA = re.compile(
 
 @dataclass(frozen=True)
 class StoredHdu:
-    """An HDU as it is stored.
+    """An HDU as it is stored."""
 
-    Attributes
-    ----------
-    label : str
-        ``path: HDU index (NAME)``.
-    place : int
-        Where its header begins in the file.
-    header : bytes
-        Whole blocks.
-    size : int
-        Bytes of data, without the padding of the last block.
-    datasum : int or None
-        What the header states as the sum of the data.
-    """
-
-    label: str
-    place: int
-    header: bytes
-    size: int
-    datasum: int | None
+    label: str  # ``path: HDU index (NAME)``
+    place: int  # where its header begins in the file
+    header: bytes  # whole blocks
+    size: int  # bytes of data, without the padding of the last block
+    datasum: int | None  # what the header states as the sum of the data
 
     @property
     def begin(self) -> int:
@@ -83,10 +69,8 @@ class StoredHdu:
 def stored_hdus(stream: BinaryIO, path: object) -> list[StoredHdu]:
     """Return the HDUs of a file, an open and unpacked `stream`; `path` begins the messages.
 
-    Raises
-    ------
-    InputDataError
-        A header that is damaged, too long, or announces what the file does not hold or the memory does not.
+    Raises `InputDataError` for a header that is damaged, too long, or announces what the file does not hold
+    or the memory does not.
     """
     file_bytes = stream.seek(0, io.SEEK_END)
     found: list[StoredHdu] = []
@@ -118,10 +102,7 @@ def require_sums(stream: BinaryIO, stored: Sequence[StoredHdu]) -> None:
 def unreadable_cards(stored: Sequence[StoredHdu]) -> dict[int, str]:
     """Return the cards of `stored` HDUs whose value no reader understands, by their place in the file.
 
-    Raises
-    ------
-    InputDataError
-        Where the meaning of the data depends on one.
+    Raises `InputDataError` where the meaning of the data depends on one.
     """
     found = {}
     for hdu in stored:
@@ -183,69 +164,69 @@ def _header(stream: BinaryIO, place: int, label: str, most_bytes: int) -> bytes:
 
 
 def _checked(place: int, header: bytes, label: str, file_bytes: int) -> StoredHdu:
-    told: dict[str, str] = {}
+    cards: dict[str, str] = {}
     for at in range(0, len(header), CARD_BYTES):
         card = header[at : at + CARD_BYTES]
         if card[:8].rstrip() == b"END":
             break
         if found := ASKED.match(card):
-            told.setdefault(found[1].decode(), found[2].decode("latin-1").strip())
-    name = told.get("EXTNAME") or ("" if place else "PRIMARY")
+            cards.setdefault(found[1].decode(), found[2].decode("latin-1").strip())
+    name = cards.get("EXTNAME") or ("" if place else "PRIMARY")
     label += f" ({printable(name)})" if name else ""
-    _require_standard(told, label)
-    size = _size("", told, label)
-    datasum = told.get("DATASUM", "")
+    _require_standard(cards, label)
+    size = _size("", cards, label)
+    datasum = cards.get("DATASUM", "")
     hdu = StoredHdu(label, place, header, size, int(datasum) if re.fullmatch("[0-9]+", datasum) else None)
     if hdu.begin + size > file_bytes:
         raise InputDataError(
             f"{label}: the header announces {size} bytes of data, the file holds "
             f"{max(0, file_bytes - hdu.begin)}: truncated, or a wrong header"
         )
-    image = _size("Z", told, label) if told.get("ZIMAGE") == "T" else 0
+    image = _size("Z", cards, label) if cards.get("ZIMAGE") == "T" else 0
     _require_unpackable(image, size, label)
     require_memory(2.0 * max(size, image), label, InputDataError, "cut it into parts")
     return hdu
 
 
-def _require_standard(told: dict[str, str], label: str) -> None:
-    if told.get("SIMPLE", "T") != "T":
+def _require_standard(cards: dict[str, str], label: str) -> None:
+    if cards.get("SIMPLE", "T") != "T":
         raise InputDataError(
-            f"{label}: SIMPLE = {told['SIMPLE']}: it says of itself that it is no standard FITS"
+            f"{label}: SIMPLE = {cards['SIMPLE']}: it says of itself that it is no standard FITS"
         )
-    if told.get("GROUPS") == "T" and told.get("NAXIS1") == "0":
+    if cards.get("GROUPS") == "T" and cards.get("NAXIS1") == "0":
         raise InputDataError(f"{label}: random groups, as of radio interferometry: no image of a star")
-    if told.get("ZTABLE") == "T":
+    if cards.get("ZTABLE") == "T":
         raise InputDataError(
             f"{label}: a table packed by fpack, which is not read; unpack the file with funpack"
         )
-    if (columns := _whole("TFIELDS", told, label, 0)) > MAX_AXES:
+    if (columns := _whole("TFIELDS", cards, label, 0)) > MAX_AXES:
         raise InputDataError(f"{label}: TFIELDS = {columns} in a header, FITS allows {MAX_AXES}: damaged")
 
 
-def _size(prefix: str, told: dict[str, str], label: str) -> int:
+def _size(prefix: str, cards: dict[str, str], label: str) -> int:
     """Bytes of the data; with the prefix Z of the image that is compressed in a table."""
-    axes = _whole(f"{prefix}NAXIS", told, label)
+    axes = _whole(f"{prefix}NAXIS", cards, label)
     if axes > MAX_AXES:
         raise InputDataError(f"{label}: {prefix}NAXIS = {axes} in a header, FITS allows {MAX_AXES}: damaged")
-    bits = _whole(f"{prefix}BITPIX", told, label, below=True)
+    bits = _whole(f"{prefix}BITPIX", cards, label, below=True)
     if bits not in BIT_PIXELS:
         raise InputDataError(
             f"{label}: {prefix}BITPIX = {bits} in a header, which FITS does not know: damaged"
         )
-    values = math.prod(_whole(f"{prefix}NAXIS{axis}", told, label) for axis in range(1, axes + 1))
-    count, heap = (0, 0) if prefix else (_whole("GCOUNT", told, label, 1), _whole("PCOUNT", told, label, 0))
+    values = math.prod(_whole(f"{prefix}NAXIS{axis}", cards, label) for axis in range(1, axes + 1))
+    count, heap = (0, 0) if prefix else (_whole("GCOUNT", cards, label, 1), _whole("PCOUNT", cards, label, 0))
     return 0 if not axes else abs(bits) // 8 * (values if prefix else count * (heap + values))
 
 
 def _whole(
-    key: str, told: dict[str, str], label: str, default: int | None = None, *, below: bool = False
+    key: str, cards: dict[str, str], label: str, default: int | None = None, *, below: bool = False
 ) -> int:
     """The whole number under a key, not below zero unless that is allowed."""
-    text = told.get(key, "" if default is None else str(default))
+    text = cards.get(key, "" if default is None else str(default))
     if not re.fullmatch("[+-]?[0-9]{1,19}", text):
         what = (
             f"{key} = {printable(text)} in a header is no whole number"
-            if key in told
+            if key in cards
             else f"no {key} in a header"
         )
         raise InputDataError(f"{label}: {what}, and the size of the data follows from it: damaged")

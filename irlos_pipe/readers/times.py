@@ -12,7 +12,7 @@ from irlos_pipe.readers.fitsfile import header_number
 
 SECONDS_COLUMNS = ("Seconds", "Sec")
 MICROSECONDS_COLUMNS = ("USeconds", "USec")
-LATEST_UNIX_S = 4102444800  # the year 2100
+LATEST_UNIX_S = 4102444800  # the year 2100, beyond which a time is not credible
 MJD_OF_1970, DAY_S = 40587, 86400
 
 
@@ -89,7 +89,7 @@ def iso_time(unix_s: float) -> str:
 
 
 def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """Look up times of frames by exactly equal counters: those that are `wanted`, (frames,).
+    """Look up times of frames by exactly equal counters: those `wanted`, (frames,).
 
     `counter` and `times_s` (rows,) are of the other table, in any order. A frame whose counter it lacks gets
     NaN: the next best row belongs to another frame.

@@ -13,12 +13,7 @@ class SceneError(ConfigurationError, ValueError):
 
 
 def require_known(where: str, names: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse `names`, given as `where`, that are not `known`, and suggest the nearest.
-
-    Raises
-    ------
-    SceneError
-    """
+    """Refuse `names`, given as `where`, that are not `known`, by a `SceneError` with the nearest name."""
     known = list(known)
     for name in names:
         if name not in known:

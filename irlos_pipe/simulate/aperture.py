@@ -23,13 +23,13 @@ from irlos_pipe.conventions.pupil_parts import (
     anticlockwise_from_first,
 )
 
-FINEST_CELL_M = 0.002  # of the brute-force drawing: a twentieth of a vane
-EDGE_CELL_M = 0.001  # the same at the edges of drawn parts: a third of the gap between two segments
-FINER = 4  # samples of a map that are made of one along each axis before they are joined by lines
-DARK_RIM = 8  # samples round a map
-POINTS = 800  # across the diameter
-LONGER = 0.02  # of the diameter: vanes are drawn longer, so that a slit at the rim joins no petals
-LEAST_SHARE = 0.01  # of the clear points: fewer make no petal
+FINEST_CELL_M = 0.002  # cell of the brute-force drawing: a twentieth of a vane
+EDGE_CELL_M = 0.001  # its cell at the edges of drawn parts: a third of the gap between two segments
+FINER = 4  # a map is resampled so many times finer along each axis before it is interpolated linearly
+DARK_RIM = 8  # samples of the dark frame round a map, so that its spectrum does not wrap round
+POINTS = 800  # of the map of petals, across the diameter
+LONGER = 0.02  # part of the diameter by which vanes are drawn longer: a slit at the rim joins no petals
+LEAST_SHARE = 0.01  # part of the clear points that a petal has at least
 
 
 def centres(count: int, step: float) -> np.ndarray:

@@ -15,11 +15,11 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.simulate import SceneError, require_known
 from irlos_pipe.simulate.telescope import Telescope
 
-VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3)
+VON_KARMAN = 0.0229  # coefficient of the phase spectrum, in rad² m^(-11/3) r0^(-5/3)
 SEEING_NM = 500.0
-WIND_SCATTER = 0.3  # of the wind vectors of all layers about their mean, relative
-ALIASING_SHARE = 0.6  # of the in-band variance of the shape `aliasing`; the rest is servo lag
-ALIASES = 3  # folded bands on each side
+WIND_SCATTER = 0.3  # relative scatter of the wind vectors of all layers about their mean
+ALIASING_SHARE = 0.6  # part of the in-band variance of the shape `aliasing`; the rest is servo lag
+ALIASES = 3  # folded bands on each side of the correction band that are summed
 Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
 
 
@@ -153,10 +153,7 @@ class ResidualScreens:
 
     They are those of a `sky` over a `facility`, on the grid of `telescope`, drawn from `rng`.
 
-    Raises
-    ------
-    SceneError
-        If the fitting error alone exceeds the total residual.
+    Raises `SceneError` if the fitting error alone exceeds the total residual.
     """
 
     def __init__(self, sky: Sky, facility: Facility, telescope: Telescope, rng: np.random.Generator):

@@ -23,14 +23,14 @@ from irlos_pipe.simulate.pupil import FINE, Pupil, amplitude, nominal_area_m2
 from irlos_pipe.simulate.scene import Scene
 
 BATCH = 10  # wavefronts imaged together
-SPLINE = 5  # order: errs by less than 1e-5 of the peak where a sample holds less than 0.2 cycles
-SPLINE_EDGE_PX = 8  # beyond which a spline does not see where the image ends
-STATIC_NODES = 4  # per pixel and axis
-FINEST_CYCLES_PER_PX = 0.4  # that the image of a pixel may hold; above, pixels are computed in parts
-FINEST_DISTORTED = 0.2  # the same where splines follow the image
+SPLINE = 5  # order of the interpolation: errs by less than 1e-5 of the peak below 0.2 cycles per sample
+SPLINE_EDGE_PX = 8  # distance from the end of the image beyond which a spline does not notice it
+STATIC_NODES = 4  # Gauss–Legendre nodes per pixel and axis
+FINEST_CYCLES_PER_PX = 0.4  # highest frequency of an image in whole pixels; above, they are computed in parts
+FINEST_DISTORTED = 0.2  # the same where splines interpolate the image
 REACH_SIGMAS = 4.0
-EDGE_PX = 3  # margin for the ringing of the discrete transform at the border
-MIRROR_PX = 8  # border beyond the margin that keeps opposite edges apart
+EDGE_PX = 3  # margin of images in which the discrete transform rings at the border
+MIRROR_PX = 8  # mirrored border beyond the margin, so that opposite edges do not mix
 
 
 @dataclass(frozen=True)
@@ -62,18 +62,9 @@ class Imager:
 
     ``PSF(a) = |∫ P(u) exp(2πi Φ(u)/λ) exp(-2πi a·u/λ) du|²``, integrated over every pixel.
 
-    Parameters
-    ----------
-    u_m : ndarray, (n,)
-        Samples of the pupil along x and along y [m].
-    amplitudes : mapping of (float, float) to ndarray, (n, n)
-        Pupil amplitude, real or complex, for every `Ray.pupil`.
-    area_m2 : float
-        Clear area that stands for all the star's light.
-    rays : sequence of Ray
-        Those of one `Ray.pupil` share the field there.
-    pixels : PixelGrid
-    dtype : numpy.complex64 or numpy.complex128
+    The pupil is sampled at `u_m`, (n,), along x and along y [m]; `amplitudes` are real or complex, (n, n),
+    for every `Ray.pupil`, and `area_m2` is the clear area that stands for all the star's light. Those of the
+    `rays` with the same `Ray.pupil` share the field there.
     """
 
     def __init__(
@@ -168,14 +159,8 @@ class Camera:
     The many images of a frame with an AO residual are sampled at the pixels' centres, in single
     precision, and integrated over the pixels by a factor on the spectrum too; those of a wavefront at
     rest, in double precision, by `STATIC_NODES` points per pixel. Of a distorted image the mean of a frame is
-    sampled finer, and the pixels look at that.
-
-    Parameters
-    ----------
-    scene : Scene
-    pupil : Pupil
-    motion_mas : float
-        RMS of the motion that `frame` will be asked for, per axis; 0 if it will not.
+    sampled finer, and the pixels look at that. `motion_mas` is the RMS of the motion that `frame` will be
+    asked for, per axis; 0 if it will not.
     """
 
     def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
@@ -209,16 +194,10 @@ class Camera:
         return self._imager.images(opd_nm)
 
     def frame(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
-        """Return the mean of images in motion, (rows, columns).
+        """Return the mean of `images` at rest, from the method of this name, in motion, (rows, columns).
 
-        Parameters
-        ----------
-        images : ndarray
-            Of `images`, at rest.
-        positions_mas : ndarray, (times, positions, 2), or None
-            Where each image is while it is exposed; a single image may be given for all times.
-        blur : MotionBlur
-            Motion of all images on top.
+        `positions_mas`, (times, positions, 2), is where each image is while it is exposed; a single image may
+        be given for all times. `blur` is the motion of all images on top.
         """
         if not (self._sampled or self._blurred):
             return self._pixels(images.mean(axis=0))

@@ -78,10 +78,7 @@ class DetectorModel:
     def reads(self, exposure_s: float) -> int:
         """Return the number of reads that are added up to an exposure of `exposure_s`.
 
-        Raises
-        ------
-        ConfigurationError
-            When the exposure is no multiple of `read_s`.
+        Raises `ConfigurationError` when the exposure is no multiple of `read_s`.
         """
         return 1 if self.read_s is None else whole_reads(exposure_s, self.read_s)
 
@@ -89,10 +86,7 @@ class DetectorModel:
     def analogue_noise_e(self) -> float:
         """Read noise before rounding to whole ADU, which adds ``e_per_adu / sqrt(12)`` [e- RMS].
 
-        Raises
-        ------
-        ConfigurationError
-            When rounding alone is noisier than `read_noise_e`.
+        Raises `ConfigurationError` when rounding alone is noisier than `read_noise_e`.
         """
         rest_e2 = self.read_noise_e**2 - self.e_per_adu**2 / 12
         if rest_e2 < 0:
@@ -123,8 +117,8 @@ def marked(pixels: Iterable[Pixel], window: tuple[int, ...]) -> np.ndarray:
 class Pattern:
     """Stripes that differ from read to read, of `e_rms` in one read [e-]: pick-up in the read-out chain.
 
-    The pixels of a row, or those of a column, are alike. `period_px` is that of a tone across the stripes,
-    whose phase is random in every read; None is 1/f noise, of which neighbouring stripes share most.
+    All pixels of a row, or of a column, have the same value. `period_px` is that of a tone across the
+    stripes, whose phase is random in every read; None is 1/f noise, of which neighbouring stripes share most.
     """
 
     e_rms: float

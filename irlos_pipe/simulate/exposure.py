@@ -22,13 +22,11 @@ from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope, rotated_nm, sum_nm
 
-LAST_NOLL = 31  # of the coefficients kept per frame
+LAST_NOLL = 31  # highest Noll mode of the coefficients kept per frame
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One frame."""
-
     mean_e: np.ndarray  # mean photo-electrons, (rows, columns), float64
     opd_nm: np.ndarray  # time-mean wavefront, (n, n), the declared diversity and introduced defocus excluded
     stated_nm: dict[int, float]  # modes of the wavefront that the scene states as such, Noll: nm RMS
@@ -86,12 +84,9 @@ def _mean_zernike_nm(zernike_nm: np.ndarray) -> dict[int, float]:
 
 
 def expose(scene: Scene, report: Callable[[int], None] | None = None) -> Exposed:
-    """Expose all frames of a `scene` and keep them; `report` is told the number of frames after every frame.
+    """Expose all frames of a `scene` and keep them; `report` gets the number of frames after every frame.
 
-    Raises
-    ------
-    SceneError
-        For parameters of effects that do not fit the scene.
+    Raises `SceneError` for parameters of effects that do not fit the scene.
     """
     wavefronts = Wavefronts(telescope_of(scene))
     mean_e = np.empty((scene.frames, *scene.window), np.float32)
@@ -183,14 +178,10 @@ class SubexposureSeries:
         )
 
     def next_frame(self) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Return residual and motion during the next frame.
+        """Return residual and motion during the next frame; None without sky, and without motion.
 
-        Returns
-        -------
-        screens_nm : ndarray, (times, n, n), float32, or None
-            Residual wavefronts at the ends of equal sub-exposures; none without sky.
-        positions_mas : ndarray, (times, positions, 2), or None
-            Image positions (x, y) within every sub-exposure; none without motion.
+        The residual wavefronts, (times, n, n) in float32 [nm], are those at the ends of equal sub-exposures;
+        the image positions (x, y) are within every sub-exposure, (times, positions, 2) [mas].
         """
         screens_nm = positions_mas = None
         if self._screens is not None:

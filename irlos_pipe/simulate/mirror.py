@@ -17,8 +17,8 @@ from irlos_pipe.conventions.modes import REPORTED_NOLLS
 from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.telescope import Telescope, zernike
 
-POINTS_PER_PITCH, FEWEST_POINTS = 3, 64  # where the strokes are fitted: per actuator, and across the pupil
-DAMPING = 1e-6  # of the strokes, relative to the mean response of an actuator
+POINTS_PER_PITCH, FEWEST_POINTS = 3, 64  # at which strokes are fitted: per actuator, and across
+DAMPING = 1e-6  # regularisation of the strokes, relative to the mean response of an actuator
 
 
 @dataclass(frozen=True)

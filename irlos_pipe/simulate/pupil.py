@@ -20,7 +20,7 @@ from irlos_pipe.simulate.telescope import Telescope, sum_nm
 FINE = 4  # drawn cells per sample and axis
 PAD = 4  # samples beyond the diameter on each side, where the low-pass rings
 TAPS = 2 * PAD * FINE
-KAISER_BETA = 5.0  # stop band at -53 dB
+KAISER_BETA = 5.0  # of the low-pass window: its stop band is at -53 dB
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,8 @@ from irlos_pipe.simulate.detector import (
 from irlos_pipe.simulate.effects.detector import DetectorEffect
 from irlos_pipe.simulate.scene import Scene
 
-DARK_FRAMES = 64  # averaged to the dark image
-FLAT_ERROR = 1e-4  # of the measured flat, relative RMS
+DARK_FRAMES = 64  # raw frames that are averaged to the dark image
+FLAT_ERROR = 1e-4  # relative RMS noise of the measured flat
 
 
 def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
@@ -37,19 +37,10 @@ def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
 
 
 def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return frames as a perfect calibration of the raw ones would: noisy electrons.
+    """Return noisy frames as a perfect calibration of the raw ones would, (frames, rows, columns) [e-].
 
-    Parameters
-    ----------
-    scene : Scene
-    mean_e : ndarray, (frames, rows, columns)
-        Mean photo-electrons.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray, (frames, rows, columns), float32
-        Without pedestal and dark, divided by the flat; not rounded to whole ADU. The sky is in them [e-].
+    Drawn for the mean photo-electrons `mean_e` of the same shape, in float32, they are without pedestal and
+    dark, divided by the flat and not rounded to whole ADU. The sky is in them.
     """
     pixels, detector = pixels_of(scene, mean_e.mean(axis=0, dtype=np.float64)), scene.detector
     top_e = (detector.saturation_adu - detector.pedestal_adu) * detector.e_per_adu
@@ -77,10 +68,7 @@ class Readout:
     def of(cls, scene: Scene, mean_image_e: np.ndarray) -> Readout:
         """Return the read-out of a `scene` with the mean image `mean_image_e`, (rows, columns) [e-].
 
-        Raises
-        ------
-        ConfigurationError
-            When read noise and gain contradict each other.
+        Raises `ConfigurationError` when read noise and gain contradict each other.
         """
         _ = scene.detector.analogue_noise_e
         return cls(pixels_of(scene, mean_image_e), pedestal_map_adu(scene.detector, scene.window))

@@ -25,7 +25,7 @@ from irlos_pipe.simulate.motion import Motion
 
 STATIC_PUPIL_SAMPLES, MOVING_PUPIL_SAMPLES = 256, 128
 LENSLET_WINDOW = (36, 36)  # of the four images of a 2x2 mode, 18 px across each
-LENSLET_SAMPLING = 2  # times the fewest samples, for windows as wide as those of lenslets
+LENSLET_SAMPLING = 2  # over the fewest samples possible, for windows as wide as those of lenslets
 Plane = TypeVar("Plane", bound=SimulatedEffect)
 RANDOM_STREAMS = ("sky", "motion", "effects", "focus_stage")
 

@@ -103,7 +103,7 @@ class Telescope:
     def fit_zernike_nm(
         self, opd_nm: np.ndarray, last_noll: int, stated_nm: Mapping[int, float] | None = None
     ) -> np.ndarray:
-        """Fit least-squares coefficients of Noll 2..`last_noll` over the pupil beside piston [nm RMS].
+        """Fit least-squares coefficients of Noll 2..`last_noll` over the pupil jointly with piston [nm RMS].
 
         Over an obscured pupil the polynomials are not orthogonal: what a wavefront has beyond the fitted
         modes falls on them. Where it is made of polynomials, these are better stated.

@@ -59,7 +59,7 @@ def plain() -> np.ndarray:
 
 
 def with_second_images(*seconds: dict[str, float]) -> np.ndarray:
-    """Images of the star beside it, each of its share, place and focus: the sum of all images."""
+    """Images of the star next to it, each of its share, place and focus: the sum of all images."""
     imager, total = reference(), 1 + sum(one["flux_ratio"] for one in seconds)
     images = (imager.image(opd_nm(imager, **one), WAVELENGTH_NM, CASE.window, 9.7) for one in seconds)
     lights = (one["flux_ratio"] * image for one, image in zip(seconds, images, strict=True))
@@ -67,7 +67,6 @@ def with_second_images(*seconds: dict[str, float]) -> np.ndarray:
 
 
 def with_companion() -> np.ndarray:
-    """A second source."""
     return with_second_images(COMPANION)
 
 
@@ -78,7 +77,7 @@ def with_spot(radius_m: float = 0.45) -> np.ndarray:
 
 
 def with_scratch(width_m: float = 0.12) -> np.ndarray:
-    """An opaque line across the pupil, beside its centre, which the catalogue does not have."""
+    """An opaque line across the pupil, off its centre, which the catalogue does not have."""
     return with_opaque(lambda grid: np.abs(0.8 * grid.x - 0.6 * grid.y - 1.7) < width_m / 2)
 
 
@@ -101,7 +100,6 @@ def with_another_pupil() -> np.ndarray:
 
 
 def cube(image: np.ndarray, seed: int = 3) -> Frames:
-    """Noisy frames of one image."""
     images = draw_frames(image * FLUX_E, FRAMES, seed=seed)
     return Frames(images, everything(images), READ_NOISE)
 

@@ -42,7 +42,6 @@ def model() -> PsfModel:
 
 
 def image(modes_nm: dict[int, float] = TRUE_NM, effect=None, values=()) -> np.ndarray:
-    """Mean image [e-] with one effect or none."""
     return image_with([] if effect is None else [effect], modes_nm, values)
 
 

@@ -48,7 +48,6 @@ def draw(sample: Draw) -> list[dict]:
 
 
 def refuse(sample: Draw) -> list[dict]:
-    """Fail on some samples."""
     if sample.seed == 2:
         raise InputDataError("no star in the window")
     return [{"seed": sample.seed}]
@@ -74,7 +73,6 @@ def object_array(sample: Draw) -> list[dict]:
 
 
 def draws(folder: Path, names=NAMES) -> list[Draw]:
-    """One sample per name."""
     return [Draw(name, seed, str(folder)) for seed, name in enumerate(names)]
 
 
@@ -87,7 +85,6 @@ def computed(folder: Path) -> list[str]:
 
 
 def silent_progress(total: int, desc: str) -> tqdm:
-    """A progress bar that shows nothing."""
     return tqdm(total=total, desc=desc, disable=True)
 
 
@@ -99,7 +96,7 @@ def context(scratch: Path, jobs: int = 2) -> StageContext:
 
 
 def lift(ctx: StageContext) -> StageOutput:
-    """A stage that draws samples; its marks lie beside the input."""
+    """A stage that draws samples; its marks lie next to the input."""
     found = run_samples(draw, draws(ctx.inputs["cube"][0].parent / "marks"), ctx, "draws")
     traces = np.array([one["trace"] for (one,) in found])
     return StageOutput({"traces": Quantity(traces, "")}, fake_stages.FreeResults(traces=traces.tolist()))

@@ -50,12 +50,10 @@ def run_on(monkeypatch, module, rows_of: Callable, seed: int = 5, **sizes) -> St
 
 
 def tables_of(output: StageOutput) -> dict:
-    """Return the tables of an experiment's output."""
     return output.results.frames()
 
 
 def missed(output: StageOutput) -> list[str]:
-    """Return the names of the checks that were missed."""
     return [check.name for check in output.checks if not check.passed]
 
 

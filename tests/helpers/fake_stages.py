@@ -33,7 +33,7 @@ class FreeResults(StageResults):
 
 
 class MethodResults(FreeResults):
-    """Those of a stage that tells its method."""
+    """Those of a stage that states its method."""
 
     method: str = ""
 

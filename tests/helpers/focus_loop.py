@@ -47,7 +47,6 @@ def calibration(name: str = "first", instrument: str = "irlos") -> Calibration:
 
 
 def image_e(defocus_nm: float, seed: int, reads: int = 1, flux_e: float = FLUX_E) -> np.ndarray:
-    """One read with its noise."""
     x = torch.tensor([[5.0, -5.0, defocus_nm]], dtype=torch.float64)
     mean_e = model().psf.images(x)[0].double().clamp_min(0).numpy() * flux_e / reads
     rng = np.random.default_rng([seed, 7])
@@ -99,7 +98,6 @@ def served(
 
 
 def lines(output: Path) -> tuple[list[dict], list[str]]:
-    """Records and events of a loop."""
     content = [json.loads(line) for line in (output / "focus.jsonl").read_text().splitlines()]
     return [one for one in content if "sequence" in one], [one["event"] for one in content if "event" in one]
 
@@ -110,6 +108,5 @@ def exposure(index: int, defocus_nm: float = 0.0, **changes) -> Exposure:
 
 
 def records(count: int, defocus_nm: float = 20.0) -> list[Record]:
-    """What a loop makes of one exposure after the other."""
     loop = FocusLoop(calibration(), LoopSettings())
     return [loop.record(exposure(index, defocus_nm), 0.0) for index in range(count)]

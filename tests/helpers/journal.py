@@ -19,7 +19,6 @@ class Journal:
             path.write_text("".join(f"{json.dumps(one)}\n" for one in self.entries.values()))
 
     def add(self, key: str, **entry: Any) -> dict[str, Any]:
-        """Keep an entry; returns it."""
         self.entries[key] = {"key": key} | entry
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -63,7 +63,6 @@ def recording(name: str, owner: str, frames: int, introduced_nm: float = 0.0) ->
 
 
 def row(name: str, owner: str, frames: int) -> dict[str, Any]:
-    """What ingest tells of a recording."""
     return {
         "name": name,
         "input": owner,
@@ -105,7 +104,6 @@ def prior() -> Product:
 
 
 def method(name: str, zernike_nm: dict[str, float], seconds: float = 2.0) -> dict[str, Any]:
-    """Results of one calibration method."""
     return {
         "method": name,
         "zernike_nm": zernike_nm,
@@ -150,7 +148,6 @@ def calibrate() -> Product:
 
 
 def point(name: str, introduced_nm: float, defocus_nm: float | None) -> dict[str, Any]:
-    """One estimate of a ramp."""
     return {
         "name": name,
         "frame": 0,
@@ -255,7 +252,6 @@ STAGES = {
 
 
 def products(*names: str) -> list[Product]:
-    """Products of the named stages; all without a name."""
     return [STAGES[name]() for name in names or STAGES]
 
 

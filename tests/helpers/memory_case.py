@@ -48,7 +48,6 @@ CONFIG = Config()
 
 
 def recorded(frames: int) -> np.ndarray:
-    """Counts of a star, a few frames hit by cosmics, one dead pixel."""
     nolls = range(2, HIGHEST_NOLL + 1)
     mean = PsfModel(SETTINGS, nolls).images(torch.zeros(1, len(nolls))).double().numpy() * FLUX_E
     some = cases.draw_frames(mean, DRAWN, seed=1).numpy() + PEDESTAL_ADU

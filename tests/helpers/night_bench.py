@@ -67,7 +67,7 @@ def ingest(ctx: StageContext) -> StageOutput:
 
 
 def calibrate(ctx: StageContext) -> StageOutput:
-    """Report the numbers in the file beside the recording."""
+    """Report the numbers in the file next to the recording."""
     _begin("calibrate", ctx)
     numbers = json.loads((_folder(ctx) / "numbers.json").read_text())
     results = CalibrateResults(

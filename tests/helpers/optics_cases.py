@@ -28,7 +28,7 @@ READ_NOISE = NoiseModel(1.0, 1.0)
 def settings(
     window: int | tuple[int, int] = 64, spectrum=NARROW_H, diversity=DIVERSITY, **changes
 ) -> PsfSettings:
-    """Settings of the UT4 pupil, 9.7 mas pixels; a square window unless told otherwise."""
+    """Settings of the UT4 pupil, 9.7 mas pixels; a square window unless stated otherwise."""
     shape = (window, window) if isinstance(window, int) else window
     return PsfSettings(
         **{
@@ -82,5 +82,4 @@ def draw_frames(mean_e: np.ndarray, frames: int, seed: int, noise: NoiseModel = 
 
 
 def everything(images: torch.Tensor) -> torch.Tensor:
-    """Mask that keeps every pixel."""
     return torch.ones(images.shape[-2:], dtype=torch.bool)

@@ -91,7 +91,6 @@ class PaperBench:
         return (self.output / "report.html").read_text()
 
     def set(self, name: str, line: str) -> None:
-        """Add a setting to the recipe's only section."""
         path = self.recipes / f"{name}.yaml"
         path.write_text(path.read_text().replace("  samples", f"  {line}\n  samples"))
 

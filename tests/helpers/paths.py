@@ -1,4 +1,4 @@
-"""Where things lie in the repository, and beside it."""
+"""Where things lie in the repository, and next to it."""
 
 from pathlib import Path
 

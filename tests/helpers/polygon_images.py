@@ -17,7 +17,6 @@ def hexagon(flat_to_flat_m: float, centre_m: Sequence[float]) -> np.ndarray:
 
 
 def area_m2(corners_m: np.ndarray) -> float:
-    """Area of a polygon."""
     x, y = corners_m.T
     return abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))) / 2
 

@@ -29,16 +29,8 @@ SUBSAMPLES = 4  # per side of a pupil cell
 class ReferenceImager:
     """Point-source images, as fractions of the light through the pupil.
 
-    Parameters
-    ----------
-    samples : int
-        Across the grid.
-    aperture : callable
-        HCIPy's field generator of the pupil.
-    diameter_m : float
-        Of the disc on which Zernikes have unit RMS.
-    width_m : float, optional
-        Of the grid, by default the diameter.
+    The grid has so many `samples` across its `width_m`, by default `diameter_m`, that of the disc on which
+    Zernikes have unit RMS; `aperture` is HCIPy's field generator of the pupil.
     """
 
     def __init__(

@@ -25,7 +25,7 @@ def screens_nm(
 ) -> Iterator[np.ndarray]:
     """Screens of a power law inside the correction band, without tip and tilt over the pupil.
 
-    The `variance` at the points of the pupil, (points,), is over that of a screen that is everywhere alike.
+    The `variance` at the points of the pupil, (points,), is relative to that of a uniform screen.
     """
     samples = round(np.sqrt(imager.grid.size))
     size = round(samples * PERIOD_M / DIAMETER_M)

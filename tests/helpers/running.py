@@ -19,7 +19,6 @@ def run(bench: Bench, *settings: str, selection: Selection | None = None, **chan
 
 
 def reasons(bench: Bench, *settings: str, selection: Selection | None = None, **changes) -> dict[str, str]:
-    """Reason per stage of what a run would do."""
     recipe = load_recipe(bench.recipe, settings, **changes)
     return {step.name: step.reason for step in plan_run(recipe, bench.output, selection or Selection())[1]}
 

@@ -59,7 +59,6 @@ def recording(
 
 
 def ingest_product(recordings: Sequence[Recording]) -> Product:
-    """What ingest would have left."""
     arrays = {}
     for one in recordings:
         arrays |= arrays_from_recording(one)

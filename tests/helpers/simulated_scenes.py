@@ -44,7 +44,6 @@ def image(**changes) -> np.ndarray:
 
 
 def of_light(exposed: Exposed, exposed_scene: Scene) -> np.ndarray:
-    """Mean image in parts of the star's light."""
     return exposed.mean_e.mean(axis=0, dtype=float) / exposed_scene.photons
 
 

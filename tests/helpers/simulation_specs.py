@@ -31,24 +31,20 @@ def spec_of(recordings: dict, **top) -> dict:
 
 
 def written(path: Path, spec: dict) -> Path:
-    """Write a spec as YAML."""
     path.write_text(yaml_text(spec))
     return path
 
 
 def planned(folder: Path, recordings: dict, *settings: str, **top) -> dict[str, Planned]:
-    """Recordings of a spec, by name."""
     spec = load_spec(written(folder / "spec.yaml", spec_of(recordings, **top)), settings)
     return {one.name: one for one in plan_recordings(spec)}
 
 
 def simulated(folder: Path, spec: dict, **options):
-    """Simulate a spec into `folder`; returns the steps."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     path = written(folder.parent / f"{folder.name}.yaml", spec)
     return simulate(load_spec(path), folder, **options)
 
 
 def truth(folder: Path, name: str) -> dict:
-    """Content of a truth file."""
     return json.loads((folder / "truth" / f"{name}.json").read_text())

@@ -59,13 +59,11 @@ def counts(image_e: np.ndarray, frames: int = 12, pedestal_adu: float = 50.0, se
 
 
 def sidecar(*without: str, **changes: Any) -> dict[str, Any]:
-    """Keys of a complete side-car, with changes."""
     keys = copy.deepcopy(SIDECAR) | changes
     return {key: value for key, value in keys.items() if key not in without}
 
 
 def write_sidecar(path: Path, *without: str, **changes: Any) -> Path:
-    """Write a side-car."""
     path.write_text(yaml.safe_dump(sidecar(*without, **changes), sort_keys=False))
     return path
 
@@ -89,7 +87,6 @@ def pixel_table(
 
 
 def loop_table(counter, seconds, microseconds) -> fits.BinTableHDU:
-    """Table IRLoopFrame with the times of the loop."""
     return fits.BinTableHDU.from_columns(
         [
             fits.Column("FrameCounter", "J", array=counter),
@@ -125,7 +122,6 @@ def write_muse(
     header: dict | None = None,
     seeing: list[float] | None = None,
 ) -> Path:
-    """Write a raw file of MUSE."""
     primary = fits.PrimaryHDU()
     primary.header["DATE-OBS"] = "2023-07-14T03:21:10.000"
     for key, value in ({"ESO AOS MAIN MODES IRLOS": mode} | (header or {})).items():

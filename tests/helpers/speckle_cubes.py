@@ -27,14 +27,9 @@ def speckle_cube(
 ) -> np.ndarray:
     """Return frames (frames, size, size) [e-] of a star with `flux_e` electrons inside the window.
 
-    Parameters
-    ----------
-    residual_rad : float
-        RMS of the residual phase within a frame; half of its variance is static.
-    memory : float
-        Correlation of the changing phase from one exposure to the next.
-    stripes_e : float
-        RMS of an offset that all pixels of a row share in one frame.
+    `residual_rad` is the RMS of the residual phase within a frame, half of its variance static, `memory` the
+    correlation of the changing phase from one exposure to the next, and `stripes_e` the RMS of an offset that
+    all pixels of a row share in one frame.
     """
     rng = np.random.default_rng(seed)
     static = _screen(rng) * residual_rad / np.sqrt(2)

@@ -56,7 +56,6 @@ class StandInDevice(TorchFunctionMode):
         return found
 
     def _target(self, function, args, kwargs) -> str | None:
-        """Device that a call names."""
         if function is torch.Tensor.cpu:
             return "cpu"
         if function is torch.Tensor.to and isinstance(args[1], torch.Tensor):
@@ -99,7 +98,6 @@ def _without_device(args: tuple) -> tuple:
 
 
 def tensors(nested) -> Iterator[torch.Tensor]:
-    """All tensors in nested sequences and dictionaries."""
     if isinstance(nested, torch.Tensor):
         return iter([nested])
     if isinstance(nested, dict):

@@ -23,7 +23,6 @@ def measured(key: str = "k", verdict: str | None = None, **numbers: float) -> Me
 
 
 def put(tree: Path, day: int, content: Measurements, start: bool = True, recipe: str = "cube") -> str:
-    """Store the run of a night."""
     run = f"{night(day)}/030000_cube/{recipe}"
     start_unix_s = FIRST_S + day * DAY_S if start else None
     with opened(tree) as database:
@@ -32,7 +31,6 @@ def put(tree: Path, day: int, content: Measurements, start: bool = True, recipe:
 
 
 def bands(nights, values, sigmas, rule: BandSettings) -> list[Band | None]:
-    """Bands of one number in order of time."""
     points = [
         Point("n/g/r", one, float(index), "defocus_bias_nm", "r", "", value, sigma)
         for index, (one, value, sigma) in enumerate(zip(nights, values, sigmas, strict=True))
@@ -41,5 +39,4 @@ def bands(nights, values, sigmas, rule: BandSettings) -> list[Band | None]:
 
 
 def dates(count: int) -> list[str]:
-    """So many ISO dates in ascending order."""
     return [f"2024-{1 + i // 28:02d}-{1 + i % 28:02d}" for i in range(count)]

@@ -47,27 +47,14 @@ def frames_per_method(frames: int, published_frames: int) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to calibrate a cube.
+    """One way to calibrate a cube."""
 
-    Attributes
-    ----------
-    label : str
-        What it is, for tables.
-    options : CalibrationOptions
-        Without the prior.
-    prior : bool
-        Whether the modes have the prior that the stage `calibrate` gives them.
-    halo : callable
-        From the AO residual of the default to that of the variant; None for neither it nor jitter.
-    frames : callable
-        From the cube to the frames used.
-    """
-
-    label: str
-    options: CalibrationOptions = field(default_factory=CalibrationOptions)
-    prior: bool = True
+    label: str  # what it is, for tables
+    options: CalibrationOptions = field(default_factory=CalibrationOptions)  # without the prior
+    prior: bool = True  # whether the modes have the prior that the stage `calibrate` gives them
+    # from the AO residual of the default to that of the variant; None for neither it nor jitter
     halo: Callable[[SeeingHalo], Effect] | None = lambda halo: halo
-    frames: Callable[[Frames], Frames] = lambda frames: frames
+    frames: Callable[[Frames], Frames] = lambda frames: frames  # from the cube to the frames used
 
     def options_with(self, ncpa_law: NcpaLaw) -> CalibrationOptions:
         """Return the options, with the prior that the stage `calibrate` makes of `ncpa_law` if there is one.
@@ -124,19 +111,11 @@ VARIANTS = {
 
 @dataclass(frozen=True)
 class ObservedCube:
-    """A simulated cube: what an observer has of it, and its truth.
-
-    Attributes
-    ----------
-    exposed : Exposed
-        Noise-free images and wavefronts of all frames of the scene.
-    frames : Frames
-        The noisy frames in use, the first ones of the scene.
-    """
+    """A simulated cube: what an observer has of it, and its truth."""
 
     scene: Scene
-    exposed: Exposed
-    frames: Frames
+    exposed: Exposed  # noise-free images and wavefronts of all frames of the scene
+    frames: Frames  # the noisy frames in use, the first ones of the scene
 
     @classmethod
     def of(cls, scene: Scene, exposed: Exposed | None = None) -> ObservedCube:

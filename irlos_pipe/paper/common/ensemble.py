@@ -32,23 +32,13 @@ def run_samples(function: Function, samples: Sequence[Any], ctx: StageContext[An
     same stage runs again after an interruption. Results are the same to the bit for any
     `ctx.jobs`, as long as `function` depends on nothing but the sample, its seed included.
 
-    Parameters
-    ----------
-    function : callable
-        Defined at the top level of a module; returns or yields rows: numbers, arrays or texts by name.
-    samples : sequence
-        Frozen dataclasses with a ``name``, for messages, of what JSON can hold, arrays included. Equal
-        samples are computed once.
-    ctx : StageContext
-        Of the stage that the samples belong to.
-    desc : str
-        What the samples are, for the progress bar and for messages.
+    The `function` is defined at the top level of a module and returns or yields rows: numbers, arrays or
+    texts by name. The `samples`, of which equal ones are computed once, are frozen dataclasses of what JSON
+    can hold, arrays included, with a ``name`` for messages; `desc` says what they are there and on the
+    progress bar.
 
-    Raises
-    ------
-    IrlosError
-        As raised by `function`, with the sample's name put before it; or when a process died.
-        The samples finished by then stay.
+    Raises `IrlosError` as `function` does, with the sample's name put before it, or when a process died; the
+    samples finished by then stay.
     """
     ctx.scratch.mkdir(parents=True, exist_ok=True)
     files = [ctx.scratch / f"{sample_key(function, one)}.npz" for one in samples]

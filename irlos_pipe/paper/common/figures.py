@@ -37,22 +37,10 @@ def lines(
 ) -> Figure:
     """Draw the column `y` of a table against `x`, one line for every value of the column `colour`.
 
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    labels : (str, str)
-        Of the axes.
-    panels : str
-        Column whose values have panels of their own, which they name.
-    dashed : str
-        A further column, drawn dashed.
-    ends : (str, str)
-        Endings of the columns between which error bars go.
-    levels, marks : sequence of float
-        Where dotted lines go across, and upright.
-    **axes_
-        Further properties of the axes.
+    The `name` is unique in the page, `labels` are those of the axes. Every value of the column `panels` has
+    and names a panel of its own, `dashed` is a further column, drawn dashed, and `ends` are the endings of
+    the columns between which error bars go. Dotted lines go across at `levels`, and upright at `marks`;
+    `axes_` are further properties of the axes.
     """
 
     def draw(figure: Canvas) -> None:

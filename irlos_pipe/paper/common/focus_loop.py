@@ -40,9 +40,9 @@ FOCUS = TTF.index(DEFOCUS)
 LARGEST_SIGMA_NM, FARTHEST_NM = 100.0, 200.0
 CENTROIDS, LIFT = "centroids_2x2", "lift_2x2"
 TWO_BY_TWO = (CENTROIDS, LIFT)
-MIN_FOR_A_SLOPE = 20
-DRAWS = 400  # whose scatter is known to 4 %
-WEIGHTS = NoiseModel(1.0, 1.0)  # of the pixels of an image without noise
+MIN_FOR_A_SLOPE = 20  # measurements; of fewer the slope would be mostly noise
+DRAWS = 400  # images; the standard deviation of so many is known to 4 %
+WEIGHTS = NoiseModel(1.0, 1.0)  # by which pixels count in an image that has no noise
 
 
 # -- frames at any defocus ---------------------------------------------------------------------------
@@ -56,18 +56,12 @@ class FrameTable:
     frame is simulated at a few defoci, and its pixels interpolated between them by a Chebyshev series. An
     image depends on defocus through ``exp(2πi a ΔZ₄/λ)``, the differences ΔZ₄ below 3.4 over this pupil: it
     is band-limited in a, and the series converges as fast as Bessel functions do beyond their argument.
-
-    Attributes
-    ----------
-    series_e : ndarray, (orders, frames, rows, columns)
-        Chebyshev coefficients of the mean electrons per pixel.
-    sky_focus_nm : ndarray, (frames,)
-        Defocus of the AO residual itself, the mean over each frame.
     """
 
     reach_nm: float
+    # Chebyshev coefficients of the mean electrons per pixel, (orders, frames, rows, columns)
     series_e: np.ndarray
-    sky_focus_nm: np.ndarray
+    sky_focus_nm: np.ndarray  # of the AO residual itself, the mean over each frame, (frames,)
 
     def images_e(self, frame: int, defocus_nm: np.ndarray) -> np.ndarray:
         """Return the mean electrons of `frame` at every one of `defocus_nm`, (defoci, rows, columns)."""
@@ -133,7 +127,6 @@ class CentroidSensor(FocusSensor):
     scene: Scene = field(kw_only=True)
 
     def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
-        """See `FocusSensor`."""
         geometry, scale_mas = self.scene.geometry, self.scene.pixel_scale_mas
         modes_nm = modes_of_centroids_nm(images_e, geometry, scale_mas, float(np.sqrt(noise.floor_e2)), TTF)
         defocus_nm = modes_nm[:, FOCUS] - self.zero_nm
@@ -194,16 +187,10 @@ class Loop:
 class LoopBank:
     """Loops while they run, and what is left behind.
 
-    Attributes
-    ----------
-    residual_nm : ndarray, (loops, frames)
-        Mean of each frame of drift minus command; NaN after a loop has diverged.
-    measured_nm : ndarray, (loops, frames)
-        Measurements, at the last frame of their exposure; NaN where there is none.
-    true_nm : ndarray, (loops, frames)
-        The measurement of a perfect sensor: the mean residual of the exposure.
-    due : ndarray of bool, (loops, frames)
-        Where a measurement was due.
+    All records are (loops, frames): `residual_nm`, the mean of drift minus command over each frame, NaN after
+    a loop has diverged; `measured_nm`, at the last frame of an exposure, NaN where there is no measurement;
+    `true_nm`, what a perfect sensor would measure: the mean residual of the exposure; `due`, where a
+    measurement was due.
     """
 
     def __init__(self, loops: Sequence[Loop], frames: int, delay: int, table: FrameTable):
@@ -253,26 +240,18 @@ def close_loops(
     delay: int,
     rng: np.random.Generator,
 ) -> LoopBank:
-    """Run all loops over the same frames.
+    """Run all loops over the same frames, with a `delay` in exposures of the loop, see `Integrator`.
 
-    Parameters
-    ----------
-    scenes : mapping of int to Scene
-        The sky in exposures of so many frames; `table` has its frames at any defocus.
-    drift_nm : ndarray, (frames,)
-        Mean defocus of the disturbance in every frame. What it wanders within one is too little to
-        change the image other than through its mean.
-    delay : int
-        See `Integrator`, in exposures of the loop.
-    rng : Generator
-        Of the detector noise.
+    `scenes` are the sky by the frames of an exposure, `table` has its frames at any defocus, and `drift_nm`,
+    (frames,), is the mean defocus of the disturbance in every frame: what it wanders within one is too little
+    to change the image other than through its mean. The detector noise is drawn from `rng`.
     """
     bank = LoopBank(loops, len(drift_nm), delay, table)
     flux = np.array([loop.brightness(scenes[loop.exposures].mag_j) for loop in loops])[:, None, None]
-    alike = dict.fromkeys((loop.sensor, loop.exposures) for loop in loops)
+    distinct = dict.fromkeys((loop.sensor, loop.exposures) for loop in loops)
     for frame, drift in enumerate(drift_nm):
         bank.expose(frame, drift, flux)
-        for name, exposures in alike:
+        for name, exposures in distinct:
             members = bank.ready(frame, name, exposures)
             if len(members):
                 images_e = recorded_e(scenes[exposures], bank.images_e[members], rng)
@@ -290,13 +269,10 @@ def outcome_of(
 ) -> dict[str, Any]:
     """Summarise one loop from its records, (skies, drifts, frames) each, `settle` frames left out.
 
-    Returns
-    -------
-    dict
-        ``residual_nm``, RMS over time and over the runs that did not diverge, what wanders within a frame
-        included, and ``residual_error_nm`` from the scatter between runs; ``bias_nm``, RMS over skies of the
-        mean residual; ``lost``, the part of the measurements that the sensor could not give; ``slope`` and
-        ``noise_nm``: measurement = slope × true residual + noise.
+    ``residual_nm`` is the RMS over time and over the runs that did not diverge, what wanders within a frame
+    included, and ``residual_error_nm`` follows from the scatter between runs; ``bias_nm`` is the RMS over
+    skies of the mean residual, ``lost`` the part of the measurements that the sensor could not give, and
+    ``slope`` and ``noise_nm`` are those of measurement = slope × true residual + noise.
     """
     late = residual_nm[..., settle:]
     alive = np.isfinite(late).all(-1)

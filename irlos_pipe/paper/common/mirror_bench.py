@@ -17,10 +17,11 @@ from irlos_pipe.simulate.telescope import Telescope
 
 CUBE_STREAM = 10  # child of a sample's seed; every further cube has another sky
 FITTED_BY = 6  # corrections after which an aligned mirror leaves what it cannot make
-LAST_FITTED = 66  # so that modes beyond the corrected ones do not pass for them
+# Highest Noll mode of the fit, so that modes beyond the corrected ones do not leak into them.
+LAST_FITTED = 66
 # How the diversity is made: as declared, or by the same mirror with the same errors.
 EXACT, BY_MIRROR = "exact", "mirror"
-LEFT = ("modes_nm", "beyond_nm", "all_nm")  # in Noll 4–30, in all that these are not, and of both
+LEFT = ("modes_nm", "beyond_nm", "all_nm")  # residual in Noll 4–30, beyond these modes, and in all
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Bench:
         return replace(scene, ncpa_nm=ncpa_nm, mirror=replace(mirror, offsets_nm=sent_nm))
 
     def coefficients_nm(self, opd_nm: np.ndarray) -> dict[int, float]:
-        """Return Noll 2..30 of a wavefront `opd_nm`, (n, n), fitted beside modes beyond: nm RMS."""
+        """Return Noll 2..30 of a wavefront `opd_nm`, (n, n), fitted jointly with modes beyond [nm RMS]."""
         fitted_nm = self.telescope.fit_zernike_nm(opd_nm, LAST_FITTED)[: HIGHEST_REPORTED_NOLL - 1]
         return dict(enumerate(fitted_nm.tolist(), start=2))
 

@@ -28,8 +28,8 @@ from irlos_pipe.simulate.scene import Scene
 
 SIDE_CAR_POINTS = 3  # wavelengths per band that a side-car lists
 PHOTON_STREAM = 1  # child of the scene's seed that the detector noise is drawn from
-FRAME_MARGIN_MAS = 100.0  # field beyond the window, enough for single frames
-MONITOR = "mass_dimm"  # by which the paper states the seeing on sky
+FRAME_MARGIN_MAS = 100.0  # field beyond the window that the model of single frames needs
+MONITOR = "mass_dimm"  # seeing monitor by which the paper states the seeing on sky
 NoiseOf = Literal["reads", "one_read"]
 """Noise of exposures: of all their reads with sky and dark, or of one read without."""
 

@@ -15,7 +15,7 @@ PEAK_NM = 1140.0
 CENTRE = (0.145, 0.901)  # x, y [pupil radii]
 LENGTH, WIDTH = 0.546, 0.154  # standard deviations along and across [pupil radii]
 DIRECTION_DEG = 42.6  # of the ridge, from +x towards +y
-RADII, AZIMUTHS = 200, 360  # of the points, each of the same area
+RADII, AZIMUTHS = 200, 360  # grid of points of equal area
 
 
 def ridge_nm(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -25,9 +25,9 @@ from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.stages.model.effects import star_colour
 
-CHROMATIC_STREAM, FILTER_STREAM = 2, 3  # children of a sample's seed, beside that of the ramp
+CHROMATIC_STREAM, FILTER_STREAM = 2, 3  # children of a sample's seed, next to that of the ramp
 WAVEFRONT_MODES = 50  # as many as the NCPAs have
-HELD_NM = 1e-3  # width of a prior that holds what it is put on
+HELD_NM = 1e-3  # width of a prior that fixes a parameter
 ASKED_NM = 4.0
 
 

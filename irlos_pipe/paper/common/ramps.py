@@ -49,28 +49,14 @@ RAMP_STREAM = 1  # child of a sample's seed: residuals of the ramp are not those
 
 @dataclass(frozen=True)
 class LiftVariant:
-    """One way to estimate a ramp.
-
-    Attributes
-    ----------
-    modes : tuple of int
-        Noll.
-    ncpa : str
-        Calibration method whose NCPAs are known; empty for none.
-    halo : {"calibrated", "off"}
-        AO residual in the model.
-    kernel : {"calibrated", "fit"} or float
-        Gaussian kernel of object and jitter, fixed ones in mas.
-    loss : {"gaussian", "l1"}
-        The latter is that of the paper's DIP.
-    """
+    """One way to estimate a ramp."""
 
     name: str
-    modes: tuple[int, ...] = TTF
-    ncpa: str = ""
-    halo: Literal["calibrated", "off"] = "calibrated"
-    kernel: str | float = "calibrated"
-    loss: LossName = "gaussian"
+    modes: tuple[int, ...] = TTF  # Noll
+    ncpa: str = ""  # calibration method whose NCPAs are known; empty for none
+    halo: Literal["calibrated", "off"] = "calibrated"  # AO residual in the model
+    kernel: str | float = "calibrated"  # of object and jitter: "calibrated", "fit", or its sigma [mas]
+    loss: LossName = "gaussian"  # "l1" is that of the paper's DIP
 
 
 # The kernel is fixed by hand as in the paper, or fitted to the ramp; the default takes what it calibrated.
@@ -96,17 +82,10 @@ LIFT_VARIANTS = {
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What a calibration hands on to LIFT; nothing by default.
+    """What a calibration hands on to LIFT; nothing by default."""
 
-    Attributes
-    ----------
-    ncpa_nm : dict of int to float
-        Noll: nm RMS.
-    effects : dict of str to FixedEffect
-        AO residual and jitter as measured; empty for methods without them in their model.
-    """
-
-    ncpa_nm: Mapping[int, float] = field(default_factory=dict)
+    ncpa_nm: Mapping[int, float] = field(default_factory=dict)  # Noll: nm RMS
+    # AO residual and jitter as measured; empty for methods without them in their model
     effects: Mapping[str, FixedEffect] = field(default_factory=dict)
 
 
@@ -123,11 +102,11 @@ def knowledge_of(cube: ObservedCube, calibration: Calibration) -> Knowledge:
 
 def calibrated(scene: Scene, methods: Iterable[str]) -> dict[str, Knowledge]:
     """Return what each of the `methods` learns from a cube: simulate `scene` and calibrate it."""
-    wanted = [method for method in dict.fromkeys(methods) if method]
-    if not wanted:
+    requested = [method for method in dict.fromkeys(methods) if method]
+    if not requested:
         return {}
     cube = ObservedCube.of(scene)
-    return {method: knowledge_of(cube, cube.calibrated(VARIANTS[method])) for method in wanted}
+    return {method: knowledge_of(cube, cube.calibrated(VARIANTS[method])) for method in requested}
 
 
 # -- the ramp ----------------------------------------------------------------------------------------
@@ -171,20 +150,12 @@ def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ObservedRamp:
-    """A ramp and what is known when it is estimated.
-
-    Attributes
-    ----------
-    prior_nm : ndarray, (frames,)
-        Of the whole defocus, NCPAs included, from the elongation.
-    knowledge : mapping of str to Knowledge
-        By calibration method; nothing under the empty name.
-    """
+    """A ramp and what is known when it is estimated."""
 
     scene: Scene
     data: RampData
-    prior_nm: np.ndarray
-    knowledge: Mapping[str, Knowledge]
+    prior_nm: np.ndarray  # of the whole defocus, NCPAs included, from the elongation, (frames,)
+    knowledge: Mapping[str, Knowledge]  # by calibration method; nothing under the empty name
 
     def model(self, variant: LiftVariant) -> PsfModel:
         """Return the PSF model of a variant with the NCPAs that it knows."""

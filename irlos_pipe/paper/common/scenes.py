@@ -21,13 +21,13 @@ from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling, Scene
 NARROW_H = (Band(bands.NARROW_H.centre_nm, bands.NARROW_H.half_width_nm),)
 J_AND_H = tuple(Band(band.centre_nm, band.half_width_nm, 0.5) for band in (bands.J, bands.H))
 NARROW_THROUGHPUT = 0.14  # width of the narrow band over that of J+H, for which the zero point holds
-DIVERSITY_NM = {6: -170.0}  # of the astigmatic lens
-MIRROR_DIVERSITY_NM = {6: 170.0}  # of the deformable mirror, where the lens cannot be inserted
+DIVERSITY_NM = {6: -170.0}  # astigmatism of the lens
+MIRROR_DIVERSITY_NM = {6: 170.0}  # astigmatism by the deformable mirror, where the lens cannot be inserted
 BY_MIRROR: dict[str, Any] = {"diversity_nm": MIRROR_DIVERSITY_NM, "diversity_source": "mirror"}
 NCPA_NM, NCPA_SCATTER_NM = 142.0, 30.0
-BRIGHT_MAG_J = 7.0  # of the star of a calibration cube, where it is not a setting
+BRIGHT_MAG_J = 7.0  # star of a calibration cube, where its magnitude is not a setting
 JITTER_MAS = 7.0  # RMS residual motion
-LENSLET_SCALE_MAS = 78.0  # the small one of the 2x2 mode
+LENSLET_SCALE_MAS = 78.0  # pixel scale of the 2x2 mode, the smaller of its two
 LOW_GAIN = DetectorModel(e_per_adu=3.0)  # a star of m_J 7 must not saturate the converter in 0.1 s
 # A second is the sum of short exposures, added where numbers do not end at 16 bits.
 COADDED = DetectorModel(e_per_adu=2.5)
@@ -37,7 +37,7 @@ COADDED = DetectorModel(e_per_adu=2.5)
 COARSE = Sampling(points_per_band=2, step_s=0.05)
 # Fifty moments per second, for the ramps and the cubes that they are calibrated with.
 FINE = Sampling(points_per_band=3, step_s=0.02)
-SEED_OF_STAR = 1  # other residuals than in the cube that was calibrated
+SEED_OF_STAR = 1  # child of a cube's seed: AO residuals differ from those of the cube that was calibrated
 
 
 def cube_scene(
@@ -95,14 +95,9 @@ def in_four_images(star: Scene) -> Scene:
 def star_image(cube: Scene, frames: int, ncpa_nm: Mapping[int, float]) -> tuple[np.ndarray, float]:
     """Return the averaged image of the star of a `cube` without diversity, and its Strehl ratio.
 
-    The star has the aberrations `ncpa_nm` in place of those of the cube, and a mirror keeps its offsets.
-
-    Returns
-    -------
-    ndarray, (rows, columns)
-        Part of the photons per pixel.
-    float
-        Its peak over that of a star without any aberration.
+    The star has the aberrations `ncpa_nm` in place of those of the cube, and a mirror keeps its offsets. The
+    image, (rows, columns), is the part of the photons per pixel; the ratio is that of its peak to that of a
+    star without any aberration.
     """
     seed = (*cube.seed, SEED_OF_STAR)
     star = replace(cube, ncpa_nm=dict(ncpa_nm), diversity_nm={}, frames=frames, seed=seed)

@@ -35,7 +35,7 @@ Record = Mapping[str, Any]
 Tables = Mapping[str, Frame]
 MISSING = "–"
 DRAWS, BOOTSTRAP_SEED = 4000, 0
-TAIL = 0.05  # beyond each end of a range of 90 %
+TAIL = 0.05  # probability beyond each end of a range of 90 %
 ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
 
 
@@ -192,38 +192,20 @@ def _value(text: str) -> Any:
 
 @dataclass(frozen=True)
 class Listing:
-    """A table for the report and for docs/results.md.
+    """A table for the report and for docs/results.md."""
 
-    Attributes
-    ----------
-    of : str
-        Name of the table that it shows.
-    cells : mapping of str to str
-        Headings, and patterns of the cells below them: text with ``{column:format}`` in it.
-    across : mapping of str to str
-        The same, the headings being patterns as well: rows with equal `cells` become one, and what differs
-        stands side by side.
-    heads : sequence of str
-        Which of the headings of `across` are shown, in this order; all, as they come, if empty.
-    where : str
-        Which rows, as `DataFrame.query` reads it.
-    caption : str
-        Pattern for the first of these rows.
-    limit : (str, str)
-        Columns of a value and of its limit, by which a row is good or bad; without a limit it is neither.
-    page : str
-        Name of the table in docs/results.md; it is not shown there without.
-    """
-
-    of: str
+    of: str  # name of the table that it shows
     title: str
-    cells: Mapping[str, str]
+    cells: Mapping[str, str]  # headings, and patterns of the cells below: text with ``{column:format}`` in it
+    # The same, the headings being patterns as well: rows with equal `cells` become one, and what differs
+    # stands side by side.
     across: Mapping[str, str] = field(default_factory=dict)
-    heads: Sequence[str] = ()
-    where: str = ""
-    caption: str = ""
+    heads: Sequence[str] = ()  # which headings of `across` are shown, in this order; all if empty
+    where: str = ""  # which rows, as `DataFrame.query` reads it
+    caption: str = ""  # pattern for the first of these rows
+    # Columns of a value and of its limit, by which a row is good or bad; without a limit it is neither.
     limit: tuple[str, str] | None = None
-    page: str = ""
+    page: str = ""  # name of the table in docs/results.md; it is not shown there without
 
     def table(self, tables: Tables, *, ranges: bool = True) -> Table:
         """Return the finished table; with `ranges`, a quantity that has a spread has it in brackets."""
@@ -234,11 +216,11 @@ class Listing:
         if self.across:
             found: dict[tuple[str, ...], dict[str, str]] = {}
             for row, own in zip(records, body, strict=True):
-                beside = {filled(head, row): filled(cell, row, ranges) for head, cell in self.across.items()}
-                found.setdefault(tuple(own), {}).update(beside)
-            heads = self.heads or list(dict.fromkeys(head for beside in found.values() for head in beside))
+                further = {filled(head, row): filled(cell, row, ranges) for head, cell in self.across.items()}
+                found.setdefault(tuple(own), {}).update(further)
+            heads = self.heads or list(dict.fromkeys(head for further in found.values() for head in further))
             columns += heads
-            body = [[*own, *(beside.get(head, MISSING) for head in heads)] for own, beside in found.items()]
+            body = [[*own, *(further.get(head, MISSING) for head in heads)] for own, further in found.items()]
         marks = [_mark(row[self.limit[0]], row[self.limit[1]]) for row in records] if self.limit else ()
         return Table(columns, body, self.title, filled(self.caption, records[0]) if records else "", marks)
 

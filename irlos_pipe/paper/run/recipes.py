@@ -31,21 +31,12 @@ def find_experiments(
 ) -> list[Experiment]:
     """Load the recipes of a folder, in the order in which the package lists their last stages.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds one recipe per experiment.
-    quick : bool
-        Change them as ``quick.yaml`` beside them says: ``{recipe: {stage.key: value}}``.
-    only : collection of str
-        Names of those to run; all if empty. Others that are not valid are left out.
-    seed : int, optional
-        Replaces the seed of every recipe.
+    With `quick` they are changed as ``quick.yaml`` next to them says: ``{recipe: {stage.key: value}}``.
+    `only` names those to run, all if empty; others that are not valid are left out. A `seed` replaces that of
+    every recipe.
 
-    Raises
-    ------
-    ConfigurationError
-        When there are no recipes, one of those to run is not valid, or a name is unknown.
+    Raises `ConfigurationError` when there are no recipes, one of those to run is not valid, or a name is
+    unknown.
     """
     paths = {path.stem: path for path in sorted(folder.glob("*.yaml")) if path.name != QUICK_NAME}
     if not paths:

@@ -30,10 +30,7 @@ CsvRows = Sequence[Mapping[str, str]]
 def with_tables(text: str, tables: Mapping[str, str]) -> str:
     """Return the `text` of a page with every one of the `tables`, in Markdown by name, renewed.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no table for a mark, or no mark for a table.
+    Raises `ConfigurationError` if there is no table for a mark, or no mark for a table.
     """
     named = {found[2] for found in BLOCK.finditer(text)}
     for name in named - tables.keys():
@@ -89,13 +86,11 @@ def _by_code(runs: CsvRows) -> dict[str, list[Mapping[str, str]]]:
 def take(root: Path, source: Path, others_stay: bool) -> None:
     """Make the numbers of a run of `irlos paper`, in the folder `source`, those of the source tree `root`.
 
-    With `others_stay`, its experiments stand beside those that are there, which may be of other states of the
+    With `others_stay`, its experiments join those that are there, which may be of other states of the
     code.
 
-    Raises
-    ------
-    ConfigurationError
-        If samples are small, experiments are missing, or of several states of the code.
+    Raises `ConfigurationError` if samples are small, experiments are missing, or of several states of the
+    code.
     """
     new: dict[str, CsvRows] = {name: read_csv(source / name) for name in (RUNS, CHECKS)}
     taken = {run["experiment"] for run in new[RUNS]}

@@ -27,7 +27,7 @@ from irlos_pipe.report.collection import Chapter, read_chapter, write_collection
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import judged
 
-TABLES = "tables"  # folder of numbers; beside a file per experiment it holds how they were made, and judged
+TABLES = "tables"  # folder of numbers: a file per experiment, and how they were made and judged
 RUNS, CHECKS = "runs.csv", "checks.csv"
 OF_THE_PAPER = (TABLES, "*/recipe.resolved.yaml")
 OWN = "irlos_pipe"
@@ -66,23 +66,11 @@ class PaperRun:
 def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources: Resources) -> PaperRun:
     """Bring the wanted experiments up to date, each in a folder of its own, and collect all of them.
 
-    Parameters
-    ----------
-    known : sequence of Experiment
-        In the order of the paper; those not wanted are collected when they are up to date.
-    folder : Path
-        Made if it does not exist.
-    quick : bool
-        Whether their samples are small.
-    resources : Resources
-        Processes, and what is shown while they work.
+    Those `known` are in the order of the paper; those not wanted are collected when they are up to date. The
+    `folder` is made if it does not exist; `quick` says whether samples are small.
 
-    Raises
-    ------
-    ConfigurationError
-        When the folder holds experiments of the other size.
-    Locked, IrlosError
-        When the folder is in use, or cannot be written.
+    Raises `ConfigurationError` when the folder holds experiments of the other size, `Locked` when it is in
+    use, and `IrlosError` when it cannot be written.
     """
     require_free(folder, OF_THE_PAPER)
     runs = folder / TABLES / RUNS

@@ -22,10 +22,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
 def effects_of(effects: Mapping[str, Mapping[str, Any]]) -> list[SimulatedEffect]:
     """Return the effects that a mapping from names to parameters describes, in the order in which they act.
 
-    Raises
-    ------
-    SceneError
-        For unknown effects, unknown parameters and missing ones, with the nearest known name.
+    Raises `SceneError` for unknown effects, unknown parameters and missing ones, with the nearest known name.
     """
     require_known("effects", effects, EFFECTS)
     return [_effect(kind, effects[name]) for name, kind in EFFECTS.items() if name in effects]

@@ -31,7 +31,6 @@ class InterpixelCrosstalk(DetectorEffect):
     fraction: float
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """See `DetectorEffect.on`."""
         return replace(pixels, diffusion=pixels.diffusion + self.fraction)
 
 
@@ -43,7 +42,6 @@ class DetectorNonlinearity(DetectorEffect):
     fraction_at_peak: float = key(ge=-0.4, le=0.5)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """See `DetectorEffect.on`."""
         peak_e = float(shared(mean_image_e, pixels.diffusion).max())
         bend_per_e = self.fraction_at_peak / peak_e if peak_e > 0 else 0.0
         return replace(pixels, nonlinearity_per_e=pixels.nonlinearity_per_e + bend_per_e)
@@ -59,7 +57,6 @@ class BackgroundGradient(DetectorEffect):
     level_e: float = key(0.0, "e- per frame, at the centre", ge=-1e6, le=1e6)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """See `DetectorEffect.on`."""
         angle = np.deg2rad(self.angle_deg)
         y, x = (np.arange(size) - (size - 1) / 2 for size in pixels.response.shape)
         plane = np.cos(angle) * x + np.sin(angle) * y[:, None]
@@ -76,7 +73,7 @@ class CorrelatedNoise(DetectorEffect):
     period_px: float | None = None
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """See `DetectorEffect.on`; stripes of independent reads add up in variance."""
+        """Return the `pixels` with stripes of one read; those of independent reads add up in variance."""
         of_one = self.e_rms / np.sqrt(pixels.reads)
         return replace(pixels, pattern=Pattern(float(of_one), self.axis, self.period_px))
 
@@ -95,11 +92,9 @@ class BadPixels(DetectorEffect):
     level_e: float = key(1000.0, "e- per frame, of hot and stuck pixels", ge=0.0, le=1e6)
 
     def misfit(self, setup: RecordingSetup) -> str:
-        """See `SimulatedEffect.misfit`."""
         return outside_window("effects.bad_pixels", self.pixels, setup.window)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """See `DetectorEffect.on`."""
         bad, level_e = marked(self.pixels, pixels.response.shape), self.level_e / pixels.reads
         if self.kind == "hot":
             return replace(pixels, hot_e=np.where(bad, level_e, 0.0))

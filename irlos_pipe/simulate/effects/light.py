@@ -11,7 +11,7 @@ from irlos_pipe.conventions.keys import key
 from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
 
-GHOST_NODES = 6  # per axis of the Gauss-Hermite rule of the blur
+GHOST_NODES = 6  # nodes per axis of the Gauss–Hermite rule for the blur of a ghost
 
 
 class LightEffect(SimulatedEffect):
@@ -44,7 +44,7 @@ class Spectrum(LightEffect):
     """The true spectrum differs from the declared one."""
 
     name = "spectrum"
-    # true centre, the photon-weighted mean of the bands' centres; all bands are shifted alike
+    # true centre, the photon-weighted mean of the bands' centres; all bands are shifted by the same
     wavelength_nm: float | None = key(None, ge=500.0, le=5000.0)
     # relative change of the photons per µm about the mean wavelength
     slope: float = key(0.0, ge=-20.0, le=20.0)
@@ -52,7 +52,6 @@ class Spectrum(LightEffect):
     weights: Sequence[float] | None = key(None, "factor on the photons of each band", ge=0.0, le=1000.0)
 
     def misfit(self, setup: RecordingSetup) -> str:
-        """See `SimulatedEffect.misfit`."""
         if self.weights is None or len(self.weights) == setup.bands:
             return ""
         return f"effects.spectrum.weights has {len(self.weights)} factors; give one per band, {setup.bands}"
@@ -60,7 +59,6 @@ class Spectrum(LightEffect):
     def spectrum(
         self, wavelengths_nm: np.ndarray, weights: np.ndarray, bands: Sequence[Band]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `LightEffect.spectrum`."""
         factors = np.ones(len(bands)) if self.weights is None else np.asarray(self.weights, float)
         changed = weights * np.repeat(factors, len(weights) // len(bands))
         mean_nm = np.average(wavelengths_nm, weights=changed)
@@ -78,7 +76,6 @@ class AtmosphericDispersion(LightEffect):
     angle_deg: float = 0.0
 
     def rays(self, rays: list[Ray]) -> list[Ray]:
-        """See `LightEffect.rays`."""
         mean_um = np.average([ray.wavelength_nm for ray in rays], weights=[ray.weight for ray in rays]) / 1e3
         step_um = 1e-4
         slope = (_refractivity(mean_um + step_um) - _refractivity(mean_um - step_um)) / 2 / step_um
@@ -103,7 +100,6 @@ class PlateScale(LightEffect):
     fraction: float = key(ge=-1.0, le=1.0)
 
     def pixel_scale_mas(self, assumed_mas: float) -> float:
-        """See `LightEffect.pixel_scale_mas`."""
         return assumed_mas * (1 + self.fraction)
 
 
@@ -116,7 +112,6 @@ class Anamorphism(LightEffect):
     angle_deg: float = 0.0
 
     def stretch(self) -> np.ndarray:
-        """See `LightEffect.stretch`."""
         along = np.sqrt((1 + self.fraction / 2) / (1 - self.fraction / 2))
         angle = np.deg2rad(self.angle_deg)
         direction = np.array([np.cos(angle), np.sin(angle)])
@@ -134,7 +129,6 @@ class Companion(LightEffect):
     pa_deg: float
 
     def rays(self, rays: list[Ray]) -> list[Ray]:
-        """See `LightEffect.rays`."""
         moved = (ray.moved(self.sep_mas, self.pa_deg) for ray in rays)
         return rays + [replace(ray, weight=ray.weight * self.flux_ratio) for ray in moved]
 
@@ -151,7 +145,6 @@ class Ghost(LightEffect):
     blur_mas: float = 0.0
 
     def rays(self, rays: list[Ray]) -> list[Ray]:
-        """See `LightEffect.rays`."""
         return rays + [image for ray in rays for image in self._images(ray)]
 
     def _images(self, ray: Ray) -> list[Ray]:

@@ -23,7 +23,7 @@ class PupilEffect(SimulatedEffect):
         return None
 
     def built(self, geometry: PupilGeometry) -> PupilGeometry:
-        """Return the pupil as it is built, of which the side-car tells the `geometry`."""
+        """Return the pupil as it is built, of which the side-car states the `geometry`."""
         return geometry
 
     def transparency(self, pupil: Telescope) -> np.ndarray | float:
@@ -49,11 +49,9 @@ class PupilMisregistration(PupilEffect):
 
     @property
     def stop_m(self) -> tuple[float, float] | None:
-        """See `PupilEffect.stop_m`."""
         return (self.dx_m, self.dy_m) if self.dx_m or self.dy_m else None
 
     def built(self, geometry: PupilGeometry) -> PupilGeometry:
-        """See `PupilEffect.built`."""
         return turned(geometry, self.rotation_deg)
 
 
@@ -66,7 +64,6 @@ class PupilSizes(PupilEffect):
     vane_width_m: float | None = None
 
     def built(self, geometry: PupilGeometry) -> PupilGeometry:
-        """See `PupilEffect.built`."""
         return with_sizes(geometry, obscuration_m=self.obscuration_m, vane_width_m=self.vane_width_m)
 
 
@@ -78,7 +75,6 @@ class AmplitudeAberration(PupilEffect):
     zernike: Mapping[int, float]
 
     def transparency(self, pupil: Telescope) -> np.ndarray:
-        """See `PupilEffect.transparency`."""
         return np.maximum(1 + pupil.opd_nm(self.zernike), 0.0)
 
 
@@ -96,7 +92,6 @@ class PupilSpot(PupilEffect):
     radius_m: float = key(ge=1e-3, le=10.0)
 
     def transparency(self, pupil: Telescope) -> np.ndarray:
-        """See `PupilEffect.transparency`."""
         x2, y2 = (pupil.u_m - self.x_m) ** 2, (pupil.u_m - self.y_m) ** 2
         return 1 - self.opacity * 0.5 ** ((x2[None, :] + y2[:, None]) ** 2 / self.radius_m**4)
 
@@ -115,12 +110,11 @@ class LowWindEffect(PupilEffect):
     tilt_nm: Sequence[float] | None = None
 
     def misfit(self, setup: RecordingSetup) -> str:
-        """See `SimulatedEffect.misfit`: as many values as petals."""
+        """Return why there are not as many values as petals."""
         given = {"piston_nm": self.piston_nm, "tip_nm": self.tip_nm, "tilt_nm": self.tilt_nm}
         return _misfit(self.name, "petals", petal_count(setup.geometry), given)
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """See `PupilEffect.steps_nm`."""
         index, radius_m = petal_index(geometry, x_m, y_m), geometry.diameter_m / 2
         none = np.zeros(petal_count(geometry))
         piston, tip, tilt = (
@@ -138,11 +132,10 @@ class SegmentPiston(PupilEffect):
     piston_nm: Sequence[float]
 
     def misfit(self, setup: RecordingSetup) -> str:
-        """See `SimulatedEffect.misfit`: as many values as segments."""
+        """Return why there are not as many values as segments."""
         return _misfit(self.name, "segments", segment_count(setup.geometry), {"piston_nm": self.piston_nm})
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """See `PupilEffect.steps_nm`."""
         return np.asarray(self.piston_nm, float)[segment_index(geometry, x_m, y_m)]
 
 

@@ -20,7 +20,7 @@ from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.motion import MotionBlur
 
 JITTER_CORRELATION_S = 0.010
-FAST_HZ = 20.0  # a vibration of no given frequency is the strongest line above
+FAST_HZ = 20.0  # a vibration without a stated frequency is the telescope's strongest line above this
 Shape = Literal["sinusoidal", "gaussian"]
 
 
@@ -56,7 +56,6 @@ class TipTiltJitter(MotionEffect):
     )
 
     def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
-        """See `MotionEffect.blur`."""
         positions = max(exposure_s / self.correlation_s, 1.0)
         mean_mas = self.sigma_mas / np.sqrt(positions) * rng.standard_normal(2)
         return MotionBlur(mean_mas, self.sigma_mas**2 * np.eye(2), np.zeros(2))
@@ -81,7 +80,6 @@ class Vibration(MotionEffect):
         require_known("effects.vibration.shape", [self.shape], get_args(Shape))
 
     def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
-        """See `MotionEffect.blur`."""
         angle = np.deg2rad(self.angle_deg)
         direction = self.sigma_mas * np.array([np.cos(angle), np.sin(angle)])
         fast = [line for line in lines if line[0] > FAST_HZ]
@@ -111,7 +109,6 @@ class SeeingHalo(SkyEffect):
             raise SceneError("effects.seeing_halo: give either scale or wfe_nm")
 
     def sky(self, sky: Sky | None, facility: Facility) -> Sky | None:
-        """See `SkyEffect.sky`."""
         sky, law = sky or Sky(facility.typical_seeing_arcsec), facility.residual_law
         factor = self.scale if self.wfe_nm is None else self.wfe_nm / sky.total_nm(law)
         return sky.scaled(factor, law) if factor else None
@@ -130,6 +127,5 @@ class UnevenResidual(SkyEffect):
     side_y: float = 0.0
 
     def sky(self, sky: Sky | None, facility: Facility) -> Sky | None:
-        """See `SkyEffect.sky`."""
         variance = {4: self.edge, 2: self.side_x, 3: self.side_y}
         return replace(sky or Sky(facility.typical_seeing_arcsec), variance_zernike=variance)

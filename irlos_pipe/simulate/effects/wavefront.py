@@ -20,7 +20,7 @@ class WavefrontEffect(SimulatedEffect):
     """Adds a smooth wavefront that does not change during a frame."""
 
     def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
-        """Return static coefficients, Noll: nm RMS, beside the declared diversity `diversity_nm`."""
+        """Return static coefficients, Noll: nm RMS, next to the declared diversity `diversity_nm`."""
         return {}
 
     def chromatic_zernike_nm(self, wavelength_nm: float, mean_nm: float) -> Mapping[int, float]:
@@ -67,7 +67,6 @@ class StaticModes(WavefrontEffect):
     zernike_nm: Mapping[int, float]
 
     def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
-        """See `WavefrontEffect.static_zernike_nm`."""
         return self.zernike_nm
 
 
@@ -87,13 +86,11 @@ class DiversityError(WavefrontEffect):
     nm: float = key(ge=-1e4, le=1e4)
 
     def misfit(self, setup: RecordingSetup) -> str:
-        """See `SimulatedEffect.misfit`."""
         if any(setup.diversity_nm.values()):
             return ""
         return "effects.diversity_error needs a diversity; add the section 'diversity'"
 
     def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
-        """See `WavefrontEffect.static_zernike_nm`."""
         if self.nm == 0:
             return {}
         amplitude_nm = float(np.linalg.norm(list(diversity_nm.values())))
@@ -111,7 +108,6 @@ class PhaseBump(WavefrontEffect):
     width_m: float = key(ge=1e-3, le=10.0)
 
     def static_opd_nm(self, telescope: Telescope) -> np.ndarray:
-        """See `WavefrontEffect.static_opd_nm`."""
         x2, y2 = (telescope.u_m - self.x_m) ** 2, (telescope.u_m - self.y_m) ** 2
         return self.nm * np.exp(-(x2[None, :] + y2[:, None]) / (2 * self.width_m**2))
 
@@ -124,7 +120,6 @@ class NcpaDrift(WavefrontEffect):
     zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
 
     def drift_zernike_nm(self) -> Mapping[int, float]:
-        """See `WavefrontEffect.drift_zernike_nm`."""
         return self.zernike_nm
 
 
@@ -140,7 +135,6 @@ class ChromaticNcpa(WavefrontEffect):
     reference_nm: float | None = key(None, "nm, where they vanish", ge=300.0, le=5000.0)
 
     def chromatic_zernike_nm(self, wavelength_nm: float, mean_nm: float) -> Mapping[int, float]:
-        """See `WavefrontEffect.chromatic_zernike_nm`."""
         distance_um = (wavelength_nm - (self.reference_nm or mean_nm)) / 1000
         return {noll: slope * distance_um for noll, slope in self.zernike_nm_per_um.items()}
 
@@ -163,7 +157,6 @@ class FocusStageScale(FocusStageEffect):
     def reached_nm(
         self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
-        """See `FocusStageEffect.reached_nm`."""
         return reached_nm * (1 + self.fraction)
 
 
@@ -181,7 +174,6 @@ class FocusStageHysteresis(FocusStageEffect):
     def reached_nm(
         self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
-        """See `FocusStageEffect.reached_nm`."""
         moves = np.cumsum(np.diff(commanded_nm, prepend=commanded_nm[0]) != 0)
         scatter_nm = self.scatter_nm * rng.standard_normal(moves[-1] + 1)[moves]
         return reached_nm + (travel_directions(commanded_nm, self.direction) * self.nm + scatter_nm)
@@ -199,7 +191,6 @@ class FocusStageOffset(FocusStageEffect):
     def reached_nm(
         self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
-        """See `FocusStageEffect.reached_nm`."""
         above_nm = -np.inf if self.above_nm is None else self.above_nm
         below_nm = np.inf if self.below_nm is None else self.below_nm
         return reached_nm + np.where((commanded_nm > above_nm) & (commanded_nm < below_nm), self.nm, 0.0)
@@ -243,7 +234,7 @@ class HighAperture(LensEffect):
     sine: float
 
     def defocus(self, telescope: Telescope) -> np.ndarray:
-        """See `LensEffect.defocus`: the path ``1 - cos θ`` over its part of Noll 4."""
+        """Return the path ``1 - cos θ`` over its part of Noll 4, (n, n)."""
         s2 = self.sine**2
         if s2 == 0:
             return super().defocus(telescope)

@@ -1,1 +1,1 @@
-"""Simulated observations: a spec becomes the files of the instrument, and the truth beside them."""
+"""Simulated observations: a spec becomes the files of the instrument, and the truth next to them."""

@@ -19,11 +19,11 @@ from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.scene import Scene
 
 LOOP_HZ = 200
-BYTES_PER_VALUE, BYTES_PER_SUM = 2, 4  # of a read, and of a sum of reads
-DOUBLE = "__"  # stands for '/' in the names of truth files
-UNSIGNED = 32768  # FITS has no unsigned integers: what is added to the stored ones
+BYTES_PER_VALUE, BYTES_PER_SUM = 2, 4  # in the file: of a read, and of a sum of reads
+DOUBLE = "__"  # replaces '/' in the names of truth files
+UNSIGNED = 32768  # BZERO: FITS has no unsigned integers
 AMBIENT_OVER_SPARTA_SEEING = 1.2  # of the header's seeing, measured at the dome, against SPARTA's
-SIDE_CAR_POINTS = 3  # wavelengths per band
+SIDE_CAR_POINTS = 3  # wavelengths per band that a side-car lists
 Defocus = float | tuple[float, ...]  # of all frames, or of every frame [nm RMS]
 
 

@@ -1,6 +1,6 @@
 """Makes recordings and their truth in a hidden folder, in one process or several; each appears when complete.
 
-The truth is what an estimate is compared with; it is kept apart from the data.
+The truth is what an estimate is compared with; it is stored separately from the data.
 """
 
 from __future__ import annotations
@@ -32,13 +32,11 @@ LOG = logging.getLogger("irlos_pipe.run")
 VERSION = 2  # of the simulator; raised when the same spec and seed give other data or another truth
 DETECTOR_STREAM = 1  # child of the scene's seed; the wavefront has its own
 WORK_PREFIX = ".simulating-"
-LOOK_S = 0.3  # between looks at the progress of the worker processes
+LOOK_S = 0.3  # interval at which the progress of the worker processes is read
 
 
 @dataclass(frozen=True)
 class Made:
-    """A recording that was made."""
-
     truth: dict[str, Any]  # content of its truth file
     wavefront_fits: bytes
     brightest_adu: int  # highest value of all frames
@@ -50,7 +48,7 @@ def record(planned: Planned, folder: Path, spool: Path, report: Callable[[int], 
 
     The mean images go to the file `spool` first: the non-linearity is stated at the peak of the mean image,
     which is known only at the end. Memory does not grow with the number of frames, whose number so far
-    `report` is told after every frame.
+    `report` is called after every frame.
     """
     scene = planned.scene
     wavefronts, mean_image_e = Wavefronts(telescope_of(scene)), np.zeros(scene.window)
@@ -131,7 +129,6 @@ class Job:
 
     @property
     def folder(self) -> Path:
-        """Return the folder in which the recording is made."""
         return self.work / "data" / self.planned.name
 
     def frames_done(self) -> np.ndarray:
@@ -140,7 +137,6 @@ class Job:
         return np.memmap(path, np.int64, "r+" if path.exists() else "w+", shape=self.count)
 
     def perform(self, report: Callable[[], Any] = lambda: None) -> Made:
-        """Make the recording."""
         frames_done = self.frames_done()
 
         def show(frames: int) -> None:
@@ -156,14 +152,7 @@ def make_all(
 ) -> Generator[tuple[Job, Made], None, None]:
     """Make recordings in a hidden folder below `parent`, on the same disk; yield them as they are finished.
 
-    Parameters
-    ----------
-    planned : sequence of Planned
-    parent : Path
-    jobs : int
-        Worker processes.
-    progress : callable or None
-        Makes a progress bar that counts frames, see `simulate`.
+    There are `jobs` worker processes; `progress` makes a progress bar that counts frames, see `simulate`.
     """
     if not planned:
         return

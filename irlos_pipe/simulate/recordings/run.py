@@ -68,11 +68,11 @@ class SimulationFolder:
 
     def outdated(self, planned: Sequence[Planned]) -> Iterator[str]:
         """Truth files, without ending, of recordings that a series of the spec no longer has."""
-        wanted = {self.truth(one).name for one in planned}
+        current = {self.truth(one).name for one in planned}
         sections = {one.name.partition("/")[0] for one in planned}
         for path in sorted((self.path / "truth").glob("*.json")):
             name = path.name.removesuffix(".json")
-            if name not in wanted and name.partition(DOUBLE)[0] in sections:
+            if name not in current and name.partition(DOUBLE)[0] in sections:
                 yield name
 
     def remove(self, truth_name: str) -> str:
@@ -122,10 +122,8 @@ def _forget(truth: Path) -> None:
 def plan_simulation(spec: Spec, folder: Path, force: bool = False) -> list[Step]:
     """Return what a run of `spec` into `folder` would do; `force` makes all again. Nothing is written.
 
-    Raises
-    ------
-    ConfigurationError
-        When the output folder cannot be used, or has data that this command did not make.
+    Raises `ConfigurationError` when the output folder cannot be used, or has data that this command did not
+    make.
     """
     target = SimulationFolder(Path(folder))
     planned = plan_recordings(spec)
@@ -156,24 +154,13 @@ def simulate(
 ) -> list[Step]:
     """Bring the recordings of a spec up to date, and return what was done.
 
-    Parameters
-    ----------
-    spec : Spec
-    folder : Path
-        Holds ``data/``, ``truth/`` and the spec with all defaults; made if it does not exist.
-    force : bool
-        Make recordings again that are up to date.
-    jobs : int
-        Worker processes; the recordings are the same to the bit for any number.
-    progress : callable, optional
-        Called with `total` and `desc`; makes a progress bar (tqdm) that counts frames.
+    The `folder`, made if it does not exist, holds ``data/``, ``truth/`` and the spec with all defaults. With
+    `force`, recordings that are up to date are made again. They are the same to the bit for any number of
+    worker processes (`jobs`). `progress` is called with `total` and `desc`, and makes a progress bar (tqdm)
+    that counts frames.
 
-    Raises
-    ------
-    Locked
-        When another run owns the folder.
-    IrlosError
-        When a recording cannot be made or written; finished ones stay.
+    Raises `Locked` when another run owns the folder, and `IrlosError` when a recording cannot be made or
+    written; finished ones stay.
     """
     plan_simulation(spec, folder, force)  # a mistake leaves no empty folder behind
     with owned_folder(Path(folder)), _reported_in_one_line(folder):
@@ -186,8 +173,8 @@ def simulate(
             LOG.info("%s: removed, the spec no longer has it", target.remove(name))
         for step in steps:
             LOG.info("%s: %s", step.planned.name, step.reason or UP_TO_DATE)
-        wanted = [step.planned for step in steps if step.reason]
-        with closing(make_all(wanted, target.path, jobs, progress)) as finished:
+        due = [step.planned for step in steps if step.reason]
+        with closing(make_all(due, target.path, jobs, progress)) as finished:
             for job, made in finished:
                 target.put(job, made)
                 _log(job.planned, made)

@@ -15,8 +15,8 @@ from irlos_pipe.simulate.recordings.keys import RecordingKeys
 from irlos_pipe.simulate.recordings.spec import Spec, number
 
 FIRST_START_UNIX_S = 1_707_618_000
-SLOT_S = 86_400  # between the starts of two sections of a spec, so that changing one moves no other
-MOVE_S = 24  # of focus stage or derotator, between the recordings of a series
+SLOT_S = 86_400  # between the starts of two sections of a spec, so that a change of one moves no other
+MOVE_S = 24  # time that focus stage or derotator take between the recordings of a series
 FIRST_COUNTER, COUNTER_WRAP = 1000, 2**30
 
 
@@ -37,7 +37,7 @@ def plan_recordings(spec: Spec) -> list[Planned]:
 
 
 def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[Planned]:
-    """Recordings of one section of the spec, which starts as told or by its place (`slot`) there."""
+    """Recordings of one section of the spec, which starts as declared or by its place (`slot`) there."""
     scene, hidden = spec.scenes[name], keys.hidden
     rng = np.random.default_rng([spec.seed, number(name), number("focus stage")])
     duration_s = MOVE_S + int(np.ceil(scene.frames * scene.period_s))

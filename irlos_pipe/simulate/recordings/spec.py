@@ -45,13 +45,14 @@ BANDS = {
 }
 PRESENT = "2024-02-11"  # day of recordings whose start is not given
 SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
-WHOLE = {"ncpa", "rotating"}  # half of a draw and half of a list make no sense
-NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # becomes the name of a folder
+WHOLE = {"ncpa", "rotating"}  # replaced as a whole: half of a draw and half of a list make no sense
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # of a section; it becomes the name of a folder
 # keys that a scene has under the same names
 SAME = (
     "frames", "exposure_s", "role", "target", "mag_j", "window", "lenslets", "pupil_rotation_deg", "motion",
 )  # fmt: skip
-THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
+# Part of the photons in J+H that a filter passes.
+THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}
 
 
 def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys) -> Scene:
@@ -60,11 +61,8 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
     Aberrations are drawn from the `seed` of the spec; what the section leaves out is that of the
     `instrument`.
 
-    Raises
-    ------
-    ConfigurationError
-        When the window is wider than the images that the sampling of the pupil allows, or the central hole
-        as wide as the pupil.
+    Raises `ConfigurationError` when the window is wider than the images that the sampling of the pupil
+    allows, or the central hole as wide as the pupil.
     """
     diversity, lenslets = keys.diversity, keys.lenslet_images or LensletKeys()
     effects = {one: its for one, its in keys.hidden.items() if not issubclass(EFFECTS[one], FocusStageEffect)}
@@ -203,8 +201,6 @@ class SpecKeys(Shared):
 
 @dataclass(frozen=True)
 class Spec:
-    """A valid spec."""
-
     # name, title, instrument (its name, or the absolute path of its file) and seed, by their keys
     head: dict[str, Any]
     recordings: dict[str, RecordingKeys]  # by name, the shared sections filled in
@@ -212,7 +208,6 @@ class Spec:
 
     @property
     def seed(self) -> int:
-        """Seed of everything random."""
         return self.head["seed"]
 
     def resolved_yaml(self) -> str:
@@ -225,22 +220,12 @@ class Spec:
 
 
 def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None = None) -> Spec:
-    """Read and check a spec.
+    """Read and check the spec at `path`, or one that comes with the package by its name, such as ``on_sky``.
 
-    Parameters
-    ----------
-    path : str or Path
-        The specification: a file, or the name of one that comes with the package, such as ``on_sky``.
-    settings : iterable of str
-        ``key.key=VALUE``, applied in order; the value is YAML. The path of ``instrument=PATH`` counts from
-        the current folder.
-    seed : int, optional
-        Replaces the spec's seed.
+    The `settings` ``key.key=VALUE`` are applied in order; the value is YAML. The path of ``instrument=PATH``
+    counts from the current folder. A `seed` replaces that of the spec.
 
-    Raises
-    ------
-    ConfigurationError
-        With one line ``where: message`` for everything that is wrong.
+    Raises `ConfigurationError` with one line ``where: message`` for everything that is wrong.
     """
     path = named_file(path, SIMULATIONS)
     read = read_overridden(
