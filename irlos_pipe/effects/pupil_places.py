@@ -22,12 +22,8 @@ STEEPNESS = float(np.log(2))  # of the edge of a spot, which is half as dark at 
 class PupilPlace(PupilEffect):
     """Something of some height at one place in the pupil, round and with a soft edge.
 
-    Position and width mean nothing without it and are scanned in a search.
-
-    Parameters
-    ----------
-    diameter_m : float
-        Of the pupil: the place lies within, and no width is larger.
+    Position and width mean nothing without it and are scanned in a search. The place lies within the pupil of
+    `diameter_m`, and no width is larger than that.
     """
 
     repeatable = True

@@ -14,7 +14,7 @@ from irlos_pipe.optics.focus_table import FocusTable
 
 
 class FocusImages:
-    """Unit-flux images of a `FocusTable` on the CPU, and their derivatives with respect to tip, tilt and focus."""
+    """Unit-flux images of a `FocusTable` on the CPU, and their derivatives by tip, tilt and focus."""
 
     def __init__(self, table: FocusTable):
         self.window = table.settings.window

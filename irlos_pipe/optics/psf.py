@@ -270,7 +270,7 @@ class PsfModel:
         phasor = colour.phasor(opd)
         field = behind(colour.pupil, phasor)
         changing = (
-            colour if path.alike is None else colour._replace(transfer=self._transfer(path.alike, index))
+            colour if path.joint is None else colour._replace(transfer=self._transfer(path.joint, index))
         )
         if modal and not path.follows:
             (amplitude, *turned), (changes, *more) = self._amplitudes_and_modal(colour, dft, field)
@@ -398,7 +398,7 @@ class _Path(NamedTuple):
     tangents: Tangents
     # (wavelengths, p, p//2 + 1), or None: OTF factor of star and faint copies, whose derivatives in the
     # pupil are taken together
-    alike: torch.Tensor | None
+    joint: torch.Tensor | None
     follows: bool  # whether this is one of these copies
     colour: int
 
@@ -411,5 +411,5 @@ def _is_faint(copy: Optics) -> bool:
 def _together(optics: Optics, follow: Sequence[bool]) -> torch.Tensor | None:
     """OTF factor of the star and of those copies that follow it; None without any."""
     factors = [one.transfer for one, so in zip(optics.copies, follow, strict=True) if so]
-    alike = [one for one in (optics.transfer, *factors) if one is not None]
-    return reduce(torch.add, alike) if factors else None
+    joint = [one for one in (optics.transfer, *factors) if one is not None]
+    return reduce(torch.add, joint) if factors else None
