@@ -17,8 +17,8 @@ from irlos_pipe.optics.grids import PupilGrid, PupilMode
 
 # Of an effect with a distance and a direction, such as a displaced stop. To first order opposite sides make
 # the same image, which has a kink at no distance: a fit stays on its side.
-SIDES = 4  # on which a fit may begin
-AT_REST = 1e-3  # of a distance: less is none
+SIDES = 4  # directions, evenly about the circle, from which a fit may begin
+AT_REST = 1e-3  # largest distance, in the unit of the parameter, that counts as none
 Values: TypeAlias = "Sequence[float] | np.ndarray | Tensor"
 
 

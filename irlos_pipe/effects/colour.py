@@ -22,9 +22,8 @@ from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid, Sampling
 
-LARGEST_STRAIN = (
-    0.1  # fraction along either component; a detector tilted by 25° foreshortens one axis by as much
-)
+# Fraction along either component; a detector tilted by 25° foreshortens one axis by as much.
+LARGEST_STRAIN = 0.1
 USUAL_STRAIN = 0.01  # a tilt of 8°; SPHERE's cylindrical mirrors make 0.6 %
 UM = 1e-6
 STRETCH = "stretch"  # parameter of a spectrum: how much wider it is

@@ -17,7 +17,7 @@ from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid
 
-STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
+STEP_MAS = 25.0  # of the grid of a search: less than the resolution at 1.2 µm
 FAINT = 0.005  # flux of a second image that any camera makes
 INNER_MAS = 30.0  # closer than this the pair is unresolved
 LARGEST_BLUR_MAS = 200.0

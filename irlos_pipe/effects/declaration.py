@@ -93,9 +93,8 @@ class Declared:
     blurs: Literal["", "motion", "detector"] = ""  # the image, which hardly distinguishes the causes
     speckles: bool = False  # frames scatter by more than photon noise
     copies_star: bool = False  # adds a displaced image of the star, for which the whole window is searched
-    widens: str = (
-        ""  # of this effect it is a wider form, with parameters behind; tried only where that is found
-    )
+    # the effect of which it is a wider form, with further parameters behind; tried only where that is found
+    widens: str = ""
 
     # -- what reports state; format strings of the public values --
     sentence: str = ""

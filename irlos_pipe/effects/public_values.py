@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.conventions.text import rounded_by_error
 from irlos_pipe.effects.base import Effect
 
-STEP = 1e-3  # of a standard error, in derivatives of public values
+STEP = 1e-3  # of numerical derivatives of public values, in standard errors of the parameters
 Describe = Callable[[np.ndarray], dict[str, Any]]
 
 

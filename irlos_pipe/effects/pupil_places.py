@@ -15,7 +15,7 @@ from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.wavefront import OpdMap
 from irlos_pipe.optics.grids import PupilGrid
 
-STEP, WIDTHS = 0.1, (0.0375, 0.1)  # of a search, in diameters of the pupil
+STEP, WIDTHS = 0.1, (0.0375, 0.1)  # of the grid of a search, in diameters of the pupil
 STEEPNESS = float(np.log(2))  # of the edge of a spot, which is half as dark at its radius
 
 

@@ -35,7 +35,7 @@ from irlos_pipe.optics.structure_function import (
 )
 
 VARIANCES = (0, 6)  # places of the two variances among the parameters
-FULL_HALO = 0.1  # of the expected variance, from which the shape of the halo is fitted as well
+FULL_HALO = 0.1  # share of the expected variance from which the shape of the halo is fitted as well
 
 
 def in_band_wfe_nm(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float) -> float:

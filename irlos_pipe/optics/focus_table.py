@@ -94,7 +94,7 @@ def _spectrum(frequency: np.ndarray, band: float) -> np.ndarray:
 
 TRUNCATION = 1e-7  # the largest Bessel function left out
 WELL_SAMPLED = 0.4  # highest frequency of the images [cycles/px] that short kernels can shift
-FIELD_MARGIN_MAS = 50.0  # computed beyond the tabulated pixels
+FIELD_MARGIN_MAS = 50.0  # of the computed field beyond the tabulated pixels
 NODES_AT_ONCE = 6  # images propagated together: few enough for the processor's cache
 OPEN_END = 1.001  # half range of the series over the half range offered: its slope is 0/0 at its very ends
 

@@ -32,8 +32,9 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import Division, band_limited_parts, grid_centres
 
 RINGING = 6  # samples beyond the axes: those left out would change images by 1e-5 of the peak
-DARK, FAINT = 1e-12, 0.02  # of the largest amplitude
-BEYOND = 0.5  # by which the band-limited parts of a faint amplitude may ring over it
+# In units of the largest amplitude: less than the first is no light, less than the second hardly any.
+DARK, FAINT = 1e-12, 0.02
+BEYOND = 0.5  # by which the ratio of faint amplitudes may leave 0 to 1, as band-limited ones ring
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,9 +9,10 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import MAS, NM, resolution_px
 from irlos_pipe.optics.fourier_matrices import pupil_samples_for
 
+# Beyond the window: of the computed field, and of the period of OTF factors, see `PsfSettings`.
 MARGIN_MAS, HALO_MARGIN_MAS = 200.0, 500.0
 TUNED_RAD = 1800e-9 / 8.0  # largest λ/D of the images that the margins were tuned on
-# For single frames, see `PsfSettings.for_single_frames`.
+# Coarser sampling for single frames, whose noise hides the error, see `PsfSettings.for_single_frames`.
 FRAME_PUPIL_SAMPLES = 64
 FRAME_MARGIN_MAS, FRAME_HALO_MARGIN_MAS = 100.0, 320.0
 
