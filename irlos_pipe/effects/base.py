@@ -47,7 +47,7 @@ class Effect(Declared):
         return {}
 
     def shown(self, values: np.ndarray) -> dict[str, Any]:
-        """What a reader is told of it: public values, or what the data determine of them.
+        """What reports state of it: public values, or what the data determine of them.
 
         Of parts of the pupil these are differences from their mean, of a table of modes their RMS as well.
         """
