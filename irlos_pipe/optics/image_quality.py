@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-PADDING = 4  # of a window before its transform, which draws the same curve through more points
+PADDING = 4  # factor by which a window is padded before its transform: the same curve in more points
 PARTS = 5  # into which a pixel is divided along either axis where a circle cuts it
 
 

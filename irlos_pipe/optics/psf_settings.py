@@ -98,7 +98,7 @@ class PsfSettings:
     def with_fewer_colours(self, apart: float) -> PsfSettings:
         """Return the same with neighbouring wavelengths joined, for derivatives that may be rough.
 
-        Light of joined wavelengths lies `apart` by that much at most at the edge of the window [λ/D].
+        Light of joined wavelengths falls less than `apart` [λ/D] from each other at the edge of the window.
         """
         reach = max(self.lenslet_window) * self.pixel_scale_mas * MAS / 2 * self.aperture_m  # [m]
         groups: list[list[tuple[float, float]]] = []
