@@ -19,12 +19,7 @@ from irlos_pipe.stages.model.untested import NOT_TESTED
 
 
 class Run(Mapping[str, Product]):
-    """A finished run: its products by stage, in the order of the recipe.
-
-    Parameters
-    ----------
-    path : Path or str
-        The run's folder.
+    """A finished run in the folder `path`: its products by stage, in the order of the recipe.
 
     Raises
     ------
@@ -39,7 +34,7 @@ class Run(Mapping[str, Product]):
         self._opened: dict[str, Product] = {}
 
     def __getitem__(self, stage: str) -> Product:
-        """Return the product of a stage; its arrays are read when they are asked for."""
+        """Return the product of a stage; its arrays are read on access."""
         if stage not in self._files:
             raise KeyError(f"{self.path}: no product of '{stage}'{suggestion(stage, self._files)}")
         if stage not in self._opened:
@@ -63,7 +58,7 @@ class Run(Mapping[str, Product]):
         return [check for product in self.values() for check in product.checks]
 
     def figures(self) -> dict[str, Figure]:
-        """Return the figures of the report by name, drawn anew, see `figures`."""
+        """Return the figures of the report by name, drawn again, see `figures`."""
         from irlos_pipe.report.figures import figures
 
         return figures(self.path)
@@ -81,8 +76,8 @@ def _rows(stage: str, product: Product) -> list[tuple[str, str, str]]:
     """How many checks passed, the headline, and after it what was not tested and what was lost."""
     headline, *more = product.summary or [""]
     quality = f"{sum(check.passed for check in product.checks)}/{len(product.checks)}"
-    beside = [line for line in more if line.startswith((NOT_TESTED, LOST))]
-    return [(f"  {stage}", quality, headline), *(("", "", line) for line in beside)]
+    missing = [line for line in more if line.startswith((NOT_TESTED, LOST))]
+    return [(f"  {stage}", quality, headline), *(("", "", line) for line in missing)]
 
 
 def run(

@@ -153,7 +153,6 @@ class Circle(Part):
         return self.diameter_m / 2 * _directions(np.arange(360.0)).T
 
     def distance_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """See `Part.distance_m`."""
         return self.diameter_m / 2 - np.hypot(x_m, y_m)
 
 
@@ -172,7 +171,6 @@ class Polygon(Part):
 
     @property
     def rim_m(self) -> np.ndarray:
-        """See `Part.rim_m`."""
         return np.array(self.corners_m, float).T
 
     def distance_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
@@ -199,7 +197,6 @@ class Hexagon(Part):
 
     @property
     def rim_m(self) -> np.ndarray:
-        """See `Part.rim_m`."""
         return self.flat_to_flat_m / np.sqrt(3) * _directions(np.arange(6) * 60.0).T
 
     def distance_m(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
@@ -251,7 +248,6 @@ class Hexagons(Part):
 
     @property
     def gapless(self) -> Part:
-        """See `Part.gapless`."""
         return replace(self, flat_to_flat_m=self.flat_to_flat_m + self.gap_m, gap_m=0.0)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from irlos_pipe.conventions.errors import ConfigurationError
 
-TOLERANCE = 0.02  # relative, by which reads may miss the exposure
+TOLERANCE = 0.02  # relative error by which whole reads may miss the exposure
 
 
 def whole_reads(exposure_s: float, read_s: float) -> int:

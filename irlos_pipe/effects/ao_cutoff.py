@@ -20,8 +20,8 @@ from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure_function import ResidualBand, seeing_to_r0_m, von_karman_nm2
 
 NODES = 24  # of the quadrature between the two cut-offs
-OFF = 0.2  # σ of the prior, of the cut-off as told
-FARTHEST = 2.0  # factor either way that a fit may go
+OFF = 0.2  # σ of the prior, as a fraction of the declared cut-off
+FARTHEST = 2.0  # largest factor from the declared cut-off that a fit may reach, either way
 
 
 class AoCutoff(OtfEffect):
@@ -55,21 +55,21 @@ class AoCutoff(OtfEffect):
     reference = "Fétick et al. 2019, A&A 628, A99"
 
     def __init__(self, band: ResidualBand, law: ResidualLaw, seeing_arcsec: float):
-        told = band.cutoff_per_m
+        declared = band.cutoff_per_m
         self.band, self.r0_m = band, seeing_to_r0_m(seeing_arcsec)
         in_band_nm2 = in_band_wfe_nm(band, law, seeing_arcsec) ** 2
-        self._in_band_nm2 = in_band_nm2 / (2 * np.pi * np.log(told / band.low_per_m))  # times f^-2
+        self._in_band_nm2 = in_band_nm2 / (2 * np.pi * np.log(declared / band.low_per_m))  # times f^-2
         self.parameters = (
             Parameter(
                 "per_m",
                 "1/m",
-                told,
-                told,
-                OFF * told,
-                max(told / FARTHEST, band.low_per_m),
-                told * FARTHEST,
-                told,
-                (told / FARTHEST, told * FARTHEST),
+                declared,
+                declared,
+                OFF * declared,
+                max(declared / FARTHEST, band.low_per_m),
+                declared * FARTHEST,
+                declared,
+                (declared / FARTHEST, declared * FARTHEST),
             ),
         )
 
@@ -101,15 +101,15 @@ class AoCutoff(OtfEffect):
         return [self.apply(values, factor, grid) * _scale(grid) * slope[place] for _ in wanted]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: beside what was told."""
+        """See `Effect.phrase`: with the declared cut-off."""
         return f"{super().phrase(public)} instead of {self.band.cutoff_per_m:g}"
 
     def _between_nm2(self, lengths_m: np.ndarray, cutoff_per_m: float) -> np.ndarray:
-        """What the structure function beyond a cut-off has more than that beyond the one as told [nm²]."""
-        told = self.band.cutoff_per_m
+        """What the structure function beyond a cut-off has more than that beyond the declared one [nm²]."""
+        declared = self.band.cutoff_per_m
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
-        frequencies = told + (cutoff_per_m - told) * (nodes + 1) / 2
-        return -(cutoff_per_m - told) / 2 * self._per_frequency_nm2(lengths_m, frequencies) @ weights
+        frequencies = declared + (cutoff_per_m - declared) * (nodes + 1) / 2
+        return -(cutoff_per_m - declared) / 2 * self._per_frequency_nm2(lengths_m, frequencies) @ weights
 
     def _slope_nm2(self, lengths_m: np.ndarray, cutoff_per_m: float) -> Tensor:
         """Derivative of `_between_nm2` by the cut-off."""

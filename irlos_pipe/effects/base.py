@@ -15,10 +15,10 @@ from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Declared, Parameter, Role
 from irlos_pipe.optics.grids import PupilGrid, PupilMode
 
-# Of an effect with a distance and a direction, such as a stop beside its place. To first order opposite sides
-# make the same image, which has a kink at no distance: a fit stays on its side.
-SIDES = 4  # on which a fit may begin
-AT_REST = 1e-3  # of a distance: less is none
+# Of an effect with a distance and a direction, such as a displaced stop. To first order opposite sides make
+# the same image, which has a kink at no distance: a fit stays on its side.
+SIDES = 4  # directions, evenly about the circle, from which a fit may begin
+AT_REST = 1e-3  # largest distance, in the unit of the parameter, that counts as none
 Values: TypeAlias = "Sequence[float] | np.ndarray | Tensor"
 
 
@@ -47,7 +47,7 @@ class Effect(Declared):
         return {}
 
     def shown(self, values: np.ndarray) -> dict[str, Any]:
-        """What a reader is told of it: public values, or what the data determine of them.
+        """What reports state of it: public values, or what the data determine of them.
 
         Of parts of the pupil these are differences from their mean, of a table of modes their RMS as well.
         """
@@ -91,7 +91,7 @@ class Effect(Declared):
 
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
-        """Light paths beside that of the star, each with the effect that stands there in this one's place.
+        """Light paths next to that of the star, each with the effect that stands there in this one's place.
 
         With a mode they are those of `Optics.by_mode`; without, a `planes.CopyOfStar`: an image of the star
         that has a focus of its own.
@@ -111,7 +111,7 @@ class Effect(Declared):
         return self
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
-        """Whether `recordings` taken under these conditions can tell it from the static wavefront."""
+        """Whether `recordings` taken under these conditions can distinguish it from the static wavefront."""
         return True
 
     def imitated_in(self, recordings: Sequence[Conditions]) -> bool:
@@ -158,8 +158,8 @@ class Effect(Declared):
     def ordinary(self, values: Values) -> bool:
         """Whether any instrument has such `values` (parameters,): of a fact, within two σ of its prior."""
         pairs = zip(self.parameters, np.asarray(values, float).tolist(), strict=True)
-        told = [(p, value) for p, value in pairs if p.null is not None]
-        return self.fact and all(abs(value - p.null) <= 2 * p.prior_sigma for p, value in told)
+        with_null = [(p, value) for p, value in pairs if p.null is not None]
+        return self.fact and all(abs(value - p.null) <= 2 * p.prior_sigma for p, value in with_null)
 
     @property
     def in_image(self) -> bool:
@@ -210,13 +210,8 @@ def _of_all(method: str, as_array: bool = False) -> Any:
 class FixedEffect(Effect):
     """An effect with every parameter held at a value, except those named in `free`, which start there.
 
-    This is how parameters estimated by one stage are handed on to the next.
-
-    Parameters
-    ----------
-    base : Effect
-        What it declares holds for this one as well.
-    values : sequence of float, (parameters of the base effect,)
+    This is how parameters estimated by one stage are handed on to the next. What the effect `base` declares
+    holds for this one as well; `values` are those of all its parameters.
     """
 
     def __init__(self, base: Effect, values: Values, free: Sequence[str] = ()):

@@ -27,7 +27,7 @@ from irlos_pipe.optics.grids import PupilGrid
 UM = 1e-6
 CHROMATIC_NOLLS = range(4, 67)  # to the tenth order; tip and tilt are `atmospheric_dispersion`
 FILTER_NOLLS = range(5, 67)  # the focus of a lens is that of the star, in recordings of one focus
-SEARCHED = 21  # last mode by which a diagnosis tells it from other effects
+SEARCHED = 21  # last mode by which a diagnosis distinguishes it from other effects
 BROAD_NM = 100.0  # from the shortest wavelength to the longest, from which a slope shows
 OF_LAW = 1.0  # prior: a slope per µm, and a filter, of as much as the law of the NCPAs gives
 WITHOUT_LAW_NM = 30.0
@@ -47,7 +47,7 @@ class _Table(ZernikeTable, OpdMap):
 
     @classmethod
     def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
-        """See `Effect.variants`: fewer modes tell it from other effects."""
+        """See `Effect.variants`: fewer modes distinguish it from other effects."""
         return (cls.under(conditions, range(cls.default.start, SEARCHED + 1)),)
 
     def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:

@@ -22,9 +22,8 @@ from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid, Sampling
 
-LARGEST_STRAIN = (
-    0.1  # fraction along either component; a detector tilted by 25° foreshortens one axis by as much
-)
+# Fraction along either component; a detector tilted by 25° foreshortens one axis by as much.
+LARGEST_STRAIN = 0.1
 USUAL_STRAIN = 0.01  # a tilt of 8°; SPHERE's cylindrical mirrors make 0.6 %
 UM = 1e-6
 STRETCH = "stretch"  # parameter of a spectrum: how much wider it is
@@ -155,7 +154,7 @@ class Spectrum(SamplingEffect):
         return {"wavelength_nm": self.mean_nm + shift, "slope": slope, "width": 1 + stretch}
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: the wanted and the told centre."""
+        """See `Effect.phrase`: the corrected and the declared centre."""
         return super().phrase({**public, "told_nm": self.mean_nm})
 
     def values_of(
@@ -204,14 +203,14 @@ class PlateScale(SamplingEffect):
         return cls(conditions.settings.pixel_scale_mas)
 
     def shown(self, values: np.ndarray) -> dict[str, Any]:
-        """See `Effect.shown`: the wanted scale, too."""
+        """See `Effect.shown`: the corrected scale, too."""
         public = self.describe(values)
         return {"pixel_scale_mas": self.told_mas * (1 + public["fraction"])} | public
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: the wanted and the told scale."""
-        wanted_mas = public.get("pixel_scale_mas", self.told_mas * (1 + public["fraction"]))
-        return f"pixels of {wanted_mas:.3f} mas instead of {self.told_mas:.3f} mas"
+        """See `Effect.phrase`: the corrected and the declared scale."""
+        corrected_mas = public.get("pixel_scale_mas", self.told_mas * (1 + public["fraction"]))
+        return f"pixels of {corrected_mas:.3f} mas instead of {self.told_mas:.3f} mas"
 
     def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         return sampling._replace(pixel_scale_mas=sampling.pixel_scale_mas * (1 + values[0]))

@@ -17,7 +17,7 @@ from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.fourier_matrices import phasor
 from irlos_pipe.optics.grids import OtfGrid
 
-STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
+STEP_MAS = 25.0  # of the grid of a search: less than the resolution at 1.2 µm
 FAINT = 0.005  # flux of a second image that any camera makes
 INNER_MAS = 30.0  # closer than this the pair is unresolved
 LARGEST_BLUR_MAS = 200.0
@@ -71,13 +71,7 @@ class CopiesOfStar(OtfEffect):
 
 
 class SeveralCopies(OtfEffect):
-    """Several copies of one star, each with its flux ratio to the star.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Each a `CopiesOfStar`, some of whose parameters may be held.
-    """
+    """Several copies of one star, each a `CopiesOfStar` with its flux ratio, maybe with parameters held."""
 
     def __init__(self, effects: Sequence[Effect]):
         self.every = tuple(effects)
@@ -233,13 +227,7 @@ class _Ghosts(SeveralCopies):
 
 
 class _Image(_Ghosts, CopyOfStar):
-    """The image of one of several ghosts.
-
-    Parameters
-    ----------
-    number : int
-        Of the one.
-    """
+    """The image of one of several ghosts, of that `number`."""
 
     def __init__(self, ghosts: Sequence[Effect], number: int):
         super().__init__(ghosts)

@@ -20,34 +20,19 @@ FoundBy = Literal["score", "frames", "noise", "pixels", "ramp"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect, as a solver sees it.
-
-    Attributes
-    ----------
-    start : float
-        Where a fit begins.
-    prior_mean, prior_sigma : float
-        Gaussian prior; an infinite sigma means none.
-    lower, upper : float
-        Bounds that a fit respects.
-    null : float or None
-        Value at which the effect is absent; None for a number that then means nothing, such as a position.
-    plausible : (float, float)
-        A value outside says that the effect stands in for something else.
-    natural : bool
-        Whether nature sets the bounds: a value there is as good as any other.
-    """
+    """One number of an effect, as a solver sees it."""
 
     name: str
     unit: str
-    start: float
+    start: float  # where a fit begins
     prior_mean: float = 0.0
-    prior_sigma: float = INFINITE
-    lower: float = -INFINITE
+    prior_sigma: float = INFINITE  # of the Gaussian prior; infinite without one
+    lower: float = -INFINITE  # bounds that a fit respects
     upper: float = INFINITE
-    null: float | None = 0.0
+    null: float | None = 0.0  # the effect is absent there; None if it says nothing then, as a position
+    # A value outside says that the effect stands in for something else.
     plausible: tuple[float, float] = (-INFINITE, INFINITE)
-    natural: bool = False
+    natural: bool = False  # whether nature sets the bounds: a value there is as good as any other
 
     def allows(self, value: float) -> bool:
         """Whether a `value` is plausible, and not held by a bound that is not natural."""
@@ -58,31 +43,20 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Public:
-    """One number, list or table of an effect, as recipes and results have it.
-
-    Attributes
-    ----------
-    kind : str
-        A number; a table of Noll indices; numbers of the pupil's parts; a list of (row, column); a name.
-    lower, upper : float
-        Limits of every number in it.
-    required : bool
-        Whether an effect held at known values must be given it.
-    role : {"size", "position", "direction", "component"}
-        A size grows with the effect; a position or a direction, which is an angle, does not; a component is
-        that of a displacement whose direction does not matter.
-    choices : tuple of str
-        What a name may be.
-    """
+    """One number, list or table of an effect, as recipes and results have it."""
 
     name: str
     unit: str
+    # A number; a table of Noll indices; numbers of the pupil's parts; a list of (row, column); Noll indices;
+    # a name.
     kind: Kind = "number"
-    lower: float = -INFINITE
+    lower: float = -INFINITE  # limits of every number in it
     upper: float = INFINITE
-    required: bool = True
+    required: bool = True  # whether an effect held at known values must be given it
+    # A size grows with the effect; a position or a direction, which is an angle, does not; a component is
+    # that of a displacement whose direction does not matter.
     role: Role = "size"
-    choices: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()  # what a name may be
 
 
 class Declared:
@@ -119,11 +93,10 @@ class Declared:
     blurs: Literal["", "motion", "detector"] = ""  # the image, which hardly distinguishes the causes
     speckles: bool = False  # frames scatter by more than photon noise
     copies_star: bool = False  # adds a displaced image of the star, for which the whole window is searched
-    widens: str = (
-        ""  # of this effect it is a wider form, with parameters behind; tried only where that is found
-    )
+    # the effect of which it is a wider form, with further parameters behind; tried only where that is found
+    widens: str = ""
 
-    # -- what a reader is told; format strings of the public values --
+    # -- what reports state; format strings of the public values --
     sentence: str = ""
     limit: str = ""  # of the smallest one that would have been seen
     look_alike: str = ""  # what it is most easily mistaken for, and what distinguishes the two
@@ -132,55 +105,26 @@ class Declared:
 
 @dataclass(frozen=True)
 class Refraction:
-    """What is to be expected of atmospheric dispersion at the mean wavelength.
+    """What is to be expected of atmospheric dispersion at the mean wavelength."""
 
-    Attributes
-    ----------
-    mas_per_um : (float, float)
-        Along x and y.
-    sigma_mas_per_um : float
-        How far off it may be, along either axis.
-    """
-
-    mas_per_um: tuple[float, float] = (0.0, 0.0)
-    sigma_mas_per_um: float = 300.0
+    mas_per_um: tuple[float, float] = (0.0, 0.0)  # along x and y
+    sigma_mas_per_um: float = 300.0  # how far off it may be, along either axis
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Circumstances of a recording that effects may start from.
+    """Circumstances of a recording that effects may start from."""
 
-    Attributes
-    ----------
-    settings : PsfSettings
-        Window, pixel scale, spectrum and known wavefront.
-    band : ResidualBand
-        Spatial frequencies that the AO corrects.
-    residual_law : ResidualLaw
-        AO residual against seeing.
-    highest_noll : int
-        Last mode that is estimated as such.
-    seeing_measured : bool
-        Otherwise the seeing is a typical one.
-    ncpa_law : NcpaLaw, optional
-        Prior of the modes.
-    numerical_aperture : float
-        NA / n of the beam in which the focus moves; 0 where it is not known.
-    elements : tuple of str
-        Filter and source of the diversity that the light passes, by name.
-    ncpa_wavelength_nm : float, optional
-        At which NCPAs that differ by wavelength are stated; the mean of the spectrum if left out.
-    """
-
-    settings: PsfSettings
-    band: ResidualBand
-    residual_law: ResidualLaw
+    settings: PsfSettings  # window, pixel scale, spectrum and known wavefront
+    band: ResidualBand  # spatial frequencies that the AO corrects
+    residual_law: ResidualLaw  # AO residual against seeing
     seeing_arcsec: float
-    highest_noll: int
-    seeing_measured: bool = True
-    ncpa_law: NcpaLaw | None = None
-    numerical_aperture: float = 0.0
-    elements: tuple[str, ...] = ()
+    highest_noll: int  # last mode that is estimated as such
+    seeing_measured: bool = True  # otherwise the seeing is a typical one
+    ncpa_law: NcpaLaw | None = None  # prior of the modes
+    numerical_aperture: float = 0.0  # NA / n of the beam in which the focus moves; 0 where it is not known
+    elements: tuple[str, ...] = ()  # filter and source of the diversity that the light passes, by name
+    # at which NCPAs that differ by wavelength are stated; the mean of the spectrum if None
     ncpa_wavelength_nm: float | None = None
     refraction: Refraction = Refraction()
 

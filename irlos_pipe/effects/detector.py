@@ -162,7 +162,7 @@ class CorrelatedNoise(DetectorEffect):
         return images_e
 
     def describe(self, values: np.ndarray) -> dict[str, Any]:
-        """Its size, and which pixels are alike."""
+        """Its size, and whether rows or columns share it."""
         period = {} if self.period_px is None else {"period_px": self.period_px}
         return {"e_rms": float(values[0]), "axis": self.axis, **period}
 

@@ -78,10 +78,7 @@ class DividedPupil(DrawnEffect):
 class RedrawnAndDivided(DrawnEffect):
     """A drawing of the pupil, and wavefronts of its parts.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Each a `RedrawnPupil` or a `DividedPupil`, some of whose parameters may be held.
+    Each of the `effects` is a `RedrawnPupil` or a `DividedPupil`, some of whose parameters may be held.
     """
 
     name = "redrawn_and_divided_pupil"
@@ -153,11 +150,11 @@ def _added(field: Tensor, parts: Tensor, factors: Sequence[Tensor]) -> Tensor:
 
 
 def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Tensor:
-    """Amplitude of each part of a `drawing`, (parts, n, n): as it was told, and what the drawing changes."""
+    """Amplitude of each part of a `drawing`, (parts, n, n): as declared, and what the drawing changes."""
     geometry, samples = grid.geometry, grid.samples
-    parts, told = amplitudes_of(kind.parts_of(geometry), geometry, samples), Drawing(geometry)
-    if drawing != told:
-        drawn = (_drawn_parts(kind, geometry, one, samples) for one in (drawing, told))  # type: ignore[arg-type]
+    parts, declared = amplitudes_of(kind.parts_of(geometry), geometry, samples), Drawing(geometry)
+    if drawing != declared:
+        drawn = (_drawn_parts(kind, geometry, one, samples) for one in (drawing, declared))  # type: ignore[arg-type]
         parts = parts + next(drawn) - next(drawn)
     return torch.as_tensor(np.where(grid.lit, parts, 0) * grid.light)
 
@@ -168,10 +165,12 @@ def _parts_drawn(effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid
 
 
 @lru_cache(maxsize=8)
-def _drawn_parts(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing, samples: int) -> np.ndarray:
-    """Band-limited amplitude of each part of a pupil that was `told`, as it is drawn, (parts, n, n)."""
-    division = _division(kind, told, drawing)
-    options: Any = {"stop_m": drawing.stop_m, "subsamples": subsamples_of(told, samples)}
+def _drawn_parts(
+    kind: type[DividedPupil], declared: PupilGeometry, drawing: Drawing, samples: int
+) -> np.ndarray:
+    """Band-limited amplitude of each part of a pupil as `declared`, as it is drawn, (parts, n, n)."""
+    division = _division(kind, declared, drawing)
+    options: Any = {"stop_m": drawing.stop_m, "subsamples": subsamples_of(declared, samples)}
     return band_limited_parts(drawing.geometry, samples, division, **options)
 
 
@@ -179,8 +178,8 @@ def _part_slopes(
     effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, light: float, values: Tensor
 ) -> list[Tensor]:
     """Derivatives of the amplitudes of all parts, times `light`, by each parameter, (parts, n, n) each."""
-    told = Drawing(grid.geometry)
-    division = _division(kind, told.geometry, effect.redrawn(values.tolist(), told))
+    declared = Drawing(grid.geometry)
+    division = _division(kind, declared.geometry, effect.redrawn(values.tolist(), declared))
     return [light * one for one in slopes_of_drawing(effect, grid, values, range(len(values)), division)]
 
 
@@ -190,9 +189,9 @@ def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Te
     return torch.as_tensor(_division(kind, grid.geometry, drawing).index(x_m, y_m))
 
 
-def _division(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing) -> Division:
-    """The parts of a pupil that was `told`, turned as it is drawn."""
-    parts = kind.parts_of(told)
+def _division(kind: type[DividedPupil], declared: PupilGeometry, drawing: Drawing) -> Division:
+    """The parts of a pupil as `declared`, turned as it is drawn."""
+    parts = kind.parts_of(declared)
 
     def index(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         return parts.index(*_before_turning(x_m, y_m, drawing.turned_deg))

@@ -34,12 +34,8 @@ def _slope(above: Tensor | None, below: Tensor | None, step: float) -> Tensor | 
 class EffectSet:
     """Effects in the order of the light path, and the parameter vector they share.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        In any order; parameters come in the order of `effects` of this object.
-    grids : Grids
-        Of the `PsfModel` whose light path they act on.
+    They may be given in any order; parameters come in the order of `effects` of this object. The `grids` are
+    those of the light path on which they act.
     """
 
     def __init__(self, effects: Sequence[Effect], grids: Grids):
@@ -238,7 +234,7 @@ class EffectSet:
         return [copy.defocus_nm(values[piece]) for _, (copy, piece) in self._copies]
 
     def _copied(self, values: Tensor, sampling: Sampling, star: Optics, path) -> Optics:
-        """The light path of a copy beside that of the `star`."""
+        """The light path of a copy next to that of the `star`."""
         pairs, (copy, piece) = path
         pupil = self._pupil(values, sampling) if star.pupil is None else star.pupil
         shifted = pupil * self._shift(sampling, copy.defocus_nm(values[piece]))

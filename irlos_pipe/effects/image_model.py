@@ -42,7 +42,7 @@ class ImageModel:
         values: Tensor = NOTHING,
         when: Tensor | None = None,
     ) -> Tensor:
-        """Images [e-], (images, rows, columns), float64 on the device of the PSF model.
+        """Return images [e-], (images, rows, columns), float64 on the device of the PSF model.
 
         Parameters
         ----------
@@ -69,24 +69,11 @@ class ImageModel:
         held: bool = False,
         modal: bool = True,
     ) -> tuple[Tensor, Tensor]:
-        """Images and their derivatives.
+        """Return images and derivatives, (images, modes + effect parameters + 2, rows, columns).
 
-        Derivatives have the precision of the propagation unless the model has detector effects.
-
-        Parameters
-        ----------
-        modes_nm, flux_e, background_e, values, when
-            See `predict`.
-        held : bool
-            Leave out derivatives with respect to effect parameters.
-        modal : bool
-            Include those with respect to modes.
-
-        Returns
-        -------
-        images : tensor, (images, rows, columns)
-        jacobian : tensor, (images, modes + effect parameters + 2, rows, columns)
-            The last two are with respect to flux and background.
+        Those by flux and background come last; those by the modes are left out unless `modal`, those by the
+        effect parameters if these are `held`. Derivatives have the precision of the propagation unless the
+        model has detector effects. The other arguments are those of `predict`.
         """
         unit, jacobian = self._unit_and_jacobian(modes_nm, values, when, held, modal)
         flux, background = (v[:, None, None].to(unit.device) for v in (flux_e, background_e))
@@ -106,7 +93,7 @@ class ImageModel:
     def predict_and_pullback(self, modes_nm: Tensor, flux_e: Tensor, background_e: Tensor):
         """Images without free effects in the precision of the propagation, and the transposed Jacobian.
 
-        Arguments `modes_nm`, `flux_e` and `background_e` are those of `predict`. The second is a function
+        The arguments are those of `predict`. The second is a function
         from factors of all pixels, (images, rows, columns), to the derivatives of the images' sum with these
         factors, (images, modes + 2), float64: modes, flux, background.
 

@@ -123,17 +123,11 @@ class DetectorEffect(Effect):
 
 
 class RampEffect(Effect):
-    """Changes the defocus that a focus stage really introduces.
-
-    Class attributes
-    ----------------
-    separated_by : str
-        Ramp that distinguishes it from other errors of the stage.
-    """
+    """Changes the defocus that a focus stage really introduces."""
 
     plane = "ramp"
     found_by = "ramp"
-    separated_by: str = ""
+    separated_by: str = ""  # the ramp that distinguishes it from other errors of the stage
 
     @classmethod
     def on_whole_ramp(cls, *, turns: bool) -> list[RampEffect]:

@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.conventions.text import rounded_by_error
 from irlos_pipe.effects.base import Effect
 
-STEP = 1e-3  # of a standard error, in derivatives of public values
+STEP = 1e-3  # of numerical derivatives of public values, in standard errors of the parameters
 Describe = Callable[[np.ndarray], dict[str, Any]]
 
 
@@ -80,7 +80,7 @@ def public_sigma(
     """Return standard errors of the public values of an effect, to first order.
 
     The `covariance` (parameters, parameters) is that of `values` (parameters,) of `base`; with `shown`,
-    errors are of what a reader is told of it instead, see `Effect.shown`.
+    errors are of what reports state of it instead, see `Effect.shown`.
     """
     steps, describe = np.sqrt(np.diag(covariance)) * STEP, base.shown if shown else base.describe
     slopes = [

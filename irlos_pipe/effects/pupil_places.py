@@ -15,19 +15,15 @@ from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.wavefront import OpdMap
 from irlos_pipe.optics.grids import PupilGrid
 
-STEP, WIDTHS = 0.1, (0.0375, 0.1)  # of a search, in diameters of the pupil
+STEP, WIDTHS = 0.1, (0.0375, 0.1)  # of the grid of a search, in diameters of the pupil
 STEEPNESS = float(np.log(2))  # of the edge of a spot, which is half as dark at its radius
 
 
 class PupilPlace(PupilEffect):
     """Something of some height at one place in the pupil, round and with a soft edge.
 
-    Position and width mean nothing without it and are scanned in a search.
-
-    Parameters
-    ----------
-    diameter_m : float
-        Of the pupil: the place lies within, and no width is larger.
+    Position and width mean nothing without it and are scanned in a search. The place lies within the pupil of
+    `diameter_m`, and no width is larger than that.
     """
 
     repeatable = True

@@ -22,27 +22,13 @@ RMS_OF_PISTON, RMS_OF_SLOPES = "piston_rms_nm", "slopes_rms_nm"
 
 
 class PupilSteps(DividedPupil):
-    """Smooth wavefronts of each part of the pupil, with steps between them.
-
-    Class attributes
-    ----------------
-    kinds : mapping of str to int
-        Public name of a coefficient of each part: its mode, by Noll index of the whole pupil.
-    part_name : str
-        What error messages call the parts.
-    sigma_nm : float
-        Of the prior of each coefficient.
-
-    Parameters
-    ----------
-    count : int
-        Number of the parts.
-    """
+    """Smooth wavefronts of each of `count` parts of the pupil, with steps between them."""
 
     aberration = True
+    # public name of a coefficient of each part: its mode, by Noll index of the whole pupil
     kinds: Mapping[str, int]
-    part_name: str
-    sigma_nm: float
+    part_name: str  # what error messages call the parts
+    sigma_nm: float  # of the prior of each coefficient
 
     def __init__(self, count: int = UT4_PETALS):
         self.count = count

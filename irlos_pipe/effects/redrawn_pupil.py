@@ -1,8 +1,8 @@
 """Effects that change the drawing of the pupil: where its edges are.
 
 Edges are drawn on a grid of a few mm and band-limited. Several such effects make one drawing: the edge of a
-turned vane that is wider than told is where both say. What gives parts of the pupil a wavefront of their own
-(`divided_pupil`) has the parts of that drawing: petals turn with the vanes.
+turned vane that is wider than declared is where both say. What gives parts of the pupil a wavefront of their
+own (`divided_pupil`) has the parts of that drawing: petals turn with the vanes.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import ON_AXIS, Division, band_limited
 from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
 
-CELL_M = 0.008  # of the drawing
-DIRECTIONS = 8  # of a stop that is looked for
-# Of sizes of hole and vanes, in parts of those that are told.
+CELL_M = 0.008  # side of the fine cells of the drawing
+DIRECTIONS = 8  # in which a search shifts the stop
+# Prior, bounds and plausible range of the sizes of hole and vanes, in units of the declared ones.
 SIGMA = 0.1
 LEAST, MOST = 0.3, 2.5
 PLAUSIBLE = (0.5, 1.6)
@@ -35,7 +35,7 @@ class Drawing(NamedTuple):
 
     geometry: PupilGeometry
     stop_m: tuple[float, float] = ON_AXIS
-    turned_deg: float = 0.0  # against the pupil that was told
+    turned_deg: float = 0.0  # against the declared pupil
 
 
 class DrawnEffect(PupilEffect):
@@ -72,9 +72,9 @@ class RedrawnPupil(DrawnEffect):
         return field + change * grid.light
 
     def _changed(self, values: Tensor, grid: PupilGrid) -> Tensor:
-        told = Drawing(grid.geometry)
-        drawing = self.redrawn(values.tolist(), told)
-        return torch.tensor(_drawn(drawing, grid.samples) - _drawn(told, grid.samples))
+        declared = Drawing(grid.geometry)
+        drawing = self.redrawn(values.tolist(), declared)
+        return torch.tensor(_drawn(drawing, grid.samples) - _drawn(declared, grid.samples))
 
     def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         every = torch.ones_like(grid.wavelengths_m, dtype=torch.complex128) * grid.light
@@ -82,13 +82,7 @@ class RedrawnPupil(DrawnEffect):
 
 
 class RedrawnTogether(RedrawnPupil):
-    """Several effects that make one drawing.
-
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Each a `RedrawnPupil`, some of whose parameters may be held.
-    """
+    """Several effects that make one drawing: each a `RedrawnPupil`, some of whose parameters may be held."""
 
     name = "redrawn_pupil"
 
@@ -297,28 +291,28 @@ class PupilSizes(RedrawnPupil):
         return edges.obscured() if self.parameters[index].name == "obscuration_m" else edges.widened()
 
     def values_of(self, obscuration_m: float | None = None, vane_width_m: float | None = None) -> list[float]:
-        """See `Effect.values_of`: what is not given is as told.
+        """See `Effect.values_of`: what is not given is as declared.
 
         Raises
         ------
         ValueError
             For the size of what the pupil has not.
         """
-        wanted = {"obscuration_m": obscuration_m, "vane_width_m": vane_width_m}
-        given = {name: size_m for name, size_m in wanted.items() if size_m is not None}
+        sizes = {"obscuration_m": obscuration_m, "vane_width_m": vane_width_m}
+        given = {name: size_m for name, size_m in sizes.items() if size_m is not None}
         missing = sorted({*given} - {*self.told_m})
         if missing:
             raise ValueError(f"the pupil has nothing of which {', '.join(missing)} would be the size")
         return [given.get(name, size_m) for name, size_m in self.told_m.items()]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: the wanted and the told sizes; what rounds to the told one is left out."""
+        """See `Effect.phrase`: corrected and declared sizes; what rounds to the declared one is left out."""
         pieces = {"obscuration_m": "a central obscuration of {} m instead of {} m"}
         pieces["vane_width_m"] = "vanes {} m wide instead of {} m"
         changed = [
-            pieces[name].format(_text(name, public[name]), _text(name, told))
-            for name, told in self.told_m.items()
-            if _text(name, float(public[name])) != _text(name, told)
+            pieces[name].format(_text(name, public[name]), _text(name, declared))
+            for name, declared in self.told_m.items()
+            if _text(name, float(public[name])) != _text(name, declared)
         ]
         return " and ".join(changed) or "a pupil as told"
 
@@ -326,10 +320,10 @@ class PupilSizes(RedrawnPupil):
         return {p.name: value for p, value in zip(self.parameters, values, strict=True)}
 
 
-def _size(name: str, told_m: float) -> Parameter:
-    low, high = (share * told_m for share in (LEAST, MOST))
-    plausible = (PLAUSIBLE[0] * told_m, PLAUSIBLE[1] * told_m)
-    return Parameter(name, "m", told_m, told_m, SIGMA * told_m, low, high, told_m, plausible)
+def _size(name: str, declared_m: float) -> Parameter:
+    low, high = (share * declared_m for share in (LEAST, MOST))
+    plausible = (PLAUSIBLE[0] * declared_m, PLAUSIBLE[1] * declared_m)
+    return Parameter(name, "m", declared_m, declared_m, SIGMA * declared_m, low, high, declared_m, plausible)
 
 
 def _text(name: str, size_m: float) -> str:

@@ -35,7 +35,7 @@ from irlos_pipe.optics.structure_function import (
 )
 
 VARIANCES = (0, 6)  # places of the two variances among the parameters
-FULL_HALO = 0.1  # of the expected variance, from which the shape of the halo is fitted as well
+FULL_HALO = 0.1  # share of the expected variance from which the shape of the halo is fitted as well
 
 
 def in_band_wfe_nm(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float) -> float:
@@ -209,12 +209,7 @@ class SeeingHalo(OtfEffect):
 class _MovesWithComa(OtfEffect):
     """The factor ``exp(m + v/2 - ½ (2π/λ)² D) i (2π/λ) b·<a c>`` of the derivative by the coma on one axis.
 
-    Parameters
-    ----------
-    halo : SeeingHalo
-        With the same parameters.
-    noll : int
-        Of the coma c.
+    The coma c is `noll`; the parameters are those of the `halo`.
     """
 
     name = SeeingHalo.name
@@ -236,10 +231,7 @@ class _MovesWithComa(OtfEffect):
 class ScaledHalo(OtfEffect):
     """The halo expected at the seeing with another variance, 0 without and 1 with it: for searches.
 
-    Parameters
-    ----------
-    halo : SeeingHalo
-        What it stands for; a fit then goes on with this.
+    It stands for the `halo`, with which a fit then goes on.
     """
 
     name, public, speckles = SeeingHalo.name, SeeingHalo.public, True

@@ -99,15 +99,7 @@ class UnevenResidual(OtfEffect):
 
 
 class _Part(OtfEffect):
-    """The factor of the derivative by one mode.
-
-    Parameters
-    ----------
-    uneven : UnevenResidual
-        With the same parameters.
-    place : int
-        Of the mode among them.
-    """
+    """The factor of the derivative by the mode at a `place` in `uneven`, whose parameters it has."""
 
     name = UnevenResidual.name
 

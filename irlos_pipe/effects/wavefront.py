@@ -21,18 +21,10 @@ EXTRA_ORDERS = 2  # radial orders beyond the estimated modes, by default
 
 
 class ZernikeTable(Effect):
-    """One parameter per mode; a base class beside that of the plane.
+    """One parameter per mode; a base class jointly with that of the plane."""
 
-    Class attributes
-    ----------------
-    table : str
-        Name of the public table.
-    coefficient : Parameter
-        Of one mode, except its name.
-    """
-
-    table: ClassVar[str]
-    coefficient: ClassVar[Parameter]
+    table: ClassVar[str]  # name of the public table
+    coefficient: ClassVar[Parameter]  # of one mode, except its name
 
     def __init__(self, nolls: Sequence[int]):
         self.nolls = tuple(int(noll) for noll in nolls)
@@ -138,10 +130,8 @@ class DiversityError(OpdMap):
 class _SameFraction(DiversityError):
     """The error in another recording; without diversity there is none.
 
-    Parameters
-    ----------
-    diversity_nm, first_nm : mapping of int to float
-        As introduced in this recording, and in the one for which the error is stated, Noll: nm RMS.
+    The diversities are those introduced in this recording and in the first one, for which the error is
+    stated, by Noll index [nm RMS].
     """
 
     def __init__(self, diversity_nm: Mapping[int, float], first_nm: Mapping[int, float]):

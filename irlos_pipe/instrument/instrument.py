@@ -52,12 +52,12 @@ class Instrument:
 
     @property
     def pupil(self) -> PupilGeometry:
-        """Return the pupil of the telescope."""
+        """The pupil of the telescope."""
         return self.facility.pupil
 
     @property
     def facts(self) -> dict[str, list[Fact]]:
-        """Return every value with unit, source and status, dated where it changed."""
+        """Every value with unit, source and status, dated where it changed."""
         return self.profile.facts
 
     def on(self, day: str) -> Instrument:
@@ -68,10 +68,7 @@ class Instrument:
 def load_instrument(name_or_path: str | Path) -> Instrument:
     """Load an instrument profile, with the values of the present day.
 
-    Parameters
-    ----------
-    name_or_path : str or Path
-        Name of a profile that comes with the package, or the path of a YAML file.
+    It is the name of one that comes with the package, or the path of a YAML file.
 
     Raises
     ------

@@ -8,21 +8,10 @@ import numpy as np
 def ring_means(
     image: np.ndarray, centre_px: tuple[float, float], reach_px: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the azimuthal means in rings one pixel wide.
+    """Return the radii [px] and azimuthal means of rings one pixel wide, (rings,) each.
 
-    Parameters
-    ----------
-    image : ndarray, (rows, columns)
-        Values that are not finite are left out.
-    centre_px : tuple of float
-        Row and column of the rings' centre.
-    reach_px : float, optional
-        Radius of the outermost ring; that inside the window by default.
-
-    Returns
-    -------
-    radius_px, mean : ndarray, (rings,)
-        NaN for a ring without finite values.
+    The rings lie about `centre_px`, row and column, out to `reach_px`, by default to the edge of the window.
+    Values of the `image` that are not finite are left out; a ring without any others is NaN.
     """
     rows, columns = np.indices(image.shape)
     radius = np.hypot(rows - centre_px[0], columns - centre_px[1])

@@ -24,8 +24,8 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.optics.grids import PupilGrid
 
 SMALLEST = 3e-5  # part of Noll 4 below which a companion is left out: 0.02 nm of 500 nm
-HIGHEST_SINE = 0.98  # beyond it the series is long
-NODES, ORDERS = 200, 40  # of the quadrature, and radial orders that are looked at
+HIGHEST_SINE = 0.98  # beyond it the series converges slowly
+NODES, ORDERS = 200, 40  # of the quadrature, and highest radial order
 
 
 @lru_cache(maxsize=16)

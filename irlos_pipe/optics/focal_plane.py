@@ -27,22 +27,9 @@ Matrices = tuple[torch.Tensor, torch.Tensor]
 class FocalPlane:
     """Where light of every wavelength falls on the pixels of one window.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-        Window, pixel scale and margins.
-    sampling : Sampling
-        Wavelengths and weights as built.
-    pupil : PupilGrid
-    polynomials : ndarray, (degree + 1, n)
-        See `MatrixDft`.
-    like : tensor
-        Of the precision and on the device that matrices are to have.
-
-    Attributes
-    ----------
-    grids : list of FocalGrid
-        One per wavelength: long waves need fewer samples; the baselines are common.
+    The `settings` give window, pixel scale and margins, `sampling` wavelengths and weights as built; the
+    `polynomials`, (degree + 1, n), are those of `MatrixDft`. Matrices have the precision and device of
+    `like`.
     """
 
     def __init__(
@@ -54,6 +41,7 @@ class FocalPlane:
         like: torch.Tensor,
     ):
         self.window, self.sampling, self.like = settings.window, sampling, like
+        # One per wavelength: long waves need fewer samples; the baselines are common.
         self.grids = _focal_grids(settings, sampling.wavelengths_m.numpy(), pupil)
         self.dfts = [MatrixDft(pupil.u_m, focal, polynomials, like) for focal in self.grids]
 
@@ -63,16 +51,10 @@ class FocalPlane:
         return max(self.grids, key=lambda grid: grid.samples)
 
     def to_pixels(self, index: int, sampling: Sampling | None, *, filtered: bool) -> Matrices:
-        """Return matrices to rows, weighted, and to columns.
+        """Return matrices to rows, weighted, and to columns, at the wavelength `index`.
 
-        Parameters
-        ----------
-        index : int
-            Of the wavelength.
-        sampling : Sampling or None
-            Where effects change it.
-        filtered : bool
-            From the real FFT of the focal intensity instead of the intensity itself.
+        A `sampling` is given where effects change it. Matrices are applied to the real FFT of the focal
+        intensity if `filtered`, otherwise to the intensity itself.
         """
         if sampling is None:
             return (self._filtered if filtered else self._plain)[index]

@@ -14,26 +14,12 @@ from irlos_pipe.optics.focus_table import FocusTable
 
 
 class FocusImages:
-    """Unit-flux images of a `FocusTable`, and their derivatives with respect to tip, tilt and focus.
-
-    Parameters
-    ----------
-    table : FocusTable
-        On the CPU.
-
-    Attributes
-    ----------
-    image : ndarray, (rows · columns,), float32
-        The last image computed; the next one takes its place.
-    slopes : ndarray, (3, rows · columns), float32
-        Its derivatives with respect to tip, tilt and focus [1/nm].
-    limits_nm : ndarray, (2, 3)
-        Least and largest tip, tilt and focus [nm RMS].
-    """
+    """Unit-flux images of a `FocusTable` on the CPU, and their derivatives by tip, tilt and focus."""
 
     def __init__(self, table: FocusTable):
         self.window = table.settings.window
         order = [*table.tilts, table.focus]
+        # (2, 3): least and largest tip, tilt and focus [nm RMS]
         self.limits_nm = table.limits_nm.numpy()[:, order]
         self._middle_nm, self._half_nm = table.middle_nm, table.half_nm
         self._table, self._orders = np.ascontiguousarray(table.table.numpy()), table.orders.numpy()
@@ -45,6 +31,8 @@ class FocusImages:
         self._columns = np.empty((2, width, wide), np.float32)
         self._along_x = np.empty((tall, 2 * width), np.float32)
         self._slope_along_x = np.empty((tall, width), np.float32)
+        # The last image computed and its derivatives with respect to tip, tilt and focus [1/nm]; those of the
+        # next one take their places.
         self.slopes = np.empty((3, height * width), np.float32)
         self.image = np.empty(height * width, np.float32)
         self._shape, self._longer = (tall, wide), max(self.window)

@@ -1,8 +1,8 @@
 """Images of wavefronts that differ by tip, tilt and one more mode, from a table.
 
-Tip and tilt of the wavefront shift the image at every wavelength alike. What is left of such a family of
-images is its course with the third mode, here called focus, with AO residual, image motion, dispersion and
-all colours in it. It is tabulated once, on pixels somewhat beyond the window::
+Tip and tilt of the wavefront shift the image at every wavelength by the same angle. What is left of such a
+family of images is its course with the third mode, here called focus, with AO residual, image motion,
+dispersion and all colours in it. It is tabulated once, on pixels somewhat beyond the window::
 
     I(y, x; d) = Σ_n T_n(d) C_n(y, x)                   Chebyshev series in the focus d
     image      = S(y₀) I(d) S(x₀)ᵀ                      shifted by band-limited interpolation
@@ -47,18 +47,9 @@ def kernel_half_length(band: float) -> int:
 class ShiftMatrices:
     """Matrices from samples of an image, reversed along both axes, to rows and columns of the shifted window.
 
-    Parameters
-    ----------
-    window : (int, int)
-        Rows and columns [px].
-    beyond : int
-        Further samples on each side of the window.
-    band : float
-        Highest frequency of the images [cycles/px].
-    per_px : float
-        Units of a shift that make a pixel.
-    like : tensor
-        Of the precision and on the device that the matrices are to have.
+    The samples are those of the `window` (rows, columns) and `beyond` further ones on each side. The images
+    have no frequency above `band` [cycles/px]; `per_px` units of a shift make a pixel. The matrices have the
+    precision and device of `like`.
     """
 
     def __init__(self, window: tuple[int, int], beyond: int, band: float, per_px: float, like: torch.Tensor):
@@ -74,16 +65,9 @@ class ShiftMatrices:
         self.series = torch.as_tensor(series).to(like)
 
     def __call__(self, shifts: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Matrices for the rows and for the columns, each followed by its derivative.
+        """Return matrices for rows and for columns, (images, 2 pixels, samples), derivatives behind values.
 
-        Parameters
-        ----------
-        shifts : tensor, (images, 2), float64
-            Along x and y, positive towards larger indices.
-
-        Returns
-        -------
-        rows, columns : tensor, (images, 2 pixels, samples)
+        The `shifts`, (images, 2) in float64, are along x and y, positive towards larger indices.
         """
         phase = shifts[..., None] * self.rate
         kernels = torch.cat([phase.cos(), phase.sin()], dim=2).to(self.series.dtype) @ self.series
@@ -110,7 +94,7 @@ def _spectrum(frequency: np.ndarray, band: float) -> np.ndarray:
 
 TRUNCATION = 1e-7  # the largest Bessel function left out
 WELL_SAMPLED = 0.4  # highest frequency of the images [cycles/px] that short kernels can shift
-FIELD_MARGIN_MAS = 50.0  # computed beyond the tabulated pixels
+FIELD_MARGIN_MAS = 50.0  # of the computed field beyond the tabulated pixels
 NODES_AT_ONCE = 6  # images propagated together: few enough for the processor's cache
 OPEN_END = 1.001  # half range of the series over the half range offered: its slope is 0/0 at its very ends
 
@@ -126,14 +110,8 @@ class Reach:
 class FocusTable:
     """A `LightPath` with three modes: tip, tilt and one more, called focus.
 
-    Parameters
-    ----------
-    psf : LightPath
-        Whose images are tabulated; see `is_family` and `can_tabulate`.
-    optics : Optics
-        What effects make of its light path. They are in the table then.
-    reach : Reach
-        Beyond it images mean nothing; solvers keep to `limits_nm`.
+    It tabulates images of `psf`, see `is_family` and `can_tabulate`, with what `optics` make of its light
+    path. Beyond the `reach` images mean nothing; solvers keep to `limits_nm`.
     """
 
     def __init__(self, psf: LightPath, optics: Optics, reach: Reach):
@@ -213,12 +191,10 @@ class FocusTable:
     def images_and_pullback(
         self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
-        """See `LightPath.images_and_pullback`."""
         images, jacobian = self.images_and_jacobian(modes_nm)
         return images, lambda factors: (jacobian * factors[:, None]).sum((2, 3))
 
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> FocusTable:
-        """See `LightPath.in_window`."""
         psf, optics = self._tabulated
         return FocusTable(psf.in_window(window, margin_mas, halo_margin_mas), optics, self.reach)
 

@@ -112,11 +112,8 @@ def baseline_to_pixels(
     ----------
     baselines_m : ndarray
         `FocalGrid.baseline_y_m` or, with ``half=True``, `FocalGrid.baseline_x_m`.
-    pixels : int
-        Along this axis of the window.
     pixel_scale_mas, wavelength_m : float or scalar tensor
         The matrix is differentiable in both.
-    grid : FocalGrid
     half : bool
         True for the axis of a real FFT: inner coefficients count twice, and the real part
         of the two-axis product is taken.

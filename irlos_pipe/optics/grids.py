@@ -105,7 +105,7 @@ class Sampling(NamedTuple):
 
     @property
     def strains(self) -> bool:
-        """Whether the image is strained, or may be where derivatives are asked for."""
+        """Whether the image is strained, or may be where derivatives are requested."""
         return self.strain.requires_grad or bool(self.strain.any())
 
 

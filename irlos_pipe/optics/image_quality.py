@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-PADDING = 4  # of a window before its transform, which draws the same curve through more points
+PADDING = 4  # factor by which a window is padded before its transform: the same curve in more points
 PARTS = 5  # into which a pixel is divided along either axis where a circle cuts it
 
 
@@ -22,24 +22,12 @@ class Curve(NamedTuple):
 
 
 def transfer_cut(image: np.ndarray, resolution_px: float, axis: int) -> Curve:
-    """Return the modulus of the OTF along one axis, 1 at zero frequency.
+    """Return the modulus of the OTF along an `axis`, 1 for x and 0 for y, over the frequency [D/λ].
 
-    It is the transform of the image summed over the other axis, pixels included: a pixel of width p
-    multiplies it by ``sinc(p f)``. Light beyond the window is missing.
-
-    Parameters
-    ----------
-    image : ndarray, (rows, columns)
-        Values that are not finite count as zero.
-    resolution_px : float
-        λ/D [px].
-    axis : int
-        1 along x, 0 along y.
-
-    Returns
-    -------
-    Curve
-        Over the frequency [D/λ], up to the largest that the pixels sample; NaN of an image without light.
+    It is the transform of the `image` summed over the other axis, 1 at zero frequency, pixels included: a
+    pixel of width p multiplies it by ``sinc(p f)``. It ends at the largest frequency that the pixels sample,
+    λ/D being `resolution_px`. Light beyond the window is missing; values that are not finite count as zero,
+    and without light all of it is NaN.
     """
     line = np.nan_to_num(np.asarray(image, float)).sum(1 - axis)
     points = PADDING * len(line)
@@ -52,19 +40,10 @@ def transfer_cut(image: np.ndarray, resolution_px: float, axis: int) -> Curve:
 
 
 def encircled_energy(image: np.ndarray, centre_px: tuple[float, float]) -> Curve:
-    """Return the light within circles about a centre, in the unit of the image.
+    """Return the light within circles about `centre_px`, row and column, over their radius [px].
 
-    Parameters
-    ----------
-    image : ndarray, (rows, columns)
-        Light of pixels, spread evenly over each of them; values that are not finite count as zero.
-    centre_px : (float, float)
-        Row and column.
-
-    Returns
-    -------
-    Curve
-        Over the radius [px], in steps of half a pixel to the nearest edge of the window.
+    The radii go in steps of half a pixel to the nearest edge of the window. The light of every pixel of the
+    `image` is spread evenly over it; values that are not finite count as zero.
     """
     rows, columns = image.shape
     fine = np.kron(np.nan_to_num(np.asarray(image, float)), np.full((PARTS, PARTS), PARTS**-2.0))
@@ -81,19 +60,11 @@ def encircled_energy(image: np.ndarray, centre_px: tuple[float, float]) -> Curve
 
 
 def power_spectrum(deviations: np.ndarray, resolution_px: float) -> Curve:
-    """Return the azimuthal mean of the power of `deviations`, which is 1 for white noise of unit variance.
+    """Return the azimuthal mean of the power of `deviations` over the frequency [D/λ].
 
-    Parameters
-    ----------
-    deviations : ndarray, (rows, columns)
-        Residual over its standard error; values that are not finite are left out.
-    resolution_px : float
-        λ/D [px].
-
-    Returns
-    -------
-    Curve
-        Over the frequency [D/λ], the mean of the image left out; up to that of the pixels along an axis.
+    The deviations, (rows, columns), are residuals over their standard errors: of white noise with unit
+    variance the power is 1. Their mean and values that are not finite are left out. The curve ends at the
+    frequency of the pixels along an axis, λ/D being `resolution_px`.
     """
     used = np.isfinite(deviations)
     power = np.abs(np.fft.fft2(np.where(used, deviations, 0.0))) ** 2 / max(int(used.sum()), 1)

@@ -13,7 +13,7 @@ Outside the correction band the PSD is von Kármán's with the seeing's r0; insi
   it is level at low frequencies and rises towards the cut-off.
 
 The residual has no tip and tilt over the pupil: with tilts a_j along x and y [nm/m], it is ``g - a·x``, g
-having the PSD everywhere alike. Its structure function between x and x + b is
+having the same PSD everywhere. Its structure function between x and x + b is
 
     D(b) - bᵀ<a aᵀ>b - 2 b·[c(x + b) - c(x)]
 

@@ -1,10 +1,11 @@
 """The light path through an array of 2x2 lenslets: four images of the star, each of a quarter of the pupil.
 
-The wavefront is common: Zernike polynomials are those of the whole pupil, so tip and tilt move all images
-alike, and defocus moves them away from one another. Every lenslet has its own field stop, the window of its
-image; light beyond it is lost, not seen by the neighbour. The four windows lie side by side, lower left,
-lower right, upper left, upper right, so an image of the array is (2 rows, 2 columns). Which image belongs to
-which quarter of the pupil is a convention of the instrument: here the lower left to the lower left.
+The wavefront is common: Zernike polynomials are those of the whole pupil, so tip and tilt move all images by
+the same shift, and defocus moves them away from one another. Every lenslet has its own field stop, the window
+of its image; light beyond it is lost, not seen by the neighbour. The four windows lie side by side, lower
+left, lower right, upper left, upper right, so an image of the array is (2 rows, 2 columns). Which image
+belongs to which quarter of the pupil is a convention of the instrument: here the lower left to the lower
+left.
 
 An image does not know where in the pupil its light has passed, so a quarter is sampled about its own middle.
 Its grid is about half as wide as the pupil's: its focal grid needs half as many samples per axis, and its OTF
@@ -31,8 +32,9 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import Division, band_limited_parts, grid_centres
 
 RINGING = 6  # samples beyond the axes: those left out would change images by 1e-5 of the peak
-DARK, FAINT = 1e-12, 0.02  # of the largest amplitude
-BEYOND = 0.5  # by which the band-limited parts of a faint amplitude may ring over it
+# In units of the largest amplitude: less than the first is no light, less than the second hardly any.
+DARK, FAINT = 1e-12, 0.02
+BEYOND = 0.5  # by which the ratio of faint amplitudes may leave 0 to 1, as band-limited ones ring
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +48,6 @@ class Quarter(PupilGrid):
 
     @property
     def amplitude(self) -> np.ndarray:
-        """See `PupilGrid.amplitude`."""
         return self.clear * self.light
 
     @property
@@ -101,13 +102,8 @@ def _weights(whole: np.ndarray, part: np.ndarray) -> np.ndarray:
 class LensletArray:
     """A `LightPath` through four lenslets: a `PsfModel` each, of the same grids, with a part of the pupil.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-        Of the whole pupil; the window is that of the four images side by side.
-    nolls : sequence of int
-    **options
-        Of `PsfModel`.
+    The `settings` are those of the whole pupil, the window that of the four images side by side; `options`
+    are those of `PsfModel`.
 
     Raises
     ------
@@ -134,11 +130,9 @@ class LensletArray:
 
     @property
     def limits_nm(self) -> torch.Tensor:
-        """See `LightPath.limits_nm`."""
         return self.paths[0].limits_nm
 
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> LensletArray:
-        """See `LightPath.in_window`."""
         other, margins = copy(self), (margin_mas, halo_margin_mas)
         other.settings = replace(
             self.settings, window=window, margin_mas=margin_mas, halo_margin_mas=halo_margin_mas
@@ -147,7 +141,6 @@ class LensletArray:
         return other
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
-        """See `LightPath.images`."""
         pairs = zip(self.paths, self._each(optics), strict=True)
         return side_by_side([path.images(modes_nm, own) for path, own in pairs])
 
@@ -159,7 +152,6 @@ class LensletArray:
         *,
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `LightPath.images_and_jacobian`."""
         parts = [
             path.images_and_jacobian(modes_nm, own, self._tangents(tangents, lenslet), modal=modal)
             for lenslet, (path, own) in enumerate(zip(self.paths, self._each(optics), strict=True))
@@ -170,7 +162,6 @@ class LensletArray:
     def images_and_pullback(
         self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
-        """See `LightPath.images_and_pullback`."""
         pairs = zip(self.paths, self._each(optics), strict=True)
         images, backs = zip(*(path.images_and_pullback(modes_nm, own) for path, own in pairs), strict=True)
 

@@ -15,22 +15,12 @@ Pullback = Callable[[torch.Tensor], torch.Tensor]
 
 
 class LightPath(Protocol):
-    """Unit-flux images of a point source, and their derivatives, for batches of wavefronts.
-
-    Attributes
-    ----------
-    settings : PsfSettings
-    nolls : tuple of int
-        Zernike modes that the coefficients refer to.
-    device : str
-    dtype : torch.dtype
-        Of the propagation.
-    """
+    """Unit-flux images of a point source, and their derivatives, for batches of wavefronts."""
 
     settings: PsfSettings
-    nolls: tuple[int, ...]
+    nolls: tuple[int, ...]  # Zernike modes that the coefficients refer to
     device: str
-    dtype: torch.dtype
+    dtype: torch.dtype  # of the propagation
 
     @property
     def grids(self) -> Grids:
@@ -44,17 +34,10 @@ class LightPath(Protocol):
         """Return the light path to another `window`; `margin_mas`, `halo_margin_mas` as of `PsfSettings`."""
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
-        """Return the unit-flux images; differentiable by autograd as well.
+        """Return unit-flux images, (frames, rows, columns), of `modes_nm`, (frames, modes).
 
-        Parameters
-        ----------
-        modes_nm : tensor, (frames, modes)
-        optics : Optics
-            What effects make of the light path, see `effects.EffectSet`.
-
-        Returns
-        -------
-        tensor, (frames, rows, columns)
+        What effects make of the light path is in `optics`, see `effects.EffectSet`. The images are
+        differentiable by autograd as well.
         """
 
     def images_and_jacobian(
@@ -65,37 +48,18 @@ class LightPath(Protocol):
         *,
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return images and their derivatives.
+        """Return the images and their derivatives, (frames, modes + parameters, rows, columns).
 
-        Parameters
-        ----------
-        modes_nm : tensor, (frames, modes)
-        optics : see `images`
-        tangents : Tangents
-            Derivatives of pupil, OTF factors and sampling with respect to effect parameters.
-        modal : bool
-            False leaves the derivatives with respect to the modes out.
-
-        Returns
-        -------
-        images : tensor, (frames, rows, columns)
-        jacobian : tensor, (frames, modes + parameters, rows, columns)
-            First the modes [1/nm], then the parameters in the pupil, of the OTF, and of the sampling.
+        First come the modes [1/nm], left out unless `modal`, then the parameters in the pupil, of the OTF,
+        and of the sampling: `tangents` are the derivatives of pupil, OTF factors and sampling by these. The
+        other arguments are those of `images`.
         """
 
     def images_and_pullback(
         self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
-        """Return images and the transpose of their Jacobian.
+        """Return the images and the transpose of their Jacobian, with the arguments of `images`.
 
-        Parameters
-        ----------
-        modes_nm, optics : see `images`
-
-        Returns
-        -------
-        images : tensor, (frames, rows, columns)
-        pullback : callable
-            From factors of all pixels, (frames, rows, columns), to the derivatives of the images' sum
-            with these factors, (frames, modes) [1/nm].
+        The transpose leads from factors of all pixels, (frames, rows, columns), to the derivatives of the
+        images' sum with these factors, (frames, modes) [1/nm].
         """

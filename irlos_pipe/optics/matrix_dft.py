@@ -43,17 +43,9 @@ class MatrixDft:
     """Transform of fields, and of fields times products of polynomials ``T_a(x) T_b(y)``.
 
     Fields are real arrays (frames, 2, n, n), real part and imaginary part, in `mirrored` order; focal
-    amplitudes are (frames, 2, m, m) in natural order.
-
-    Parameters
-    ----------
-    u_m : ndarray, (n,)
-        Samples of the pupil along either axis [m]; n is even.
-    grid : FocalGrid
-    polynomials : ndarray, (degree + 1, n)
-        T_0 = 1, T_1, ..., by turns even and odd, at `u_m`.
-    like : tensor
-        Of the precision and on the device that the transform is to have.
+    amplitudes are (frames, 2, m, m) in natural order. The `u_m`, (n,), are samples of the pupil along either
+    axis [m], n even; the `polynomials`, (degree + 1, n), are T_0 = 1, T_1, … there, by turns even and odd.
+    The precision and device are those of `like`.
     """
 
     def __init__(self, u_m: np.ndarray, grid: FocalGrid, polynomials: np.ndarray, like: torch.Tensor):
@@ -77,10 +69,7 @@ class MatrixDft:
     def products(self, field: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the transforms ``F[T_a(x) T_b(y) E]`` in the order of `products_up_to`: even sums, odd sums.
 
-        Returns
-        -------
-        even, odd : tensor, (products, frames, 2, m, m)
-            Times -1 where a and b are odd, times -i where one of them is.
+        Either is (products, frames, 2, m, m), times -1 where a and b are odd, times -i where one of them is.
         """
         packed = _packed(field).flatten(0, 1)
         rows = packed.flatten(0, 1)

@@ -247,7 +247,6 @@ class SquarePixels:
     def __call__(
         self, intensity: torch.Tensor, image: torch.Tensor, every: Sequence[Rates]
     ) -> list[torch.Tensor]:
-        """See `PixelSlopes`."""
         wider = self._along[0].image(intensity) + self._along[1].image(intensity)
         return [(rates.scale - rates.wavelength) * wider for rates in every]
 

@@ -59,7 +59,7 @@ from irlos_pipe.optics.monochromatic import (
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
-FAINT = 0.1  # part of the light, of a copy whose derivatives may be rough
+FAINT = 0.1  # share of the light below which the derivatives of a copy may be rough
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 # Zernike modes of high degree have huge coefficients of either sign in products of polynomials. In float32
 # their derivatives err by 1e-3 at degree 10 (Noll 66), by a tenth at 13, and by many times their size at 20.
@@ -68,25 +68,17 @@ SLOPES_AT_ONCE = 8  # changes of the pupil times frames: they fit into the proce
 
 
 class PsfModel:
-    """A `LightPath` by propagation.
+    """A `LightPath` by propagation, with the Zernike modes `nolls`.
 
-    Parameters
-    ----------
-    settings : PsfSettings
-    nolls : sequence of int
-        Zernike modes that the coefficients refer to.
-    device : str
-    dtype : torch.float32 or torch.float64
-        Of the propagation; sums over pixels are left to the caller, in float64. Modes of a degree above
-        `SINGLE_DEGREE` have float64 whatever is asked for.
-    rough_derivatives : bool
-        Take the derivatives of the modes from the focal plane to the pixels in float32 whatever `dtype`
-        is: this halves their cost, and they are exact to 1e-6 of the largest. Faint copies of the star
-        change with modes and pupil as the star does, as if they were as sharp, which spares each the cost
-        of another star; this is wrong by a part of their flux. How what `Optics.by_mode` adds changes with
-        modes is left out, which is wrong by some per cent of a derivative.
-    grid : PupilGrid, optional
-        Of a part of the pupil, if no other light makes the image; light is counted of the whole pupil.
+    The propagation has the precision `dtype`, float32 or float64; sums over pixels are left to the caller, in
+    float64. Modes of a degree above `SINGLE_DEGREE` have float64 whatever `dtype` is. The `grid` may be that
+    of a part of the pupil, if no other light makes the image; light is counted of the whole pupil.
+
+    With `rough_derivatives` those of the modes, from the focal plane to the pixels, have float32 whatever
+    `dtype` is: this halves their cost, and they are exact to 1e-6 of the largest. Faint copies of the star
+    change with modes and pupil as the star does, as if they were as sharp, which spares each the cost of
+    another star; this is wrong by a part of their flux. How what `Optics.by_mode` adds changes with modes is
+    left out, which is wrong by some per cent of a derivative.
     """
 
     def __init__(
@@ -113,11 +105,9 @@ class PsfModel:
 
     @property
     def grids(self) -> Grids:
-        """See `LightPath.grids`."""
         return Grids(self.pupil_grid, self.focal_plane.widest, self._sampling(), self.nolls)
 
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> PsfModel:
-        """See `LightPath.in_window`."""
         other = copy(self)
         other.settings = replace(
             self.settings, window=window, margin_mas=margin_mas, halo_margin_mas=halo_margin_mas
@@ -229,7 +219,6 @@ class PsfModel:
         return (self._complex if factors.is_complex() else self._real)(factors[index])
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
-        """See `LightPath.images`."""
         one_path = partial(self._one_path, self._opd_nm(modes_nm))
         return reduce(torch.add, ordered_map(one_path, self._paths(optics)))
 
@@ -258,7 +247,6 @@ class PsfModel:
         *,
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `LightPath.images_and_jacobian`."""
         per_frame = 2 * self.combine.shape[1] * self.focal_plane.widest.samples**2
         parts = [
             self._chunk(chunk, optics, tangents, modal)
@@ -282,7 +270,7 @@ class PsfModel:
         phasor = colour.phasor(opd)
         field = behind(colour.pupil, phasor)
         changing = (
-            colour if path.alike is None else colour._replace(transfer=self._transfer(path.alike, index))
+            colour if path.joint is None else colour._replace(transfer=self._transfer(path.joint, index))
         )
         if modal and not path.follows:
             (amplitude, *turned), (changes, *more) = self._amplitudes_and_modal(colour, dft, field)
@@ -341,7 +329,7 @@ class PsfModel:
         return dft.amplitude(fields.flatten(0, 1)).unflatten(0, fields.shape[:2])
 
     def _derivatives(self, colour: Colour, changes: torch.Tensor, more: Sequence[torch.Tensor] = ()):
-        """Weighted pixel flux of the derivatives of the focal intensity, in the precision wanted of them.
+        """Weighted pixel flux of the derivatives of the focal intensity, in the precision requested of them.
 
         Those of its changes by the modes of `Optics.by_mode` are `more`.
         """
@@ -410,7 +398,7 @@ class _Path(NamedTuple):
     tangents: Tangents
     # (wavelengths, p, p//2 + 1), or None: OTF factor of star and faint copies, whose derivatives in the
     # pupil are taken together
-    alike: torch.Tensor | None
+    joint: torch.Tensor | None
     follows: bool  # whether this is one of these copies
     colour: int
 
@@ -423,5 +411,5 @@ def _is_faint(copy: Optics) -> bool:
 def _together(optics: Optics, follow: Sequence[bool]) -> torch.Tensor | None:
     """OTF factor of the star and of those copies that follow it; None without any."""
     factors = [one.transfer for one, so in zip(optics.copies, follow, strict=True) if so]
-    alike = [one for one in (optics.transfer, *factors) if one is not None]
-    return reduce(torch.add, alike) if factors else None
+    joint = [one for one in (optics.transfer, *factors) if one is not None]
+    return reduce(torch.add, joint) if factors else None

@@ -9,9 +9,10 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import MAS, NM, resolution_px
 from irlos_pipe.optics.fourier_matrices import pupil_samples_for
 
+# Beyond the window: of the computed field, and of the period of OTF factors, see `PsfSettings`.
 MARGIN_MAS, HALO_MARGIN_MAS = 200.0, 500.0
 TUNED_RAD = 1800e-9 / 8.0  # largest λ/D of the images that the margins were tuned on
-# For single frames, see `PsfSettings.for_single_frames`.
+# Coarser sampling for single frames, whose noise hides the error, see `PsfSettings.for_single_frames`.
 FRAME_PUPIL_SAMPLES = 64
 FRAME_MARGIN_MAS, FRAME_HALO_MARGIN_MAS = 100.0, 320.0
 
@@ -22,7 +23,7 @@ class KnownWavefront:
 
     # the astigmatism introduced for phase diversity
     diversity_nm: Mapping[int, float] = field(default_factory=dict)
-    # what was introduced on purpose beside it: the defocus commanded of the focus stage
+    # what was introduced on purpose in addition: the defocus commanded of the focus stage
     introduced_nm: Mapping[int, float] = field(default_factory=dict)
     ncpa_nm: Mapping[int, float] = field(default_factory=dict)  # NCPAs estimated before and held here
 
@@ -44,7 +45,7 @@ class PsfSettings:
     window: tuple[int, int]  # rows and columns of the detector window [px]
     pixel_scale_mas: float
     spectrum: tuple[tuple[float, float], ...]  # photon weights, any positive scale
-    known: KnownWavefront  # present in every image, beside the coefficients that the model is given
+    known: KnownWavefront  # present in every image, in addition to the coefficients that the model is given
     # samples across the pupil diameter; 128 keeps the error below 1e-4 of the peak for wavefronts up to 600
     # nm RMS (tests/test_psf_accuracy.py)
     pupil_samples: int = 128
@@ -97,10 +98,7 @@ class PsfSettings:
     def with_fewer_colours(self, apart: float) -> PsfSettings:
         """Return the same with neighbouring wavelengths joined, for derivatives that may be rough.
 
-        Parameters
-        ----------
-        apart : float
-            By how much light of joined wavelengths may lie apart at the edge of the window [λ/D].
+        Light of joined wavelengths falls less than `apart` [λ/D] from each other at the edge of the window.
         """
         reach = max(self.lenslet_window) * self.pixel_scale_mas * MAS / 2 * self.aperture_m  # [m]
         groups: list[list[tuple[float, float]]] = []
@@ -132,7 +130,7 @@ class PsfSettings:
 
         With 64 samples across the pupil, images at 1600 nm err by up to 1e-4 of the peak at 142 nm RMS and
         1.3e-3 at 424 nm, where 50 modes fall with their number; ten times as much where all are as
-        strong. The defocus of a ramp of ±300 nm beside 142 nm of NCPAs errs by less than 0.01 nm, where 10⁶
+        strong. The defocus of a ramp of ±300 nm with 142 nm of NCPAs errs by less than 0.01 nm, where 10⁶
         photons allow 0.2 nm. A blur wraps around 320 mas beyond the window instead of 500, which moves the
         defocus by less than 0.03 nm at 0.5″. For a mean image this is not enough: χ²/ν of the mean of 60
         noise-limited frames was 1.14 instead of 0.99.

@@ -14,7 +14,7 @@ from irlos_pipe.conventions.pupil_parts import Part
 ON_AXIS = (0.0, 0.0)
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 ROWS_AT_A_TIME = 64
-NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()}  # before an aperture
+NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()}  # a bare aperture
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing
 PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid's Nyquist frequency
 Shares = Callable[[np.ndarray, np.ndarray, float], Iterable[tuple[int, slice, np.ndarray]]]
@@ -35,16 +35,9 @@ class Division:
     ) -> Iterable[tuple[int, slice, np.ndarray]]:
         """Return which light of some cells the parts have that touch them.
 
-        Parameters
-        ----------
-        x_m, y_m : ndarray, (1, columns) and (rows, 1)
-        step_m : float
-            Side of the cells.
-
-        Returns
-        -------
-        iterable of (int, slice, ndarray)
-            Number of a part, a slice of columns, and its share of the light of each cell there.
+        The middles of the cells, of the side `step_m`, are `x_m`, (1, columns), and `y_m`, (rows, 1).
+        Returned are numbers of parts, each with a slice of columns and its share of the light of each cell
+        there.
         """
         return self.shared(x_m, y_m, step_m) if self.shared else self._at_middle(x_m, y_m)
 
@@ -63,18 +56,10 @@ def grid_centres(samples: int, step_m: float) -> np.ndarray:
 
 
 def area_weighted_pupil(geometry: PupilGeometry, centres_m: np.ndarray) -> np.ndarray:
-    """Return the transmitted area fraction of every cell of a square grid.
+    """Return the transmitted fraction, 0 to 1, of every cell of a square grid, (samples, samples).
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    centres_m : ndarray, (samples,)
-        Equally spaced cell centres along x and along y [m].
-
-    Returns
-    -------
-    ndarray, (samples, samples), float64
-        Row index is y, column index is x; values between 0 and 1.
+    The row index is y. The equally spaced `centres_m`, (samples,), are those of cells along x and along y
+    [m].
     """
     return np.concatenate([clear for _, clear in _by_rows(geometry, centres_m, ON_AXIS)])
 
@@ -88,12 +73,6 @@ def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarra
     a squared cosine to zero at 1.4 times it. A window of a few tens of lambda/D sees only
     the flat part, so sharp edges and thin vanes cost no resolution: at equal accuracy the
     grid is about half as fine per axis as an area-weighted one.
-
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    samples : int
-        Across the diameter.
 
     Returns
     -------
@@ -132,17 +111,10 @@ def band_limited(
     stop_m: tuple[float, float] = ON_AXIS,
     subsamples: int = SUBSAMPLES,
 ) -> np.ndarray:
-    """Return the amplitude of a pupil as in `band_limited_pupil`, (n, n).
+    """Return the amplitude of a pupil as in `band_limited_pupil`, (n, n), `samples` across the diameter.
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    samples : int
-        Across the diameter.
-    stop_m : (float, float)
-        Position of an internal stop that has the outline and the hole of the pupil, but no vanes.
-    subsamples : int
-        Fine cells per side of a coarse cell.
+    An internal stop at `stop_m` has the outline and the hole of the pupil, but no vanes. A coarse cell has
+    `subsamples` fine cells per side.
     """
     fine = fine_centres(geometry, samples, subsamples)
     filtering = filter_matrix(samples + 2 * PAD, subsamples)
@@ -233,18 +205,10 @@ def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: fl
 def _filtered_in_blocks(
     geometry: PupilGeometry, fine_m: np.ndarray, filtering: np.ndarray, stop_m: tuple[float, float]
 ) -> np.ndarray:
-    """Return the low-passed clear fraction of the fine cells of a plain pupil, (n, n).
+    """Return the low-passed clear fraction of fine cells of a disc with, at most, a hole and vanes, (n, n).
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-        A disc with, at most, a hole and vanes.
-    fine_m : ndarray, (n · cells,)
-        Centres of the fine cells along either axis [m].
-    filtering : ndarray, (n, n · cells)
-        Low-pass along one axis.
-    stop_m : (float, float)
-        Position of the internal stop.
+    The centres `fine_m` of the cells along either axis are (n · cells,); `filtering`, (n, n · cells), is the
+    low-pass along one axis, and `stop_m` the position of the internal stop.
     """
     n = len(filtering)
     fine, step = fine_m.reshape(n, -1), float(fine_m[1] - fine_m[0])

@@ -16,17 +16,13 @@ from irlos_pipe.optics.pupil import Division, area_weighted_pupil, band_limited_
 LABELLED = 1024  # cells across the diameter of the drawing in which connected parts are looked for
 WIDEST_GAP = 0.02  # of the diameter: a vane that ends this close to the rim parts petals all the same
 NARROWEST = 3  # cells: thinner vanes are drawn that wide there
-SMALLEST = 0.01  # of the clear area: what is smaller belongs to the petal beside it
+SMALLEST = 0.01  # of the clear area: what is smaller belongs to the adjacent petal
 
 
 class Petals:
     """Connected parts of the clear area of a pupil, gaps between segments not counted.
 
     They are numbered anticlockwise from the one nearest to the +45° diagonal.
-
-    Parameters
-    ----------
-    geometry : PupilGeometry
     """
 
     def __init__(self, geometry: PupilGeometry):
@@ -78,12 +74,8 @@ def segments_of(geometry: PupilGeometry) -> Division:
 def amplitudes_of(division: Division, geometry: PupilGeometry, samples: int) -> np.ndarray:
     """Return the band-limited amplitude of every part, (parts, n, n); their sum is that of the pupil.
 
-    Parameters
-    ----------
-    division : Division
-        Of `petals_of` or `segments_of` this pupil.
-    geometry, samples
-        See `pupil.band_limited_pupil`.
+    The `division` is that of `petals_of` or `segments_of` this pupil; `samples` as of
+    `pupil.band_limited_pupil`.
     """
     return band_limited_parts(geometry, samples, division)
 

@@ -32,7 +32,7 @@ from irlos_pipe.optics.pupil import (
     vane_cover,
 )
 
-WIDTH = 1.5  # fine cells
+WIDTH = 1.5  # of an edge, in fine cells: one cell would show the staircase
 Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -65,17 +65,9 @@ class _Cells(NamedTuple):
 
 
 class DrawnEdges:
-    """Edges of a pupil with an internal stop, as `pupil.band_limited` draws them.
+    """Edges of a pupil with an internal stop at `stop_m`, as `pupil.band_limited` draws them.
 
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    samples, subsamples : int
-        See `pupil.band_limited`.
-    stop_m : (float, float)
-        Position of the stop.
-    division : Division, optional
-        With one, derivatives are those of all its parts, (parts, n, n).
+    With a `division`, derivatives are those of all its parts, (parts, n, n).
     """
 
     def __init__(
@@ -256,12 +248,10 @@ class DrawnTwice(DrawnEdges):
         return (later - before) / (2 * angle)
 
     def obscured(self) -> np.ndarray:
-        """See `PupilEdges.obscured`."""
         size_m = self.geometry.obscuration_m
         return self._between(*(with_sizes(self.geometry, obscuration_m=size_m + s) for s in self._steps_m))
 
     def widened(self) -> np.ndarray:
-        """See `PupilEdges.widened`."""
         size_m = self.geometry.vane_width_m
         return self._between(*(with_sizes(self.geometry, vane_width_m=size_m + s) for s in self._steps_m))
 

@@ -19,16 +19,10 @@ NODES = 16  # per axis: the squared differences are polynomials of degree 4 in b
 
 
 def coma_between(lengths_m: np.ndarray, diameter_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return moments of ``ψ(x + b) - ψ(x)`` over a clear circle.
+    """Return moments of ``ψ(x + b) - ψ(x)`` over a clear circle, by the lengths of the baselines, (n,).
 
     They are over the points x for which x + b is inside, too. ψ is Noll 8 for a baseline b along x; turned,
-    the moments hold for every baseline.
-
-    Parameters
-    ----------
-    lengths_m : ndarray, (n,)
-        Of the baselines; those beyond the diameter are taken for it.
-    diameter_m : float
+    the moments hold for every baseline. Baselines beyond the diameter are taken for it.
 
     Returns
     -------
@@ -71,7 +65,7 @@ class MeanFactor(NamedTuple):
 class ResidualOtf:
     """The residual in a `band`, on the baselines of a `focal` grid, of a Fried parameter `r0_m`.
 
-    Its parameters are the arguments of `InBandResidual.at`, and beside them how much turbulence is beyond the
+    Its parameters are the arguments of `InBandResidual.at`, and in addition how much turbulence is beyond the
     cut-off, as a share of what the Fried parameter gives.
     """
 
@@ -80,7 +74,7 @@ class ResidualOtf:
         lengths = np.hypot(bx, by)
         within = lengths <= focal.longest_m
         self._fitting_nm2 = torch.as_tensor(fitting_structure_nm2(lengths[within], band, r0_m))
-        # Of every baseline of the grid among those within the pupil.
+        # Place of every baseline of the grid among those within the pupil.
         self._place = torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0))
         bx, by = bx[within], by[within]
         self._in_band = InBandResidual(bx, by, band)
@@ -88,7 +82,7 @@ class ResidualOtf:
         b = np.maximum(lengths[within], 1e-9)
         self._along = torch.as_tensor(np.stack([bx * bx, 2 * bx * by, by * by]) / b)
         self._across = torch.as_tensor(np.stack([-bx * by, bx * bx - by * by, bx * by]) / b)
-        # Star and modes ask for the same one after the other.
+        # Star and modes request the same one in succession.
         self._at = lru_cache(maxsize=1)(lambda *values: self._in_band.at(*_tensor(values)))
         self._slopes_at = lru_cache(maxsize=1)(lambda *values: self._in_band.with_slopes(_tensor(values)))
 
@@ -122,7 +116,7 @@ class ResidualOtf:
         """Return derivatives of `mean_factor`; `values` and `grid` are as of `exponent`.
 
         The derivatives of the share of the turbulence beyond the cut-off are `by_beyond`, by the parameters
-        that are wanted.
+        that are requested.
         """
         residual, slopes = self._with_slopes(values)
         mean, along, across = self._coma

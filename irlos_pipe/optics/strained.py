@@ -152,12 +152,10 @@ class Pixels:
 
     @property
     def rows(self) -> torch.Tensor:
-        """See `Strained`."""
         return self.weight * self._waves(self.map[1, 1] * self._y, self._along_column, self._lines)
 
     @property
     def columns(self) -> torch.Tensor:
-        """See `Strained`."""
         return self._waves(self.map.det() / self.map[1, 1] * self._x, self._bx, self._grid.padded)
 
     @property
@@ -185,12 +183,10 @@ class Pixels:
 
     @property
     def along_columns(self) -> torch.Tensor:
-        """See `Strained`."""
         return phasor(2 * np.pi * self.size * self.map[0, 1] * self._along_column[:, None] * self._x)
 
     @property
     def footprint(self) -> torch.Tensor:
-        """See `Strained`."""
         x, y = self._edges(self.map)
         return torch.sinc(x) * torch.sinc(y)
 

@@ -33,14 +33,9 @@ def seeing_to_r0_m(seeing_arcsec: float, wavelength_nm: float = 500.0) -> float:
 def von_karman_nm2(
     f_per_m: np.ndarray, r0_m: float, outer_scale_m: float, wavelength_nm: float = 500.0
 ) -> np.ndarray:
-    """Return the Von Kármán power spectral density of the OPD [nm² m²].
+    """Return the Von Kármán power spectral density of the OPD [nm² m²] at spatial frequencies `f_per_m`.
 
-    Parameters
-    ----------
-    f_per_m : ndarray
-        Spatial frequencies [1/m].
-    r0_m, outer_scale_m : float
-        Fried parameter at `wavelength_nm`, and outer scale [m].
+    The Fried parameter `r0_m` is that at `wavelength_nm`.
     """
     radians = VON_KARMAN * r0_m ** (-5 / 3) * (f_per_m**2 + outer_scale_m**-2) ** (-11 / 6)
     return radians * (wavelength_nm / (2 * np.pi)) ** 2

@@ -16,18 +16,9 @@ from irlos_pipe.optics.zernike import zernike_basis
 
 
 def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -> np.ndarray:
-    """Return maps of Zernike coefficients, NaN where there is no light.
+    """Return maps [nm], (..., n, n), of coefficients `zernike_nm`, (..., modes), NaN where there is no light.
 
-    Parameters
-    ----------
-    nolls : sequence of int
-    zernike_nm : ndarray, (..., modes)
-    lit : ndarray of bool, (n, n)
-        Samples across the diameter of the pupil; row index is y.
-
-    Returns
-    -------
-    ndarray, (..., n, n)
+    The samples across the diameter that are `lit`, (n, n), have y as the row index.
     """
     return np.where(lit, np.tensordot(zernike_nm, zernike_basis(nolls, *_disc(len(lit))), 1), np.nan)
 

@@ -33,20 +33,10 @@ def noll_to_nm(noll: int) -> tuple[int, int]:
 
 
 def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return one Zernike polynomial on points of the unit disc.
+    """Return one Zernike polynomial, of unit RMS over the disc, at points `x`, `y` in units of its radius.
 
-    Parameters
-    ----------
-    noll : int
-        Noll index, 1 = piston.
-    x, y : ndarray
-        Coordinates in units of the pupil radius; points outside the unit disc get
-        the polynomial's continuation, the pupil amplitude cuts it off.
-
-    Returns
-    -------
-    ndarray, shape of `x`
-        Unit RMS over the unobscured disc.
+    Noll 1 is piston. Points outside the disc get the continuation of the polynomial: the amplitude of the
+    pupil cuts it off.
     """
     return zernike_basis([noll], x, y)[0]
 
@@ -94,15 +84,8 @@ def in_products(nolls: Sequence[int], degree: int, reach: float, middle: Sequenc
 
     Their values at the corners of the square rule how exact: rounding of float64 errs by 4e-8 at degree 20.
 
-    Parameters
-    ----------
-    nolls : sequence of int
-    degree : int
-        Of the products, at least that of the modes.
-    reach : float
-        From the middle of the square to its sides [radii].
-    middle : (float, float)
-        Where that is, x and y [radii]; the x and y of the products count from there.
+    The `degree` of the products is at least that of the modes. Their x and y count from the `middle` of the
+    square, x and y [radii], whose sides are at the distance `reach` [radii].
     """
     nodes = chebyshev.chebpts1(degree + 1)
     invert = np.linalg.inv(chebyshev.chebvander(nodes, degree))
