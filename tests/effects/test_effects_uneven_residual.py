@@ -95,11 +95,8 @@ def test_a_calibration_finds_what_the_simulated_screens_have():
     scene = cube_scene("cube", (5, 0), facility, SEEING_ARCSEC, 80, 7.0)
     sky = replace(scene.sky, variance_zernike={noll: UNEVEN[name] for name, noll in NOLLS.items()})
     cube = ObservedCube.of(replace(scene, sky=sky))
-    halo, *others = cube.effects
-    uneven = UnevenResidual(halo.band, facility.residual_law, SEEING_ARCSEC)
-    found = VARIANTS[DEFAULT].calibrate(
-        cube.frames, cube.settings, [halo, uneven, *others], facility.ncpa_law
-    )
+    uneven = UnevenResidual(cube.effects[0].band, facility.residual_law, SEEING_ARCSEC)
+    found = cube.calibrated(VARIANTS[DEFAULT], [uneven])
     values, sigma = found.effects["uneven_residual"], found.effects_sigma["uneven_residual"]
     for name, true in UNEVEN.items():
         assert sigma[name] < 0.08

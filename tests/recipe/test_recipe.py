@@ -202,7 +202,9 @@ def test_the_path_of_a_profile_on_the_command_line_counts_from_the_current_folde
     settings = ["instrument=mine.yaml"]
     recipe = load_recipe("ncpa_calibration", settings, complete=False)
     assert (
-        recipe.instrument_name == load_spec("bench", settings).instrument_name == str(tmp_path / "mine.yaml")
+        recipe.instrument_name
+        == load_spec("bench", settings).head["instrument"]
+        == str(tmp_path / "mine.yaml")
     )
 
 
