@@ -86,10 +86,6 @@ SECOND_IMAGE = {"sep_mas": (493.5, 1.5), "pa_deg": (219.5, 0.5), "flux_ratio": (
 ABOUT_DEG = 0.5
 SURE = 3.0  # standard errors
 
-needs_the_recording = pytest.mark.skipif(
-    not RECORDING.is_file(), reason="the measured recording is not there"
-)
-
 
 @pytest.fixture(scope="module")
 def diagnoses(tmp_path_factory) -> dict[str, dict]:
