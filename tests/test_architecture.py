@@ -73,7 +73,7 @@ SCIENCE_MAY_USE = {
     "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools", "math", "textwrap",
     "threading", "time", "typing", "warnings", "numpy", "scipy", "torch",
 }  # fmt: skip
-# Lines of each package, which may only become fewer: raise none without taking as many from another.
+# Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 310, "commands": 1820, "control": 550, "conventions": 940, "diagnosis": 6120, "effects": 4530,
     "esorex": 110, "estimate": 6910, "files": 1030, "focus": 2410, "frames": 2130, "instrument": 820,
@@ -166,7 +166,7 @@ def test_the_guard_sees_forbidden_imports_and_lets_others_pass(source, module, e
 @pytest.mark.parametrize("package", LINES)
 def test_a_package_keeps_to_its_lines(package):
     lines = sum(len(text(module).splitlines()) for module in MODULES if module.parts[1] == package)
-    assert lines <= LINES[package]
+    assert lines <= LINES[package], "take lines away, or raise LINES and say why in the commit"
 
 
 def test_every_package_has_its_lines():
