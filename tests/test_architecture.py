@@ -75,7 +75,7 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 310, "commands": 1820, "control": 550, "conventions": 940, "diagnosis": 6120, "effects": 4530,
+    "api": 310, "commands": 1840, "control": 550, "conventions": 940, "diagnosis": 6120, "effects": 4530,
     "esorex": 110, "estimate": 6910, "files": 1030, "focus": 2410, "frames": 2130, "instrument": 820,
     "night": 3320, "numerics": 940, "optics": 3930, "paper": 6020, "pipeline": 1200, "product": 2560,
     "readers": 2550, "recipe": 360, "reference": 610, "report": 3840, "simulate": 4530, "stages": 6560,

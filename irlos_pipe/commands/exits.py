@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import tempfile
+import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +20,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosErr
 from irlos_pipe.conventions.text import printable
 
 NO_OUTPUT = {errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG}
+AGAIN_S = 0.01  # until a dropped signal comes again: longer than objects take to be deleted
 ASKED, SIGNALS = "irlos.pdb", "irlos.signals"  # keys of what a call knows
 
 EXIT_CODES = """\b
@@ -97,21 +99,34 @@ def report_error(message: str) -> None:
 def terminated_like_interrupted() -> Iterator[list[int]]:
     """End the block on SIGTERM or SIGHUP as on Ctrl-C, so that no unfinished files are left.
 
-    Yields the list of the signals that came, Ctrl-C's among them.
+    Yields the list of the signals that came, Ctrl-C's among them. One that comes while an object is deleted,
+    where Python drops every exception, comes again a moment later.
     """
     came: list[int] = []
+    again: list[threading.Timer] = []
 
     def end(number: int, _: object) -> None:
         came.append(number)
         raise KeyboardInterrupt
 
+    def dropped(what: sys.UnraisableHookArgs) -> None:
+        if not isinstance(what.exc_value, KeyboardInterrupt):
+            hook(what)
+            return
+        again.append(threading.Timer(AGAIN_S, os.kill, (os.getpid(), came[-1])))
+        again[-1].start()
+
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     for number, handler in previous.items():
         if handler != signal.SIG_IGN:  # as under nohup
             signal.signal(number, end)
+    hook, sys.unraisablehook = sys.unraisablehook, dropped
     try:
         yield came
     finally:
+        for timer in again:
+            timer.cancel()
+        sys.unraisablehook = hook
         for number, handler in previous.items():
             signal.signal(number, handler)
 

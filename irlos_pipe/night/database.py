@@ -138,9 +138,9 @@ class Database:
         row = self.connection.execute(query, (str(file), stamp)).fetchone()
         return row and row[0]
 
-    def descriptions(self) -> Iterator[tuple[str, str]]:
-        """Yield the files of all nights with what is stored of them, JSON."""
-        yield from self.connection.execute("SELECT file, description FROM recordings ORDER BY file")
+    def descriptions(self) -> list[tuple[str, str]]:
+        """Return the files of all nights with what is stored of them, JSON."""
+        return self.connection.execute("SELECT file, description FROM recordings ORDER BY file").fetchall()
 
     def add_description(self, file: Path, stamp: str, description: str) -> None:
         """Store the `description` of a `file` under its `stamp`.

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import click
 import pytest
@@ -112,6 +113,17 @@ def test_an_interrupt_that_a_library_takes_for_bad_input_ends_a_command_all_the_
     result = CliRunner().invoke(program, ["read"])
     assert result.exit_code == ExitCode.INTERRUPTED
     assert "interrupted" in result.stderr and "pattern" not in result.stderr
+
+
+def test_a_signal_that_comes_while_an_object_is_deleted_is_not_lost():
+    class Deleted:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(KeyboardInterrupt), terminated_like_interrupted() as came:
+        Deleted()
+        time.sleep(10.0)
+    assert came == 2 * [signal.SIGTERM]
 
 
 def test_under_nohup_a_lost_connection_ends_nothing():
