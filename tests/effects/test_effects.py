@@ -22,7 +22,7 @@ from helpers.optics_cases import (
 )
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
-from irlos_pipe.effects.base import label_after, labels_of
+from irlos_pipe.effects.base import kind_of, label_after, labels_of
 from irlos_pipe.optics.grids import Optics, OtfGrid
 from irlos_pipe.optics.psf import PsfModel
 
@@ -197,3 +197,7 @@ def test_labels_after_one_has_left_are_those_of_the_others(gone):
     others = [label for position, label in enumerate(labels) if position != gone]
     left = [effect for position, effect in enumerate(effects) if position != gone]
     assert [label_after(label, labels[gone]) for label in others] == labels_of(left)
+
+
+def test_every_label_tells_its_kind():
+    assert [kind_of(label) for label in labels_of([SimpleNamespace(name=name) for name in KINDS])] == KINDS
