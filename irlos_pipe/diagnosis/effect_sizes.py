@@ -25,7 +25,7 @@ def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
     It is at least that of the Fisher matrix.
     """
     fisher = fitted.solution.covariance[0].numpy()
-    if stack.photon_limited:
+    if stack.photon_limited or fitted.complete:
         return fisher
     gain = fitted.solution.covariance[0] @ (fitted.linearised[1] * stack.root)
     scatter = stack.covariance_of(gain.mT).numpy()

@@ -33,6 +33,7 @@ class Fitted:
     solution: Solution
     chi2: float  # of the mean training images
     views: Sequence[View]  # of the recordings
+    complete: bool = False  # whether its covariance holds all errors of the mean images, speckles' as well
 
     @property
     def x(self) -> torch.Tensor:
@@ -43,6 +44,10 @@ class Fitted:
     def effects(self) -> tuple[Effect, ...]:
         """Effects of the model, in the order of the light path."""
         return self.problem.effects.effects
+
+    def moved(self, by: torch.Tensor) -> Fitted:
+        """The model with other parameters, nothing fitted."""
+        return Fitted(self.problem, replace(self.solution, values=self.x + by), self.chi2, self.views)
 
     @property
     def modes_nm(self) -> np.ndarray:

@@ -52,20 +52,20 @@ class Fitter:
 
     def fit(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
         """Fit `effects` from zero wavefront, or from modes, flux and background of a fit `near` by."""
-        problem = self._problem(effects, self._quick)
-        return self._exact(self._solved(problem, self._start(problem, near)))
+        problem = self.problem(effects, self._quick)
+        return self._exact(self._solved(problem, self.start(problem, near)))
 
     def explored(
         self, effects: Sequence[Effect], near: Fitted | None = None, iterations: int = EXPLORING
     ) -> Fitted:
         """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
-        problem = self._problem(effects, self._quick, ROUGHLY)
-        return self._solved(problem, self._start(problem, near), iterations)
+        problem = self.problem(effects, self._quick, ROUGHLY)
+        return self._solved(problem, self.start(problem, near), iterations)
 
     def begun(self, effects: Sequence[Effect], near: Fitted) -> Fitted:
         """`effects` with modes, flux and background of a fit `near` by, nothing fitted yet."""
-        problem = self._problem(effects, self.views)
-        x = self._start(problem, near)
+        problem = self.problem(effects, self.views)
+        x = self.start(problem, near)
         return Fitted(problem, replace(near.solution, values=x), float(problem.chi2(x)), self.views)
 
     def finished(self, fitted: Fitted) -> Fitted:
@@ -83,10 +83,10 @@ class Fitter:
 
     def _continued(self, fitted: Fitted) -> Fitted:
         """The fit continued in float32."""
-        return self._solved(self._problem(fitted.continued(), self._quick), fitted.x)
+        return self._solved(self.problem(fitted.continued(), self._quick), fitted.x)
 
     def _exact(self, fitted: Fitted) -> Fitted:
-        return self._solved(self._problem(fitted.continued(), self.views), fitted.x, FINISHING)
+        return self._solved(self.problem(fitted.continued(), self.views), fitted.x, FINISHING)
 
     def twin(self, fitted: Fitted) -> Fitted:
         """The fit that starts from the twin of another one, (φ(u) → −φ(−u))."""
@@ -130,7 +130,7 @@ class Fitter:
 
         Further recordings point and shine like the first.
         """
-        problem = self._problem(fitted.continued(), self.views)
+        problem = self.problem(fitted.continued(), self.views)
         x = torch.zeros(1, problem.size, dtype=torch.float64)
         known, shared = fitted.problem, slice(0, problem.layout.effect_values.stop)
         x[:, shared] = fitted.x[:, shared]
@@ -146,7 +146,7 @@ class Fitter:
         solution = replace(fitted.solution, values=x)
         return Fitted(problem, solution, float(problem.chi2(x)), self.views)
 
-    def _problem(
+    def problem(
         self, effects: Sequence[Effect], views: Sequence[View], tolerance: float = CHI2_TOLERANCE
     ) -> JointFit:
         whole = EffectSet(effects, views[0].psf.grids)
@@ -154,7 +154,7 @@ class Fitter:
         parts = [_part(stack, view, view.seen(whole.effects, views)) for view, stack in pairs]
         return JointFit(parts, whole, [view.moment for view in views], self.drift_nm, tolerance)
 
-    def _start(self, problem: JointFit, near: Fitted | None) -> torch.Tensor:
+    def start(self, problem: JointFit, near: Fitted | None = None) -> torch.Tensor:
         x = torch.zeros(1, problem.size, dtype=torch.float64)
         parts = zip(self.views, self.stack.parts, problem.parts, problem.columns, strict=True)
         for view, stack, part, columns in reversed(list(parts)):  # what they share is that of the first

@@ -56,6 +56,14 @@ class Optimum(NullModel):
         unconverged = basis.mT @ residual + whole[len(residual) :].mT @ prior
         super().__init__(residual, root, basis, unconverged)
 
+    def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
+        """Whitened shapes (pixels, m)."""
+        return shapes * self.root[:, None]
+
+    def covariance_of(self, left: torch.Tensor) -> torch.Tensor:
+        """Of products of the mean with whitened shapes (pixels, m), (m, m)."""
+        return self.stack.covariance_of(left)
+
     def under(self, stack: Stacks) -> Optimum:
         """The same model with other variances of the same frames."""
         return self if stack is self.stack else Optimum(stack, self.fitted)

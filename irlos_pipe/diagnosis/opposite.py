@@ -23,10 +23,8 @@ from irlos_pipe.diagnosis.fitted import POINTING, Fitted, begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.records import OppositeSide
-from irlos_pipe.diagnosis.starts import all_around, direction_of, on_other_sides, other_sides
-from irlos_pipe.diagnosis.tolerant import everyday
-from irlos_pipe.diagnosis.without import needless
-from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.diagnosis.starts import direction_of, other_sides
+from irlos_pipe.effects import FixedEffect
 
 
 def opposite_side(fitter: Fitter, final: Optimum, label: str, sure: float) -> OppositeSide | None:
@@ -69,28 +67,23 @@ def _is_opposite(fitted: Fitted, other: Fitted, column: int) -> bool:
 WORTH = 1.5  # standard errors by which a fact must be off to be worth its freedom, some √2
 
 
-def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[FixedEffect]:
-    """Return those facts, of the `final` model or lacking in it, that are off by more than `WORTH`.
+def open_facts(final: Optimum, known: Sequence[str]) -> list[FixedEffect]:
+    """Return those facts of the `final` model that are off by more than `WORTH`.
 
-    They are as they fit best, nothing free; those with `known` labels, named or adjusted, are left out, and
-    all where the fit fails.
+    They are as they fit best, nothing free; those with `known` labels, named or adjusted, are left out.
     """
-    fitted = final.fitted
-    own = fitter.of(final.stack, fitted.views)
-    conditions = [view.conditions for view in fitted.views]
-    missing = [effect for effect in everyday(conditions, fitted.effects) if effect.base.varies]
-    begun = _best(own, all_around([*fitted.continued(), *missing]), fitted)
-    if not np.isfinite(begun.chi2):
-        return []
-    best = _best(own, [begun.continued(), *on_other_sides(begun)], begun)
-    if not np.isfinite(best.chi2):
-        best = begun
-    facts = [label for label in best.problem.effects.labels if best.effect(label).base.varies]
-    exact = needless(best, facts, own.stack, WORTH)
-    free = [label for label in facts if label not in exact and label not in known]
-    return [FixedEffect(best.effect(label).base, best.values_of(label)) for label in free]
+    fitted, found = final.fitted, []
+    for label in fitted.problem.effects.labels:
+        effect = fitted.effect(label)
+        if effect.base.varies and label not in known and _off(fitted, label):
+            found.append(FixedEffect(effect.base, fitted.values_of(label)))
+    return found
 
 
-def _best(fitter: Fitter, starts: Sequence[Sequence[Effect]], near: Fitted) -> Fitted:
-    """The best fit of effects from some starts."""
-    return min((fitter.explored(effects, near) for effects in starts), key=lambda one: one.chi2)
+def _off(fitted: Fitted, label: str) -> bool:
+    """Whether a parameter is off from its null by more than `WORTH` of its standard errors."""
+    columns = fitted.columns_of(label)
+    sigma = fitted.solution.covariance[0].diagonal()[columns] ** 0.5
+    values = fitted.x[0, columns]
+    rows = zip(fitted.effect(label).parameters, values.tolist(), sigma.tolist(), strict=True)
+    return any(one.null is not None and abs(value - one.null) > WORTH * error for one, value, error in rows)

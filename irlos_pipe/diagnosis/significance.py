@@ -32,7 +32,7 @@ def significance_of(
         axes = axes[:, -max(1, int(MOST_OF_FRAMES * stack.independent)) :]
     left = optimum.project(shapes @ axes)
     held = optimum.norm2(shapes @ axes) - left.mT @ left  # what priors, not the data, keep parameters from
-    along, covariance = axes.mT @ projection, stack.covariance_of(left) + held
+    along, covariance = axes.mT @ projection, optimum.covariance_of(left) + held
     inflation = float(covariance.diagonal().mean())
     if stack.photon_limited:
         return 1.0, gaussian_sigma(float(along @ along), len(along), np.inf, trials)

@@ -66,7 +66,7 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     if angle is None:
         return []
     other = fitted.x[0, fitted.columns_of(label)].numpy().copy()
-    if not _rests(fitted, label):
+    if not rests(fitted, label):
         other[angle] += np.pi
         return [other]
     downhill = _downhill(fitted, label, angle)
@@ -79,7 +79,7 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
 def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
     """The same effects, by label; what came to rest in a fit begins where that falls, see `other_sides`."""
     shared = [label for label in fitted.problem.effects.labels if label in effects]
-    resting = [label for label in shared if _rests(fitted, label)]
+    resting = [label for label in shared if rests(fitted, label)]
     places = ((label, values) for label in resting for values in other_sides(fitted, label))
     released = {label: begun_at(effects[label], values) for label, values in places}
     return [*({**effects} | released).values()]
@@ -100,7 +100,7 @@ def all_around(effects: Sequence[Effect]) -> list[list[Effect]]:
     return [[*effects], *turned]
 
 
-def _rests(fitted: Fitted, label: str) -> bool:
+def rests(fitted: Fitted, label: str) -> bool:
     """Whether an effect with a direction is at no distance."""
     if direction_of(fitted, label) is None:
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -33,6 +34,16 @@ class Parameter:
     # A value outside says that the effect stands in for something else.
     plausible: tuple[float, float] = (-INFINITE, INFINITE)
     natural: bool = False  # whether nature sets the bounds: a value there is as good as any other
+
+    @property
+    def proper_prior(self) -> tuple[float, float]:
+        """Mean and σ of its prior, or of what is equally likely wherever it is plausible."""
+        if math.isfinite(self.prior_sigma):
+            return self.prior_mean, self.prior_sigma
+        mean = self.start if self.null is None else self.null
+        ranges = (self.plausible, (self.lower, self.upper), (-math.pi, math.pi))
+        low, high = next(one for one in ranges if math.isfinite(one[0]) and math.isfinite(one[1]))
+        return mean, (high - low) / math.sqrt(12)
 
     def allows(self, value: float) -> bool:
         """Whether a `value` is plausible, and not held by a bound that is not natural."""

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.special import logsumexp
 
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.diagnosis.moments import Placement
@@ -25,7 +26,7 @@ from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
 
-BUNDLED = 16  # candidates in the pupil or of the OTF that share one light path
+BUNDLED = 32  # candidates in the pupil or of the OTF that share one light path
 LINEAR = 0.5  # of the prior's σ: how far from null a fit begins at most, where the estimate is linear
 CLEARLY_MORE = 25.0  # calibrated χ² that one moment alone must gain beyond all moments jointly
 FURTHER_STARTS, FAR_APART = 2, 0.2  # starts of a fit besides the best; their distance over the range searched
@@ -81,6 +82,8 @@ class Score:
     trials: int = 1  # candidates of the family
     besides: tuple[Score, ...] = ()  # best candidates with other parameters of the same effect
     elsewhere: tuple[Score, ...] = ()  # next best candidates far from this one, where a fit may begin as well
+    # ln odds of the effect against its absence, of several places that of all together, by proper priors
+    log_odds: float = -np.inf
 
     @property
     def name(self) -> str:
@@ -91,13 +94,13 @@ class Score:
         """Whether these data can show the effect."""
         return self.observability > ABSORBED
 
-    def start(self) -> FixedEffect:
+    def start(self, within: float = LINEAR) -> FixedEffect:
         """The whole effect, free but for what these data do not determine, at the linear estimate.
 
-        A phase of a radian is no longer linear: whatever has a prior starts well within it.
+        A phase of a radian is no longer linear: whatever has a prior starts `within` some σ of it.
         """
         null = np.array(self.candidate.null_values)
-        reach = LINEAR * np.array([p.prior_sigma for p in self.candidate.parameters])
+        reach = within * np.array([p.prior_sigma for p in self.candidate.parameters])
         return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
 
     def restart(self) -> FixedEffect:
@@ -132,7 +135,7 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     trials = len(tried) * family.positions * len(family.placements)
     if family.effect.copies_star:
         tried = [*brightest_copies(optimum, family.effect), *around(family.effect)]
-    pieces = ordered_map(partial(_scored, optimum, trials, family.placements), _bundles(tried))
+    pieces = ordered_map(partial(scored, optimum, trials, family.placements), _bundles(tried))
     found = [score for piece in pieces for score in piece]
     alike = ([one for one in found if one.candidate.acts_in == where] for where in family.placements)
     return _best_placed([_best_of(some) for some in alike])
@@ -143,7 +146,8 @@ def _best_of(found: Sequence[Score]) -> Score:
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)
     besides = tuple(one for one in kinds.values() if one is not best and one.usable)
-    return replace(best, besides=besides, elsewhere=_elsewhere(best, found))
+    together = float(logsumexp([one.log_odds for one in found])) - np.log(best.trials)
+    return replace(best, besides=besides, elsewhere=_elsewhere(best, found), log_odds=together)
 
 
 def _best_placed(alike: Sequence[Score]) -> Score:
@@ -190,7 +194,7 @@ def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torc
         _of_recording(view.seen(candidates, fitted.views), part, x, frozen, candidates)
         for view, (part, x), frozen in zip(fitted.views, fitted.recordings, optimum.frozen, strict=True)
     ]
-    shapes = (torch.cat(columns, dim=1) * optimum.root).mT
+    shapes = optimum.whiten(torch.cat(columns, dim=1).mT)
     return list(shapes.split([len(one.parameters) for one in candidates], dim=1))
 
 
@@ -219,7 +223,7 @@ def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
     return [candidates[i : i + size] for i in range(0, len(candidates), size)]
 
 
-def _scored(
+def scored(
     optimum: Optimum, trials: int, placements: Sequence[Placement], candidates: Sequence[Effect]
 ) -> list[Score]:
     """Scores of every candidate, in every placement that all the recordings of the `candidates` hold."""
@@ -259,7 +263,22 @@ def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tenso
         torch.where(linear.usable, smallest, torch.inf).numpy(),
         tuple(p.name for p, use in zip(candidate.parameters, linear.usable.tolist(), strict=True) if use),
         trials,
+        log_odds=_log_odds(linear, optimum.norm2(linear.used), inflation),
     )
+
+
+def _log_odds(linear: LinearEstimate, gram: torch.Tensor, inflation: float) -> float:
+    """ln odds of a candidate against its absence, its size integrated out; variances larger by `inflation`."""
+    if not linear.usable.any():
+        return -np.inf
+    pairs = zip(linear.candidate.parameters, linear.usable.tolist(), strict=True)
+    sigma = torch.tensor([one.proper_prior[1] for one, used in pairs if used], dtype=torch.float64)
+    gram, force = gram / max(1.0, inflation), linear.projection / max(1.0, inflation)
+    size = torch.linalg.solve(gram + torch.diag(sigma**-2), force)
+    volume = torch.linalg.slogdet(torch.eye(len(sigma), dtype=torch.float64) + sigma[:, None] * gram * sigma)[
+        1
+    ]
+    return 0.5 * float(force @ size - volume)
 
 
 class _Bundle(Effect):

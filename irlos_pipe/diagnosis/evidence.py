@@ -1,0 +1,425 @@
+"""The search where nothing is exactly as declared: everything is free, and names are what has the evidence.
+
+At a telescope the pupil, the scale, the band and the wavefront all differ a little from what a profile
+states, and there is a little of every mild effect. All of it is fitted at once with its prior (`posterior`).
+What else may be missing is proposed by linear tests at the optimum and fitted jointly with everything; what
+has the best odds enters the model, until nothing has any. In the end an effect is named if the odds against
+its absence, and frames that no fit has seen, are clearly for it; what is not sure enough stays as adjusted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.units import resolution_px
+from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
+from irlos_pipe.diagnosis.cube import Errors, Stacks
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.forward import Task, placed_families
+from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, copies_in_a_row, share_at_its_place
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between, preference
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.posterior import (
+    Covariance,
+    Images,
+    Laplace,
+    Linear,
+    Posterior,
+    WavefrontLaw,
+    fitted_as,
+)
+from irlos_pipe.diagnosis.records import Alternative, Ranked
+from irlos_pipe.diagnosis.refit import Refit
+from irlos_pipe.diagnosis.search.scores import Score, score_family, scored, whitened_shapes
+from irlos_pipe.diagnosis.starts import direction_of, rests
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
+from irlos_pipe.effects.base import on_every_side
+from irlos_pipe.effects.colour import PlateScale, Spectrum
+from irlos_pipe.effects.effect_set import labels_of
+from irlos_pipe.effects.pupil_places import PupilPlace
+from irlos_pipe.estimate.open_fit import TailLaw
+from irlos_pipe.estimate.score_test import LinearEstimate
+
+SURE = (
+    25.0  # ln odds from which an effect is named: those of false ones reached 17 on cubes that hide nothing
+)
+WORTH = 10.0  # ln odds from which an effect enters the model
+PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
+LOOKED_AT = 2  # effects fitted at once, those of the best odds
+FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
+TURNED = 6  # iterations from another side
+AGAINST = 0.0  # Vuong's statistic of frames that no fit has seen, below which they object to a name
+WITHIN = 1.0  # of a prior's σ, in which an effect begins
+SCALES = (PlateScale.name, Spectrum.name)  # both scale the image and are nearly degenerate
+FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
+
+
+@dataclass(frozen=True)
+class EvidenceTask(Task):
+    """A search with everything free, besides what the model has."""
+
+    kind: str  # of the noise
+
+    def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
+        """Begin again from `effects` where a plain `search` left much."""
+        drift = search.drift
+        moving = [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
+        declared = [*effects, *moving]
+        conditions = [view.conditions for view in self.fitter.views]
+        images = Images.of(self.fitter.of(self.cube.training))
+        law = self.conditions.ncpa_law and WavefrontLaw(
+            self.conditions.ncpa_law, TailLaw(self.fitter.views[0].psf.nolls[-1] + 1, amplitude_nm=4.0)
+        )
+        covariance = Covariance.of(images.stack, images.views)
+        begun = []
+        for known_effects, near in ((declared, None), (search.final.fitted.continued(), search.final.fitted)):
+            whole = [*known_effects, *everyday(conditions, known_effects)]
+            posterior = Posterior(images, whole, covariance, law)
+            begun.append(posterior.minimised(posterior.start(near), FIRST))
+        first = max(begun, key=lambda one: one.log_evidence)
+        laplace = self._turned(self._settled(first))
+        entered: dict[str, float] = {}
+        known: list[Score] = []
+        for _ in range(2 * self.options.most_names):
+            found = self._proposed(laplace, known)
+            best = self._best(laplace, found)
+            if best is None:
+                break
+            laplace, label, odds = best
+            entered[label] = odds
+            laplace = self._settled(laplace)
+            if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
+                break
+        return self._named(search, laplace, declared, entered, found)
+
+    # -- fits ------------------------------------------------------------------------------------
+
+    def _settled(self, laplace: Laplace) -> Laplace:
+        """The fit with the laws of wavefront and errors by evidence."""
+        posterior = replace(
+            laplace.posterior, law=laplace.with_best_law(), covariance=laplace.with_best_errors()
+        )
+        self.report(1)
+        return posterior.minimised(laplace.x, JOINTLY)
+
+    def _turned(self, laplace: Laplace) -> Laplace:
+        """The best of a fit and others in which what has a distance and a direction begins elsewhere.
+
+        To first order opposite sides are degenerate, and where it has come to rest the image has a kink.
+        """
+        best, fitted = laplace, laplace.fitted
+        for label in fitted.problem.effects.labels:
+            angle = direction_of(fitted, label)
+            if angle is None:
+                continue
+            columns = fitted.columns_of(label)
+            opposite = fitted.x[0, columns].numpy().copy()
+            opposite[angle] += np.pi
+            sides = on_every_side(fitted.effect(label)) if rests(fitted, label) else [opposite]
+            for side in sides:
+                x = fitted.x.clone()
+                x[0, columns] = torch.as_tensor(side)
+                other = laplace.posterior.minimised(x, TURNED)
+                best = max(best, other, key=lambda one: one.log_evidence)
+            self.report(1)
+        return best
+
+    def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, str, float] | None:
+        """The fit with the effect of the best odds, its label and the odds; None if none is worth it."""
+        tried = []
+        for score in [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]:
+            other = self._joined(laplace, score)
+            if other is not None:
+                odds = (other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation)
+                tried.append((odds, other))
+        self.report(1)
+        print("   tried", [(round(o, 1), s.name, round(s.log_odds, 1)) for (o, _), s in zip(tried, found)], "s", laplace.posterior.covariance.model_rms, "f", laplace.posterior.covariance.flat_rms)  # DEBUG
+        if not tried:
+            return None
+        odds, best = max(tried, key=lambda one: one[0])
+        if odds < WORTH:
+            return None
+        known = {*laplace.fitted.problem.effects.labels}
+        label = next(one for one in best.fitted.problem.effects.labels if one not in known)
+        best, label = self._in_wider_form(best, label)
+        return best, label, odds
+
+    def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
+        """The fit with one effect more, from where all others make room for it; None if it fails."""
+        start = score.start(WITHIN)
+        start = start.base.whole(start, score.sizes).only_in(score.candidate.acts_in)
+        posterior = laplace.posterior.with_effects([*laplace.fitted.continued(), start])
+        plain = posterior.start(laplace.fitted)
+        null = torch.tensor(score.candidate.null_values, dtype=torch.float64)
+        sizes = start.values[score.candidate.free] - null.numpy()
+        shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
+        moved = posterior.start(laplace.fitted.moved(laplace.making_room(shape)))
+        try:
+            return posterior.minimised(min(plain, moved, key=posterior.half_chi2), JOINTLY)
+        except (ValueError, torch.linalg.LinAlgError):
+            return None
+
+    def _in_wider_form(self, laplace: Laplace, label: str) -> tuple[Laplace, str]:
+        """The fit with what was found, or with a wider form of it that has better odds."""
+        fitted = laplace.fitted
+        others = fitted.continued_by_label()
+        found = others.pop(label)
+        for wider in in_other_forms(found.name, self.conditions, fitted.values_of(label), wider=True):
+            posterior = laplace.posterior.with_effects([*others.values(), wider.only_in(found.acts_in)])
+            other = posterior.minimised(posterior.start(fitted), JOINTLY)
+            if other.log_evidence > laplace.log_evidence + PROMISING:
+                known = {*others}
+                return other, next(one for one in other.fitted.problem.effects.labels if one not in known)
+        return laplace, label
+
+    # -- proposals -------------------------------------------------------------------------------
+
+    def _proposed(self, laplace: Laplace, known: list[Score]) -> list[Score]:
+        """Scores of all families that the model lacks, those of the best odds first.
+
+        Derivatives are rough. Places in the pupil are searched more finely, where modes imitate most of
+        what is there; `known` are those found before, and gets those found now.
+        """
+        rough = Laplace(laplace.posterior, laplace.x, coarse=True)
+        missing, _ = placed_families(self.moments, rough.fitted.effects)
+        found = []
+        for family in missing:
+            score = score_family(rough, family)
+            if isinstance(family.effect.base, PupilPlace):
+                before = [one for one in known if one.name == score.name][-1:]
+                refined = (_refined(rough, one) for one in (score, *score.elsewhere[:1], *before))
+                score = max(refined, key=lambda one: one.log_odds)
+                known.append(score)
+            found.append(score)
+        self.report(1)
+        return sorted(found, key=lambda one: -one.log_odds)
+
+    # -- names -----------------------------------------------------------------------------------
+
+    def _named(
+        self,
+        search: Search,
+        laplace: Laplace,
+        declared: Sequence[Effect],
+        entered: dict[str, float],
+        found: list[Score],
+    ) -> Search:
+        """The search with its names: what has the odds, explains its own, and is preferred by held-out data."""
+        final = _Final(self, laplace, declared)
+        beyond = final.beyond
+        named = [one for label in beyond if (one := self._judged(final, label, entered, found)) is not None]
+        named = sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
+        adjusted = sorted(set(beyond) - {one.label for one in named})
+        nearest = None if named else next(iter(search.accepted), None)
+        meaningless = self._scores(search.null, but=CATALOGUE)[1]
+        return Search(
+            search.null,
+            final.optimum,
+            search.drift,
+            named,
+            found,
+            meaningless,
+            adjusted,
+            nearest,
+            tolerant=True,
+        )
+
+    def _judged(
+        self, final: _Final, label: str, entered: dict[str, float], found: Sequence[Score]
+    ) -> Accepted | None:
+        """The name for an effect of the final model, or None."""
+        odds = final.linear.log_odds(label)
+        odds = min(odds, entered[label]) if label in entered else odds
+        refit = final.refit(label)  # DEBUG
+        judges = [HeldOutEvaluation(self.cube.held_out, one) for one in (refit.fitted, refit.origin.fitted)]  # DEBUG
+        print("    judged", label, "SD", round(final.linear.log_odds(label), 1), "entered", round(entered.get(label, float("nan")), 1), "implausible", refit.implausible, "share", round(share_at_its_place(refit, final.optimum), 3), "z", round(preference(*judges), 2))  # DEBUG
+        if not odds > SURE:
+            return None
+        refit = final.refit(label)
+        lit = _is_lit(final.laplace, refit.base, refit.values)
+        if refit.implausible or not lit or share_at_its_place(refit, final.optimum) < AT_ITS_PLACE[self.kind]:
+            return None
+        judges = [HeldOutEvaluation(self.cube.held_out, one) for one in (refit.fitted, refit.origin.fitted)]
+        z = preference(*judges)
+        if z < AGAINST:
+            return None
+        rivals = final.rivals(label, found)
+        fits = [final.rival(refit, score) for score, _ in rivals]
+        alternatives = [
+            Alternative(one.name, f"it explains as much (|cos| {cosine:.3f})", refit.base.look_alike, cosine)
+            for one, cosine in rivals
+        ]
+        ranking = [Ranked(refit.name, refit.gain, 1.0, refit.significance, z)]
+        gap = gap_between(judges[1], judges[0])
+        return Accepted(refit, z, gap, alternatives, ranking, fits, label)
+
+
+class _Final:
+    """The last fit, the modes beyond the closed basis known, without the effects that are dispensable."""
+
+    def __init__(self, task: EvidenceTask, laplace: Laplace, declared: Sequence[Effect]):
+        self.task, self.laplace = task, laplace
+        self.all_modes = laplace.fitted
+        self.linear = self._without_dispensable({*labels_of(declared)})
+        present = (one for one in self.all_modes.problem.effects.labels if one not in self.linear.gone)
+        self.beyond = [label for label in present if label not in labels_of(declared)]
+        closed = len(task.fitter.views[0].psf.nolls)
+        nolls = self.all_modes.problem.layout.nolls
+        beyond = dict(zip(nolls[closed:], self.linear.x[closed : len(nolls)].tolist(), strict=True))
+        views = [view.with_known(beyond) for view in task.fitter.views] if beyond else ()
+        self.fitter = task.fitter.of(task.cube.training, views)
+        self.rows = [i for i in range(len(self.linear.x)) if not closed <= i < len(nolls)]
+        self.fitted = self._reduced(self.linear)
+
+    def _without_dispensable(self, declared: Container[str]) -> Linear:
+        """The model without effects whose odds are against them, the least likely first.
+
+        Of what blurs, frames that show no motion leave what a detector does, and the other way round.
+        """
+        linear = self.laplace.linear()
+        labels = [one for one in self.all_modes.problem.effects.labels if one not in declared]
+        training, right = self.task.cube.training, ""
+        if training.in_time:
+            right = "motion" if motion_ratio(training, self.all_modes) > MOVING else "detector"
+
+        def worth(label: str) -> tuple[bool, float]:
+            blurs = self.all_modes.effect(label).blurs
+            return not (blurs and right and blurs != right), linear.log_odds(label)
+
+        while labels:
+            least = min(labels, key=worth)
+            if linear.log_odds(least) > (0.0 if worth(least)[0] else WORTH):
+                if worth(least)[0]:
+                    break
+                labels.remove(least)
+                continue
+            linear = linear.without(least)
+            labels.remove(least)
+        return linear
+
+    @cached_property
+    def optimum(self) -> Optimum:
+        """With the errors of flat and model in the variances."""
+        return Optimum(_allowing(self.task.cube.training, self.fitted, self.laplace), self.fitted)
+
+    def _reduced(self, linear: Linear) -> Fitted:
+        """The linear model in the closed basis."""
+        laplace, whole = self.laplace, self.all_modes
+        gone = {column for label in linear.gone for column in whole.columns_of(label)}
+        rows = [row for row in self.rows if row not in gone]
+        effects = [one for label, one in whole.continued_by_label().items() if label not in linear.gone]
+        problem = self.fitter.problem(effects, self.fitter.views)
+        solution = replace(
+            whole.solution, values=linear.x[None, rows], covariance=linear.covariance[rows][:, rows][None]
+        )
+        image = laplace.image + laplace.columns.mT @ linear.move
+        return fitted_as(
+            problem, solution, self.task.cube.training, self.fitter.views, image, laplace.columns[rows]
+        )
+
+    def refit(self, label: str) -> Refit:
+        """The model against that without an effect, to which it is linear."""
+        optimum = Optimum(self.optimum.stack, self._reduced(self.linear.without(label)))
+        effect = self.fitted.effect(label)
+        sizes = [one.name for one in effect.parameters if one.null is not None]
+        candidate = FixedEffect(effect.base, self.fitted.values_of(label), sizes).only_in(effect.acts_in)
+        score = scored(optimum, 1, (effect.acts_in,), [candidate])[0]
+        return Refit(score, optimum, self.fitted, label)
+
+    def rival(self, refit: Refit, score: Score) -> Refit:
+        """A fit of what would explain as much in the place of a name."""
+        others = [*refit.origin.fitted.continued(), score.start()]
+        return Refit(score, refit.origin, self.fitter.explored(others, refit.origin.fitted))
+
+    def rivals(self, label: str, found: Sequence[Score]) -> list[tuple[Score, float]]:
+        """Effects that the model lacks and that would explain as much in the place of one, with their |cos|."""
+        laplace = self.laplace
+        rise = laplace.linear().rise_without(label)
+        null, name = laplace.null_without(label), self.all_modes.effect(label).name
+        rivals = []
+        for score in found:
+            if score.candidate.base.needs_search or score.name == name:
+                continue
+            linear = LinearEstimate.of(null, score.candidate, whitened_shapes(laplace, [score.candidate])[0])
+            if linear.usable.any() and rise - linear.gain < 2 * WORTH:
+                rivals.append((score, math.sqrt(min(max(linear.gain / rise, 0.0), 1.0))))
+        return sorted(rivals, key=lambda one: -one[1])[:2]
+
+
+def _allowing(stack: Stacks, fitted: Fitted, laplace: Laplace) -> Stacks:
+    """The data, with the errors of flat and model in the variances that the fit has found."""
+    settings = laplace.settings
+    across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+    flat = laplace.posterior.covariance.flat_rms
+    errors = Errors(alike_px=max(1.0, np.pi / 4 * across_px**2), flat_rms=flat)
+    white = (stack.mean_e - fitted.image_e) * stack.with_errors(errors).root
+    misfit = max(1.0, float(white @ white) / fitted.problem.freedom)
+    return stack.with_errors(replace(errors, misfit=misfit))
+
+
+def _is_lit(laplace: Laplace, effect: Effect, values: np.ndarray) -> bool:
+    """Whether light passes the place of an effect in the pupil."""
+    if not isinstance(effect.base, PupilPlace):
+        return True
+    geometry, away_m = laplace.settings.geometry, float(np.hypot(*values[1:3]))
+    return geometry.obscuration_m <= 2 * away_m <= geometry.diameter_m
+
+
+def _places(score: Score) -> list[int]:
+    """Which parameters of what is looked for say where it is, or how wide."""
+    return [i for i, one in enumerate(score.candidate.base.parameters) if one.null is None]
+
+
+def _refined(laplace: Laplace, score: Score) -> Score:
+    """The candidate of the best odds near one: a search in smaller and smaller steps."""
+    base, free = score.candidate.base, [one.name for one in score.candidate.parameters]
+    places = _places(score)
+    lower, upper = (np.array([getattr(base.parameters[i], n) for i in places]) for n in ("lower", "upper"))
+    best = scored(laplace, score.trials, (score.candidate.acts_in,), [score.candidate])[0]
+    at = best.candidate.all_values(best.candidate.null_values).numpy()
+    step = 0.1
+    while step > LEAST:
+        moves = step * (upper - lower) * np.concatenate([np.eye(len(places)), -np.eye(len(places))])
+        tried = []
+        for move in moves:
+            values = at.copy()
+            values[places] = np.clip(at[places] + move, lower, upper)
+            if _is_lit(laplace, base, values):
+                tried.append(FixedEffect(base, values, free).only_in(score.candidate.acts_in))
+        found = max(
+            scored(laplace, score.trials, (score.candidate.acts_in,), tried), key=lambda one: one.log_odds
+        )
+        if found.log_odds > best.log_odds:
+            best, at = found, found.candidate.all_values(found.candidate.null_values).numpy()
+        else:
+            step *= FINER
+    return replace(best, trials=score.trials, log_odds=best.log_odds - math.log(score.trials))
+
+
+def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> list[Effect]:
+    """Facts of the instrument and mild effects, their values free, but for those that a mode imitates.
+
+    They are stated for the first of the `recordings`. Of the two that scale the image one is free, the pixels
+    unless it is `present` as the wavelength: jointly they drift far from what is true, a little here and a
+    little there. The other is a rival in the end.
+    """
+    model, found = {effect.name for effect in present}, []
+    pixels, wavelength = SCALES
+    held = pixels if wavelength in model else wavelength
+    for name, kind in CATALOGUE.items():
+        if not (kind.fact or kind.mild) or name in model or name == held:
+            continue
+        try:
+            effect = kind.under(recordings[0])
+        except ValueError:
+            continue  # it means nothing for this instrument
+        if not effect.imitated_in(recordings):
+            found.append(effect)
+    return found

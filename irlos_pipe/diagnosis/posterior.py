@@ -1,0 +1,574 @@
+"""One posterior of everything in the mean images: all visible modes, facts, effects, and what no model has.
+
+Parameters are all modes that the window shows, everything declared with its tolerance as prior, effects that
+may be there, pointing, flux and background. Their priors are Gaussian and proper, so that models compare by
+their evidence. The errors of the mean images have a covariance, as speckles and what a model misses change
+neighbouring pixels alike:
+
+    C = photons + (f · light)² + S^½ (speckles + (s · light)²) S^½ + the frames' own covariance
+
+with the error f of the flat, which is that of every pixel by itself, the error s of the model relative to
+its light, and the correlation S of speckles, that of the light in an Airy disc. The law of the modes and
+s and f are hyper-parameters: they maximise the evidence, all parameters following linearly.
+
+With H = Jᵀ C⁻¹ J + P at the optimum, P the precisions of the priors, the evidence by Laplace is
+
+    ln Z = −½ χ² − ½ χ²(priors) − ½ ln det H + ½ ln det P − ½ ln det C
+
+(MacKay 1992, Neural Comput. 4, 415). Models are compared at common hyper-parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+
+from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.units import resolution_px
+from irlos_pipe.diagnosis.cube import Stack, Stacks
+from irlos_pipe.diagnosis.fitted import Fitted, JointFit
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.view import View
+from irlos_pipe.effects import Effect
+from irlos_pipe.estimate.cube import local_mean
+from irlos_pipe.estimate.ncpa_prior import FOCUS_NM, POINTING_NM
+from irlos_pipe.estimate.open_fit import JOINED, TailLaw, last_noll_of, visible_order
+from irlos_pipe.estimate.score_test import NullModel
+from irlos_pipe.numerics.solution import CONVERGED, Solution
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+DISC = 0.86  # of speckles' correlation sinc²(DISC · D x/λ) along an axis, as wide at half as an Airy disc's
+SMOOTHED, SAMPLED = 0.6, 0.4  # parts of the speckles' variance correlated as an Airy disc, and as frames show
+FAINTEST = 1e-2  # part of the strongest correlated shape, below which one is left out
+FAINTEST_AXIS = 0.03  # correlated variance over that of single pixels, below which an axis is left out
+MODEL_ERRORS = (0.0, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)  # s that are tried
+FLAT_ERRORS = (0.0, 0.0015, 0.003, 0.005, 0.008, 0.012)  # f that are tried
+FIRST_MODEL_ERROR, FIRST_FLAT_ERROR = 0.05, 0.005
+CONVERGED_AT = 1.0  # fall of χ² still ahead at which evidence is known well enough
+EXACT_FROM = 100.0  # fall of χ² ahead from which derivatives are those of all colours
+TRIALS = 8  # of a step, with ten times the damping each
+LAW_TOLERANCES = {"xatol": 0.03, "fatol": 0.05, "maxfev": 150}
+LAW_SIMPLEX = np.array([[0, 0, 0], [0.4, 0, 0], [0, -1.0, 0], [0, 0, 0.7]])
+LAW_EXPECTED, LAW_WIDTH = np.array([0.0, 0.0, 1.0]), np.array([1.0, 3.0, 2.0])  # of ln k, ln A and p
+
+
+@dataclass(frozen=True)
+class WavefrontLaw:
+    """Standard deviation of the modes: k times the instrument's law, and beyond the closed basis a tail's."""
+
+    known: NcpaLaw
+    tail: TailLaw
+    scale: float = 2.0  # k
+
+    def sigma_nm(self, nolls: Sequence[int]) -> np.ndarray:
+        """Return the standard deviation of modes, (modes,) [nm RMS]; tip, tilt and focus are almost free."""
+        noll = np.asarray(nolls)
+        sigma = np.where(
+            noll < self.tail.first_noll, self.scale * self.known.sigma_nm(noll), self.tail.sigma_nm(noll)
+        )
+        return np.where(noll < 4, POINTING_NM, np.where(noll == 4, FOCUS_NM, sigma))
+
+    def changed(self, x: np.ndarray) -> WavefrontLaw:
+        """Return the law with other ln k, ln A and p."""
+        tail = replace(self.tail, amplitude_nm=math.exp(x[1]), slope=float(x[2]))
+        return replace(self, scale=math.exp(x[0]), tail=tail)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """ln k, ln A and p."""
+        return np.array([math.log(self.scale), math.log(self.tail.amplitude_nm), self.tail.slope])
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """What frames show of the errors of one mean image."""
+
+    photons_e2: torch.Tensor  # (pixels,), infinite for pixels that no fit sees
+    speckles_e2: torch.Tensor  # (pixels,)
+    light_e: torch.Tensor  # (pixels,), smoothed
+    correlated: torch.Tensor  # (pixels, m): shapes of what is correlated as an Airy disc, with variance one
+    sample_e: torch.Tensor  # (pixels, frames): the frames' own covariance is its square
+
+    @classmethod
+    def of(cls, stack: Stack, settings: PsfSettings, *, by_frames: bool) -> _Scatter:
+        """The scatter of the frames counts if it is more than photons', and there are enough (`by_frames`)."""
+        frames, good = stack.frames, stack.root > 0
+        weights = good.reshape(frames.good.shape).double()
+        count = len(frames.images_e)
+        light = local_mean(stack.mean_e.reshape(weights.shape), weights).clamp_min(0).flatten()
+        speckles, sample = torch.zeros_like(light), light.new_zeros(len(light), 0)
+        photons = stack.variance_e2
+        if by_frames:
+            slow = count / stack.independent
+            photons = frames.noise.scatter_e2(frames.mean_e).flatten() / count + frames.noise.shared_e2
+            scatter = local_mean(frames.scatter_e2, weights).flatten() / count
+            speckles = (slow * (scatter - photons)).clamp_min(0)
+            images = frames.images_e.double().flatten(1) * good
+            flux = images.sum(1, keepdim=True)
+            equal = images * (flux.mean() / flux)
+            sample = (equal - equal.mean(0)).mT * math.sqrt(SAMPLED * slow / count / (count - 1))
+        photons = torch.where(good, photons.double(), torch.inf)
+        return cls(photons, SMOOTHED * speckles, light, _correlated(weights.shape, settings), sample)
+
+
+def _correlated(window: tuple[int, ...], settings: PsfSettings) -> torch.Tensor:
+    """Root of the correlation of speckles between the pixels of a window, (pixels, m)."""
+    across_px = resolution_px(settings.mean_nm * 1e-9, settings.geometry.diameter_m, settings.pixel_scale_mas)
+    axes = []
+    for size in window:
+        apart = np.subtract.outer(np.arange(size), np.arange(size)) * DISC / across_px
+        values, vectors = np.linalg.eigh(np.sinc(apart) ** 2)
+        axes.append(vectors * np.sqrt(values.clip(min=0)))
+    power = np.multiply.outer(*((axis**2).sum(0) for axis in axes))
+    kept = np.argwhere(power > FAINTEST * power.max())
+    shapes = [np.outer(axes[0][:, i], axes[1][:, j]).ravel() for i, j in kept]
+    return torch.as_tensor(np.stack(shapes, axis=1))
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of mean images as what whitens them, C = R⁻¹ (1 + A Aᵀ) R⁻¹ for each; R is diagonal."""
+
+    scatter: Sequence[_Scatter]  # of every recording
+    model_rms: float = FIRST_MODEL_ERROR  # s
+    flat_rms: float = FIRST_FLAT_ERROR  # f
+
+    @classmethod
+    def of(cls, stack: Stacks, views: Sequence[View]) -> Covariance:
+        by_frames = stack.held_out == "frames" and not stack.photon_limited
+        pairs = zip(stack.parts, views, strict=True)
+        return cls([_Scatter.of(part, view.psf.settings, by_frames=by_frames) for part, view in pairs])
+
+    @cached_property
+    def root(self) -> torch.Tensor:
+        """One over the standard errors that pixels have each by itself, 0 for those not seen, (pixels,)."""
+        own = (one.photons_e2 + (self.flat_rms * one.light_e) ** 2 for one in self.scatter)
+        return torch.cat([variance**-0.5 for variance in own])
+
+    @cached_property
+    def _shapes(self) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
+        """For each recording its pixels, the axes of A, and how strong they are."""
+        found, begin = [], 0
+        for one in self.scatter:
+            at = slice(begin, begin + len(one.light_e))
+            rms = (one.speckles_e2 + (self.model_rms * one.light_e) ** 2).sqrt()
+            whole = torch.cat([one.correlated * rms[:, None], one.sample_e], 1) * self.root[at, None]
+            values, vectors = torch.linalg.eigh(whole.mT @ whole)
+            used = values > FAINTEST_AXIS
+            axes = (whole @ vectors[:, used]) / values[used].sqrt()
+            found.append((at, axes.float(), values[used]))
+            begin = at.stop
+        return found
+
+    @cached_property
+    def log_determinant(self) -> float:
+        own = -2 * float(self.root[self.root > 0].log().sum())
+        return own + sum(float(torch.log1p(values).sum()) for _, _, values in self._shapes)
+
+    def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
+        """C^(−½) times shapes, (pixels, m)."""
+        white = shapes * self.root[:, None]
+        for at, axes, values in self._shapes:
+            inside = (axes.mT @ white[at].float()) * (1 - (1 + values.float()) ** -0.5)[:, None]
+            white[at] -= axes @ inside
+        return white
+
+
+@dataclass(frozen=True)
+class Images:
+    """The mean images with their light paths: of all colours, and of few for derivatives that may be rough."""
+
+    fitter: Fitter
+    coarse: Sequence[View]
+
+    @classmethod
+    def of(cls, fitter: Fitter) -> Images:
+        """With all modes that the window shows, of several recordings with those of the `fitter`."""
+        views = fitter.views
+        nolls: Sequence[int] = views[0].psf.nolls
+        if len(views) == 1:
+            visible = last_noll_of(visible_order(views[0].psf.settings))
+            nolls = range(2, max(visible, nolls[-1]) + 1)
+        exact = [_with_modes(view, view.psf.settings, nolls) for view in views]
+        few = [_with_modes(view, view.psf.settings.with_fewer_colours(JOINED), nolls) for view in views]
+        return cls(fitter.of(fitter.stack, exact), few)
+
+    @property
+    def stack(self) -> Stacks:
+        return self.fitter.stack
+
+    @property
+    def views(self) -> Sequence[View]:
+        return self.fitter.views
+
+
+def _with_modes(view: View, settings: PsfSettings, nolls: Sequence[int]) -> View:
+    options = {"device": view.psf.device, "dtype": view.psf.dtype, "rough_derivatives": True}
+    return replace(view, psf=light_path(settings, nolls, **options))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """A model of the images with its priors."""
+
+    images: Images
+    effects: Sequence[Effect]
+    covariance: Covariance
+    law: WavefrontLaw | None
+    exact: JointFit = field(init=False)
+    coarse: JointFit = field(init=False)
+    prior_mean: torch.Tensor = field(init=False)  # (parameters,)
+    prior_precision: torch.Tensor = field(init=False)  # (parameters,)
+
+    def __post_init__(self):
+        fitter = self.images.fitter
+        exact, coarse = (fitter.problem(self.effects, v) for v in (self.images.views, self.images.coarse))
+        mean, precision = exact.prior_mean[0].clone(), exact.prior_precision[0].clone()
+        if self.law is not None:
+            precision[exact.layout.modes] = torch.as_tensor(self.law.sigma_nm(exact.layout.nolls)) ** -2
+        begin = exact.layout.effect_values.start
+        for label, effect in zip(exact.effects.labels, exact.effects.effects, strict=True):
+            columns = [begin + index for index in exact.effects.columns_of(label)]
+            declared = {one.name: one for one in effect.base.parameters}  # what is held does not move priors
+            for column, parameter in zip(columns, effect.parameters, strict=True):
+                mean[column], sigma = declared[parameter.name].proper_prior
+                precision[column] = sigma**-2
+        for name, value in (("exact", exact), ("coarse", coarse)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "prior_mean", mean)
+        object.__setattr__(self, "prior_precision", precision)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Posterior:
+        return replace(self, effects=effects)
+
+    def penalty(self, x: torch.Tensor) -> float:
+        """What the priors add to χ² at `x`, (1, parameters)."""
+        return float((self.prior_precision * (x[0] - self.prior_mean) ** 2).sum())
+
+    def half_chi2(self, x: torch.Tensor) -> float:
+        """Half of χ² and priors; infinite where nothing can be computed."""
+        try:
+            left = self.covariance.whiten((self.images.stack.mean_e - self.exact.predict(x))[:, None])
+        except ValueError:  # a wavelength out of the grid
+            return math.inf
+        value = 0.5 * (float((left**2).sum()) + self.penalty(x))
+        return value if math.isfinite(value) else math.inf
+
+    def start(self, near: Fitted | None = None) -> torch.Tensor:
+        """Where a fit begins: nothing but the star at its place, or where a fit `near` by is, by its labels."""
+        x = self.images.fitter.start(self.exact)
+        if near is not None:
+            known = near.problem
+            modes = slice(0, min(len(known.layout.nolls), len(self.exact.layout.nolls)))
+            x[:, modes] = near.x[:, modes]
+            if known.tail == self.exact.tail:
+                x[:, -known.tail :] = near.x[:, -known.tail :]
+            begin = self.exact.layout.effect_values.start
+            for label in known.effects.labels:
+                columns = near.columns_of(label)
+                if label in self.exact.effects.labels:
+                    own = [begin + index for index in self.exact.effects.columns_of(label)]
+                    if len(own) == len(columns):
+                        x[:, own] = near.x[:, columns]
+        return x.clamp(self.exact.lower, self.exact.upper)
+
+    def minimised(self, x: torch.Tensor, iterations: int) -> Laplace:
+        """The optimum by Levenberg and Marquardt's way, in which a trial costs an image.
+
+        Derivatives are rough while far off. Parameters that push against a bound are held.
+        """
+        value, damping, coarse = self.half_chi2(x), 1e-3, True
+        lower, upper = self.exact.lower, self.exact.upper
+        for _ in range(iterations):
+            _, _, gradient, hessian = self._equations(x, coarse)
+            step_of, ahead = _steps(x, gradient, hessian, lower, upper)
+            near = ahead < CONVERGED_AT
+            if near and not coarse:
+                break
+            fall = 0.0
+            for _ in range(0 if near else TRIALS):
+                step = step_of(damping)
+                trial = torch.minimum(torch.maximum(x + step, lower), upper)
+                new = self.half_chi2(trial)
+                if new < value:
+                    predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
+                    damping = max(damping * (0.1 if value - new > 0.5 * predicted else 1.0), 1e-9)
+                    fall, x, value = value - new, trial, new
+                    break
+                damping *= 10
+            if fall < CONVERGED_AT and not coarse:
+                break
+            if fall < CONVERGED_AT:
+                damping = max(min(damping, 1.0), 1e-3)
+            coarse = coarse and fall >= CONVERGED_AT and ahead >= EXACT_FROM
+        return Laplace(self, x)
+
+    def _equations(self, x: torch.Tensor, coarse: bool) -> tuple[torch.Tensor, ...]:
+        """Image, derivatives, gradient and Hessian of half of χ² and priors."""
+        image, columns = (self.coarse if coarse else self.exact).predict_and_jacobian(x)
+        image = self.exact.predict(x) if coarse else image
+        design = self.covariance.whiten(columns.mT)
+        left = self.covariance.whiten((self.images.stack.mean_e - image)[:, None])[:, 0]
+        gradient = self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
+        return image, columns, gradient, design.mT @ design + torch.diag(self.prior_precision)
+
+
+def _steps(x, gradient, hessian, lower, upper):
+    """Damped steps as a function of the damping, and the fall of χ² that the undamped one predicts."""
+    held = ((x[0] <= lower) & (gradient > 0)) | ((x[0] >= upper) & (gradient < 0)) | (hessian.diagonal() <= 0)
+    gradient = gradient * ~held
+    hessian = hessian * (~held[:, None] & ~held) + torch.diag(held.double())
+    scale = hessian.diagonal().sqrt()
+    scaled, unit = hessian / scale[:, None] / scale, torch.eye(len(hessian), dtype=hessian.dtype)
+
+    def step(damping: float) -> torch.Tensor:
+        return -torch.linalg.solve(scaled + (damping + 1e-12) * unit, gradient / scale) / scale
+
+    return step, float(-gradient @ step(0.0))
+
+
+class Laplace(NullModel):
+    """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there."""
+
+    def __init__(self, posterior: Posterior, x: torch.Tensor, *, coarse: bool = False):
+        self.posterior, self.x, self.coarse = posterior, x, coarse
+        self.stack, self.settings = posterior.images.stack, posterior.images.views[0].psf.settings
+        self.image, self.columns, gradient, self.hessian = posterior._equations(x, coarse)
+        scale = self.hessian.diagonal().clamp_min(1e-300).sqrt()
+        unit = torch.eye(len(scale), dtype=scale.dtype)
+        self.factor, self.scale = (
+            torch.linalg.cholesky(self.hessian / scale[:, None] / scale + 1e-13 * unit),
+            scale,
+        )
+        design = self.whiten(self.columns.mT)
+        residual = self.whiten((self.stack.mean_e - self.image)[:, None])[:, 0]
+        unconverged = torch.linalg.solve_triangular(self.factor, (-gradient / scale)[:, None], upper=False)[
+            :, 0
+        ]
+        basis = torch.linalg.solve_triangular(self.factor, (design / scale).mT, upper=False).mT
+        super().__init__(residual, posterior.covariance.root, basis, unconverged)
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """ln Z, but for a constant of the data and of flux and background, whose priors are flat."""
+        posterior = self.posterior
+        precision = posterior.prior_precision[posterior.prior_precision > 0]
+        volume = 2 * float(self.factor.diagonal().log().sum() + self.scale.log().sum())
+        chi2 = float((self.residual**2).sum()) + posterior.penalty(self.x)
+        return 0.5 * (float(precision.log().sum()) - chi2 - volume - posterior.covariance.log_determinant)
+
+    @cached_property
+    def covariance(self) -> torch.Tensor:
+        """Of the parameters, (parameters, parameters)."""
+        return torch.cholesky_inverse(self.factor) / self.scale[:, None] / self.scale
+
+    @cached_property
+    def fitted(self) -> Fitted:
+        """The model there."""
+        posterior = self.posterior
+        value = 0.5 * float((self.residual**2).sum()) + 0.5 * posterior.penalty(self.x)
+        solution = Solution(
+            self.x,
+            self.covariance[None],
+            [CONVERGED],
+            torch.ones(1, dtype=torch.int64),
+            torch.tensor([value], dtype=torch.float64),
+        )
+        problem = posterior.coarse if self.coarse else posterior.exact
+        return fitted_as(problem, solution, self.stack, posterior.images.views, self.image, self.columns)
+
+    def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
+        """See `Optimum.whiten`."""
+        return self.posterior.covariance.whiten(shapes)
+
+    frozen = Optimum.frozen
+
+    @cached_property
+    def _deviations(self) -> torch.Tensor:
+        """Frames minus their mean, whitened, (pixels, frames); their square is the covariance of the mean."""
+        shapes = torch.where(self.stack.root > 0, self.stack.deviations / self.stack.root, 0.0)
+        return self.whiten(shapes.mT) / math.sqrt((len(self.stack) - 1) * self.stack.independent)
+
+    def covariance_of(self, left: torch.Tensor) -> torch.Tensor:
+        """Of products of the mean with whitened shapes (pixels, m), where frames scatter more than C says."""
+        gram = left.mT @ left
+        if self.stack.held_out == "pixels":
+            return gram
+        scatter = ((left.mT @ self._deviations) ** 2).sum(1) / gram.diagonal().clamp_min(1e-300)
+        return gram * float(scatter.mean().clamp_min(1.0))
+
+    def making_room(self, shape: torch.Tensor) -> torch.Tensor:
+        """How parameters move that imitate a whitened shape (pixels,) where it is added, (parameters,)."""
+        inside = torch.linalg.solve_triangular(self.factor.mT, (self.basis.mT @ shape)[:, None], upper=True)
+        return -inside[:, 0] / self.scale
+
+    def linear(self) -> Linear:
+        """The model linear about the optimum."""
+        return Linear(self.fitted, self.posterior, self.covariance, self.x[0])
+
+    def null_without(self, label: str) -> NullModel:
+        """The null model of score tests without one of the effects, linearly."""
+        gone = {*self.fitted.columns_of(label)}
+        rows = [row for row in range(len(self.scale)) if row not in gone]
+        move = self.linear().without(label).move
+        scale = self.scale[rows]
+        unit = torch.eye(len(rows), dtype=scale.dtype)
+        factor = torch.linalg.cholesky(self.hessian[rows][:, rows] / scale[:, None] / scale + 1e-13 * unit)
+        design = self.whiten(self.columns[rows].mT)
+        basis = torch.linalg.solve_triangular(factor, (design / scale).mT, upper=False).mT
+        residual = self.residual - self.whiten((self.columns.mT @ move)[:, None])[:, 0]
+        precision = self.posterior.prior_precision[rows]
+        force = design.mT @ residual - precision * (
+            (self.x[0] + move)[rows] - self.posterior.prior_mean[rows]
+        )
+        unconverged = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)[:, 0]
+        return NullModel(residual, self.root, basis, unconverged)
+
+    def with_best_law(self) -> WavefrontLaw | None:
+        """The law of the modes by evidence, everything else marginalised linearly."""
+        posterior = self.posterior
+        if posterior.law is None:
+            return None
+        nolls = np.asarray(posterior.exact.layout.nolls)
+        ruled = np.zeros(self.x.shape[1], bool)
+        ruled[: len(nolls)] = nolls > 4
+        scale = self.scale.numpy()
+        scaled = self.hessian.numpy() / np.outer(scale, scale)
+        free = scaled[np.ix_(~ruled, ~ruled)] + 1e-12 * np.eye(int((~ruled).sum()))
+        cross = np.linalg.solve(free, scaled[np.ix_(~ruled, ruled)])
+        marginal = scaled[np.ix_(ruled, ruled)] - scaled[np.ix_(ruled, ~ruled)] @ cross
+        marginal = marginal * np.outer(scale[ruled], scale[ruled])
+        pull = marginal @ self.x[0].numpy()[ruled]
+        curvature = marginal - np.diag(posterior.prior_precision.numpy()[ruled])
+
+        def deviance(x: np.ndarray) -> float:
+            own = posterior.law.changed(x).sigma_nm(nolls)[nolls > 4]
+            try:
+                factor = np.linalg.cholesky(curvature + np.diag(own**-2))
+            except np.linalg.LinAlgError:
+                return 1e300
+            spread = 2 * np.log(np.diag(factor)).sum() + 2 * np.log(own).sum()
+            expected = (((x - LAW_EXPECTED) / LAW_WIDTH) ** 2).sum()
+            return float(spread - (np.linalg.solve(factor, pull) ** 2).sum() + expected)
+
+        start = posterior.law.numbers
+        options = {**LAW_TOLERANCES, "initial_simplex": start + LAW_SIMPLEX}
+        return posterior.law.changed(minimize(deviance, start, method="Nelder-Mead", options=options).x)
+
+    def with_best_errors(self) -> Covariance:
+        """The covariance with the errors of model and flat by evidence, all parameters following linearly.
+
+        The search goes from neighbour to neighbour on a grid.
+        """
+        tried: dict[tuple[int, int], tuple[float, Covariance]] = {}
+        own = self.posterior.covariance
+
+        def log_evidence(place: tuple[int, int]) -> float:
+            if place not in tried:
+                model_rms, flat_rms = MODEL_ERRORS[place[0]], FLAT_ERRORS[place[1]]
+                changed = replace(own, model_rms=model_rms, flat_rms=flat_rms)
+                tried[place] = self._log_evidence_under(changed), changed
+            return tried[place][0]
+
+        place, moved = (MODEL_ERRORS.index(own.model_rms), FLAT_ERRORS.index(own.flat_rms)), True
+        while moved:
+            moved = False
+            for by in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                other = place[0] + by[0], place[1] + by[1]
+                inside = 0 <= other[0] < len(MODEL_ERRORS) and 0 <= other[1] < len(FLAT_ERRORS)
+                while inside and log_evidence(other) > log_evidence(place):
+                    place, moved = other, True
+                    other = place[0] + by[0], place[1] + by[1]
+                    inside = 0 <= other[0] < len(MODEL_ERRORS) and 0 <= other[1] < len(FLAT_ERRORS)
+        return tried[place][1]
+
+    def _log_evidence_under(self, covariance: Covariance) -> float:
+        posterior = self.posterior
+        precision = posterior.prior_precision
+        design = covariance.whiten(self.columns.mT)
+        left = covariance.whiten((self.stack.mean_e - self.image)[:, None])[:, 0]
+        force = design.mT @ left - precision * (self.x[0] - posterior.prior_mean)
+        hessian = design.mT @ design + torch.diag(precision)
+        scale = hessian.diagonal().sqrt()
+        unit = torch.eye(len(scale), dtype=scale.dtype)
+        factor = torch.linalg.cholesky(hessian / scale[:, None] / scale + 1e-12 * unit)
+        ahead = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)
+        chi2 = float(left @ left) + posterior.penalty(self.x) - float((ahead**2).sum())
+        volume = 2 * float(factor.diagonal().log().sum() + scale.log().sum())
+        return 0.5 * (-chi2 - volume - covariance.log_determinant)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A model that is linear about the optimum of its posterior, some of its effects at nothing.
+
+    Holding parameters b with estimates β at a distance from nothing moves the others by −C_ab C_bb⁻¹ β (Wald
+    1943, Trans. AMS 54, 426): effects that imitate each other gain odds once one of them is gone.
+    """
+
+    fitted: Fitted
+    posterior: Posterior
+    covariance: torch.Tensor  # (parameters, parameters)
+    x: torch.Tensor  # (parameters,)
+    gone: tuple[str, ...] = ()
+
+    @property
+    def move(self) -> torch.Tensor:
+        """Change of the parameters, (parameters,)."""
+        return self.x - self.fitted.x[0]
+
+    def nulls_of(self, label: str) -> dict[int, float]:
+        """Values without effect of those parameters that have one, by column."""
+        pairs = zip(self.fitted.columns_of(label), self.fitted.effect(label).parameters, strict=True)
+        return {column: one.null for column, one in pairs if one.null is not None}
+
+    def without(self, label: str) -> Linear:
+        """The model with one effect more at nothing."""
+        nulls = self.nulls_of(label)
+        own = [*nulls]
+        apart = self.x[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
+        gain = self.covariance[:, own] @ torch.linalg.pinv(self.covariance[own][:, own], hermitian=True)
+        left = self.covariance - gain @ self.covariance[own]
+        return replace(self, covariance=left, x=self.x - gain @ apart, gone=(*self.gone, label))
+
+    def rise_without(self, label: str) -> float:
+        """Rise of χ² and priors without one effect more."""
+        nulls = self.nulls_of(label)
+        own = [*nulls]
+        apart = self.x[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
+        return float(apart @ torch.linalg.pinv(self.covariance[own][:, own], hermitian=True) @ apart)
+
+    def log_odds(self, label: str) -> float:
+        """ln odds of an effect against its absence (Savage and Dickey; Dickey 1971, Ann. Math. Stat. 42, 204)."""
+        nulls = self.nulls_of(label)
+        if not nulls:
+            return math.inf
+        own = [*nulls]
+        expected = self.posterior.prior_mean[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
+        precision = self.posterior.prior_precision[own]
+        log_prior = 0.5 * float(precision.log().sum() - (precision * expected**2).sum())
+        spread = float(torch.linalg.slogdet(self.covariance[own][:, own])[1])
+        return log_prior + 0.5 * (self.rise_without(label) + spread)
+
+
+def fitted_as(
+    problem: JointFit,
+    solution: Solution,
+    stack: Stacks,
+    views: Sequence[View],
+    image: torch.Tensor,
+    columns: torch.Tensor,
+) -> Fitted:
+    """A model whose mean images and derivatives are known."""
+    chi2 = float((((stack.mean_e - image) * stack.root) ** 2).sum())
+    fitted = Fitted(problem, solution, chi2, views, complete=True)
+    vars(fitted)["linearised"] = (image, columns)
+    return fitted
