@@ -82,9 +82,10 @@ class EvidenceTask(Task):
         for known_effects, near in ((declared, None), (search.final.fitted.continued(), search.final.fitted)):
             whole = [*known_effects, *everyday(conditions, known_effects)]
             posterior = Posterior(images, whole, covariance, law)
-            begun.append(posterior.minimised(posterior.start(near), FIRST))
+            x, _ = posterior.descended(posterior.start(near), FIRST, roughly=True)
+            begun.append(Laplace(posterior, x, coarse=True))
         first = max(begun, key=lambda one: one.log_evidence)
-        laplace = self._turned(self._settled(first))
+        laplace = self._settled(self._turned(first))
         entered: dict[str, float] = {}
         known: list[Score] = []
         for _ in range(2 * self.options.most_names):
@@ -114,7 +115,8 @@ class EvidenceTask(Task):
 
         To first order opposite sides are degenerate, and where it has come to rest the image has a kink.
         """
-        best, fitted = laplace, laplace.fitted
+        fitted, posterior = laplace.fitted, laplace.posterior
+        ends = [(laplace.x, posterior.half_chi2(laplace.x))]
         for label in fitted.problem.effects.labels:
             angle = direction_of(fitted, label)
             if angle is None:
@@ -122,14 +124,12 @@ class EvidenceTask(Task):
             columns = fitted.columns_of(label)
             opposite = fitted.x[0, columns].numpy().copy()
             opposite[angle] += np.pi
-            sides = on_every_side(fitted.effect(label)) if rests(fitted, label) else [opposite]
-            for side in sides:
+            for side in on_every_side(fitted.effect(label)) if rests(fitted, label) else [opposite]:
                 x = fitted.x.clone()
                 x[0, columns] = torch.as_tensor(side)
-                other = laplace.posterior.minimised(x, TURNED)
-                best = max(best, other, key=lambda one: one.log_evidence)
+                ends.append(posterior.descended(x, TURNED, roughly=True))
             self.report(1)
-        return best
+        return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN)
 
     def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, str, float] | None:
         """The fit with the effect of the best odds, its label and the odds; None if none is worth it."""
@@ -341,8 +341,8 @@ class _Final:
     def rivals(self, label: str, found: Sequence[Score]) -> list[tuple[Score, float]]:
         """Effects that the model lacks and that would explain as much in the place of one, with their |cos|."""
         laplace = self.laplace
-        rise = laplace.linear().rise_without(label)
-        null, name = laplace.null_without(label), self.all_modes.effect(label).name
+        rise, name = self.linear.rise_without(label), self.all_modes.effect(label).name
+        null = laplace.null_of(self.linear.without(label))
         rivals = []
         for score in found:
             if score.candidate.base.needs_search or score.name == name:

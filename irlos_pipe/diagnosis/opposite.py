@@ -55,7 +55,7 @@ def _from(fitter: Fitter, fitted: Fitted, label: str, values: np.ndarray) -> Fit
     """The fit in which an effect begins with other `values`."""
     effects = fitted.continued_by_label()
     effects[label] = begun_at(effects[label], values)
-    return fitter.finished(fitter.explored([*effects.values()], fitted))
+    return fitter.explored([*effects.values()], fitted)
 
 
 def _is_opposite(fitted: Fitted, other: Fitted, column: int) -> bool:

@@ -281,19 +281,23 @@ class Posterior:
         return x.clamp(self.exact.lower, self.exact.upper)
 
     def minimised(self, x: torch.Tensor, iterations: int) -> Laplace:
-        """The optimum by Levenberg and Marquardt's way, in which a trial costs an image.
+        """The optimum, from the parameters `x`, (1, parameters)."""
+        return Laplace(self, self.descended(x, iterations)[0])
 
-        Derivatives are rough while far off. Parameters that push against a bound are held.
+    def descended(
+        self, x: torch.Tensor, iterations: int, *, roughly: bool = False
+    ) -> tuple[torch.Tensor, float]:
+        """Parameters and half of χ² and priors there, after so many `iterations` by Levenberg and Marquardt.
+
+        A trial costs an image. Derivatives are rough while far off, or all the way. Parameters that push
+        against a bound are held.
         """
         value, damping, coarse = self.half_chi2(x), 1e-3, True
         lower, upper = self.exact.lower, self.exact.upper
         for _ in range(iterations):
             _, _, gradient, hessian = self._equations(x, coarse)
             step_of, ahead = _steps(x, gradient, hessian, lower, upper)
-            near = ahead < CONVERGED_AT
-            if near and not coarse:
-                break
-            fall = 0.0
+            near, fall = ahead < CONVERGED_AT, 0.0
             for _ in range(0 if near else TRIALS):
                 step = step_of(damping)
                 trial = torch.minimum(torch.maximum(x + step, lower), upper)
@@ -304,12 +308,12 @@ class Posterior:
                     fall, x, value = value - new, trial, new
                     break
                 damping *= 10
-            if fall < CONVERGED_AT and not coarse:
-                break
             if fall < CONVERGED_AT:
+                if roughly or not coarse:
+                    break
                 damping = max(min(damping, 1.0), 1e-3)
-            coarse = coarse and fall >= CONVERGED_AT and ahead >= EXACT_FROM
-        return Laplace(self, x)
+            coarse = roughly or (coarse and fall >= CONVERGED_AT and ahead >= EXACT_FROM)
+        return x, value
 
     def _equations(self, x: torch.Tensor, coarse: bool) -> tuple[torch.Tensor, ...]:
         """Image, derivatives, gradient and Hessian of half of χ² and priors."""
@@ -414,11 +418,11 @@ class Laplace(NullModel):
         """The model linear about the optimum."""
         return Linear(self.fitted, self.posterior, self.covariance, self.x[0])
 
-    def null_without(self, label: str) -> NullModel:
-        """The null model of score tests without one of the effects, linearly."""
-        gone = {*self.fitted.columns_of(label)}
+    def null_of(self, linear: Linear) -> NullModel:
+        """The null model of score tests where some of the effects are at nothing."""
+        gone = {column for label in linear.gone for column in self.fitted.columns_of(label)}
         rows = [row for row in range(len(self.scale)) if row not in gone]
-        move = self.linear().without(label).move
+        move = linear.move
         scale = self.scale[rows]
         unit = torch.eye(len(rows), dtype=scale.dtype)
         factor = torch.linalg.cholesky(self.hessian[rows][:, rows] / scale[:, None] / scale + 1e-13 * unit)
