@@ -44,7 +44,6 @@ from irlos_pipe.effects.base import on_every_side
 from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
-from irlos_pipe.estimate.open_fit import TailLaw
 from irlos_pipe.estimate.score_test import LinearEstimate
 
 SURE = (
@@ -74,9 +73,7 @@ class EvidenceTask(Task):
         declared = [*effects, *moving]
         conditions = [view.conditions for view in self.fitter.views]
         images = Images.of(self.fitter.of(self.cube.training))
-        law = self.conditions.ncpa_law and WavefrontLaw(
-            self.conditions.ncpa_law, TailLaw(self.fitter.views[0].psf.nolls[-1] + 1, amplitude_nm=4.0)
-        )
+        law = WavefrontLaw.of(self.conditions.ncpa_law, self.fitter.views[0].psf.nolls[-1])
         covariance = Covariance.of(images.stack, images.views)
         begun = []
         for known_effects, near in ((declared, None), (search.final.fitted.continued(), search.final.fitted)):
@@ -85,7 +82,7 @@ class EvidenceTask(Task):
             x, _ = posterior.descended(posterior.start(near), FIRST, roughly=True)
             begun.append(Laplace(posterior, x, coarse=True))
         first = max(begun, key=lambda one: one.log_evidence)
-        laplace = self._settled(self._turned(first))
+        laplace = self._deepest(self._settled(first))
         entered: dict[str, float] = {}
         known: list[Score] = []
         for _ in range(2 * self.options.most_names):
@@ -95,7 +92,7 @@ class EvidenceTask(Task):
                 break
             laplace, label, odds = best
             entered[label] = odds
-            laplace = self._settled(laplace)
+            laplace = self._deepest(self._settled(laplace))
             if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                 break
         return self._named(search, laplace, declared, entered, found)
@@ -109,6 +106,17 @@ class EvidenceTask(Task):
         )
         self.report(1)
         return posterior.minimised(laplace.x, JOINTLY)
+
+    def _deepest(self, laplace: Laplace) -> Laplace:
+        """The fit that no other side of anything improves.
+
+        Each time that the model gets better its errors get smaller, which shows sides apart that were alike.
+        """
+        while True:
+            other = self._settled(self._turned(laplace))
+            if other.log_evidence < laplace.log_evidence + PROMISING:
+                return laplace
+            laplace = other
 
     def _turned(self, laplace: Laplace) -> Laplace:
         """The best of a fit and others in which what has a distance and a direction begins elsewhere.
@@ -140,7 +148,6 @@ class EvidenceTask(Task):
                 odds = (other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation)
                 tried.append((odds, other))
         self.report(1)
-        print("   tried", [(round(o, 1), s.name, round(s.log_odds, 1)) for (o, _), s in zip(tried, found)], "s", laplace.posterior.covariance.model_rms, "f", laplace.posterior.covariance.flat_rms)  # DEBUG
         if not tried:
             return None
         odds, best = max(tried, key=lambda one: one[0])
@@ -237,14 +244,13 @@ class EvidenceTask(Task):
         """The name for an effect of the final model, or None."""
         odds = final.linear.log_odds(label)
         odds = min(odds, entered[label]) if label in entered else odds
-        refit = final.refit(label)  # DEBUG
-        judges = [HeldOutEvaluation(self.cube.held_out, one) for one in (refit.fitted, refit.origin.fitted)]  # DEBUG
-        print("    judged", label, "SD", round(final.linear.log_odds(label), 1), "entered", round(entered.get(label, float("nan")), 1), "implausible", refit.implausible, "share", round(share_at_its_place(refit, final.optimum), 3), "z", round(preference(*judges), 2))  # DEBUG
         if not odds > SURE:
             return None
         refit = final.refit(label)
         lit = _is_lit(final.laplace, refit.base, refit.values)
-        if refit.implausible or not lit or share_at_its_place(refit, final.optimum) < AT_ITS_PLACE[self.kind]:
+        if refit.significance < self.options.sure or refit.implausible or not lit:
+            return None
+        if share_at_its_place(refit, final.optimum) < AT_ITS_PLACE[self.kind]:
             return None
         judges = [HeldOutEvaluation(self.cube.held_out, one) for one in (refit.fitted, refit.origin.fitted)]
         z = preference(*judges)

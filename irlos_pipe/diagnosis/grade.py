@@ -102,7 +102,7 @@ def _unexplained(search: Search, left: bool) -> str:
     if search.adjusted:
         lowered = f"{', '.join(search.adjusted)}, of which none is sure, {lower}"
         return f"{lowered}, and nothing explains the rest" if left else lowered
-    if left or search.all_modes is None:
+    if left or not search.tolerant:
         return f"nothing in the catalogue explains χ²/ν {after:.2f}"
     last = search.final.fitted.problem.layout.nolls[-1]
     return f"no name is sure, and modes beyond Noll {last} {lower}"

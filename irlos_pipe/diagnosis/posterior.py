@@ -64,16 +64,20 @@ LAW_EXPECTED, LAW_WIDTH = np.array([0.0, 0.0, 1.0]), np.array([1.0, 3.0, 2.0])  
 class WavefrontLaw:
     """Standard deviation of the modes: k times the instrument's law, and beyond the closed basis a tail's."""
 
-    known: NcpaLaw
+    known: NcpaLaw | None  # without one, that of the tail is that of all modes
     tail: TailLaw
     scale: float = 2.0  # k
 
+    @classmethod
+    def of(cls, known: NcpaLaw | None, highest_noll: int) -> WavefrontLaw:
+        """Before anything is known but the closed basis, which ends at `highest_noll`."""
+        return cls(known, TailLaw(5, 50.0) if known is None else TailLaw(highest_noll + 1, 4.0))
+
     def sigma_nm(self, nolls: Sequence[int]) -> np.ndarray:
         """Return the standard deviation of modes, (modes,) [nm RMS]; tip, tilt and focus are almost free."""
-        noll = np.asarray(nolls)
-        sigma = np.where(
-            noll < self.tail.first_noll, self.scale * self.known.sigma_nm(noll), self.tail.sigma_nm(noll)
-        )
+        noll, sigma = np.asarray(nolls), self.tail.sigma_nm(nolls)
+        if self.known is not None:
+            sigma = np.where(noll < self.tail.first_noll, self.scale * self.known.sigma_nm(noll), sigma)
         return np.where(noll < 4, POINTING_NM, np.where(noll == 4, FOCUS_NM, sigma))
 
     def changed(self, x: np.ndarray) -> WavefrontLaw:
@@ -222,7 +226,7 @@ class Posterior:
     images: Images
     effects: Sequence[Effect]
     covariance: Covariance
-    law: WavefrontLaw | None
+    law: WavefrontLaw
     exact: JointFit = field(init=False)
     coarse: JointFit = field(init=False)
     prior_mean: torch.Tensor = field(init=False)  # (parameters,)
@@ -232,8 +236,7 @@ class Posterior:
         fitter = self.images.fitter
         exact, coarse = (fitter.problem(self.effects, v) for v in (self.images.views, self.images.coarse))
         mean, precision = exact.prior_mean[0].clone(), exact.prior_precision[0].clone()
-        if self.law is not None:
-            precision[exact.layout.modes] = torch.as_tensor(self.law.sigma_nm(exact.layout.nolls)) ** -2
+        precision[exact.layout.modes] = torch.as_tensor(self.law.sigma_nm(exact.layout.nolls)) ** -2
         begin = exact.layout.effect_values.start
         for label, effect in zip(exact.effects.labels, exact.effects.effects, strict=True):
             columns = [begin + index for index in exact.effects.columns_of(label)]
@@ -436,11 +439,9 @@ class Laplace(NullModel):
         unconverged = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)[:, 0]
         return NullModel(residual, self.root, basis, unconverged)
 
-    def with_best_law(self) -> WavefrontLaw | None:
+    def with_best_law(self) -> WavefrontLaw:
         """The law of the modes by evidence, everything else marginalised linearly."""
         posterior = self.posterior
-        if posterior.law is None:
-            return None
         nolls = np.asarray(posterior.exact.layout.nolls)
         ruled = np.zeros(self.x.shape[1], bool)
         ruled[: len(nolls)] = nolls > 4

@@ -133,14 +133,6 @@ def refits(
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
 
-def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> list[Refit]:
-    """Fit what scores propose in float32, for a few iterations; the best first."""
-    near = ordered_map(partial(_near, fitter, origin, iterations=RANKING), scores)
-    found = [one for one in near if np.isfinite(one.fitted.chi2)]
-    seen = [one for one in found if one.beyond_chance]
-    return sorted([*found, *other_forms(fitter, _leaders(seen), wider=True)], key=lambda one: -one.merit)
-
-
 def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
     """The most promising by itself, the others side by side."""
     rest = promising[1:]

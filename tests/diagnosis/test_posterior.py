@@ -1,0 +1,154 @@
+"""The posterior of everything in a mean image: its noise, its evidence, and what it finds.
+
+Truth: dense matrices, the exact marginal likelihood of a linear Gaussian model, and what was put into frames
+that are drawn from the model itself (same code).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, model
+from scipy.stats import multivariate_normal
+
+from irlos_pipe.diagnosis.evidence import EvidenceTask
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.forward import Task
+from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.posterior import Covariance, Images, Linear, Posterior, WavefrontLaw
+from irlos_pipe.diagnosis.view import Exposures, View
+from irlos_pipe.diagnosis.workflow import silent
+from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.open_fit import last_noll_of, visible_order
+from irlos_pipe.optics.psf import PsfModel
+
+TAIL_NM, ALL = 6.0, tuple(range(2, last_noll_of(visible_order(CASE)) + 1))
+COMPANION = CATALOGUE["companion"].under(CONDITIONS)
+PLACE = (0.01, 85.0, -70.0)  # of the star's light, and mas
+BUMP = CATALOGUE["phase_bump"].under(CONDITIONS)
+BUMP_VALUES = (400.0, 1.6, 1.4, 0.8)  # nm and m
+STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
+STOP_VALUES = (0.06, 0.9, 0.0)  # m, rad, degrees
+
+
+def with_tail(effects=()) -> np.ndarray:
+    """Mean image with modes beyond the fitted ones, and effects at their values."""
+    drawn = np.random.default_rng(3).standard_normal(len(ALL)) * TAIL_NM
+    modes = [TRUE_NM.get(noll, 0.0) if noll in NOLLS else nm for noll, nm in zip(ALL, drawn, strict=True)]
+    whole = ImageModel(PsfModel(CASE, ALL, dtype=torch.float64), list(effects))
+    vector = torch.tensor([modes], dtype=torch.float64)
+    flux, none = torch.tensor([10 * FLUX_E], dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    return whole.predict(vector, flux, none, torch.zeros(0, dtype=torch.float64))[0].numpy()
+
+
+def posterior_of(training, effects=()) -> Posterior:
+    images = Images.of(Fitter([View(model(), CONDITIONS)], training))
+    law = WavefrontLaw.of(CONDITIONS.ncpa_law, NOLLS[-1])
+    return Posterior(images, effects, Covariance.of(training, images.views), law)
+
+
+@pytest.fixture(scope="module")
+def alone():
+    training = cube(with_tail()).training
+    posterior = posterior_of(training)
+    return posterior.minimised(posterior.start(), 16)
+
+
+def dense(covariance: Covariance) -> np.ndarray:
+    """The covariance that the sums of its parts make, pixel by pixel."""
+    (one,) = covariance.scatter
+    own = np.diag((one.photons_e2 + (covariance.flat_rms * one.light_e) ** 2).numpy())
+    rms = (one.speckles_e2 + (covariance.model_rms * one.light_e) ** 2).sqrt()
+    shapes = (one.correlated * rms[:, None]).numpy()
+    return own + shapes @ shapes.T + one.sample_e.numpy() @ one.sample_e.numpy().T
+
+
+@pytest.mark.parametrize("photons", [True, False])
+def test_whitened_shapes_have_the_products_of_the_dense_inverse_covariance(photons):
+    training = cube(with_tail()).training.limited_by(photons)
+    covariance = Covariance.of(training, [View(model(), CONDITIONS)])
+    rng, whole = np.random.default_rng(0), dense(covariance)
+    shapes = torch.as_tensor(rng.standard_normal((len(whole), 4)) * np.sqrt(np.diag(whole))[:, None])
+    white = covariance.whiten(shapes).numpy()
+    expected = shapes.numpy().T @ np.linalg.solve(whole, shapes.numpy())
+    assert white.T @ white == pytest.approx(expected, rel=0.03, abs=0.03 * np.diag(expected).max())
+    assert covariance.log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], abs=0.02 * len(whole))
+
+
+def test_the_evidence_between_two_laws_is_the_exact_one_of_the_linear_model(alone):
+    """Truth: the marginal likelihood N(d; J μ, C + J P⁻¹ Jᵀ) by SciPy; with a flat prior made a wide one."""
+    found, exact = [], []
+    posterior, law = alone.posterior, alone.posterior.law
+    whole, columns = dense(posterior.covariance), alone.columns.numpy().T
+    data = (alone.stack.mean_e - alone.image).numpy() + columns @ alone.x[0].numpy()
+    for scale in (1.0, 2.0):
+        changed = law.changed(np.array([np.log(scale), np.log(6.0), 0.0]))
+        other = Posterior(posterior.images, (), posterior.covariance, changed)
+        variance = np.where(other.prior_precision > 0, 1 / other.prior_precision.clamp_min(1e-30), 1e14)
+        marginal = whole + (columns * variance) @ columns.T
+        exact.append(multivariate_normal.logpdf(data, columns @ other.prior_mean.numpy(), marginal, True))
+        found.append(other.minimised(alone.x, 4).log_evidence)
+    assert found[1] - found[0] == pytest.approx(exact[1] - exact[0], abs=0.5)
+
+
+def test_the_odds_of_savage_and_dickey_are_those_of_two_evidences():
+    """Truth: Gaussian evidences with and without the effect, by hand for a linear model."""
+    rng = np.random.default_rng(5)
+    design, sigma = rng.standard_normal((60, 4)), np.array([5.0, 2.0, 3.0, 1.0])
+    data = design @ [1.0, 0.5, 0.0, 0.2] + rng.standard_normal(60)
+
+    def log_evidence(columns: list[int]) -> float:
+        some = design[:, columns]
+        return multivariate_normal.logpdf(
+            data, np.zeros(60), np.eye(60) + some * sigma[columns] ** 2 @ some.T
+        )
+
+    covariance = np.linalg.inv(design.T @ design + np.diag(sigma**-2))
+
+    class Known(Linear):
+        def nulls_of(self, label):
+            return {int(column): 0.0 for column in label}
+
+    class Prior:
+        prior_mean, prior_precision = torch.zeros(4, dtype=torch.float64), torch.as_tensor(sigma**-2)
+
+    linear = Known(None, Prior(), torch.as_tensor(covariance), torch.as_tensor(covariance @ design.T @ data))
+    assert linear.log_odds("2") == pytest.approx(log_evidence([0, 1, 2, 3]) - log_evidence([0, 1, 3]))
+    less = linear.without("2")
+    assert less.log_odds("13") == pytest.approx(log_evidence([0, 1, 3]) - log_evidence([0]))
+    assert less.x[2] == pytest.approx(0.0, abs=1e-12)
+
+
+def searched(effects, declared=()):
+    """What the search with everything free finds in frames with some effects."""
+    data = cube(with_tail(effects))
+    fitter = Fitter([View(model(), CONDITIONS)], data.training)
+    moments = Moments.of([Exposures(data.training.parts[0].frames, CONDITIONS)])
+    options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
+    plain = Task(data, fitter, moments, options, silent)
+    null = plain.searched_from(fitted(data.training, declared))
+    return EvidenceTask(data, fitter, moments, options, silent, "photon-limited").beyond(null, declared)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "values"), [(COMPANION, PLACE), (BUMP, BUMP_VALUES), (STOP, STOP_VALUES)], ids=lambda one: ""
+)
+def test_one_effect_beside_a_tail_of_modes_is_named_with_its_size_and_nothing_else(effect, values):
+    search = searched([FixedEffect(effect, values)])
+    assert [one.name for one in search.accepted] == [effect.name]
+    found = search.final.fitted.values_of(effect.name)
+    assert found == pytest.approx(values, rel=0.2, abs=0.05)
+
+
+@pytest.mark.slow
+def test_beside_a_tail_of_modes_nothing_is_named_where_nothing_is_and_errors_know_of_it():
+    search = searched([])
+    assert search.accepted == []
+    final = search.final.fitted
+    sigma = final.solution.covariance[0].diagonal()[: len(NOLLS)].sqrt().numpy()
+    error = final.modes_nm - [TRUE_NM.get(noll, 0.0) for noll in NOLLS]
+    assert 0.4 < np.sqrt(np.mean((error / sigma)[2:] ** 2)) < 1.7
