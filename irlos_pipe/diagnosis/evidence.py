@@ -38,6 +38,7 @@ from irlos_pipe.diagnosis.posterior import (
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Score, score_family, scored, whitened_shapes
+from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import direction_of, rests
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import on_every_side
@@ -218,7 +219,7 @@ class EvidenceTask(Task):
         entered: dict[str, float],
         found: list[Score],
     ) -> Search:
-        """The search with its names: what has the odds, explains its own, and is preferred by held-out data."""
+        """The search with its names: what has the odds, explains its own, and no held-out data object to."""
         final = _Final(self, laplace, declared)
         beyond = final.beyond
         named = [one for label in beyond if (one := self._judged(final, label, entered, found)) is not None]
@@ -337,7 +338,9 @@ class _Final:
         sizes = [one.name for one in effect.parameters if one.null is not None]
         candidate = FixedEffect(effect.base, self.fitted.values_of(label), sizes).only_in(effect.acts_in)
         score = scored(optimum, 1, (effect.acts_in,), [candidate])[0]
-        return Refit(score, optimum, self.fitted, label)
+        frames = math.inf if self.optimum.stack.photon_limited else self.optimum.stack.independent
+        rise, count = self.linear.rise_without(label), len(self.linear.nulls_of(label))
+        return Refit(score, optimum, self.fitted, label, gaussian_sigma(rise, count, frames))
 
     def rival(self, refit: Refit, score: Score) -> Refit:
         """A fit of what would explain as much in the place of a name."""
@@ -345,7 +348,7 @@ class _Final:
         return Refit(score, refit.origin, self.fitter.explored(others, refit.origin.fitted))
 
     def rivals(self, label: str, found: Sequence[Score]) -> list[tuple[Score, float]]:
-        """Effects that the model lacks and that would explain as much in the place of one, with their |cos|."""
+        """Effects that the model lacks and would explain as much in the place of one, with their |cos|."""
         laplace = self.laplace
         rise, name = self.linear.rise_without(label), self.all_modes.effect(label).name
         null = laplace.null_of(self.linear.without(label))

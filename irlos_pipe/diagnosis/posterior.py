@@ -103,7 +103,7 @@ class _Scatter:
 
     @classmethod
     def of(cls, stack: Stack, settings: PsfSettings, *, by_frames: bool) -> _Scatter:
-        """The scatter of the frames counts if it is more than photons', and there are enough (`by_frames`)."""
+        """The scatter of the frames counts where it is more than photons' and there are enough of them."""
         frames, good = stack.frames, stack.root > 0
         weights = good.reshape(frames.good.shape).double()
         count = len(frames.images_e)
@@ -188,7 +188,7 @@ class Covariance:
 
 @dataclass(frozen=True)
 class Images:
-    """The mean images with their light paths: of all colours, and of few for derivatives that may be rough."""
+    """The mean images with their light paths: of all colours, and of few for rough derivatives."""
 
     fitter: Fitter
     coarse: Sequence[View]
@@ -266,7 +266,7 @@ class Posterior:
         return value if math.isfinite(value) else math.inf
 
     def start(self, near: Fitted | None = None) -> torch.Tensor:
-        """Where a fit begins: nothing but the star at its place, or where a fit `near` by is, by its labels."""
+        """Where a fit begins: nothing but the star at its place, or where a fit `near` by is."""
         x = self.images.fitter.start(self.exact)
         if near is not None:
             known = near.problem
@@ -552,7 +552,7 @@ class Linear:
         return float(apart @ torch.linalg.pinv(self.covariance[own][:, own], hermitian=True) @ apart)
 
     def log_odds(self, label: str) -> float:
-        """ln odds of an effect against its absence (Savage and Dickey; Dickey 1971, Ann. Math. Stat. 42, 204)."""
+        """ln odds of an effect against its absence (Dickey 1971, Ann. Math. Stat. 42, 204)."""
         nulls = self.nulls_of(label)
         if not nulls:
             return math.inf

@@ -37,6 +37,7 @@ class Refit:
     origin: Optimum  # without it
     fitted: Fitted  # with it
     label: str = ""  # of the effect in the model; the last of its kind unless said
+    sigma: float | None = None  # its significance, where it does not follow from the image alone
 
     def __post_init__(self):
         kinds = [effect.name for effect in self.origin.fitted.effects]
@@ -84,6 +85,8 @@ class Refit:
     def significance(self) -> float:
         """Significance in Gaussian σ of its change of the image, against noise or the scatter of frames."""
         origin, stack = self.origin, self.origin.stack
+        if self.sigma is not None:
+            return self.sigma
         if stack.photon_limited:
             return gaussian_sigma(max(self.gain, 0.0), self.parameters, np.inf, self.score.trials)
         change = ((self.fitted.image_e - origin.fitted.image_e) * origin.root)[:, None]

@@ -264,7 +264,7 @@ def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tenso
 
 
 def _log_odds(linear: LinearEstimate, gram: torch.Tensor, inflation: float) -> float:
-    """ln odds of a candidate against its absence, its size integrated out; variances larger by `inflation`."""
+    """ln odds of a candidate against its absence, its size integrated out, variances times `inflation`."""
     if not linear.usable.any():
         return -np.inf
     pairs = zip(linear.candidate.parameters, linear.usable.tolist(), strict=True)
