@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 import torch
@@ -52,6 +52,7 @@ SURE = (
 )
 WORTH = 10.0  # ln odds from which an effect enters the model
 PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
+MOST_RIVALS = 2  # that are told besides a name
 LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
 TURNED = 6  # iterations from another side
@@ -86,16 +87,17 @@ class EvidenceTask(Task):
         laplace = self._deepest(self._settled(first))
         entered: dict[str, float] = {}
         known: list[Score] = []
-        for _ in range(2 * self.options.most_names):
+        for _ in range(self.options.most_names + 1):
             found = self._proposed(laplace, known)
             best = self._best(laplace, found)
             if best is None:
                 break
             laplace, label, odds = best
             entered[label] = odds
-            laplace = self._deepest(self._settled(laplace))
+            laplace = self._settled(laplace)
             if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                 break
+        laplace = self._deepest(laplace) if entered else laplace
         return self._named(search, laplace, declared, entered, found)
 
     # -- fits ------------------------------------------------------------------------------------
@@ -257,15 +259,14 @@ class EvidenceTask(Task):
         z = preference(*judges)
         if z < AGAINST:
             return None
-        rivals = final.rivals(label, found)
-        fits = [final.rival(refit, score) for score, _ in rivals]
+        rivals = final.rivals(refit, found)
         alternatives = [
             Alternative(one.name, f"it explains as much (|cos| {cosine:.3f})", refit.base.look_alike, cosine)
             for one, cosine in rivals
         ]
         ranking = [Ranked(refit.name, refit.gain, 1.0, refit.significance, z)]
         gap = gap_between(judges[1], judges[0])
-        return Accepted(refit, z, gap, alternatives, ranking, fits, label)
+        return Accepted(refit, z, gap, alternatives, ranking, [one for one, _ in rivals], label)
 
 
 class _Final:
@@ -342,24 +343,34 @@ class _Final:
         rise, count = self.linear.rise_without(label), len(self.linear.nulls_of(label))
         return Refit(score, optimum, self.fitted, label, gaussian_sigma(rise, count, frames))
 
-    def rival(self, refit: Refit, score: Score) -> Refit:
-        """A fit of what would explain as much in the place of a name."""
-        others = [*refit.origin.fitted.continued(), score.start()]
-        return Refit(score, refit.origin, self.fitter.explored(others, refit.origin.fitted))
+    def rivals(self, refit: Refit, found: Sequence[Score]) -> list[tuple[Refit, float]]:
+        """Fits of effects that would explain as much in the place of one, with their |cos|.
 
-    def rivals(self, label: str, found: Sequence[Score]) -> list[tuple[Score, float]]:
-        """Effects that the model lacks and would explain as much in the place of one, with their |cos|."""
-        laplace = self.laplace
-        rise, name = self.linear.rise_without(label), self.all_modes.effect(label).name
-        null = laplace.null_of(self.linear.without(label))
+        They are those `found` that the model never had, and those that were dispensable beside it.
+        """
+        label, laplace = refit.label, self.laplace
+        rise, null = self.linear.rise_without(label), laplace.null_of(self.linear.without(label))
+        effects = self.all_modes.continued_by_label()
+        lacking = [one for one in found if not one.candidate.base.needs_search and one.name != refit.name]
         rivals = []
-        for score in found:
-            if score.candidate.base.needs_search or score.name == name:
-                continue
+        for score in lacking:
             linear = LinearEstimate.of(null, score.candidate, whitened_shapes(laplace, [score.candidate])[0])
-            if linear.usable.any() and rise - linear.gain < 2 * WORTH:
-                rivals.append((score, math.sqrt(min(max(linear.gain / rise, 0.0), 1.0))))
-        return sorted(rivals, key=lambda one: -one[1])[:2]
+            if linear.usable.any():
+                rivals.append((score.start(), rise - linear.gain))
+        for gone in self.linear.gone:
+            others = (one for one in self.linear.gone if one != gone)
+            with_it = reduce(Linear.without, others, laplace.linear())
+            rivals.append((effects[gone], with_it.rise_without(label)))
+        alike = sorted((one for one in rivals if one[1] < 2 * WORTH), key=lambda one: one[1])
+        fits = []
+        for effect, left in alike[:MOST_RIVALS]:
+            begun = [*refit.origin.fitted.continued(), effect]
+            fitted = self.fitter.explored(begun, refit.origin.fitted)
+            free = [one.name for one in effect.parameters]
+            candidate = FixedEffect(effect.base, effect.base.null_values, free).only_in(effect.acts_in)
+            score = scored(refit.origin, 1, (effect.acts_in,), [candidate])[0]
+            fits.append((Refit(score, refit.origin, fitted), math.sqrt(max(1 - max(left, 0.0) / rise, 0.0))))
+        return fits
 
 
 def _allowing(stack: Stacks, fitted: Fitted, laplace: Laplace) -> Stacks:
