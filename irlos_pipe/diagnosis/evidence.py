@@ -336,9 +336,7 @@ class _Final:
         """The model against that without an effect, to which it is linear."""
         optimum = Optimum(self.optimum.stack, self._reduced(self.linear.without(label)))
         effect = self.fitted.effect(label)
-        sizes = [one.name for one in effect.parameters if one.null is not None]
-        candidate = FixedEffect(effect.base, self.fitted.values_of(label), sizes).only_in(effect.acts_in)
-        score = scored(optimum, 1, (effect.acts_in,), [candidate])[0]
+        score = self._scored(optimum, effect, self.fitted.values_of(label))
         frames = math.inf if self.optimum.stack.photon_limited else self.optimum.stack.independent
         rise, count = self.linear.rise_without(label), len(self.linear.nulls_of(label))
         return Refit(score, optimum, self.fitted, label, gaussian_sigma(rise, count, frames))
@@ -351,26 +349,33 @@ class _Final:
         label, laplace = refit.label, self.laplace
         rise, null = self.linear.rise_without(label), laplace.null_of(self.linear.without(label))
         effects = self.all_modes.continued_by_label()
-        lacking = [one for one in found if not one.candidate.base.needs_search and one.name != refit.name]
         rivals = []
-        for score in lacking:
+        for score in found:
+            if score.candidate.base.needs_search or score.name == refit.name:
+                continue
             linear = LinearEstimate.of(null, score.candidate, whitened_shapes(laplace, [score.candidate])[0])
             if linear.usable.any():
-                rivals.append((score.start(), rise - linear.gain))
+                rivals.append((score.start(), score, rise - linear.gain))
         for gone in self.linear.gone:
             others = (one for one in self.linear.gone if one != gone)
             with_it = reduce(Linear.without, others, laplace.linear())
-            rivals.append((effects[gone], with_it.rise_without(label)))
-        alike = sorted((one for one in rivals if one[1] < 2 * WORTH), key=lambda one: one[1])
+            score = self._scored(refit.origin, effects[gone], effects[gone].base.null_values)
+            rivals.append((effects[gone], score, with_it.rise_without(label)))
         fits = []
-        for effect, left in alike[:MOST_RIVALS]:
-            begun = [*refit.origin.fitted.continued(), effect]
-            fitted = self.fitter.explored(begun, refit.origin.fitted)
-            free = [one.name for one in effect.parameters]
-            candidate = FixedEffect(effect.base, effect.base.null_values, free).only_in(effect.acts_in)
-            score = scored(refit.origin, 1, (effect.acts_in,), [candidate])[0]
-            fits.append((Refit(score, refit.origin, fitted), math.sqrt(max(1 - max(left, 0.0) / rise, 0.0))))
+        for effect, score, left in sorted(rivals, key=lambda one: one[2])[:MOST_RIVALS]:
+            if left < 2 * WORTH:
+                origin = refit.origin.fitted
+                fitted = self.fitter.explored([*origin.continued(), effect], origin)
+                cosine = math.sqrt(max(1 - max(left, 0.0) / rise, 0.0))
+                fits.append((Refit(score, refit.origin, fitted), cosine))
         return fits
+
+    @staticmethod
+    def _scored(origin: Optimum, effect: Effect, values: Sequence[float] | np.ndarray) -> Score:
+        """The score of an effect at its place, without it."""
+        sizes = [one.name for one in effect.parameters if one.null is not None]
+        candidate = FixedEffect(effect.base, values, sizes).only_in(effect.acts_in)
+        return scored(origin, 1, (effect.acts_in,), [candidate])[0]
 
 
 def _allowing(stack: Stacks, fitted: Fitted, laplace: Laplace) -> Stacks:

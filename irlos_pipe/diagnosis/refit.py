@@ -20,9 +20,6 @@ from irlos_pipe.numerics.parallel import ordered_map
 PROPOSALS = 8  # families that are fitted at most
 HOPELESS = 0.1  # part of the fall of χ² by a name that leaves nothing; what promises less needs no fit
 NOTHING_LEFT = 5.0  # significance of the excess below which nothing is left to explain
-FAR = 10.0  # χ²/ν from which the model may be at a false minimum
-RETRIED = 2  # of the most promising families, if none leaves nothing; what a detector adds is fitted quickly
-RANKING = 15  # iterations with free facts, after which nine tenths of the fall of χ² are known
 SIDE_BY_SIDE = 2  # fits at once, after which others may prove hopeless
 PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
 EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ² from which another family is its rival

@@ -13,7 +13,6 @@ from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.effects.base import AT_REST, direction_among
 from irlos_pipe.numerics.problem import ROUNDING
 
-STARTS, START_NM = 2, 60.0  # further wavefronts; RMS of their first radial order, falling with the order
 DIRECTIONS = 8  # in which the fit is searched for a fall from no distance, where the image has a kink
 
 
