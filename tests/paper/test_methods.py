@@ -6,19 +6,16 @@ Truth: the simulator, which shares no optics with the model; arithmetic for the 
 import numpy as np
 import pytest
 import torch
-from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
+from helpers.experiment_stage import sample
 
 from irlos_pipe.effects import SeeingHalo
-from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.paper import methods
-from irlos_pipe.paper.common.calibrations import DEFAULT, partial_halo, sharpest_half
-from irlos_pipe.paper.common.scenes import cube_scene
-from irlos_pipe.paper.methods import METHODS, PARTS, speckle_floor_nm
+from irlos_pipe.paper.common.calibrations import DEFAULT, partial_halo
+from irlos_pipe.paper.methods import speckle_floor_nm
 
 FACILITY = load_instrument("irlos").facility
 
@@ -34,50 +31,11 @@ def test_the_default_beats_the_mean_image_and_all_leave_less_than_was_introduced
     assert 0 < half["modes_nm"] < default["introduced_nm"] and half["part"] == 0.5
 
 
-@pytest.mark.slow
-def test_introduced_ncpas_have_the_spread_of_the_paper():
-    cubes = [cube_scene("a", (1, k), FACILITY, 0.5, 24, 7.0) for k in range(400)]
-    totals = [np.linalg.norm(list(cube.ncpa_nm.values())) for cube in cubes]
-    assert np.mean(totals) == pytest.approx(142, abs=4 * 30 / 20)
-    assert np.std(totals) == pytest.approx(30, rel=0.15)
-
-
 def test_the_floor_is_the_part_of_the_error_that_more_frames_remove():
     # Mean squares 4 + 9 / part.
     errors = {part: [np.sqrt(4 + 9 / part)] * 5 for part in (0.25, 0.5, 1.0)}
     assert speckle_floor_nm(errors) == pytest.approx((3.0, 2.0))
     assert speckle_floor_nm({0.5: [1.0], 1.0: [2.0]})[0] == 0.0  # never imaginary
-
-
-def test_conditions_methods_and_parts_stand_apart(monkeypatch):
-    def rows(one):
-        for name in one["variants"]:
-            error_nm = 2.0 if name == DEFAULT else 40.0
-            own = {"modes_nm": error_nm, "pupil_nm": 2 * error_nm, "chi2_nu": 1.0}
-            yield {"variant": name, "part": 1.0, "introduced_nm": 142.0, **own}
-        for part in one.sizes.fractions if one["dissected"] else ():
-            yield {"variant": DEFAULT, "part": part, "modes_nm": 2.0 / np.sqrt(part)}
-
-    output = run_on(
-        monkeypatch, methods, rows, samples=3, samples_of_parts=2, samples_of_shapes=1, samples_between=1
-    )
-    found = tables_of(output)
-    conditions = found["conditions"]
-    assert conditions.samples.tolist() == [3, 3, 1, 1] + [1] * 6
-    assert conditions.speckle_floor_nm[:2].tolist() == pytest.approx([2.0, 2.0]) and not missed(output)[2:]
-    assert conditions.ratio_to_dip_global.tolist() == [0.05] * 10
-    assert set(found["methods"].variant) == set(METHODS) and set(found["parts"].variant) == set(PARTS)
-    assert found["parts"].samples.tolist() == [2] * 2 * len(PARTS)
-    _, _, table, shapes, _ = drawn(output, methods).blocks
-    assert table.rows[1][:2] == ["DIP global", "40.0 (40.0…40.0) (40.0–40.0)"] and len(shapes.rows) == 10
-
-
-def test_the_sharpest_half_is_the_half_with_less_blur():
-    y, x = np.mgrid[-8:9, -8:9]
-    widths = (1.0, 3.0, 1.2, 2.5)
-    images = np.array([np.exp(-(x**2 + y**2) / (2 * w**2)) for w in widths])
-    frames = Frames(torch.as_tensor(images), torch.ones(17, 17, dtype=torch.bool), NoiseModel(1.0, 1.0))
-    assert torch.equal(sharpest_half(frames).images_e, frames.images_e[[0, 2]])
 
 
 def test_a_residual_without_direction_has_a_round_transfer_function():

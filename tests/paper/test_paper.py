@@ -13,7 +13,6 @@ from helpers.paths import RECIPES
 
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.paper.run.recipes import find_experiments
-from irlos_pipe.product.runfolder import owned_folder
 from irlos_pipe.stages import EXPERIMENTS
 
 
@@ -39,26 +38,6 @@ def test_the_numbers_are_those_of_the_seed_with_sizes_and_checks_in_the_order_of
     assert check == f"alpha,mean,True,{draws.mean()},nm,,10.0,the mean is small"
 
 
-@pytest.mark.slow
-def test_no_path_and_nothing_that_differs_from_run_to_run_stands_in_the_numbers(paper, tmp_path):
-    paper.paper()
-    assert str(tmp_path) not in (paper.output / "tables/runs.csv").read_text()
-    other = PaperBench(tmp_path / "again")
-    other.folder.mkdir()
-    other.recipes.symlink_to(paper.recipes)
-    other.paper()
-    assert other.numbers() == paper.numbers()
-
-
-@pytest.mark.slow
-def test_a_second_run_works_on_nothing_and_changes_nothing(paper):
-    paper.paper()
-    before = (paper.page(), paper.numbers())
-    assert paper.paper().exit_code == 0
-    assert COUNTS["lift"] == COUNTS["calibrate"] == 1
-    assert (paper.page(), paper.numbers()) == before
-
-
 def test_an_experiment_that_fails_does_not_stop_the_others_and_the_exit_code_is_5(paper):
     paper.set("zeta", "fails: true")
     result = paper.paper()
@@ -79,12 +58,6 @@ def test_an_interruption_keeps_what_is_finished_and_the_next_run_goes_on(paper, 
     assert names(paper) == ["zeta"]
     assert paper.paper().exit_code == 0
     assert COUNTS["calibrate"] == COUNTS["lift"] == 1 and names(paper) == ["zeta", "alpha"]
-
-
-def test_a_failed_limit_is_exit_code_4_and_named_in_the_numbers(paper):
-    paper.set("zeta", "limit: -5")
-    assert paper.paper().exit_code == 4
-    assert paper.numbers()["checks"].splitlines()[1].startswith("zeta,mean,False,")
 
 
 def test_a_report_that_cannot_be_drawn_does_not_keep_the_others_from_the_page(paper, monkeypatch):
@@ -121,11 +94,6 @@ def test_quick_runs_have_the_sizes_of_their_file_and_no_place_beside_full_ones(p
     assert paper.runs() == runs
 
 
-def test_a_seed_given_replaces_that_of_every_recipe(paper):
-    paper.paper("--seed", "8")
-    assert {run["seed"] for run in paper.runs()} == {"8"}
-
-
 @pytest.mark.parametrize(
     ("options", "line"),
     [
@@ -157,29 +125,6 @@ def test_a_mistake_in_the_quick_settings_is_reported_with_its_line(paper, conten
     path.write_text(content)
     result = paper.paper("--quick")
     assert result.exit_code == 2 and f"irlos: error: {path}{message}" in result.output
-
-
-def test_a_recipe_that_is_not_wanted_may_be_wrong(paper):
-    paper.set("zeta", "nonsense: 1")
-    assert paper.paper().exit_code == 2
-    assert paper.paper("--only", "alpha").exit_code == 0
-
-
-@pytest.mark.slow
-def test_the_page_is_one_file_in_which_every_drawing_has_identifiers_of_its_own(paper):
-    (paper.recipes / "beta.yaml").write_text(paper_bench.RECIPE.format(name="beta", stage="lift"))
-    paper.paper()
-    page = paper.page()
-    identifiers = re.findall(r'\sid="([^"]*)"', page)
-    assert len(identifiers) == len(set(identifiers)) and any("beta-line" in one for one in identifiers)
-    wanted = set(re.findall(r'href="#([^"]*)|url\(#([^)]*)', page))
-    assert {one or other for one, other in wanted} <= set(identifiers)
-    assert not re.search(r"<script|<link|@import|src=", page)
-
-
-def test_the_folder_of_a_run_in_progress_is_left_alone(paper):
-    with owned_folder(paper.output):
-        assert paper.paper().exit_code == 75
 
 
 @pytest.mark.parametrize("quick", [False, True])

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import context, drawn, run_on, tables_of
-from scipy.integrate import quad
+from helpers.experiment_stage import context, run_on, tables_of
 from scipy.stats import lognorm
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper import seeing_scales
-from irlos_pipe.paper.seeing_scales import log_normal_density
 
 LAW = load_instrument("irlos").facility.residual_law
 MANY = 200_000
@@ -33,23 +31,6 @@ def test_both_seeings_have_the_medians_and_scatters_of_their_log_normal_laws():
         # four standard errors of the mean and of the standard deviation
         assert logarithm.mean() == pytest.approx(np.log(median), abs=4 * scatter / np.sqrt(MANY))
         assert logarithm.std() == pytest.approx(scatter, abs=4 * scatter / np.sqrt(2 * MANY))
-
-
-def test_without_disagreement_one_seeing_follows_from_the_other():
-    monitor, sparta = draws(disagreement=0.0, ratio=0.9, offset_arcsec=0.05)
-    assert np.allclose(sparta, 0.9 * monitor + 0.05)
-
-
-def test_the_density_is_that_of_scipy_and_its_area_is_one():
-    value = np.linspace(0.1, 3, 50)
-    expected = lognorm(0.35, scale=0.7).pdf(value)
-    assert np.allclose(log_normal_density(value, 0.7, 0.35), expected, rtol=1e-12)
-    assert quad(log_normal_density, 1e-6, 20, (0.7, 0.35))[0] == pytest.approx(1, abs=1e-6)
-
-
-@pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95), (1.0, 163)])
-def test_the_residual_of_the_simulated_conditions_is_that_of_the_test_report(seeing_arcsec, wfe_nm):
-    assert LAW.wfe_nm(seeing_arcsec) == pytest.approx(wfe_nm, abs=0.5)
 
 
 def test_how_rare_a_condition_is_follows_from_its_law(monkeypatch):
@@ -81,13 +62,3 @@ def test_what_cannot_be_drawn_is_refused():
     for monitor in ("mass_dim", "sparta"):
         with pytest.raises(ConfigurationError, match=f"monitor = '{monitor}': .* known: mass_dimm"):
             draws(monitor=monitor)
-
-
-@pytest.mark.slow
-def test_the_section_shows_the_relation_both_scales_and_every_condition(monkeypatch):
-    output = run_on(monkeypatch, seeing_scales, seeing_scales.rows, on_sky_arcsec=(0.65,))
-    section = drawn(output, seeing_scales, on_sky_arcsec=(0.65,))
-    *figures, table = section.blocks
-    assert len(figures) == 3
-    assert "SPARTA = 0.80 · mass_dimm +0.00 arcsec (assumed:" in section.lead
-    assert [row[1:3] for row in table.rows] == [["0.35", "0.44"], ["1.00", "1.25"], ["0.52", "0.65"]]

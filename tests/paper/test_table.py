@@ -9,12 +9,9 @@ from irlos_pipe.paper.common.table import (
     Listing,
     csv_of_tables,
     frame,
-    grouped,
     median_in_range,
     read_tables,
     rms_in_range,
-    spread,
-    spreads,
 )
 
 ROWS = [
@@ -23,18 +20,6 @@ ROWS = [
     {"method": "b", "size": 2, "error_nm": math.nan, "error_nm_p16": None, "error_nm_p84": None},
 ]
 TABLES = {"rows": frame(ROWS)}
-
-
-def test_groups_stand_in_the_order_in_which_they_appear():
-    rows = frame({"key": key, "x": x} for key, x in (("b", 3.0), ("a", 1.0), ("b", 5.0)))
-    found = grouped(rows, ["key"], lambda group, key: spreads(group, "x"))
-    assert list(found.key) == ["b", "a"]
-    assert found.x.tolist() == [4.0, 1.0]
-
-
-def test_a_spread_is_a_normal_distributions_one_sigma():
-    found = spread("x", np.random.default_rng(3).normal(50.0, 5.0, 40_000))
-    assert list(found.values()) == pytest.approx((50, 45, 55), abs=0.2)
 
 
 def test_the_range_of_an_rms_holds_it_and_closes_on_equal_values():
@@ -89,12 +74,3 @@ def test_what_differs_stands_side_by_side():
     ]
     chosen = Listing("rows", "", {"method": "{method}"}, {"size {size}": "{error_nm:.0f}"}, heads=["size 2"])
     assert list(chosen.table(TABLES).rows) == [["a", "3"], ["b", "–"]]
-
-
-def test_rows_are_good_within_their_limit():
-    limited = {"rows": frame({"x": x, "asked": asked} for x, asked in ((1.0, 2.0), (3.0, 2.0), (3.0, None)))}
-    assert list(Listing("rows", "", {"x": "{x}"}, limit=("x", "asked")).table(limited).marks) == [
-        "good",
-        "bad",
-        "",
-    ]
