@@ -202,21 +202,6 @@ def test_parts_that_meet_or_are_few_and_small_are_accepted(tmp_path, profile, ap
     assert clear.max() == pytest.approx(1.0, abs=1e-9) and clear.any()
 
 
-def test_a_map_that_ends_far_inside_the_diameter_is_refused(tmp_path, profile):
-    """A disc of 3.2 or 8 m, in a pupil of 8 m."""
-    y, x = np.indices((180, 180)) - 89.5
-    name = map_file(tmp_path, (np.hypot(x, y) < 80).astype(float))
-    assert loaded(tmp_path, profile, map={"file": name, "metres_per_sample": 0.05}).pupil.map
-    with pytest.raises(ConfigurationError, match=r"ends 1\.[56].* m from the axis, before 0.67 of half"):
-        loaded(tmp_path, profile, map={"file": name, "metres_per_sample": 0.02})
-
-
-@pytest.mark.parametrize(("drawn", "needed"), [({}, "8.2 and the disc"), ({"aperture": [circle(8)]}, "8.2$")])
-def test_a_shift_beyond_the_diameter_says_how_to_draw_it(tmp_path, profile, drawn, needed):
-    with pytest.raises(ConfigurationError, match=f"disc about the axis that holds all .*: give {needed}"):
-        loaded(tmp_path, profile, shift_m=[0.08, -0.06], **drawn)
-
-
 def test_a_shifted_pupil_on_a_larger_disc_has_the_image_of_the_unshifted_one(tmp_path, profile):
     """A shift of the pupil is a phase in the focal plane, which no detector sees."""
     changed(profile, pupil_obscuration_m=1.0)

@@ -66,16 +66,6 @@ def test_a_unit_that_contradicts_the_name_is_told_in_one_line(tmp_path, profile,
     assert len(str(caught.value).splitlines()) == 1 and "mine.yaml" in str(caught.value)
 
 
-def test_a_fact_of_any_name_has_the_unit_of_the_key_that_it_stands_in_for(tmp_path, profile):
-    fact = {"value": 0.0097, "unit": "arcsec", "status": "assumed", "source": "a test"}
-    profile["facts"]["scale"] = fact
-    profile["defaults"]["pixel_scale_mas"] = "scale"
-    with pytest.raises(ConfigurationError, match=r"defaults\.pixel_scale_mas: fact 'scale' should be in mas"):
-        loaded(tmp_path, profile)
-    profile["facts"]["scale"] = fact | {"value": 9.7, "unit": "mas"}
-    assert loaded(tmp_path, profile).defaults["pixel_scale_mas"] == 9.7
-
-
 @pytest.mark.parametrize(
     ("wanted", "spellings"),
     [
@@ -95,8 +85,3 @@ def test_a_fact_of_any_name_has_the_unit_of_the_key_that_it_stands_in_for(tmp_pa
 def test_a_unit_may_be_written_in_the_usual_ways(wanted, spellings):
     for unit in spellings:
         require_unit("a fact", unit, wanted)
-
-
-@pytest.mark.parametrize("name", ["gain", "read_noise_camera", "seeing_ratio_dimm", "apd_gain_low", "items"])
-def test_a_name_without_a_unit_asks_for_none(name):
-    assert unit_of_name(name) is None
