@@ -55,11 +55,6 @@ def test_without_a_valid_measurement_the_offset_is_held_whatever_the_mode():
         assert not decision.commanded
 
 
-def test_a_leak_forgets_the_offset():
-    settings = ControllerSettings(gain=0.4, leak=0.1)
-    assert decide(TRACKED, 0.0, settings).state.offset_nm == pytest.approx(45.0)
-
-
 def test_the_offset_is_clipped_and_does_not_wind_up():
     near = ControllerState(790.0, TRACKING)
     decision = decide(near, 100.0, SETTINGS)
@@ -69,14 +64,6 @@ def test_the_offset_is_clipped_and_does_not_wind_up():
     back = decide(decision.state, -50.0, SETTINGS)
     assert back.state.offset_nm == pytest.approx(780.0)
     assert not back.clipped
-
-
-def test_a_jump_is_waited_for():
-    first = decide(ControllerState(), 600.0, SETTINGS)
-    assert (first.state.offset_nm, first.state.settling) == (300.0, 1)
-    second = decide(first.state, 600.0, SETTINGS)
-    assert (second.state.offset_nm, second.held, second.commanded) == (300.0, "settling", False)
-    assert decide(second.state, 300.0, SETTINGS).state.offset_nm == 600.0
 
 
 def test_one_measurement_far_outside_is_not_believed_and_three_start_the_loop_again():

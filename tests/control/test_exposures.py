@@ -71,21 +71,6 @@ def test_a_recorder_that_counts_anew_is_followed_after_a_few_exposures():
     assert [one.index for one in exposures] == list(range(exposures[0].index, 10))
 
 
-def test_old_reads_that_come_once_more_are_no_new_count():
-    accumulator = Accumulator(READS, last_index=99, last_unix_s=read(396).unix_s)
-    exposures = fed(range(404), accumulator)
-    assert [(one.index, one.late, one.restarted) for one in exposures] == [(100, 400, False)]
-
-
-def test_what_is_open_can_be_closed():
-    accumulator = Accumulator(READS)
-    fed([0, 1], accumulator)
-    (exposure,) = accumulator.flush()
-    assert (exposure.reads, exposure.missing) == (2, 2)
-    assert accumulator.flush() == []
-    assert fed([2, 3], accumulator) == []  # too late
-
-
 def test_reads_with_different_windows_make_no_image():
     accumulator = Accumulator(2)
     accumulator.add(read(0))
@@ -113,20 +98,6 @@ def test_every_recording_counts_by_itself_and_none_is_late_or_missing():
         (0, 1, False),
         *[(0, 0, False)] * 3,
     ]
-
-
-def test_told_that_counters_begin_anew_the_first_read_counts():
-    accumulator = Accumulator(2)
-    fed([4000, 4001, 4002], accumulator)
-    (cut_short,) = accumulator.count_anew()
-    assert (cut_short.index, cut_short.reads) == (2001, 1)
-    (exposure,) = fed([6, 7], accumulator)
-    assert (exposure.index, exposure.late, exposure.missing) == (3, 0, 0)
-
-
-def test_a_counter_that_jumps_leaves_no_reads_missing_and_says_so():
-    _, second = fed([0, 1, 2, 3, 2**62, 2**62 + 1, 2**62 + 2, 2**62 + 3])
-    assert (second.missing, second.restarted) == (0, True)
 
 
 def test_one_read_with_a_wild_counter_costs_some_exposures_and_no_more():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.control.exposures import REMEMBERED, Accumulator, Read, Repeats
+from irlos_pipe.control.exposures import Accumulator, Read, Repeats
 
 
 def image(seed: int) -> np.ndarray:
@@ -29,20 +29,6 @@ def test_a_copy_is_known_again_whole_or_in_part(again, repeated):
     seen = Repeats()
     assert not any(seen.has(image(seed)) for seed in range(3))
     assert seen.has(again) is repeated
-
-
-def test_reads_of_coarse_steps_and_dark_corners_are_no_copies():
-    seen, rng = Repeats(), np.random.default_rng(1)
-    inside = np.hypot(*np.meshgrid(np.arange(64) - 32, np.arange(64) - 32)) < 25
-    assert not any(seen.has(np.where(inside, np.rint(rng.normal(0, 0.6, (64, 64))), 0)) for _ in range(300))
-
-
-def test_what_was_long_ago_is_forgotten():
-    seen = Repeats()
-    for seed in range(REMEMBERED + 1):
-        seen.has(np.full((8, 8), seed) + np.arange(64).reshape(8, 8) / 64)
-    assert not seen.has(np.arange(64).reshape(8, 8) / 64)
-    assert seen.has(np.full((8, 8), 7) + np.arange(64).reshape(8, 8) / 64)
 
 
 def test_an_exposure_counts_its_repeated_reads_and_not_those_that_come_twice():

@@ -50,15 +50,3 @@ def test_a_focus_that_does_not_answer_as_it_should_is_found(answer, words, seed)
     exposures, verdict = followed(lambda index: 1.0 if index < 100 else answer, seed=seed)
     assert any(word in verdict for word in words.split("|"))
     assert 100 < exposures < 400
-
-
-def test_some_equal_residuals_with_a_growing_offset_are_enough():
-    response = Response(1)
-    verdicts = [response.verdict(30.0, 12.0 * number) for number in range(30)]
-    assert not any(verdicts[:4])
-    assert all(verdicts[20:])
-
-
-def test_without_measurements_nothing_is_said():
-    response = Response(1)
-    assert not any(response.verdict(None, 10.0 * index) for index in range(50))

@@ -31,35 +31,6 @@ def test_the_noise_of_the_dark_is_found_in_the_frames(sigma_e):
     assert found == pytest.approx(sigma_e**2, rel=0.15, abs=0.01)
 
 
-def test_a_pattern_that_was_taken_out_is_no_noise():
-    """A dark without noise whose pattern looks like a noise of 5 e- leaves nothing in the frames."""
-    assert dark_variance_e2(frames_e(0.0), ALL_GOOD, 25.0) < 0.01
-
-
-def test_what_the_dark_itself_says_is_the_limit():
-    assert dark_variance_e2(frames_e(2.0), ALL_GOOD, 0.3) == 0.3
-    assert dark_variance_e2(frames_e(2.0)[:1], ALL_GOOD, 0.3) == 0.3
-
-
-def test_bad_pixels_do_not_count():
-    good = np.random.default_rng(1).random((64, 64)) > 0.01
-    images = np.where(good, frames_e(0.5), 1e4)
-    assert dark_variance_e2(images, good, 100.0) == pytest.approx(0.25, rel=0.25)
-
-
-def test_the_mean_of_many_frames_keeps_the_noise_of_the_dark():
-    noise = NoiseModel(1.0, 4.0, shared_e2=0.25)
-    assert noise.variance_e2(10.0) == 14.25
-    assert noise.mean_variance_e2(10.0, 100) == pytest.approx(0.14 + 0.25)
-    assert noise.scatter_e2(10.0) == 14.0
-
-
-def test_without_a_dark_the_pattern_of_the_detector_counts():
-    """An unlimited estimate finds the 2 e- that were put in; a single frame cannot tell."""
-    assert dark_variance_e2(frames_e(2.0), ALL_GOOD, np.inf) == pytest.approx(4.0, rel=0.2)
-    assert dark_variance_e2(frames_e(2.0)[:1], ALL_GOOD, np.inf) == 0.0
-
-
 @pytest.mark.parametrize("level_e", [-3.0, 0.0, 3.0])
 def test_a_background_that_is_off_by_some_electrons_does_not_change_the_photon_transfer(level_e):
     """Ten frames of a gain as told: a slope of 1 to five of its errors, and less of an error than a tenth."""
@@ -101,19 +72,6 @@ def test_the_noise_is_that_of_the_frames_in_any_unit(unit):
     assert found.excess_noise_factor == pytest.approx(unit, abs=5 * found.excess_noise_error)
     assert found.floor_e2 == pytest.approx(81.0 * unit**2, abs=5 * found.floor_error_e2)
     assert found.excess_noise_error < 0.1 * unit and found.floor_error_e2 < 5 * unit**2
-
-
-@pytest.mark.parametrize("told", [NoiseModel(1.0, 1e-4), NoiseModel(3.0, 1e6), NoiseModel(1.0, 0.0)])
-def test_what_was_told_does_not_change_what_several_frames_show(told):
-    prediction, images = neighbour_prediction(ALL_GOOD, 4.2), on_sky_e(1e4)
-    expected = measure_noise(images, ALL_GOOD, prediction, NoiseModel(1.0, 81.0))
-    assert measure_noise(images, ALL_GOOD, prediction, told) == expected
-
-
-def test_frames_without_any_noise_tell_nothing():
-    images = np.repeat(star_e()[None], 5, axis=0)
-    found = measure_noise(images, ALL_GOOD, neighbour_prediction(ALL_GOOD, 4.2), NoiseModel(1.0, 1.0))
-    assert not found.floor_e2 > 1e-9 and not found.excess_noise_factor > 1e-9
 
 
 def test_image_motion_that_fills_a_small_window_is_not_taken_for_noise():

@@ -13,7 +13,6 @@ from irlos_pipe.frames.screening import (
     recorder_faults,
     saturated_frames,
     star_faults,
-    tally,
 )
 from irlos_pipe.stages.ingest.stage import Config
 
@@ -56,11 +55,6 @@ def test_a_frame_that_the_recorder_spoilt_is_rejected(frame, pixels, value, reas
     assert recorder_faults(adu, np.arange(4)).tolist() == ["", "", reason, ""]
 
 
-def test_a_repeated_counter_costs_the_second_frame():
-    counter = np.array([0, 20, 20, 40])
-    assert recorder_faults(counts(IMAGE, 4), counter).tolist() == ["", "", screening.REPEATED_COUNTER, ""]
-
-
 def test_saturated_pixels_count_unless_they_are_bad():
     adu = np.zeros((3, 4, 4))
     adu[1, 2, 2] = adu[2, 0, 0] = 65535
@@ -87,17 +81,6 @@ def test_a_star_too_faint_for_single_frames_is_kept_if_their_median_shows_it():
     cube = frames_e(star(32, 32, flux_e=200), 150, read_noise_e=3.0).astype(np.float32)
     assert screening.star_peaks(cube).snr.min() < LIMITS.star_snr
     assert judged(cube) == [""] * 150
-
-
-def test_a_star_about_to_leave_the_window_is_rejected():
-    cube = images()
-    cube[7] = frames_e(star(32, 32, flux_e=1e5, shift_px=(0, 15.5)), 1)[0]
-    assert judged(cube) == only(7, screening.AT_EDGE)
-
-
-def test_a_star_off_centre_is_kept():
-    off_centre = frames_e(star(32, 32, flux_e=1e5, shift_px=(-8, 8)), 12).astype(np.float32)
-    assert judged(off_centre) == [""] * 12
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.6])
@@ -128,18 +111,6 @@ def test_an_exposure_where_the_star_stands_as_in_the_mean_is_none_that_is_made_o
     assert judged(cube.astype(np.float32)) == [""] * 13
 
 
-def test_flux_that_varies_a_little_is_no_fault():
-    cube = images() * np.linspace(0.9, 1.1, 12, dtype=np.float32)[:, None, None]
-    assert judged(cube) == [""] * 12
-
-
-def test_reasons_found_earlier_stay():
-    cube = images()
-    cube[2] *= 0.5
-    reasons = screening.also(no_reasons(12), np.arange(12) == 2, screening.SATURATED)
-    assert star_faults(cube, reasons, LIMITS).tolist() == only(2, screening.SATURATED)
-
-
 def test_many_hits_reject_a_frame_only_in_the_core():
     peak = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
     number = LIMITS.core_hits_px + 1
@@ -149,7 +120,3 @@ def test_many_hits_reject_a_frame_only_in_the_core():
         column=np.repeat([peak[1], 0, peak[1]], [number, number, number - 1]),
     )
     assert hit_in_core(hits, core_of(IMAGE, LIMITS), 4, LIMITS).tolist() == [False, True, False, False]
-
-
-def test_reasons_are_counted():
-    assert tally(np.array(["", "b", "a", "b"])) == {"b": 2, "a": 1}

@@ -8,11 +8,8 @@ from astropy.io import fits
 from helpers import paths
 from helpers.speckle_cubes import SAMPLING_PX, speckle_cube
 
-from irlos_pipe.frames.bad_pixels import Criteria
 from irlos_pipe.frames.cleaning import clean
-from irlos_pipe.frames.hits import odd_frames
 from irlos_pipe.frames.measured_noise import MeasuredNoise
-from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector, RawFrames
 from irlos_pipe.frames.told import EXCESS, GAIN, READ_NOISE, believed, constants
 from irlos_pipe.stages.ingest.stage import Config
@@ -76,14 +73,6 @@ def test_hits_at_the_core_on_the_ring_and_in_the_wings_are_found_alone():
     assert result.used.all()
 
 
-@pytest.mark.parametrize("place", [PEAK, (32, 39), (10, 52)], ids=["core", "ring", "wings"])
-def test_a_hot_pixel_is_found_alone(place):
-    images = cube_e().copy()
-    signal = np.median(images[:, *place])
-    images[:, *place] += max(0.5 * signal, 10 * 15.0)
-    assert bad(cleaned(images)) == {place}
-
-
 def test_a_clipped_peak_costs_its_pixels_and_no_frame():
     """Levels of their own for two pixels: no common level of saturation."""
     images = cube_e().copy()
@@ -95,23 +84,6 @@ def test_a_clipped_peak_costs_its_pixels_and_no_frame():
     assert {(32, 32), (32, 31)} <= bad(result)
     assert np.argwhere(result.clipped).tolist() == [[32, 31], [32, 32]]
     assert result.used.all()
-
-
-def test_odd_detail_in_the_core_is_no_fault_of_a_frame_and_elsewhere_it_is():
-    """Of ten frames, in which a star that moves has no usual relation to a clipped pixel."""
-    images, core, good = cube_e()[:10], np.zeros((64, 64), dtype=bool), np.ones((64, 64), dtype=bool)
-    core[28:37, 28:37] = True
-    by = Criteria(SAMPLING_PX, NoiseModel.of_detector(Detector(GAIN_E, 15.0)), Config().thresholds())
-    for place, odd in ((33, 31), []), ((33, 45), [9]):
-        changed = images.copy()
-        changed[9, *place] += 3.0 * max(images[9, *place], 2000.0)
-        found = odd_frames(changed, np.arange(10), good, core, by)
-        assert np.flatnonzero(found).tolist() == odd
-
-
-def test_values_that_scatter_like_their_noise_are_not_clipped():
-    still = np.random.default_rng(0).poisson(np.median(cube_e(), axis=0), (100, 64, 64))
-    assert not cleaned(still + 0.0).clipped.any()
 
 
 def test_what_is_told_stands_and_what_is_only_assumed_gives_way():
@@ -134,24 +106,12 @@ def test_an_excess_noise_of_the_profile_gives_way_to_frames_where_the_gain_is_to
     assert believed(detector, {GAIN: SIDECAR, EXCESS: PROFILE}, noise)[0].excess_noise_factor == excess
 
 
-def test_a_value_of_the_profile_that_the_frames_do_not_contradict_stays():
-    detector = Detector(e_per_adu=4.0, read_noise_e=1.0)
-    assert believed(detector, {}, MeasuredNoise(1.02, 0.1, 1.01, 0.01)) == (detector, {})
-    assert believed(detector, {}, MeasuredNoise()) == (detector, {})
-
-
 @needs_pharo
 def test_every_frame_of_pharo_is_kept_and_what_is_masked_in_its_core_is_clipped():
     result = cleaned(pharo_e(), PHARO_SAMPLING_PX, 17.0)
     assert result.used.all()
     core = {place for place in bad(result) if max(abs(place[0] - 32), abs(place[1] - 32)) <= 4}
     assert {(32, 31), (32, 32), (33, 32)} <= core <= {(31, 32), (32, 31), (32, 32), (33, 31), (33, 32)}
-
-
-@needs_pharo
-@pytest.mark.parametrize("first", range(0, 90, 10))
-def test_ten_frames_of_pharo_are_all_kept(first):
-    assert cleaned(pharo_e()[first : first + 10], PHARO_SAMPLING_PX, 17.0).used.all()
 
 
 @needs_pharo

@@ -44,19 +44,6 @@ def test_what_is_told_rightly_is_not_doubted():
     assert _found(_recording()) == (set(), set())
 
 
-def test_gain_in_wrong_units_shows_in_the_flux():
-    assert _found(_recording(1e-6 * ZERO_POINT_E))[1] == {"flux"}
-    assert _found(_recording(100 * ZERO_POINT_E))[1] == {"flux"}
-    assert _found(_recording(5 * ZERO_POINT_E)) == ({"flux"}, set())
-
-
-def test_an_exposure_longer_than_the_time_between_frames_is_told_wrongly():
-    assert "exposure" in _found(_recording(exposure_s=90.0))[1]
-    assert _found(_recording(frame_rate_hz=11.0))[0] == {"exposure"}
-    assert "exposure by the clock" in _found(_recording(exposure_s=0.1), step_s=0.02)[1]
-    assert "cadence" in _found(_recording(), step_s=0.2)[0]
-
-
 def test_photon_transfer_contradicts_a_gain_four_times_off_but_not_within_its_error():
     recording = replace(
         _recording(), acquisition=replace(_recording().acquisition, detector=Detector(2.0, 1.0))

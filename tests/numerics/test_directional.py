@@ -36,13 +36,6 @@ def test_derivatives_by_one_element_and_along_a_direction():
     assert change.along(direction).tolist() == pytest.approx([0.6, -4.8, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("function", "slope"), [(squares, 0.6), (lambda v: 3 * v, 3.0), (lambda v: FACTORS, 0.0)]
-)
-def test_what_is_linear_or_constant_is_differentiated_as_well(function, slope):
-    assert Directional(function, VALUES).by(0).tolist() == pytest.approx([slope, 0.0, 0.0])
-
-
 @pytest.mark.slow
 def test_threads_do_not_meet_in_their_derivatives():
     def all_of_them(scale: float) -> torch.Tensor:

@@ -74,12 +74,6 @@ def test_members_do_not_see_each_other():
         assert torch.equal(polish(VALLEYS, started(many), 40).values, together.values)
 
 
-def test_nothing_that_was_reached_is_worse_than_the_start():
-    first = starts(8)
-    found = polish(VALLEYS, started(first, variance=1.0), 6)
-    assert all(found.objective.numpy() <= 1 + np.array([rosen(x) for x in first]))
-
-
 def test_an_objective_that_is_not_finite_is_invalid():
     wild = Functions(lambda x, m: np.nan if m else 1 + rosen(x), lambda x, _: rosen_der(x))
     assert polish(wild, started(starts(2)), 300).status == [CONVERGED, INVALID]
@@ -88,11 +82,3 @@ def test_an_objective_that_is_not_finite_is_invalid():
 def test_a_slope_that_no_step_confirms_is_stalled():
     lying = Functions(lambda x, _: float(np.sum(x**2)), lambda x, _: -2 * x)
     assert polish(lying, started(starts(2)), 300).status == [STALLED, STALLED]
-
-
-def test_members_that_are_invalid_stay_as_they_are():
-    given = started(starts(2))
-    given.status[1] = INVALID
-    found = polish(VALLEYS, given, 300)
-    assert found.status == [CONVERGED, INVALID]
-    assert torch.equal(found.values[1], given.values[1])

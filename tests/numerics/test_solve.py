@@ -160,15 +160,6 @@ def test_where_iterations_are_used_up_a_tenth_of_a_standard_error_will_do():
     assert solve(Valley(), start, max_iterations=1).status == [CONVERGED, MAX_ITERATIONS]
 
 
-@pytest.mark.parametrize("far", [10.0, 40.0])
-def test_a_far_start_only_costs_iterations(far):
-    data = curves()
-    there = torch.tensor([[far, 0.1, far]], dtype=torch.float64).repeat(5, 1)
-    solution = solve(Decays(data), there, max_iterations=200)
-    expected = np.array([scipy_fit(curve).x for curve in data])
-    assert np.allclose(solution.values, expected, rtol=1e-2, atol=0.05)
-
-
 class Bent(Problem):
     """Residuals ``x``, ``1 + bend x²/2`` and a large constant, as noise makes it.
 
@@ -237,21 +228,6 @@ def test_a_start_where_nothing_can_be_learnt_of_a_parameter_is_not_left_in_a_lea
 # -- gradients between Hessians ----------------------------------------------------------------
 
 
-def test_cheap_gradients_spare_hessians():
-    problem = Frugal(curves(members=8))
-    solve(problem, start(8))
-    assert problem.hessians < 0.5 * problem.gradients
-
-
-def test_a_parameter_without_curvature_at_the_start_gets_its_due_later():
-    """The rate of a decay of amplitude zero has no slope until there is an amplitude."""
-    data = curves(members=1)
-    begin = torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64)
-    solution = solve(Frugal(data), begin)
-    assert solution.status == [CONVERGED]
-    assert np.allclose(solution.values[0], scipy_fit(data[0]).x, rtol=1e-3)
-
-
 def test_what_does_not_depend_on_a_dead_parameter_has_its_error():
     # Truth: the inverse without the row and column of the dead parameter, the second of four.
     alive, root = [0, 2, 3], np.random.default_rng(4).standard_normal((3, 3))
@@ -262,11 +238,3 @@ def test_what_does_not_depend_on_a_dead_parameter_has_its_error():
     assert inverse[1, 1] > 1e100
     assert inverse[np.ix_(alive, alive)] == pytest.approx(np.linalg.inv(hessian[0][np.ix_(alive, alive)]))
     assert np.all(np.isfinite(inverse @ hessian[0]))
-
-
-def test_a_last_step_that_a_rough_hessian_takes_for_negligible_does_not_lead_uphill():
-    """That Hessian foretells a fall of 1e-4 on the way to a place 1e8 times as high as the start."""
-    start = torch.tensor([[0.0, 1e-4]], dtype=torch.float64)
-    solution = solve(Blind(), start)
-    assert solution.status == [CONVERGED]
-    assert float(Blind().objective(solution.values, torch.arange(1))) <= 0.5e-8

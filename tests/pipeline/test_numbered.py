@@ -52,21 +52,6 @@ def test_a_version_that_stopped_is_continued_and_the_link_stays_until_it_is_whol
     assert there(bench)[-1] == os.readlink(bench.output / "latest")
 
 
-def test_stages_that_were_left_out_are_added_to_the_same_version(bench):
-    numbered(bench, "--to", "calibrate")
-    assert not (bench.output / "latest").exists()
-    assert numbered(bench) == 0
-    assert there(bench) == ["001"] and os.readlink(bench.output / "latest") == "001"
-
-
-def test_a_plan_names_what_would_be_done_and_makes_nothing(bench):
-    assert numbered(bench, "--dry-run") == 0 and numbered(bench, "--from", "lift") == 2
-    assert not bench.output.exists()
-    numbered(bench)
-    result = bench.run("--numbered", "--dry-run", "--set", "calibrate.method=dip_global")
-    assert result.stdout.count("no product yet") == 3 and there(bench) == ["001"]
-
-
 @pytest.mark.parametrize("make", ["file", "run"])
 def test_a_folder_of_something_else_is_refused(bench, make):
     if make == "run":
@@ -108,33 +93,8 @@ def test_on_a_disk_without_links_the_newest_version_is_named(bench, monkeypatch)
     assert f"{bench.output / '002'}" in invoke("report", str(bench.output)).stderr
 
 
-def test_a_number_that_is_a_link_is_not_followed(bench, tmp_path):
-    numbered(bench)
-    (tmp_path / "elsewhere").mkdir()
-    (bench.output / "002").symlink_to(tmp_path / "elsewhere")
-    assert there(bench) == ["001"]
-
-
 def test_two_runs_do_not_share_a_number(bench):
     numbered(bench)
     with FileLock(bench.output / ".lock"):
         assert numbered(bench, "--force") == 75
     assert there(bench) == ["001"]
-
-
-def test_status_lists_the_versions_and_what_was_changed(bench):
-    numbered(bench)
-    numbered(bench, "--set", "calibrate.method=dip_global", "--set", "ingest.scale=2")
-    head, *lines = invoke("status", str(bench.output)).stdout.splitlines()
-    assert head.split()[:3] == ["version", "recipe", "status"]
-    assert [line.split()[0] for line in lines] == ["001", "002"]
-    assert "latest" not in lines[0] and "latest" in lines[1]
-    assert lines[1].endswith("ingest.scale, calibrate.method") or lines[1].endswith(
-        "calibrate.method, ingest.scale"
-    )
-
-
-def test_versions_are_in_the_order_of_their_numbers(tmp_path):
-    for name in ("1000", "999", "001", "12", "x"):
-        (tmp_path / name).mkdir()
-    assert [path.name for path in version_folders(tmp_path)] == ["001", "999", "1000"]

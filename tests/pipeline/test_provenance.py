@@ -43,11 +43,3 @@ def test_a_checkout_states_its_revision_and_whether_it_was_changed(version, chec
     (checkout / "file").write_text("2")
     git(checkout, "tag", "-a", "v1", "-m", "v1")  # does not hide the revision
     assert version(checkout) == f"{irlos_pipe.__version__}+git.{revision}.dirty"
-
-
-def test_without_a_repository_that_git_can_read_the_version_is_stated_alone(version, checkout, monkeypatch):
-    assert version(checkout / "elsewhere") == irlos_pipe.__version__
-    (checkout / ".git" / "HEAD").unlink()
-    assert version(checkout) == irlos_pipe.__version__
-    monkeypatch.setenv("PATH", "")
-    assert version(checkout) == irlos_pipe.__version__

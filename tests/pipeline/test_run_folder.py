@@ -2,19 +2,15 @@
 
 import os
 import sys
-from dataclasses import replace
 
 import pytest
-import yaml
 from helpers.patience import within
 from helpers.running import reasons, results, run, visible
 from helpers.sparta_files import counts, star, write_recorder
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.pipeline.inputs import CACHE_NAME
-from irlos_pipe.product.runfolder import RunFolder, require_free
-from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.recipe import load_recipe
 
 
@@ -37,21 +33,6 @@ def test_a_folder_with_files_of_others_is_refused_and_left_alone(bench):
     assert bench.run("--dry-run").exit_code == 2
 
 
-def test_empty_folders_and_those_of_earlier_runs_are_used(bench):
-    bench.output.mkdir()
-    (bench.output / ".nfs0001").touch()
-    (bench.output / "run.log").touch()  # of a run that was killed at once
-    run(bench)
-    (bench.output / "notes.txt").touch()
-    assert bench.run().exit_code == 0
-
-
-def test_a_file_in_the_place_of_the_folder_is_named(tmp_path):
-    (tmp_path / "out").touch()
-    with pytest.raises(ConfigurationError, match="is a file; give a folder"):
-        require_free(tmp_path / "out")
-
-
 # -- links and pipes ----------------------------------------------------------------------------
 
 
@@ -62,14 +43,6 @@ def test_the_log_is_not_written_through_a_link(bench, tmp_path):
     with pytest.raises(IrlosError, match=r"run\.log: cannot be written: a link, which is not followed"):
         run(bench)
     assert (tmp_path / "mine.txt").read_text() == "mine"
-
-
-def test_parts_of_earlier_runs_are_not_removed_through_a_link(bench, tmp_path):
-    (tmp_path / "mine" / "ingest-0").mkdir(parents=True)
-    bench.output.mkdir()
-    (bench.output / ".partial").symlink_to(tmp_path / "mine")
-    run(bench)
-    assert (tmp_path / "mine" / "ingest-0").is_dir()
 
 
 @pytest.mark.parametrize("name", [CACHE_NAME, "run.log"])
@@ -86,12 +59,6 @@ def test_a_recording_that_is_gone_does_not_stop_the_run(tmp_path):
     (tmp_path / "recipe.yaml").write_text("recipe: test\ninputs: {cube: in}\nstages: [ingest]\n")
     outcome = run_recipe(load_recipe(tmp_path / "recipe.yaml"), tmp_path / "out")
     assert outcome.exit_code in (4, 5) and len(outcome.results["stages"]["ingest"]["inputs"]) == 1
-
-
-def test_a_pipe_among_the_input_files_is_not_read(bench):
-    os.mkfifo(bench.data / "notes")
-    run(bench)
-    assert reasons(bench)["ingest"] == "up to date"
 
 
 # -- what makes products out of date --------------------------------------------------------------
@@ -130,15 +97,6 @@ def test_an_edited_deliverable_is_made_again(bench, content):
     assert (bench.output / "table.csv").read_bytes() == b"mode,nm\n"
 
 
-def test_a_product_of_an_earlier_version_which_has_no_checksums_of_its_files_stays(bench):
-    run(bench)
-    path = bench.output / "02_calibrate.h5"
-    product = read_product(path)
-    provenance = {key: value for key, value in product.provenance.items() if key != "file_sha256"}
-    write_product(replace(product, provenance=provenance), path)
-    assert reasons(bench)["calibrate"] == "up to date"
-
-
 def test_after_a_failed_run_no_old_deliverable_or_report_looks_like_its_result(bench):
     run(bench)
     bench.make("ingest.bad_data")
@@ -147,14 +105,3 @@ def test_after_a_failed_run_no_old_deliverable_or_report_looks_like_its_result(b
     assert results(bench)["status"] == "failed"
     assert not {"table.csv", "report.html"} & set(visible(bench))
     assert sorted(os.listdir(bench.output / "earlier")) == ["report.html", "table.csv"]
-
-
-def test_what_another_recipe_left_is_set_aside(bench):
-    run(bench)
-    content = yaml.safe_load(bench.recipe.read_text())
-    stages = {key: content[key] for key in ("recipe", "inputs")} | {"stages": ["ingest", "lift"]}
-    bench.recipe.write_text(yaml.safe_dump(stages))
-    run(bench)
-    assert {"02_calibrate.h5", "03_lift.h5", "table.csv"} == set(os.listdir(bench.output / "earlier"))
-    assert "table.csv" not in visible(bench) and read_product(bench.output / "02_lift.h5").stage == "lift"
-    assert list(RunFolder(bench.output).products()) == ["ingest", "lift"]

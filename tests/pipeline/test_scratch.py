@@ -54,12 +54,3 @@ def test_each_setting_has_its_parts_and_all_are_removed_when_the_product_of_the_
     assert folders[0].is_dir()
     run(bench)
     assert len(folders) == 3 and not (bench.output / ".partial").exists()
-
-
-def test_a_product_that_cannot_be_written_leaves_the_parts(bench, monkeypatch):
-    run(bench, selection=Selection(last="ingest"))
-    folders = uses_scratch(bench, monkeypatch)
-    (bench.output / "02_calibrate.h5").mkdir()
-    with pytest.raises(Exception, match="cannot be written"):
-        run(bench)
-    assert (folders[0] / "part").is_file()

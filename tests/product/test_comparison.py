@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 
 import pytest
-from conftest import invoke
 from helpers import made_run
 
 from irlos_pipe.product.printed import Comparison, NumberPair
@@ -66,13 +65,6 @@ def test_differences_are_the_second_less_the_first_in_units_of_both_errors(pair)
     assert modes.expected_nm == pytest.approx(math.sqrt(8.0 * modes.modes))
 
 
-def test_the_other_way_round_changes_the_sign_only(pair):
-    there, back = compare_runs(*pair), compare_runs(*reversed(pair))
-    assert {one.name: one.difference for one in there.numbers} == {
-        one.name: -one.difference for one in back.numbers
-    }
-
-
 def test_what_was_asked_for_and_what_was_concluded_stand_beside_the_numbers(pair):
     found = compare_runs(*pair)
     assert [(one.name, one.first, one.second) for one in found.settings] == [("seed", 0, 1)]
@@ -83,17 +75,6 @@ def test_what_was_asked_for_and_what_was_concluded_stand_beside_the_numbers(pair
         ("calibrate: twin solution", "passed", "failed")
     ]
     assert found.only_first == [] and found.only_second == ["lift.untested"]
-
-
-def test_stages_of_one_run_alone_are_named_once(tmp_path, pair):
-    short = write(tmp_path / "short", made_run.products("ingest", "calibrate"))
-    assert "lift" in compare_runs(pair[0], short).only_first
-
-
-def test_rows_are_matched_by_what_they_are_called():
-    rows = [{"effect": "ghost", "parameters": {"x": 1.0}}, {"effect": "companion", "parameters": {"x": 2.0}}]
-    one, other = (dict(leaves({"steps": order})) for order in (rows, rows[::-1]))
-    assert one == other and one["steps", "ghost", "parameters", "x"].value == 1.0
 
 
 @pytest.mark.parametrize(
@@ -111,22 +92,3 @@ def test_rows_are_matched_by_what_they_are_called():
 def test_the_error_of_a_number_is_found_and_is_no_number_of_its_own(tree, path, error):
     found = {name: leaf for name, leaf in leaves(tree) if not math.isnan(leaf.error)}
     assert found[path].error == error and not any("sigma" in key or "error" in key for key in map(str, found))
-
-
-def test_a_number_without_an_error_has_no_significance():
-    (leaf,) = dict(leaves({"frames": 3})).values()
-    assert math.isnan(leaf.error)
-
-
-def test_the_command_prints_the_most_significant_first_and_all_on_demand(pair):
-    short = invoke("compare", *map(str, pair)).stdout
-    lines = [line for line in short.splitlines() if line.split()[-1:] == ["σ"]]
-    sigmas = [abs(float(line.split()[-2])) for line in lines if line.split()[-2][0] in "+-"]
-    assert sigmas == sorted(sigmas, reverse=True) and sigmas[0] == 1.4  # 4 over sqrt(8)
-    assert "seed  0 → 1" in short and "passed → failed" in short
-    assert len(invoke("compare", *map(str, pair), "--all").stdout) >= len(short)
-
-
-def test_a_folder_that_is_no_run_is_named(tmp_path, pair):
-    result = invoke("compare", str(pair[0]), str(tmp_path / "nowhere"))
-    assert result.exit_code == 3 and "nowhere: not the folder of a run" in result.stderr

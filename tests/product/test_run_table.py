@@ -9,7 +9,6 @@ from conftest import invoke
 from helpers import made_run
 
 from irlos_pipe.product.product import Check
-from irlos_pipe.product.run_table import unit_of
 
 
 @pytest.fixture
@@ -39,11 +38,6 @@ def test_csv_and_sqlite_hold_every_check_and_every_number(folder, tmp_path):
         assert connection.execute("SELECT count(*) FROM numbers").fetchone()[0] == len(numbers)
         query = "SELECT name, high FROM checks WHERE NOT passed"
         assert connection.execute(query).fetchall()[-1] == ("chi2, of the mean", 2.0)
-
-
-def test_units_are_those_of_the_keys():
-    assert unit_of("zernike_nm.4") == "nm" and unit_of("points.0.sigma_nm") == "nm"
-    assert unit_of("frames") == "" and unit_of("steps.1.parameters.mas_per_um") == "mas/um"
 
 
 @pytest.mark.parametrize(

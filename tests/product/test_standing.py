@@ -47,12 +47,6 @@ def test_whatever_is_touched_breaks_the_stamp(bench, run, change):
     assert not is_standing(run)
 
 
-def test_messages_and_reports_do_not(bench, run):
-    later(run.report)
-    later(run.log)
-    assert is_standing(run)
-
-
 def test_a_run_of_a_part_and_a_link_to_a_folder_leave_no_stamp(bench):
     bench.run("--to", "calibrate")
     assert not is_standing(RunFolder(bench.output))

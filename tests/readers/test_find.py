@@ -7,7 +7,7 @@ import pytest
 from astropy.io import fits
 from helpers.sparta_files import counts, star, write_muse, write_recorder
 
-from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
 
@@ -50,19 +50,6 @@ def test_a_folder_is_searched_in_natural_order_and_depth(tmp_path):
         "offset_2.fits",
         "offset_10.fits",
     ]
-
-
-def test_calibration_and_telemetry_beside_a_recording_are_no_recordings(tmp_path):
-    path = write_recorder(tmp_path / "rec", CUBE, maps={"DARK": CUBE[0]})
-    fits.writeto(path.with_name("IRCtr.SENSOR_2_MODES.fits"), np.zeros((8, 8)))
-    fits.writeto(path.with_name("positions.fits"), np.zeros((8, 8)))
-    assert recording_files([tmp_path]) == [path]
-
-
-def test_a_folder_without_recordings_leaves_nothing_to_do(tmp_path):
-    (tmp_path / "notes.txt").write_text("nothing here")
-    with pytest.raises(NothingToDo, match="no recordings under"):
-        recording_files([tmp_path])
 
 
 def test_equal_names_are_reported_apart_by_their_folders(tmp_path):
@@ -111,12 +98,6 @@ def test_a_truncated_file_is_refused_wherever_it_ends(tmp_path, write, kept):
     assert "\n" not in str(caught.value)
 
 
-def test_a_truncated_file_in_a_folder_is_not_passed_over(tmp_path):
-    path = write_recorder(tmp_path / "rec", CUBE)
-    path.write_bytes(path.read_bytes()[:4000])
-    assert recording_files([tmp_path]) == [path]
-
-
 @pytest.mark.parametrize("size", ["9999999", "-5", "0"])
 def test_axes_that_cannot_be_are_refused_before_memory_is_asked_for(tmp_path, size):
     path = tmp_path / "c.fits"
@@ -127,19 +108,6 @@ def test_axes_that_cannot_be_are_refused_before_memory_is_asked_for(tmp_path, si
     )
     with pytest.raises(InputDataError, match=r"c\.fits"):
         read_recordings(path, IRLOS)
-
-
-@pytest.mark.parametrize("shape", [(40,), (2, 3, 12, 12), (3, 2, 12)])
-def test_axes_that_are_no_cube_are_refused(tmp_path, shape):
-    fits.writeto(tmp_path / "c.fits", np.zeros(shape, np.float32))
-    with pytest.raises(InputDataError, match=r"c\.fits: HDU 0 \(PRIMARY\): axes"):
-        read_recordings(tmp_path / "c.fits", IRLOS)
-
-
-def test_a_file_without_images_says_what_was_expected(tmp_path):
-    fits.HDUList([fits.PrimaryHDU()]).writeto(tmp_path / "c.fits")
-    with pytest.raises(InputDataError, match="no recording in it; expected a table IRPixelFrame"):
-        read_recordings(tmp_path / "c.fits", IRLOS)
 
 
 def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):

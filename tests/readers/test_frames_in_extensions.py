@@ -42,17 +42,6 @@ def test_frames_are_in_the_order_of_their_numbers_and_a_gap_is_a_lost_frame(tmp_
     assert raw.frames == 5 and frames_missing(raw.frame_counter) == 1
 
 
-def test_frames_without_names_follow_the_one_in_the_primary_hdu(tmp_path):
-    assert np.array_equal(read(tmp_path, *frames("")[1:], primary=CUBE[0]).adu, CUBE)
-
-
-def test_planes_and_compressed_frames_count_as_frames(tmp_path):
-    planes = [image(frame[None], "SCI", i) for i, frame in enumerate(CUBE, 1)]
-    assert np.array_equal(read(tmp_path, *planes).adu, CUBE)
-    whole = np.rint(CUBE).astype(np.int32)
-    assert np.array_equal(read(tmp_path, *map(fits.CompImageHDU, whole)).adu, whole)
-
-
 @pytest.mark.parametrize(
     ("hdus", "primary", "unread"),
     [
@@ -92,8 +81,3 @@ def test_what_is_not_the_recording_is_named(tmp_path, hdus, primary, unread):
 def test_images_that_could_each_be_the_recording_are_an_error_that_names_them(tmp_path, hdus):
     with pytest.raises(InputDataError, match=r"that could each be the recording: HDU 1.*HDU 2"):
         read(tmp_path, *[hdu.copy() for hdu in hdus])
-
-
-@pytest.mark.parametrize("shape", [(1, 6, 12, 10), (6, 1, 12, 10), (1, 6, 1, 12, 10)])
-def test_axes_of_length_one_do_not_count(tmp_path, shape):
-    assert np.array_equal(read(tmp_path, primary=CUBE.reshape(shape)).adu, CUBE)

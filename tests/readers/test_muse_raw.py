@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from helpers.sparta_files import FULL_PUPIL, TWO_BY_TWO, quadrants, write_muse
+from helpers.sparta_files import TWO_BY_TWO, quadrants, write_muse
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.recording import MODE
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.muse_raw import without_borders
-from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 IRLOS = load_instrument("irlos")
 
@@ -18,14 +15,6 @@ IRLOS = load_instrument("irlos")
 def numbered(frames, rows, columns, offset=0):
     frame, y, x = np.indices((frames, rows, columns))
     return (offset + 1 + 1000 * frame + 100 * y + x).astype(np.uint16)
-
-
-def test_the_cube_keeps_its_axes_and_type(tmp_path):
-    cube = numbered(4, 8, 7)
-    (raw,) = read_recordings(write_muse(tmp_path / "m.fits", cube), IRLOS)
-    assert raw.adu.dtype == np.uint16
-    assert np.array_equal(raw.adu, cube)
-    assert raw.mode == FULL_PUPIL
 
 
 def test_the_header_gives_what_it_knows(tmp_path):
@@ -63,11 +52,6 @@ def test_an_unknown_mode_is_named(tmp_path):
         read_recordings(path, IRLOS)
 
 
-def test_a_file_without_mode_says_which_key_is_missing(tmp_path):
-    with pytest.raises(InputDataError, match="ESO AOS MAIN MODES IRLOS is missing"):
-        read_recordings(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode=None), IRLOS)
-
-
 def test_the_images_of_a_2x2_mode_lie_side_by_side_without_their_borders(tmp_path):
     images = [numbered(3, 6, 8, offset) for offset in (0, 10000, 20000, 30000)]
     (raw,) = read_recordings(write_muse(tmp_path / "m.fits", quadrants(images), TWO_BY_TWO), IRLOS)
@@ -100,28 +84,6 @@ def test_a_2x2_file_without_a_day_needs_a_side_car_that_states_scale_and_gain(tm
     assert read_recordings(path, IRLOS)[0].lenslets == 2
 
 
-def test_a_side_car_names_the_mode_that_the_header_lacks(tmp_path):
-    path = write_muse(tmp_path / "m.fits", quadrants([numbered(1, 6, 6)] * 4), None)
-    (tmp_path / "m.yaml").write_text(f"mode: {TWO_BY_TWO}\n")
-    assert read_recordings(path, IRLOS)[0].mode == TWO_BY_TWO
-
-
-def test_a_2x2_file_needs_no_side_car(tmp_path):
-    (raw,) = read_recordings(
-        write_muse(tmp_path / "m.fits", quadrants([numbered(1, 6, 6)] * 4), TWO_BY_TWO), IRLOS
-    )
-    acquisition = resolve(raw, AcquisitionKeys(), IRLOS).acquisition
-    assert (acquisition.role, acquisition.diversity, acquisition.lenslets) == ("psf", {}, 2)
-    assert 1215 < acquisition.wavelength_nm < 1625
-    for key in ("role", "spectrum", "diversity", "pixel_scale_mas", "detector.e_per_adu"):
-        assert acquisition.sources[key] == MODE  # the file states mode and day only
-
-
 def test_a_2x2_cube_without_borders_is_refused():
     with pytest.raises(InputDataError, match="quadrant 1 lacks the one-pixel border of zeros"):
         without_borders(numbered(2, 16, 16), "m.fits")
-
-
-def test_an_odd_window_has_no_quadrants():
-    with pytest.raises(InputDataError, match="15x16 px has no four equal quadrants"):
-        without_borders(numbered(2, 15, 16), "m.fits")

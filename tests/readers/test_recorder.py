@@ -8,7 +8,7 @@ from helpers.sparta_files import counts, loop_table, pixel_table, star, write_re
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import read_recordings
-from irlos_pipe.readers.times import frames_missing, relative_times
+from irlos_pipe.readers.times import frames_missing
 
 
 def read(path):
@@ -34,23 +34,12 @@ def test_x_runs_fastest_and_padding_is_dropped(tmp_path, cube):
     assert raw.adu[2, 5, 8] == 2508
 
 
-def test_the_recording_is_named_after_its_folder(tmp_path, cube):
-    assert read(write_recorder(tmp_path / "night.1", cube)).name == "night.1"
-
-
 @pytest.mark.parametrize(("seconds", "microseconds"), [("Seconds", "USeconds"), ("Sec", "USec")])
 def test_time_columns_are_read_in_both_spellings(tmp_path, cube, seconds, microseconds):
     times = {seconds: [1700000000, 1700000000, 1700000001], microseconds: [500000, 600000, 0]}
     raw = read(write_recorder(tmp_path / "rec", cube, times=times))
     assert raw.unix_s - 1700000000 == pytest.approx([0.5, 0.6, 1.0], abs=1e-6)
     assert raw.start_unix_s == pytest.approx(1700000000.5, abs=1e-6)
-
-
-@pytest.mark.parametrize("times", [None, {"Seconds": [0, 0, 0], "USeconds": [0, 0, 0]}])
-def test_absent_and_zero_times_count_as_unknown(tmp_path, cube, times):
-    raw = read(write_recorder(tmp_path / "rec", cube, times=times))
-    assert raw.unix_s is None
-    assert any("no times recorded" in note for note in raw.notes)
 
 
 def place_in_same_file(folder, cube, loop):
@@ -77,15 +66,6 @@ def test_times_come_from_the_loop_table_by_exact_counter(tmp_path, cube, place):
     assert raw.unix_s[[0, 2]] - 1700000000 == pytest.approx([0.5, 0.7], abs=1e-6)
     assert np.isnan(raw.unix_s[1])
     assert any("1 of 3 frames not found" in note for note in raw.notes)
-
-
-def test_frames_without_a_time_are_placed_by_their_counter():
-    times = relative_times(np.array([10.0, np.nan, 10.4]), np.array([0, 20, 80]), frame_rate_hz=1.0)
-    assert times == pytest.approx([0.0, 0.1, 0.4])
-
-
-def test_without_any_time_the_frame_rate_counts_and_gaps_stay_gaps():
-    assert relative_times(None, np.array([40, 60, 100]), 10.0) == pytest.approx([0, 0.1, 0.3])
 
 
 @pytest.mark.parametrize(
@@ -125,11 +105,6 @@ def test_a_missing_column_is_named(tmp_path, cube, name):
         read(path)
 
 
-def test_a_table_without_rows_is_refused(tmp_path, cube):
-    with pytest.raises(InputDataError, match="no frames"):
-        read(write_recorder(tmp_path / "rec", cube[:0]))
-
-
 def test_vectors_of_varying_length_are_refused(tmp_path, cube):
     path = write_recorder(tmp_path / "rec", cube)
     vectors = np.empty(3, dtype=object)
@@ -154,24 +129,11 @@ def test_calibration_images_beside_the_table_are_read(tmp_path, cube):
     assert np.argwhere(found.bad).tolist() == [[1, 2], [3, 4]]
 
 
-def test_a_calibration_image_may_be_one_long_vector(tmp_path, cube):
-    maps = {"DARK": cube[0].reshape(1, -1)}
-    assert np.array_equal(
-        read(write_recorder(tmp_path / "rec", cube, maps=maps)).calibration.dark_adu, cube[0]
-    )
-
-
 def test_a_stack_of_darks_is_averaged_and_its_noise_known(tmp_path):
     darks = np.random.default_rng(0).normal(50, 4, (100, 32, 32))
     maps = read(write_recorder(tmp_path / "rec", counts(star()), maps={"DARK": darks})).calibration
     assert maps.dark_adu.mean() == pytest.approx(50, abs=0.1)
     assert maps.dark_variance_adu2 == pytest.approx(16 / 100, rel=0.1)
-
-
-def test_the_noise_of_a_single_dark_is_judged_by_its_pixels(tmp_path):
-    dark = np.random.default_rng(0).normal(50, 4, (32, 32)) + np.arange(32)  # a slope is no noise
-    maps = read(write_recorder(tmp_path / "rec", counts(star()), maps={"DARK": dark})).calibration
-    assert maps.dark_variance_adu2 == pytest.approx(16, rel=0.15)
 
 
 def test_a_calibration_image_of_another_size_is_refused(tmp_path, cube):
@@ -185,11 +147,3 @@ def test_a_calibration_image_of_another_size_is_refused(tmp_path, cube):
 def test_a_map_of_dead_pixels_upside_down_is_refused(tmp_path, cube):
     with pytest.raises(InputDataError, match="marks 54 of 54 pixels as dead"):
         read(write_recorder(tmp_path / "rec", cube, maps={"DEAD": np.ones((6, 9))}))
-
-
-def test_weights_that_leave_a_small_window_are_no_bad_pixels(tmp_path, cube):
-    weight = np.zeros((6, 9))
-    weight[2:4, 3:6] = 1
-    raw = read(write_recorder(tmp_path / "rec", cube, maps={"WEIGHT": weight}))
-    assert raw.calibration.bad is None
-    assert any("centroiding window" in note for note in raw.notes)

@@ -38,16 +38,6 @@ def test_the_template_is_valid_once_the_three_keys_are_filled_in(cube):
     ] == []
 
 
-def test_the_airmass_of_a_header_is_proposed_unless_the_altitude_is_known(cube):
-    said = fits.Header({"AIRMASS": 1.09, "FILTER": "FeII_1644", "SEEING": 0.9})
-    fits.writeto(cube, fits.getdata(cube), said, overwrite=True)
-    text = sidecar_template(cube, load_instrument("irlos"))
-    assert "\nairmass: 1.09 " in text and "\nfilter: FeII_1644 " in text and "\nseeing_arcsec: 0.9 " in text
-    fits.setval(cube, "EL", value=66.0)
-    text = sidecar_template(cube, load_instrument("irlos"))
-    assert "\naltitude_deg: 66.0 " in text and "\n# airmass: " in text
-
-
 def test_the_command_writes_beside_the_file_and_replaces_nothing(cube):
     assert invoke("sidecar", str(cube)).stdout == f"{cube.with_suffix('.yaml')}\n"
     again = invoke("sidecar", str(cube))
@@ -98,8 +88,3 @@ def test_a_proposal_has_the_meaning_of_its_author_or_is_doubtful(cards, planes, 
         header[name] = content
     proposed = proposals(header, planes)[key]
     assert proposed.value == pytest.approx(value) and (proposed.doubt == "") is sure
-
-
-@pytest.mark.parametrize("ndit", [4, 5])
-def test_the_exposures_of_a_cube_are_no_reads_of_a_frame(ndit):
-    assert "detector.coadds" not in proposals(fits.Header(ESO | {"HIERARCH ESO DET NDIT": ndit}), 5)

@@ -8,7 +8,7 @@ from astropy import units as u
 from astropy.modeling.models import BlackBody
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.readers.star_spectrum import VEGA_K, colour_of, photons, spectrum_of, temperature_of
+from irlos_pipe.readers.star_spectrum import photons, spectrum_of
 
 J_AND_H = [(1150, 0), (1157, 0.8), (1273, 0.8), (1280, 0), (1530, 0), (1541, 0.9), (1709, 0.9), (1720, 0)]
 
@@ -17,14 +17,6 @@ def test_photons_are_those_of_planck_s_law():
     nm = np.array([1000.0, 1600.0, 2300.0])
     radiance = BlackBody(4000 * u.K, scale=1 * u.W / u.m**2 / u.um / u.sr)(nm * u.nm).value * nm
     assert photons(nm, 4000) / photons(nm, 4000)[0] == pytest.approx(radiance / radiance[0], rel=1e-6)
-
-
-def test_a_colour_belongs_to_one_temperature():
-    assert colour_of(VEGA_K) == pytest.approx(0)
-    for kelvin in (3000.0, 5800.0, 15000.0):
-        assert temperature_of(colour_of(kelvin), "here") == pytest.approx(kelvin, rel=1e-6)
-    with pytest.raises(InputDataError, match=r"^here j_minus_h = 9 is the colour of no star"):
-        temperature_of(9.0, "here")
 
 
 @pytest.mark.parametrize("kelvin", [3500.0, 9600.0])

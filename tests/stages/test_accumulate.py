@@ -54,18 +54,6 @@ def test_a_sum_without_one_of_its_frames_is_left_out():
     assert summed.raw.adu[1].tolist() == ADU[7:11].sum(axis=0).tolist()
 
 
-def test_a_repeated_frame_makes_no_sum():
-    counter = [0, 1, 1, 2, 3, 4, 5, 6]
-    assert accumulated(source(ADU[:8], counter=counter), 0.01).raw.frame_counter.tolist() == [2, 4]
-
-
-def test_frames_at_different_defocus_are_not_summed():
-    introduced_nm = np.repeat([0.0, 50.0], 10)
-    summed = accumulated(source(introduced_nm=introduced_nm), 0.02)
-    assert summed.raw.frame_counter.tolist() == [0, 4, 12, 16]
-    assert summed.resolved.introduced_defocus_nm.tolist() == [0, 0, 50, 50]
-
-
 def test_a_pixel_that_is_saturated_once_is_so_in_the_sum():
     adu = ADU.copy()
     adu[5, 2, 3] = 65535
@@ -73,12 +61,6 @@ def test_a_pixel_that_is_saturated_once_is_so_in_the_sum():
     level = summed.resolved.acquisition.detector.saturation_adu
     assert level == 4 * 65535
     assert np.argwhere(summed.raw.adu >= level).tolist() == [[1, 2, 3]]
-
-
-def test_longer_frames_stay_as_they_are():
-    one = source()
-    assert accumulated(one, 0.005) is one
-    assert accumulated(one, 0.001) is one
 
 
 @pytest.mark.parametrize(

@@ -84,13 +84,6 @@ def test_a_cube_within_its_errors_passes(changes):
     assert _failed(**changes) == {}
 
 
-def test_a_ramp_is_refused_as_calibration():
-    ramp = made_run.recording("offset_00", "calibration", 2)
-    ramp.acquisition.__dict__["role"] = "defocus_ramp"
-    with pytest.raises(InputDataError, match="role is defocus_ramp"):
-        require_calibration([ramp])
-
-
 def test_frames_of_different_introduced_defocus_are_refused():
     cubes = [made_run.recording(f"cube_{nm:g}", "calibration", 2, nm) for nm in (0.0, 100.0)]
     with pytest.raises(InputDataError, match="introduced_defocus_nm differs"):

@@ -59,13 +59,6 @@ def test_a_filter_wavefront_says_of_which_filter_or_lens():
             require_joint(context(entry), groups, "long_exposure")
 
 
-def test_other_methods_take_one_set_up():
-    with pytest.raises(
-        ConfigurationError, match=r"calibrate\.method dip_global takes recordings of one set-up"
-    ):
-        require_joint(context(), by_setup(CUBES), "dip_global")
-
-
 @pytest.mark.parametrize(
     ("other", "message"),
     [

@@ -8,7 +8,6 @@ import pytest
 from helpers.effect_cases import CONDITIONS
 
 from irlos_pipe.effects import SeeingHalo, TipTiltJitter
-from irlos_pipe.effects.colour import AtmosphericDispersion
 from irlos_pipe.effects.declaration import Refraction
 from irlos_pipe.stages.model.effects import with_colour
 from irlos_pipe.stages.model.section import ModelConfig
@@ -38,10 +37,3 @@ def test_a_broad_band_on_sky_has_dispersion_as_expected_and_a_free_colour():
 )
 def test_others_have_neither(effects, model, conditions):
     assert names(with_colour(effects, model, conditions)) == names(effects)
-
-
-def test_what_a_recipe_lists_stays_as_it_is():
-    own = AtmosphericDispersion(Refraction((1.0, 2.0), 3.0))
-    found = with_colour([*SKY, own], DEFAULT, CONDITIONS)
-    assert found[2] is own
-    assert names(found).count("atmospheric_dispersion") == 1

@@ -69,20 +69,6 @@ def test_offsets_of_a_mirror_make_the_wavefront_of_the_modal_offsets(folder):
 
 
 @pytest.mark.slow
-def test_other_modes_in_the_same_file_are_another_correction(folder, tmp_path, caplog):
-    modes = tmp_path / "modes.fits"
-    write_modes(modes, MIXTURE)
-    corrected(folder, modes)
-    caplog.clear()
-    corrected(folder, modes)
-    assert "correct: up to date" in caplog.text
-    write_modes(modes, 2.0 * MIXTURE)
-    before, _ = offsets(folder)
-    assert corrected(folder, modes).exit_code in (0, 4)
-    assert offsets(folder)[0] == pytest.approx(before / 2, rel=1e-4)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
@@ -100,8 +86,3 @@ def test_a_table_that_is_none_is_refused_in_one_line(folder, tmp_path, shape, me
         fits.PrimaryHDU(np.ones(shape)).writeto(tmp_path / "bad.fits")
     result = corrected(folder, tmp_path / "bad.fits")
     assert result.exit_code == 3 and message in result.stderr
-
-
-def test_a_file_that_is_not_there_is_a_wrong_setting(folder, tmp_path):
-    result = corrected(folder, tmp_path / "none.fits")
-    assert result.exit_code == 2 and "none.fits" in result.stderr and "give a FITS cube" in result.stderr

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from irlos_pipe.frames.recording import PROFILE
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product
 from irlos_pipe.stages.correct import _checks
@@ -31,8 +30,3 @@ def checks(strehl: float, source: str = "side-car", effects: dict | None = None)
 def test_a_strehl_ratio_above_what_the_residual_leaves_fails(strehl, passed):
     (check,) = checks(strehl)
     assert check.passed == passed and check.high == pytest.approx(LIMIT, rel=1e-6)
-
-
-def test_it_is_not_judged_where_the_seeing_is_a_guess_or_the_residual_was_measured():
-    assert checks(1.0, PROFILE) == []
-    assert checks(1.0, effects={"seeing_halo": {"wfe_nm": 110.0}}) == []

@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import series_bench as bench
-from helpers.experiment_stage import section_of
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.report.section_derotator import derotator_section
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.stages import derotator as derotator
 from irlos_pipe.stages.calibrate import stage as calibrate
 from irlos_pipe.stages.derotator import PartRow
@@ -77,11 +75,6 @@ def test_a_cube_without_a_used_frame_is_left_out_and_reported(recordings):
         bench.run_stage(calibrate, {"ingest": bench.ingest_product([poor])}, **EACH)
 
 
-def test_methods_are_not_compared_cube_by_cube():
-    with pytest.raises(ValueError, match="leave it out with 'each: true'"):
-        calibrate.Config(each=True, compare=("dip_avg",))
-
-
 @pytest.mark.slow
 def test_both_parts_are_found_within_their_errors(split):
     parts = split.results.parts
@@ -102,18 +95,6 @@ def test_a_wrong_sense_fails_the_quality_control(calibrated):
 
 
 @pytest.mark.slow
-def test_maps_are_those_of_the_coefficients(split):
-    measured, parts = split.arrays["maps/measured_nm"].value, split.arrays["maps/fixed_nm"].value
-    assert measured.shape == (len(ANGLES), *parts.shape)
-    lit = np.isfinite(parts)
-    # The hole takes 2 % of the disc.
-    assert np.sqrt(np.mean(parts[lit] ** 2)) == pytest.approx(split.results.parts["fixed"].rms_nm, rel=0.05)
-    total = sum(split.arrays[f"maps/{name}_nm"].value for name in ("rotating", "fixed", "unsplit"))
-    left = split.arrays["maps/residual_nm"].value[0]
-    assert np.allclose((total + left)[lit], measured[0][lit], atol=1e-3)  # at angle 0 nothing is turned
-
-
-@pytest.mark.slow
 def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     halved = [
         replace(one, acquisition=replace(one.acquisition, derotator_angle_deg=angle / 2))
@@ -123,30 +104,3 @@ def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
     output, _ = bench.run_stage(derotator, products, turn_per_degree=2.0)
     assert error_nm(output.results.parts["rotating"], bench.ROTATING_NM) < 2
-
-
-@pytest.mark.slow
-def test_one_angle_is_reported_and_nothing_is_split(recordings):
-    products = {"ingest": bench.ingest_product(recordings[:1])}
-    products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
-    output, _ = bench.run_stage(derotator, products)
-    assert output.results.parts is None
-    assert "one recording, of derotator angle 0°" in output.summary[0]
-    assert "two or more angles" in output.summary[1]
-    assert output.arrays["maps/measured_nm"].value.shape[0] == 1
-
-
-@pytest.mark.slow
-def test_a_joint_estimate_of_all_cubes_cannot_be_split(recordings):
-    products = {"ingest": bench.ingest_product(recordings[:1])}
-    products["calibrate"] = bench.run_stage(calibrate, products, **EACH | {"each": False})[1]
-    with pytest.raises(ConfigurationError, match=r"set calibrate\.each to true"):
-        bench.run_stage(derotator, products)
-
-
-@pytest.mark.slow
-def test_the_section_shows_angles_parts_and_their_consistency(split):
-    section = section_of(split, "derotator", derotator_section)
-    found = {one.title: one for block in section.blocks for one in getattr(block, "blocks", [block])}
-    assert [row[1] for row in found["Angles"].rows] == ["0°", "40°", "110°", "160°"]
-    assert found["Parts"].rows[0][2] == f"{split.results.parts['rotating'].rms_nm:.1f}"

@@ -18,11 +18,6 @@ def written(folder, stages):
     return folder
 
 
-def test_coefficients_are_taken_as_they_are():
-    assert Config(begin_near={4: 12.0}).begin_near == {4: 12.0}
-    assert Config().begin_near == {}
-
-
 @pytest.mark.parametrize(
     ("stages", "taken"),
     [

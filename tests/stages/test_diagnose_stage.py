@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 import yaml
 from helpers.diagnose_cases import CASE, CONDITIONS, cube, diagnosis_of, with_companion
-from helpers.result_schema import section_problems
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
-from irlos_pipe.product.product import Product
-from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_diagnose import diagnose_section
 from irlos_pipe.stages.diagnose.output import (
     checks_of,
-    diagnose_arrays,
     diagnose_results,
     model_yaml,
-    quality_arrays,
     recipe_entry,
 )
-from irlos_pipe.stages.diagnose.results import ARRAYS, DiagnoseResults
+from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.model.recording_settings import pooled_frames
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
@@ -32,13 +24,6 @@ from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 @pytest.fixture(scope="module")
 def results() -> dict:
     return diagnose_results(diagnosis_of("companion"), {6: -170.0}).as_json()
-
-
-@pytest.mark.slow
-def test_limits_of_what_was_not_seen_have_public_names_and_no_positions(results):
-    assert results["mdb"]["vibration"].keys() == {"sigma_mas"}
-    assert results["mdb"]["pupil_misregistration"].keys() <= {"dx_m", "dy_m", "rotation_deg"}
-    assert 0 < results["mdb"]["vibration"]["sigma_mas"] < 5
 
 
 @pytest.mark.slow
@@ -58,49 +43,6 @@ def test_the_companion_found_is_one_that_the_recipe_can_place():
     made = EffectEntry.of(recipe_entry(step.effect))
     again = type(step.effect.base).under(CONDITIONS).values_of(**made.values)
     assert again == pytest.approx(step.effect.values.tolist())
-
-
-def section_of(kind: str):
-    diagnosis = diagnosis_of(kind)
-    results = diagnose_results(diagnosis, {6: -170.0}).as_json()
-    arrays = diagnose_arrays(diagnosis) | quality_arrays(diagnosis.pictures, CONDITIONS.settings)
-    product = Product("diagnose", arrays, results, config={"input": "cube"})
-    return diagnose_section(RunData({}, "", "ok", "", "", {"diagnose": product}, []))
-
-
-def every(blocks):
-    """All blocks, those of stacks and views too."""
-    for block in blocks:
-        yield block
-        yield from every(getattr(block, "blocks", ()))
-        yield from every(one for some in getattr(block, "choices", {}).values() for one in some)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["plain", "companion"])
-def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind):
-    section, results = section_of(kind), diagnose_results(diagnosis_of(kind), {6: -170.0})
-    first = dict(section.blocks[0].rows)
-    assert first["grade"].startswith(results.grade)
-    found = [f"{one.phrase} ({one.significance:.0f} σ)" for one in results.steps]
-    assert [text for question, text in first.items() if question == "missing"] == found
-    titles = {getattr(block, "title", "") for block in every(section.blocks)}
-    both = {f"{what} {when}" for what in ("Predicted", "Residual") for when in ("before", "after")}
-    assert {"Measured", "Gap to unseen data", "OTF cuts", "Encircled energy"} <= titles
-    assert (both if results.steps else {"Predicted", "Residual"}) <= titles
-
-
-@pytest.mark.slow
-def test_residuals_before_and_after_are_drawn_on_one_scale():
-    """The tick labels of both colour bars agree although the residuals differ by an order of magnitude."""
-    pictures = diagnosis_of("companion").pictures
-    before, after = (np.abs(pictures.measured_e - one).max() for one in (pictures.before_e, pictures.after_e))
-    assert before > 5 * after
-    (views,) = (one for one in section_of("companion").blocks if getattr(one, "name", "") == "dia-left")
-    assert [*views.choices] == ["σ log", "σ linear", "% log", "% linear"]
-    for figures in views.choices.values():
-        texts = [re.findall(r"<text[^>]*>([^<]*)", str(one.svg)) for one in figures]
-        assert texts[0] == texts[1]
 
 
 def test_a_recording_without_frames_is_refused_with_its_name():
@@ -137,15 +79,6 @@ def test_the_wavefront_of_a_filter_becomes_an_entry_that_a_recipe_takes(elements
     entry = recipe_entry(FixedEffect(kind, np.array([10.0, -20.0])))
     assert entry == {"filter_ncpa": {"zernike_nm": {5: 10.0, 6: -20.0}, **of, "fit": True}}
     assert EffectEntry.of(entry).fit
-
-
-def test_results_and_arrays_are_those_of_the_reference(results):
-    assert section_problems("diagnose", results) == []
-    assert section_problems("diagnose", results | {"surprise": 1}) != []
-    arrays = diagnose_arrays(diagnosis_of("companion"))
-    assert {name: len(ARRAYS[name][1].split(",")) for name in arrays} == {
-        name: one.value.ndim for name, one in arrays.items()
-    }
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,7 @@
 import logging
 
 import pytest
-from astropy.io import fits
-from helpers.sparta_files import counts, star, write_recorder, write_sidecar
+from helpers.sparta_files import counts, star, write_recorder
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
@@ -21,18 +20,6 @@ LOG = logging.getLogger("test")
 
 def read(folder):
     return read_sources({"cube": [folder]}, lambda _: AcquisitionKeys(), IRLOS, LOG)
-
-
-@pytest.mark.parametrize("copy", ["copy.fits", "copy.fits.gz"])
-def test_a_copy_of_a_recording_is_left_out_and_named(tmp_path, caplog, copy):
-    for name in ("cube.fits", copy):
-        fits.writeto(tmp_path / name, CUBE)
-    write_sidecar(tmp_path / "acquisition.yaml")
-    sources, failures = read(tmp_path)
-    assert len(sources) == 1 and not failures
-    assert [record.levelname for record in caplog.records if "a copy of" in record.getMessage()] == [
-        "WARNING"
-    ]
 
 
 def test_the_same_frames_under_another_description_are_a_failure(tmp_path):
@@ -64,10 +51,3 @@ def test_a_recording_that_does_not_fit_into_the_memory_is_refused_before_it_is_c
     monkeypatch.setattr("irlos_pipe.files.limits.available_bytes", lambda: 1e5)
     with pytest.raises(InputDataError, match=r"3 frames of 12x12 px: needs about 0\.0 GB of memory"):
         ingest(source, Config(), IRLOS)
-
-
-def test_a_header_that_announces_more_than_the_memory_is_refused_before_it_is_read(tmp_path, monkeypatch):
-    path = write_recorder(tmp_path / "a", CUBE)
-    monkeypatch.setattr("irlos_pipe.files.limits.available_bytes", lambda: 1e3)
-    with pytest.raises(InputDataError, match="of memory"):
-        find.read_recordings(path, IRLOS)

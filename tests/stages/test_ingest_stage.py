@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from astropy.io import fits
 from helpers import paths
 from helpers.sparta_files import (
     TWO_BY_TWO,
     counts,
     frames_e,
     quadrants,
-    sidecar,
     star,
     write_muse,
     write_recorder,
@@ -29,7 +27,6 @@ from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest import stage as ingest
 from irlos_pipe.stages.ingest.recording_arrays import (
-    overviews_from_product,
     recordings_from_product,
     screened_e,
 )
@@ -66,32 +63,6 @@ def product_of(output):
 def only_recording(output):
     (recording,) = recordings_from_product(product_of(output))
     return recording
-
-
-def test_counts_become_the_electrons_that_were_put_in(tmp_path):
-    write_recorder(tmp_path / "rec", counts(IMAGE, pedestal_adu=50), maps={"DARK": np.full(IMAGE.shape, 50)})
-    recording = only_recording(run(tmp_path))
-    mean = recording.images_e.mean(axis=0)
-    noise = np.sqrt((IMAGE + 1) / recording.frames)
-    assert np.std((mean - IMAGE) / noise) == pytest.approx(1, abs=0.1)
-    assert mean.sum() == pytest.approx(IMAGE.sum(), rel=1e-3)
-    assert recording.used.all() and recording.good.all()
-
-
-def test_a_clean_recording_of_any_window_passes_its_checks_and_keeps_its_times(tmp_path, caplog):
-    image = star(24, 37)
-    times = {"Seconds": 1700000000 + np.arange(12) // 10, "USeconds": 100000 * (np.arange(12) % 10)}
-    write_recorder(tmp_path / "rec", counts(image), pad=100, keys=sidecar(), times=times)
-    with caplog.at_level(logging.WARNING, logger="test"):
-        output = run(tmp_path)
-    assert caplog.messages == []
-    assert len(output.checks) == 7 and all(check.passed for check in output.checks)
-    recording = only_recording(output)
-    assert recording.window == (24, 37)
-    brightest = np.unravel_index(recording.images_e.mean(axis=0).argmax(), (24, 37))
-    assert brightest == np.unravel_index(image.argmax(), (24, 37))
-    assert recording.time_s == pytest.approx(0.1 * np.arange(12), abs=1e-5)
-    assert recording.start_unix_s == 1700000000
 
 
 def test_the_results_describe_every_recording(tmp_path):
@@ -138,21 +109,6 @@ def test_recordings_survive_the_product_file(tmp_path):
     assert ramp[0].acquisition == before.acquisition
     assert ramp[0].introduced_defocus_nm.tolist() == [40.0] * 12
     assert ramp[0].reason.tolist() == [""] * 12
-
-
-def test_the_raw_counts_stay_retrievable(tmp_path):
-    adu = counts(star(flux_e=3e5)).astype(np.uint16)
-    fits.writeto(tmp_path / "cube.fits", adu)
-    write_sidecar(tmp_path / "cube.yaml")
-    arrays = run(tmp_path).arrays
-    prefix = "recordings/cube/cube"
-    raw, background, flat = (
-        arrays[f"{prefix}/{name}"].value for name in ("raw_adu", "background_adu", "flat")
-    )
-    assert raw.dtype == np.uint16
-    assert np.array_equal(raw, adu)
-    again = (raw - background) / flat * 0.5
-    assert again == pytest.approx(arrays[f"{prefix}/images_e"].value, abs=0.1)
 
 
 def test_sky_and_flat_are_taken_out(tmp_path):
@@ -223,23 +179,6 @@ def earlier(output, *lacking):
     return replace(product_of(output), arrays=arrays)
 
 
-def test_the_mean_of_the_used_frames_is_stored(tmp_path):
-    adu = counts(IMAGE, 20)
-    adu[3] *= 2  # a flux that is not used
-    write_recorder(tmp_path / "rec", adu)
-    output = run(tmp_path)
-    product, older = product_of(output), earlier(output, "mean_e", "dark_variance_e2")
-    (overview,) = overviews_from_product(product)
-    (recording,) = recordings_from_product(product)
-    assert recording.used.sum() == 19
-    assert overview.mean_e == pytest.approx(recording.images_e[recording.used].mean(axis=0), rel=1e-5)
-    (again,) = overviews_from_product(older)
-    assert np.array_equal(again.mean_e, overview.mean_e)
-    assert recordings_from_product(older)[0].dark_variance_e2 == 0.0
-    with pytest.raises(InputDataError, match="no recordings of input 'ramp'"):
-        recordings_from_product(product, "ramp")
-
-
 def test_a_hit_in_the_core_costs_its_pixel_and_many_cost_the_frame(tmp_path):
     adu = counts(IMAGE, 20)
     row, column = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
@@ -263,13 +202,6 @@ def test_a_frame_with_a_row_that_no_light_makes_is_not_used(tmp_path, damage):
     recording = only_recording(run(tmp_path))
     assert np.flatnonzero(~recording.used).tolist() == [5]
     assert recording.reason[5] in ("detail finer than the optics make", "cosmic hit in the core")
-
-
-def test_detail_that_all_frames_have_costs_none(tmp_path):
-    adu = counts(IMAGE, 8)
-    adu[:, 4] *= 1.2
-    write_recorder(tmp_path / "rec", adu, keys={"detector": {"e_per_adu": 0.5, "read_noise_e": 0.01}})
-    assert only_recording(run(tmp_path)).used.all()
 
 
 PROFILE_NOISE = {"detector": {"e_per_adu": 0.5}}
@@ -309,26 +241,6 @@ def test_frames_in_any_unit_become_the_same_electrons(tmp_path, unit):
     assert only_recording(output).images_e.sum(axis=(1, 2)).mean() == pytest.approx(image.sum(), rel=0.1)
 
 
-@pytest.mark.parametrize(("averaged", "gain"), [(False, 0.5), (True, 12.5)])
-def test_a_coadded_frame_has_the_noise_of_all_its_exposures(tmp_path, averaged, gain):
-    told = {"e_per_adu": 0.5, "read_noise_e": 1.0, "coadds": 25, "coadds_averaged": averaged}
-    write_recorder(tmp_path / "rec", counts(IMAGE), keys={"detector": told})
-    detector = only_recording(run(tmp_path)).acquisition.detector
-    assert (detector.e_per_adu, detector.read_noise_e) == (gain, 5.0)
-
-
-def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
-    pattern = np.random.default_rng(7).normal(100, 10, IMAGE.shape)
-    noise = np.random.default_rng(8).normal(0, 2, (50, *IMAGE.shape))
-    write_recorder(tmp_path / "dark", (pattern + noise).astype(np.float32), keys={"role": "dark"})
-    write_recorder(tmp_path / "rec", (counts(IMAGE, pedestal_adu=0) + pattern).astype(np.float32))
-    output = run(tmp_path)
-    assert [row["role"] for row in output.results.as_json()["inputs"]] == ["ncpa_calibration", "dark"]
-    background = output.arrays["recordings/cube/rec/background_adu"].value
-    assert background == pytest.approx(pattern, abs=1.5)
-    assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2
-
-
 def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
     cubes = [
         (frames_e(star(18, 18, flux_e=2e5, seed=seed), 8) / 0.5 + 200).astype(np.float32) for seed in range(4)
@@ -349,14 +261,6 @@ def test_inputs_without_a_star_and_folders_without_recordings_are_refused(tmp_pa
     write_recorder(tmp_path / "dark", counts(IMAGE), keys={"role": "dark"})
     with pytest.raises(InputDataError, match="input 'cube': only darks"):
         run(tmp_path / "dark")
-
-
-def test_the_recipe_may_differ_per_input(tmp_path):
-    for name in ("a", "b"):
-        write_recorder(tmp_path / name, counts(IMAGE), keys={"mag_j": 5.0})
-    config = {"acquisition": {"target": "Vega"}, "acquisition_of": {"two": {"mag_j": 9.0}}}
-    rows = run(one=[tmp_path / "a"], two=[tmp_path / "b"], config=config).results.as_json()["inputs"]
-    assert [row["mag_j"] for row in rows] == [5.0, 9.0]
 
 
 def test_one_bad_recording_does_not_cost_the_others(tmp_path):
@@ -385,13 +289,6 @@ def test_a_cube_of_useless_frames_is_refused_with_the_reason(tmp_path, spoil, me
         run(tmp_path)
     assert "rec.fits" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_files_are_never_written(tmp_path):
-    path = write_recorder(tmp_path / "rec", counts(IMAGE))
-    before = {file: file.read_bytes() for file in path.parent.iterdir()}
-    run(tmp_path)
-    assert {file: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
 needs_samples = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared samples are not there")
@@ -435,15 +332,6 @@ def test_a_rejected_frame_changes_no_number_of_the_others(tmp_path, kind):
     (row,), (expected,) = (one.results.as_json()["inputs"] for one in (beside, alone))
     for key in ("flux_e", "pedestal_adu", "noise", "noise_floor_e2", "bad_pixels"):
         assert row[key] == expected[key]
-
-
-def test_a_frame_without_its_pedestal_does_not_lower_that_of_the_others(tmp_path):
-    adu = counts(IMAGE, frames=20, pedestal_adu=100).astype(np.float32)
-    write_recorder(tmp_path / "alone" / "rec", adu[1:])
-    adu[0] -= 100
-    write_recorder(tmp_path / "beside" / "rec", adu)
-    (alone,), (beside,) = (run(tmp_path / name).results.as_json()["inputs"] for name in ("alone", "beside"))
-    assert beside["pedestal_adu"] == alone["pedestal_adu"]
 
 
 def test_a_star_below_the_level_of_the_background_fails_a_check(tmp_path):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.units import MAS
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand
@@ -33,20 +32,6 @@ def test_the_residual_band_and_a_missing_seeing_are_those_of_the_instrument():
     assert seeing_arcsec(own, recording().acquisition) == 0.7
 
 
-def test_ncpas_are_held_beside_the_diversity():
-    settings = psf_settings(IRLOS, ModelConfig(), recording(), ncpa_nm={4: 20.0, 6: 30.0})
-    assert settings.known.total_nm == {6: -140.0, 4: 20.0}
-
-
 def test_a_window_wider_than_the_sampled_pupil_supports_is_an_error_of_the_recipe():
     with pytest.raises(ConfigurationError, match=r"model\.pupil_samples 48.*times as many"):
         psf_settings(IRLOS, ModelConfig(pupil_samples=48), recording(window=400))
-
-
-def test_the_wide_images_of_lenslets_are_sampled_finely_enough():
-    images = recording(window=36, lenslets=2)
-    wide = replace(images, acquisition=replace(images.acquisition, pixel_scale_mas=314.0))
-    settings = psf_settings(IRLOS, ModelConfig(), wide)
-    assert settings.lenslets == 2 and settings.lenslet_window == (18, 18)
-    field_m = 18 * 314 * MAS * 8  # times λ/D is the number of resolution elements
-    assert settings.pupil_samples > field_m / 1600e-9

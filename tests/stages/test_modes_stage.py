@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 from helpers import series_bench as bench
-from helpers.experiment_stage import section_of
 
-from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.report.section_modes import modes_section
 from irlos_pipe.stages import modes as modes
 from irlos_pipe.stages.calibrate import stage as calibrate
 
@@ -44,15 +41,6 @@ def test_modes_that_were_not_put_in_are_noise(output):
     assert np.sqrt(np.mean((std / noise)[absent] ** 2)) == pytest.approx(1, abs=0.5)
 
 
-def test_cubes_of_the_same_ncpas_count_once(products):
-    output, _ = bench.run_stage(modes, products, same_ncpas=True, cubes=0)
-    mean = products["calibrate"].arrays["zernike_nm"]
-    assert output.results.draws == 1
-    assert output.arrays["std_nm"].value == pytest.approx(np.abs(mean.value))
-    assert output.arrays["noise_nm"].value == pytest.approx(mean.error)
-    assert output.results.numbers is None
-
-
 @pytest.mark.slow
 def test_unseen_frames_recommend_the_number_put_in(output):
     numbers = output.results.numbers
@@ -64,31 +52,7 @@ def test_unseen_frames_recommend_the_number_put_in(output):
     assert output.arrays["numbers/misfit"].value.shape[:2] == (2, len(NUMBERS))
 
 
-def test_too_few_frames_for_halves_are_reported(products):
-    short = {"ingest": bench.ingest_product([bench.recording("short", 0.0, 1, frames=20)])}
-    short["calibrate"] = bench.run_stage(calibrate, short, **EACH)[1]
-    output, _ = bench.run_stage(modes, short)
-    assert output.results.numbers is None
-    assert "no cube has 32 used frames" in output.summary[-1]
-
-
-@pytest.mark.slow
-def test_a_law_needs_enough_modes(products):
-    few = dict(products)
-    few["calibrate"] = bench.run_stage(calibrate, products, **EACH | {"highest_noll": 6})[1]
-    with pytest.raises(ConfigurationError, match=r"raise calibrate\.highest_noll to 7"):
-        bench.run_stage(modes, few, cubes=0)
-
-
 @pytest.mark.parametrize("numbers", [(15,), (21, 15), (15, 15), (3, 15), (15, 300)])
 def test_numbers_rise_and_are_those_of_modes(numbers):
     with pytest.raises(ValueError, match="at least two rising numbers"):
         modes.Config(numbers=numbers)
-
-
-@pytest.mark.slow
-def test_the_section_marks_the_recommended_number(output):
-    section = section_of(output, "modes", modes_section)
-    found = {one.title: one for block in section.blocks for one in getattr(block, "blocks", [block])}
-    marked = [row[0] for row in found["Number of modes"].rows if row[0].endswith("*")]
-    assert marked == [f"{output.results.numbers.recommended} *"]

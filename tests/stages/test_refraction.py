@@ -39,26 +39,11 @@ def test_j_and_h_lie_as_far_apart_as_by_filippenko_s_formula(altitude):
     assert j - h == pytest.approx(expected, rel=0.015)
 
 
-def test_longer_waves_lie_away_from_the_zenith():
-    expected = refraction_of(UP, 1.42)
-    x, y = expected.mas_per_um
-    assert np.rad2deg(np.arctan2(y, x)) % 360 == pytest.approx(240)
-    ends = [refraction_mas(45.0, *AIR.values(), um) for um in (1.40, 1.44)]
-    assert np.hypot(x, y) == pytest.approx((ends[0] - ends[1]) / 0.04, rel=1e-3)
-    assert expected.sigma_mas_per_um == pytest.approx(0.1 * np.hypot(x, y) + 5)
-
-
 @pytest.mark.parametrize("unknown", ["altitude_deg", "zenith_angle_deg", "pressure_hpa"])
 def test_what_is_not_known_leaves_dispersion_to_the_data(unknown):
     expected = refraction_of(replace(UP, **{unknown: None}), 1.42)
     assert expected.mas_per_um == (0.0, 0.0)
     assert expected.sigma_mas_per_um >= 300
-
-
-def test_a_corrector_leaves_a_part():
-    expected = refraction_of(replace(UP, dispersion_corrected=True), 1.42)
-    assert expected.mas_per_um == (0.0, 0.0)
-    assert 5 < expected.sigma_mas_per_um < 50
 
 
 def test_airmass_stands_in_for_the_altitude_and_must_not_contradict_it():

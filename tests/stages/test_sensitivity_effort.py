@@ -10,18 +10,6 @@ from irlos_pipe.stages.sensitivity import announce
 LOG = logging.getLogger("test_sensitivity_effort")
 
 
-@pytest.mark.parametrize(
-    ("realisations", "level", "estimates"), [(5, "INFO", 2400), (1000, "WARNING", 480000)]
-)
-def test_the_number_of_estimates_is_said_and_is_a_warning_where_there_are_many(
-    caplog, realisations, level, estimates
-):
-    with caplog.at_level(logging.INFO):
-        announce(20, (64, 64), realisations, 6, 4, LOG)
-    (record,) = caplog.records
-    assert record.levelname == level and record.getMessage().startswith(f"{estimates} estimates of 64x64 px")
-
-
 def test_a_scan_that_the_memory_cannot_hold_is_refused_before_it_begins(monkeypatch):
     monkeypatch.setattr("irlos_pipe.files.limits.available_bytes", lambda: 1e9)
     announce(20, (64, 64), 5, 6, 4, LOG)

@@ -10,7 +10,6 @@ import pytest
 import torch
 from helpers.sparta_files import TWO_BY_TWO, quadrants, write_muse
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import LensletArray, apart
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
@@ -67,13 +66,3 @@ def test_a_raw_file_gives_its_low_orders_what_it_determines_and_the_focus_of_eve
     assert len(lift["points"]) == FRAMES and lift["summary"]["slope"] is None
     errors_nm = np.array([point["zernike_nm"]["4"] for point in lift["points"]])  # beyond the calibrated
     assert np.abs(errors_nm).max() < 6 * np.median([point["sigma_photon_nm"] for point in lift["points"]])
-
-
-def test_four_images_are_not_measured_as_the_focus_loop_does(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"m: frames of 2x2 modes cannot be measured singly"):
-        run(tmp_path, "ingest, lift", "lift.singly=true", "lift.calibrated=false")
-
-
-def test_the_elongation_of_four_images_is_no_prior_of_defocus(tmp_path):
-    with pytest.raises(InputDataError, match="leave the stage `prior` out"):
-        run(tmp_path, "ingest, prior, calibrate, lift")
