@@ -1,13 +1,17 @@
 """Images of tip, tilt and focus from a table. Truth: the ordinary model with a finer pupil and a wider field,
 finite differences of it, and what the Chebyshev series is said to leave out."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
+from scipy.special import j0, j1
 
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale
 from irlos_pipe.effects.image_model import ImageModel
@@ -15,9 +19,12 @@ from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.tabulated import TabulatedModel, tabulated
-from irlos_pipe.optics.focus_table import FocusTable, Reach
+from irlos_pipe.optics.focus_table import FocusTable, Reach, defocus_nm_per_um, defocus_series
 from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.image_quality import correlations, encircled_energy, power_spectrum, transfer_cut
+from irlos_pipe.optics.light_path import AS_BUILT
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
 TTF = (2, 3, 4)
 WINDOW = (40, 48)
@@ -125,3 +132,114 @@ def test_what_cannot_be_tabulated_is_left_as_it_is():
         ImageModel(PsfModel(coarse_pixels, TTF)),
     ]
     assert all(tabulated(model, start) is model for model in models)
+
+
+# Defocus of high aperture. Truth: the Debye integral by quadrature, and the expansion for small s.
+
+
+SINE, WAVELENGTH_NM, PIXEL_NM = 0.85, 520.0, 130.0
+DIAMETER_M = 2 * SINE  # one metre in front of the focus: 1 nm there is 1e-9 rad
+PIXEL_MAS = np.rad2deg(PIXEL_NM * 1e-9) * 3.6e6
+
+
+def settings(window: int, sine: float = SINE, defocus_nm: float = 0.0) -> PsfSettings:
+    known = KnownWavefront(introduced_nm={4: defocus_nm})
+    return PsfSettings(
+        PupilGeometry(DIAMETER_M, 0.0, ()),
+        (window, window),
+        PIXEL_MAS,
+        ((WAVELENGTH_NM, 1.0),),
+        known,
+        focus_sine=sine,
+    )
+
+
+def debye_row(z_nm: float, window: int, sine: float = SINE) -> np.ndarray:
+    """Middle row of the pixel-integrated image of a point at the distance `z_nm` from the focus."""
+    x, w = np.polynomial.legendre.leggauss(400)
+    rho, weight = (x + 1) / 2, w / 2 * (x + 1) / 2
+    k = 2 * np.pi / WAVELENGTH_NM
+    field = weight * np.exp(-1j * k * z_nm * np.sqrt(1 - sine**2 * rho**2))
+    inner, share = np.polynomial.legendre.leggauss(6)
+    across = (np.arange(window)[:, None] - (window - 1) / 2 + inner / 2) * PIXEL_NM
+    radius = np.hypot(across[:, :, None], inner / 2 * PIXEL_NM)
+    intensity = np.abs(j0(k * sine * radius[..., None] * rho) @ field) ** 2
+    return np.einsum("pij,i,j->p", intensity, share / 2, share / 2)
+
+
+@pytest.mark.parametrize("z_nm", [0.0, 900.0, -2100.0])
+def test_images_agree_with_the_debye_integral(z_nm):
+    defocus_nm = z_nm * 1e-3 * defocus_nm_per_um(SINE)
+    model = PsfModel(settings(41, defocus_nm=defocus_nm), (4,), dtype=torch.float64)
+    row = model.images(torch.zeros(1, 1))[0, 20].numpy()
+    truth = debye_row(z_nm, 41)
+    truth *= row.sum() / truth.sum()
+    assert row == pytest.approx(truth, abs=3e-4 * truth.max())
+
+
+@pytest.mark.parametrize("sine", [-0.1, 0.99, float("nan")])
+def test_an_impossible_sine_is_refused(sine):
+    with pytest.raises(ValueError, match="sine of the marginal ray"):
+        defocus_series(sine)
+
+
+def test_derivatives_and_the_table_have_the_same_shape():
+    model = PsfModel(settings(31), (2, 3, 4), dtype=torch.float64)
+    at = torch.tensor([[5.0, -8.0, 150.0]], dtype=torch.float64)
+    image, jacobian = model.images_and_jacobian(at)
+    step = torch.tensor([[0.0, 0.0, 1e-3]], dtype=torch.float64)
+    numeric = (model.images(at + step) - model.images(at - step)) / 2e-3
+    assert jacobian[0, 2].numpy() == pytest.approx(numeric[0].numpy(), abs=1e-6 * float(numeric.abs().max()))
+    table = FocusTable(model, AS_BUILT, Reach((-300.0, 300.0), 50.0))
+    assert table.images(at).numpy() == pytest.approx(image.numpy(), abs=2e-4 * float(image.max()))
+
+
+# OTF cuts, encircled energy, power spectra; truth: the Airy pattern, Parseval's theorem, Monte Carlo.
+
+
+RESOLUTION_PX, SIDE = 8.0, 513  # λ/D, finely sampled, in a wide window
+CENTRE = (SIDE - 1) / 2
+
+
+def airy(offset_px: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Light per pixel of an Airy pattern of unit flux, at points."""
+    y, x = np.indices((SIDE, SIDE)) - CENTRE
+    v = np.pi * np.hypot(y - offset_px[0], x - offset_px[1]) / RESOLUTION_PX
+    v = np.where(v == 0, 1e-9, v)
+    return np.pi / 4 / RESOLUTION_PX**2 * (2 * j1(v) / v) ** 2
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_otf_of_a_clear_circle_is_the_overlap_of_two_circles(axis):
+    found = transfer_cut(airy((3.0, -2.0)), RESOLUTION_PX, axis)
+    inside = found.at < 1
+    nu = found.at[inside]
+    true = 2 / np.pi * (np.arccos(nu) - nu * np.sqrt(1 - nu**2))
+    assert found.value[0] == pytest.approx(1)
+    np.testing.assert_allclose(found.value[inside], true, atol=0.012)  # 0.8 % of the light lies outside
+    assert np.abs(found.value[~inside & (found.at > 1.02)]).max() < 0.002
+
+
+def test_the_encircled_energy_of_an_airy_pattern_is_rayleighs():
+    inner = slice(156, -156)  # what lies farther out changes nothing
+    found = encircled_energy(airy((2.25, 1.5))[inner, inner], (CENTRE - 156 + 2.25, CENTRE - 156 + 1.5))
+    v = np.pi * found.at / RESOLUTION_PX
+    np.testing.assert_allclose(found.value, 1 - j0(v) ** 2 - j1(v) ** 2, atol=0.006)
+    assert np.interp(1.22 * RESOLUTION_PX, *found) == pytest.approx(0.838, abs=0.004)
+
+
+def test_white_noise_has_a_flat_spectrum_whatever_is_masked():
+    """Mean of 200 draws; its standard error is below a hundredth in every ring."""
+    noise = np.random.default_rng(1).standard_normal((200, 32, 48))
+    noise[:, 5:9, 7] = np.nan
+    mean = np.mean([power_spectrum(one, 4.0).value for one in noise], axis=0)
+    np.testing.assert_allclose(mean, 1.0, atol=0.12)
+    assert mean.mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_correlations_are_those_of_the_draws():
+    covariance = np.array([[4.0, 3.0, 0.0], [3.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
+    found = correlations(covariance)
+    drawn = np.random.default_rng(0).multivariate_normal([0, 0], covariance[:2, :2], 100_000)
+    assert found[0, 1] == pytest.approx(np.corrcoef(drawn.T)[0, 1], abs=0.01)
+    assert np.isnan(found[2]).all()
