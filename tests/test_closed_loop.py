@@ -21,15 +21,6 @@ def telescope():
     return build_telescope(240, 2)
 
 
-def test_a_tilted_wavefront_has_its_slope_everywhere(hardware):
-    slope_nm_m = 40.0
-    x_m = closed_loop.centres(len(hardware.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
-    opd_nm = np.broadcast_to(slope_nm_m * x_m, hardware.lit.shape)
-    along_x, along_y = hardware.slopes(opd_nm, 0.0)
-    assert np.allclose(along_x, slope_nm_m)
-    assert np.allclose(along_y, 0)
-
-
 def test_the_cone_of_the_laser_star_magnifies_high_layers(hardware):
     # The laser star sees the layer at r (1 - h / H) in r: slopes are smaller by that factor.
     y_m = closed_loop.centres(len(hardware.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
@@ -37,26 +28,6 @@ def test_the_cone_of_the_laser_star_magnifies_high_layers(hardware):
     along_x, along_y = hardware.slopes(opd_nm, HEIGHT_M)
     assert np.allclose(along_y, 30.0 * (1 - HEIGHT_M / closed_loop.LASER_STAR_M))
     assert np.allclose(along_x, 0)
-
-
-def test_the_reconstructor_returns_a_shape_that_the_mirror_can_make(hardware):
-    # A smooth shape, a wave of 4 m: the penalty on commands takes little of it.
-    edges_m = (np.arange(len(hardware.used)) - (len(hardware.used) - 1) / 2) * SUBAPERTURE_M
-    wanted_nm = 100 * np.cos(2 * np.pi * edges_m[None, :] / 4.0) * np.ones((len(edges_m), 1))
-    shape_nm = hardware.mirror_nm(wanted_nm[hardware.used])
-    slopes = hardware.slopes(shape_nm, 0.0)
-    made_nm = hardware.mirror_nm(hardware.reconstructor @ slopes.ravel())
-    error_nm, inside_nm = (made_nm - shape_nm)[hardware.lit], shape_nm[hardware.lit]
-    assert np.std(error_nm) < 0.1 * np.std(inside_nm)
-
-
-def test_without_turbulence_only_noise_is_left(monkeypatch, telescope):
-    monkeypatch.setattr(closed_loop, "opd_at", lambda layer, time_s: 0 * closed_loop.build_hardware().lit)
-    monkeypatch.setattr(closed_loop, "SLOPE_NOISE_NM", 0.0)
-    monkeypatch.setattr(closed_loop, "WARM_UP_S", 0.01)
-    residual_nm = ClosedLoop(telescope, 0.5, 2 * LOOP_S, np.random.default_rng(1)).next_nm()
-    assert residual_nm.shape == telescope.transmission.shape
-    assert np.all(residual_nm == 0)
 
 
 def test_the_loop_follows_a_wavefront_that_stands_still(monkeypatch, telescope):

@@ -17,9 +17,7 @@ CALIBRATION = SAMPLES / "calibration-sky"
 RAMP = sorted((SAMPLES / "ramp").glob("offset_*"))
 RECORDERS = [CALIBRATION, *RAMP]
 BENCH = SAMPLES.parents[1] / "shared" / "samples"
-MUSE = SAMPLES / "MUSE.2024-02-11T03:05:20.000.fits"
 NARROW_FLUX_FRACTION = 0.14  # as stated in data_samples/README.md
-LARGEST_SIZE = 15e6
 
 each_recorder = pytest.mark.parametrize("folder", RECORDERS, ids=lambda folder: folder.name)
 
@@ -53,52 +51,6 @@ def signal_e(folder: Path) -> np.ndarray:
     return (cube_adu(folder) - dark_adu(folder).astype(float)) * side_car(folder)["detector"]["e_per_adu"]
 
 
-def test_the_samples_stay_below_the_agreed_size():
-    files = [path for path in SAMPLES.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
-    assert sum(path.stat().st_size for path in files) <= LARGEST_SIZE
-
-
-@each_recorder
-def test_the_pixel_table_fills_its_window_and_no_pixel_saturates(folder):
-    table = pixel_table(folder)
-    assert {"FrameCounter", "Seconds", "USeconds"} <= set(table.names)
-    assert np.all(table["WindowSizeX"] * table["WindowSizeY"] == table["Pixels"].shape[1])
-    assert dark_adu(folder).shape == cube_adu(folder).shape[1:] == (64, 64)
-    assert cube_adu(folder).max() < np.iinfo(np.uint16).max
-    keys = "role target mag_j exposure_s frame_rate_hz pixel_scale_mas seeing_arcsec spectrum diversity"
-    assert set(side_car(folder)) == {*keys.split(), "introduced_defocus_nm", "detector"}
-
-
-def test_the_calibration_lost_exactly_one_frame():
-    table = pixel_table(CALIBRATION)
-    steps = np.diff(table["FrameCounter"])
-    assert len(table) == 200
-    assert sorted(steps / np.median(steps))[-2:] == [1, 2]
-    seconds = table["Seconds"] + table["USeconds"] * 1e-6
-    assert np.diff(seconds) == pytest.approx(0.1 * steps / np.median(steps), abs=1e-5)
-
-
-def test_the_dead_pixel_sees_no_light_and_is_in_the_map():
-    dead = fits.getdata(CALIBRATION / "IRAcq.DET1.DEAD.fits")
-    mean_e = signal_e(CALIBRATION).mean(axis=0)
-    (pixel,) = map(tuple, np.argwhere(dead))
-    neighbours = mean_e[pixel[0] - 1 : pixel[0] + 2, pixel[1] - 1 : pixel[1] + 2]
-    assert abs(mean_e[pixel]) < 1
-    assert np.median(neighbours) > 100
-
-
-def test_the_hot_pixels_stand_out_as_documented():
-    mean_e, dark = signal_e(CALIBRATION).mean(axis=0), dark_adu(CALIBRATION)
-    assert dark[12, 50] > dark.min() + 900
-    assert mean_e[47, 15] - np.median(mean_e[46:49, 14:17]) == pytest.approx(800, rel=0.1)
-
-
-def test_the_cosmic_ray_hits_one_frame_only():
-    history_e = signal_e(CALIBRATION)[:, 18, 45]
-    outliers = np.flatnonzero(history_e > 20 * np.median(history_e))
-    assert outliers.tolist() == [77]
-
-
 @each_recorder
 def test_the_window_holds_most_of_the_photons_of_the_star(folder):
     acquisition = side_car(folder)
@@ -120,32 +72,6 @@ def test_the_mean_wavefront_is_the_static_one_but_for_the_averaged_residual(fold
     assert known["introduced_defocus_nm"] == side_car(folder)["introduced_defocus_nm"]
     assert np.abs(excess_nm[:2]).max() < 20  # image motion of 7 mas is 68 nm, averaged over the recording
     assert np.abs(excess_nm[2:]).max() < 5
-
-
-def test_all_recordings_share_ncpas_of_the_stated_size():
-    ncpa_nm = truth("calibration-sky")["ncpa_nm"]
-    assert [int(noll) for noll in ncpa_nm] == list(range(2, 52))
-    assert np.linalg.norm(list(ncpa_nm.values())) == pytest.approx(142, abs=0.01)
-    assert all(truth_of(folder)["ncpa_nm"] == ncpa_nm for folder in RAMP)
-
-
-def test_the_ramp_covers_its_offsets_and_was_recorded_in_alternate_directions():
-    offsets_nm = np.array([side_car(folder)["introduced_defocus_nm"] for folder in RAMP])
-    starts_s = [pixel_table(folder)["Seconds"][0] for folder in RAMP]
-    travel_nm = np.diff(offsets_nm[np.argsort(starts_s)])
-    assert offsets_nm.tolist() == [-300, -200, -100, 0, 100, 200, 300]
-    assert np.all(np.sign(travel_nm[1:]) == -np.sign(travel_nm[:-1]))
-
-
-def test_the_muse_file_has_the_raw_layout():
-    with fits.open(MUSE) as hdus:
-        cube, atmosphere, header = hdus["SPARTA_TT_CUBE"].data, hdus["SPARTA_ATM_DATA"].data, hdus[0].header
-        assert header["ESO AOS MAIN MODES IRLOS"] == "64x64_FullPupil_200Hz_HighGain"
-        assert cube.shape == (40, 64, 64) and cube.dtype == np.uint16
-        assert np.percentile(cube, 5) == pytest.approx(200, abs=5)
-        assert {"Sec", "USec", "LGS1_SEEING"} <= set(atmosphere.names)
-    assert yaml.safe_load(MUSE.with_suffix(".yaml").read_text())["mag_j"] == 9.0
-    assert truth(MUSE.stem)["ncpa_nm"] == truth("calibration-sky")["ncpa_nm"]
 
 
 def test_the_simulator_is_independent_of_the_package():
@@ -190,14 +116,6 @@ def test_the_simulated_residual_follows_the_seeing_law(telescope):
     drawn_nm = [screens.next_nm() for _ in range(150)]
     assert np.sqrt(np.mean([np.sum(weight * opd**2) for opd in drawn_nm])) == pytest.approx(110.7, rel=0.05)
     assert np.abs([np.sum(weight * opd * telescope.modes[1]) for opd in drawn_nm]).max() < 0.01
-
-
-@pytest.mark.slow
-def test_the_simulated_image_motion_has_the_stated_size(telescope):
-    from simulator.atmosphere import jitter_mas
-
-    motion_mas = jitter_mas(7.0, 0.01, 100_000, np.random.default_rng(4))
-    assert motion_mas.std(axis=0) == pytest.approx([7.0, 7.0], rel=0.05)
 
 
 @pytest.mark.slow

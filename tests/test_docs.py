@@ -17,7 +17,6 @@ import irlos_pipe
 from irlos_pipe.commands.main import cli
 from irlos_pipe.files.shipped import RECIPES as RECIPE_FOLDER
 from irlos_pipe.files.shipped import SIMULATIONS, named_file, shipped_names
-from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe import load_recipe
 
 PAGES = sorted(
@@ -25,7 +24,6 @@ PAGES = sorted(
 )
 RECIPES = sorted(REPOSITORY.glob("recipes/**/*.yaml"))
 OWN_PROFILE = "instrument=my_camera.yaml"  # which docs/own_telescope.md writes and its test executes
-DATA_PAGE = REPOSITORY / "docs" / "data.md"
 FENCE = re.compile(r"^```\w*\n.*?^```", re.DOTALL | re.MULTILINE)
 SHELL = re.compile(r"^```sh\n(.*?)^```", re.DOTALL | re.MULTILINE)
 INDENTED = re.compile(r"^(?:    |#   )(irlos .*)", re.MULTILINE)
@@ -84,34 +82,12 @@ def test_every_recipe_in_a_command_exists_and_takes_the_settings(path):
 
 
 @each_page
-def test_every_make_target_exists(page):
-    targets = re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
-    called = {arguments[0] for arguments in commands(page.read_text(encoding="utf-8"), "make") if arguments}
-    assert called - set(targets) == set()
-
-
-@each_page
 def test_every_link_and_every_file_of_the_tree_exists(page):
     text = page.read_text(encoding="utf-8")
     links = [link.split("#")[0] for link in re.findall(r"\]\(([^)]+)\)", text) if "://" not in link]
     assert [link for link in links if not (page.parent / link).exists()] == []
     named = [name for name in INLINE.findall(text) if OF_THE_TREE.fullmatch(name)]
     assert [name for name in named if not (REPOSITORY / name).exists()] == []
-
-
-def test_the_documented_side_car_is_valid_and_has_every_key(tmp_path):
-    (block,) = re.findall(r"^```yaml\n(.*?)^```", DATA_PAGE.read_text(), re.DOTALL | re.MULTILINE)
-    side_car = tmp_path / "acquisition.yaml"
-    side_car.write_text(block)
-    assert read_sidecar(side_car).model_fields_set == set(AcquisitionKeys.model_fields)
-
-
-def test_the_version_stands_in_the_citation_and_in_the_changelog():
-    version = irlos_pipe.__version__
-    assert f"\nversion: {version}\n" in (REPOSITORY / "CITATION.cff").read_text()
-    assert re.search(
-        rf"^## \[?{re.escape(version)}\b", (REPOSITORY / "CHANGELOG.md").read_text(), re.MULTILINE
-    )
 
 
 def test_the_conda_recipe_has_the_version_and_the_requirements_of_the_package():

@@ -1,10 +1,8 @@
 """The environment that is built: every direct dependency pinned, and PyTorch's index for PyTorch alone."""
 
 import re
-import subprocess
 import tomllib
 
-import pytest
 from helpers.paths import REPOSITORY
 
 NAME = re.compile(r"[A-Za-z0-9_.-]+")
@@ -23,14 +21,3 @@ def test_every_direct_dependency_is_pinned():
     pinned = [line.split("==")[0] for line in lines if not line.startswith("#")]
     assert set(pinned) == direct_dependencies() and len(pinned) == len(set(pinned))
     assert all(re.fullmatch(r"[\w.-]+==[\d.]+(post\d+)?", line) for line in lines if not line.startswith("#"))
-
-
-@pytest.mark.parametrize("target", ["env", "env-test"])
-def test_the_index_of_pytorch_is_used_for_pytorch_alone(tmp_path, target):
-    told = subprocess.run(
-        ["make", "-n", target, f"VENV={tmp_path}/new", "TORCH_INDEX=INDEX"],
-        cwd=REPOSITORY, capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    (first, second) = next(line for line in told.splitlines() if "INDEX" in line).split(" && ")
-    assert first.endswith("--no-deps --index-url INDEX torch") and "INDEX" not in second
-    assert "extra-index" not in told and "constraints.txt" in second

@@ -9,15 +9,12 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from faults import runs
 from faults.harness import Harness, after_harm
 from faults.tree import broken, content, leftovers
-
-from irlos_pipe.pipeline import provenance
 
 pytestmark = pytest.mark.slow
 
@@ -90,27 +87,6 @@ def test_a_signal_ends_a_night_with_130_and_one_line_and_the_next_run_completes_
     assert harness.after_rerun(tree) == []
 
 
-@pytest.mark.parametrize("jump", [timedelta(days=-400), timedelta(days=4000)])
-def test_a_clock_that_jumps_during_a_run_changes_only_the_reported_times(harness, tree, jump):
-    def jumping() -> None:
-        """The clock jumps at the third look at it."""
-        looks, now = iter(range(10**9)), time.time
-
-        def moved() -> float:
-            return now() + (jump.total_seconds() if next(looks) > 2 else 0.0)
-
-        time.time = moved
-        provenance.now = lambda: datetime.fromtimestamp(moved(), UTC).isoformat()
-
-    assert runs.run(harness.bench, tree, jumping).code == harness.end.code
-    assert content(tree) == harness.content and harness.after_rerun(tree) == []
-
-
-def test_a_checkout_that_changes_between_two_runs_is_no_difference(harness, tree, monkeypatch):
-    monkeypatch.setattr(provenance, "_git_revision", lambda _: "git.another")
-    assert runs.run(harness.bench, tree).code == harness.end.code and content(tree) == harness.content
-
-
 def test_inputs_dated_in_the_future_or_long_ago_are_up_to_date_on_the_second_run(harness, tree):
     files = [path for path in harness.bench.archive.rglob("*") if path.is_file()]
     before = {path: path.stat().st_mtime_ns for path in files}
@@ -122,16 +98,6 @@ def test_inputs_dated_in_the_future_or_long_ago_are_up_to_date_on_the_second_run
     assert {path: path.stat().st_mtime_ns for path in tree.rglob("*.h5")} == stamps
     for path, moment in before.items():
         os.utime(path, ns=(moment, moment))
-
-
-def test_the_comparison_sees_a_changed_bit_a_cut_page_and_a_leftover(harness, tree):
-    runs.run(harness.bench, tree)
-    page = next(tree.glob("night_*.html"))
-    page.write_text(page.read_text()[:1000])
-    product = next(path for path in tree.glob("*/*/*/*.h5"))
-    product.write_bytes(product.read_bytes()[:-1] + b"x")
-    (tree / ".x.part").touch()
-    assert len(broken(tree)) == 2 and leftovers(tree) == [".x.part"]
 
 
 def test_beside_a_program_that_writes_a_recording_a_night_ends_and_the_next_is_whole(harness, tree):

@@ -20,7 +20,6 @@ from fuzz import (  # noqa: F401
     yaml_kinds,
 )
 from fuzz.case import KINDS, Case
-from helpers.journal import Journal
 
 SEEDS = range(5)
 
@@ -30,16 +29,6 @@ SEEDS = range(5)
 def test_damaged_input_causes_at_most_one_line_that_says_what_is_wrong(kind):
     verdicts = [judge.judged(kind, seed) for seed in SEEDS]
     assert [(verdict.seed, verdict.summary, verdict.finding) for verdict in verdicts if verdict.finding] == []
-
-
-def test_the_same_seed_makes_the_same_case(tmp_path):
-    def made(name: str) -> tuple[str, bytes]:
-        folder = tmp_path / name
-        folder.mkdir()
-        summary = KINDS["recording_header"](folder, np.random.default_rng(3)).summary
-        return summary, b"".join(path.read_bytes() for path in sorted(folder.rglob("*.fits")))
-
-    assert made("a") == made("b")
 
 
 def crash(folder: Path) -> None:
@@ -96,32 +85,4 @@ def test_the_judge_sees_a_misdeed(deed, monkeypatch):
     assert DEEDS[deed] in judge.judged("recipe", 0).finding
 
 
-@pytest.mark.parametrize(("factor", "seen"), [(1.0, False), (1.1, True)])
-def test_the_judge_sees_a_result_that_differs_without_a_word(factor, seen, monkeypatch):
-    def maker(folder: Path, rng: np.random.Generator) -> Case:
-        path = pristine.write("cube", folder / "in" / "sky")
-        fits_kinds.fits.writeto(path, pristine.adu() * np.float32(factor), overwrite=True)
-        return fits_kinds._ingested(folder, "", "cube")
-
-    monkeypatch.setitem(KINDS, "recipe", maker)
-    assert ("silently wrong" in judge.judged("recipe", 0).finding) is seen
-
-
 # -- the journal of searches that go on where they stopped --------------------------------------
-
-
-def test_a_journal_goes_on_after_a_line_that_was_cut_off(tmp_path):
-    path = tmp_path / "there" / "journal"
-    Journal(path).add("a", finding="")
-    with path.open("a") as file:
-        file.write('{"key": "b", "find')
-    again = Journal(path)
-    assert list(again.entries) == ["a"]
-    again.add("b", finding="x")
-    assert Journal(path).entries["b"] == {"key": "b", "finding": "x"}
-
-
-def test_a_journal_without_a_file_keeps_its_entries_in_memory():
-    journal = Journal(None)
-    journal.add("a", code=1)
-    assert journal.entries == {"a": {"key": "a", "code": 1}}

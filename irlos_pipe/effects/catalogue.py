@@ -8,9 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from irlos_pipe.effects.ao_cutoff import AoCutoff
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import Anamorphism, AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.effects.companion import Companion, Ghost
 from irlos_pipe.effects.declaration import Conditions, Public
@@ -32,48 +30,29 @@ from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
 from irlos_pipe.effects.pupil_steps import LowWindEffect, SegmentPiston
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
-from irlos_pipe.effects.seeing_halo import SeeingHalo
-from irlos_pipe.effects.uneven_residual import UnevenResidual
-from irlos_pipe.effects.wavefront import AmplitudeAberration, DiversityError, HighOrderNcpa, NcpaDrift
+from irlos_pipe.effects.seeing_halo import AoCutoff, SeeingHalo, UnevenResidual
+from irlos_pipe.effects.wavefront import (
+    AmplitudeAberration,
+    ChromaticNcpa,
+    DiversityError,
+    FilterNcpa,
+    HighOrderNcpa,
+    NcpaDrift,
+)
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect
     for effect in (
-        TipTiltJitter,
-        Vibration,
-        SeeingHalo,
-        UnevenResidual,
-        AoCutoff,
-        AtmosphericDispersion,
-        Spectrum,
-        PlateScale,
-        Anamorphism,
-        DiversityError,
-        PupilMisregistration,
-        PupilSizes,
-        AmplitudeAberration,
-        PupilSpot,
-        LowWindEffect,
-        SegmentPiston,
-        HighOrderNcpa,
-        PhaseBump,
-        NcpaDrift,
-        ChromaticNcpa,
-        FilterNcpa,
-        Companion,
-        Ghost,
-        InterpixelCrosstalk,
-        DetectorNonlinearity,
-        BackgroundGradient,
-        CorrelatedNoise,
-        BadPixels,
-        FocusStageOffset,
-        FocusStageScale,
-        FocusStageHysteresis,
-        HighAperture,
+        TipTiltJitter, Vibration, SeeingHalo, UnevenResidual, AoCutoff, AtmosphericDispersion, Spectrum,
+        PlateScale, Anamorphism, DiversityError, PupilMisregistration, PupilSizes, AmplitudeAberration,
+        PupilSpot, LowWindEffect, SegmentPiston, HighOrderNcpa, PhaseBump, NcpaDrift, ChromaticNcpa,
+        FilterNcpa, Companion, Ghost, InterpixelCrosstalk, DetectorNonlinearity, BackgroundGradient,
+        CorrelatedNoise, BadPixels, FocusStageOffset, FocusStageScale, FocusStageHysteresis, HighAperture,
         LensletImages,
     )
-}
+}  # fmt: skip
+
+LINE_LENGTH = 118
 
 
 def in_other_forms(
@@ -110,7 +89,6 @@ Z_k is Noll k.
 | effect | plane | values: unit, limits | most easily mistaken for |
 |---|---|---|---|
 """
-LINE_LENGTH = 118
 
 
 def catalogue_page() -> str:
@@ -168,8 +146,8 @@ def _value(one: Public) -> str:
 def _summary(kind: type[Effect]) -> str:
     """The docstring of an effect up to its first section."""
     text = inspect.cleandoc(kind.__doc__ or "")
-    for section in ("Parameters", "Raises", "Class attributes"):
-        text = text.split(f"\n{section}\n---")[0]
+    for section in ("Parameters\n---", "Parameters: ", "Raises `"):
+        text = text.split(f"\n\n{section}")[0]
     text = text.strip().replace("``", "`")
     return "\n\n".join(_filled(paragraph) for paragraph in text.split("\n\n"))
 

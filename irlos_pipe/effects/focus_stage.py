@@ -13,7 +13,7 @@ import numpy as np
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import LensEffect, RampEffect
-from irlos_pipe.optics.defocus import HIGHEST_SINE
+from irlos_pipe.optics.focus_table import HIGHEST_SINE
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 LEAST_SINE = 0.1  # a focal ratio of 5, below which defocus is the parabola to 0.1 %
@@ -122,10 +122,7 @@ class HighAperture(LensEffect):
     from static spherical aberration, a ramp of focus can: they change with it. An estimate with the parabola
     finds another slope than one and its images do not fit far from focus.
 
-    Parameters
-    ----------
-    numerical_aperture : float
-        NA / n of the beam in which the focus moves.
+    Parameters: `numerical_aperture`, NA / n of the beam in which the focus moves.
     """
 
     name = "high_aperture"

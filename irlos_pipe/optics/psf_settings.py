@@ -47,7 +47,7 @@ class PsfSettings:
     spectrum: tuple[tuple[float, float], ...]  # photon weights, any positive scale
     known: KnownWavefront  # present in every image, in addition to the coefficients that the model is given
     # samples across the pupil diameter; 128 keeps the error below 1e-4 of the peak for wavefronts up to 600
-    # nm RMS (tests/test_psf_accuracy.py)
+    # nm RMS (tests/optics/test_psf.py)
     pupil_samples: int = 128
     # field computed beyond the window on each side. The end of the field rings into the window when the
     # intensity is interpolated to the pixels: with 100 mas by 1e-5 of a compact peak and 2e-4 of one spread
@@ -55,8 +55,8 @@ class PsfSettings:
     margin_mas: float = MARGIN_MAS
     # the same for the period of the OTF factors, whose wings are wider
     halo_margin_mas: float = HALO_MARGIN_MAS
-    # NA / n of the beam in which the focus moves; above 0, Noll 4 stands for the shape of `optics.defocus`
-    # everywhere
+    # NA / n of the beam in which the focus moves; above 0, Noll 4 stands everywhere for the
+    # shape in `optics.focus_table`
     focus_sine: float = 0.0
     # per side of the pupil: 1, or 2 where the window is that of the images of four quarters, see
     # `optics.lenslets`

@@ -75,10 +75,7 @@ class Strained(NamedTuple):
 
         They are complex, of the precision and on the device of `like`.
 
-        Raises
-        ------
-        ValueError
-            If the window is wider than the focal `grid`, which would alias silently.
+        Raises `ValueError` if the window is wider than the focal `grid`, which would alias silently.
         """
         pixels = Pixels(window, sampling, index, grid)
         made = pixels.rows, pixels.columns, pixels.along_lines, pixels.along_columns
@@ -89,7 +86,6 @@ class Strained(NamedTuple):
 
     @property
     def single(self) -> Strained:
-        """The same in single precision."""
         waves = (self.to_rows, self.to_columns, self.along_lines, self.along_columns)
         rows, columns, along_lines, along_columns = (one.to(torch.complex64) for one in waves)
         real = self.footprint.float(), self.counts.float()
@@ -213,6 +209,5 @@ class Pixels:
 
 
 def _sinc_slope(x: torch.Tensor) -> torch.Tensor:
-    """Derivative of ``sin(πx) / (πx)``."""
     safe = torch.where(x == 0, torch.ones_like(x), x)
     return torch.where(x == 0, torch.zeros_like(x), (torch.cos(np.pi * x) - torch.sinc(x)) / safe)

@@ -30,8 +30,7 @@ from irlos_pipe.paper.common.scenes import J_AND_H, NCPA_NM, star_scene
 from irlos_pipe.report.drawing import BLUE, FAINT, svg
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.light import Band
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
 
 PAPER_NM = 410.0  # capture range that the paper states, started from zero
 # Right estimates err by less than 20 nm (AO residual, calibration, noise), wrong ones by hundreds: the next
@@ -40,10 +39,20 @@ WRONG_NM = 50.0
 BOTH, H_ALONE = "J+H", "H"
 DRAWN = {"elongation": "start_nm", "scan": "start_nm", "zero": "defocus_nm", "default": "defocus_nm"}
 
+CELLS = {
+    "start of LIFT": "{start}", "cases within ±600 nm": "{required_cases}", "captured": "{required_captured}",
+    "wrong": "{required_wrong}", "flagged": "{required_flagged}",
+    "largest error among the captured [nm]": "{largest_right_nm:.0f}",
+    "every case captured up to [nm]": "{range_nm:.0f}", "error of the captured [nm RMS]": "{rms_nm:.1f}",
+    "smallest wrong error [nm]": "{smallest_wrong_nm:.0f}",
+}  # fmt: skip
+CAPTION = (
+    "Captured: converged, and within {wrong_limit_nm:.0f} nm of the truth. Wrong: converged elsewhere. "
+    "Flagged: not converged, and says so. Of {all_cases} cases in all"
+)
+
 
 class Sizes(ex.StageConfig):
-    """Sizes and conditions of the experiment."""
-
     ramps: int = Field(30, ge=1, le=10000, description="sets of NCPAs")
     h_ramps: int = Field(10, ge=0, le=10000, description="further sets, known exactly, in H alone")
     frames: int = Field(50, ge=1, le=1000, description="frames with each set of NCPAs")
@@ -177,17 +186,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     )  # fmt: skip
 
 
-CELLS = {
-    "start of LIFT": "{start}", "cases within ±600 nm": "{required_cases}", "captured": "{required_captured}",
-    "wrong": "{required_wrong}", "flagged": "{required_flagged}",
-    "largest error among the captured [nm]": "{largest_right_nm:.0f}",
-    "every case captured up to [nm]": "{range_nm:.0f}", "error of the captured [nm RMS]": "{rms_nm:.1f}",
-    "smallest wrong error [nm]": "{smallest_wrong_nm:.0f}",
-}  # fmt: skip
-CAPTION = (
-    "Captured: converged, and within {wrong_limit_nm:.0f} nm of the truth. Wrong: converged elsewhere. "
-    "Flagged: not converged, and says so. Of {all_cases} cases in all"
-)
 LISTINGS = [
     ex.Listing("starts", "Starts compared",
         CELLS,

@@ -17,7 +17,6 @@ import numpy as np
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import aligned
 from irlos_pipe.paper.common.ensemble import run_samples
-from irlos_pipe.paper.common.figures import lines, strips
 from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.common.table import (
     Frame,
@@ -28,11 +27,13 @@ from irlos_pipe.paper.common.table import (
     filled,
     frame,
     grouped,
+    lines,
     median_in_range,
     rms_in_range,
     spread,
     spreads,
     stacked,
+    strips,
 )  # fmt: skip
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import StageResults
@@ -175,7 +176,6 @@ class Experiment:
         return self.checks(results.frames())
 
     def section(self, run: RunData) -> Section:
-        """Return the section of the report of a run."""
         tables = run.results(self.Results).frames()
         shown = [listing.table(tables) for listing in self.listings if len(tables.get(listing.of, ()))]
         blocks = [*self.figures(Drawn(run, self.NAME, tables)), *shown]
@@ -188,7 +188,6 @@ def _is_scalar(value: Any) -> bool:
 
 
 def _row_arrays(rows: Frame) -> dict[str, Quantity]:
-    """Return the columns of numbers and of texts."""
     return {
         f"rows/{name}": Quantity(_array(column), UNITS.get(name.rpartition("_")[2], ""), "of every row")
         for name, column in rows.items()

@@ -15,10 +15,16 @@ from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS
 
 STEADY = 1.5  # largest over smallest error of the default between exposures: it fits the mean image
 
+LISTING = ex.Listing("methods", "Exposures",
+    {'seeing ["]': "{seeing_arcsec}", "method": "{label}"},
+    {"{exposure_s:g} s": "{modes_nm:.1f}"},
+    caption="Δ-WFE in Noll 2–30 [nm RMS], medians over {cubes} cubes of {total_s:.0f} s at each seeing; "
+    "m_J 7.",
+    page="exposures",
+)  # fmt: skip
+
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(3, ge=1, le=1000, description="cubes at each seeing")
     seeings_arcsec: tuple[float, ...] = Field((0.35, 1.0), min_length=1, description="on SPARTA's scale")
     shortest_s: float = Field(0.02, gt=0, le=10, description="shortest exposure [s]")
@@ -88,17 +94,7 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     )  # fmt: skip
 
 
-LISTING = ex.Listing("methods", "Exposures",
-    {'seeing ["]': "{seeing_arcsec}", "method": "{label}"},
-    {"{exposure_s:g} s": "{modes_nm:.1f}"},
-    caption="Δ-WFE in Noll 2–30 [nm RMS], medians over {cubes} cubes of {total_s:.0f} s at each seeing; "
-    "m_J 7.",
-    page="exposures",
-)  # fmt: skip
-
-
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error against exposure."""
     caption = "Medians over the cubes, by the seeing [arcsec]. All exposures are sums of the same short ones."
     return [ex.lines(
         "exposures", "Error against exposure", caption, drawn.tables["methods"], "exposure_s", "modes_nm",

@@ -32,13 +32,17 @@ from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
 from irlos_pipe.simulate.effects import effects_of
 from irlos_pipe.simulate.effects.wavefront import reached_nm
 from irlos_pipe.simulate.exposure import expose
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
 
 WRONG_NM = 50.0  # an estimate this far from the best minimum lies in another one
 BY_CHANCE = 1e-3  # probability of a larger pull where the quoted errors are right
 # The paper's variant and this project's, begun from every start, and drawn.
 SHOWN = {"hand_9": "the paper: kernel by hand, nine modes", "default_3": "this pipeline, three modes"}
+
+RAMP_COLUMNS = (
+    "target", "ramp", "variant", "frames", "slope", "rms_nm", "line_rms_nm", "converged", "kernel_mas",
+    "stage_true_nm", "stage_found_nm", "stage_sigma_nm",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -101,8 +105,6 @@ def variants_of(target: Target) -> dict[str, LiftVariant]:
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(3, ge=1, le=1000, description="sets of NCPAs per target; the first is drawn")
     offsets: tuple[int, int] = Field((10, 8), description="positions of the ramps of the two targets")
     frames_per_offset: tuple[int, int] = Field((10, 20), description="of the first ramp of each target")
@@ -190,12 +192,6 @@ def wrong_minima(results: Mapping[str, LiftResult]) -> dict[str, np.ndarray]:
     best = torch.where(converged, chi2, torch.inf).argmin(0)
     apart = (defocus - defocus.gather(0, best[None])).abs() > WRONG_NM
     return dict(zip(results, (~converged | apart).numpy(), strict=True))
-
-
-RAMP_COLUMNS = (
-    "target", "ramp", "variant", "frames", "slope", "rms_nm", "line_rms_nm", "converged", "kernel_mas",
-    "stage_true_nm", "stage_found_nm", "stage_sigma_nm",
-)  # fmt: skip
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:

@@ -33,10 +33,10 @@ SEVERAL_TIMES = 3.0  # factor by which a model with AO residual has to be better
 DRAWN_NM, DRAWN_SCATTER_NM = 142.0, 30.0  # the paper's NCPAs, Sect. 5.4
 STANDARD_ERRORS = 3.0
 
+MODES, PUPIL = "{modes_nm:.1f} ({modes_nm_low:.1f}–{modes_nm_high:.1f})", "{pupil_nm:.1f}"
+
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(20, ge=1, le=1000, description="cubes at each of `seeings_arcsec`")
     samples_of_parts: int = Field(
         6, ge=0, le=1000, description="of these, cubes with parts of the default changed"
@@ -178,7 +178,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     ]  # fmt: skip
 
 
-MODES, PUPIL = "{modes_nm:.1f} ({modes_nm_low:.1f}–{modes_nm_high:.1f})", "{pupil_nm:.1f}"
 LISTINGS = [
     ex.Listing("methods", "Δ-WFE of every method",
         {"method": "{method}"},

@@ -15,17 +15,16 @@ from pydantic import Field
 from irlos_pipe.estimate.calibration_options import OPEN, HighestNoll
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
-from irlos_pipe.simulate.ncpa import draw_tail_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Scene, draw_tail_nm
 
 TAIL_STREAM = 3  # child of the cube's seed that the tail is drawn from
 LAST_TAIL_NOLL = 200
 OWN = "own modes"
 
+RANGE = "{error_nm:.1f} ({error_nm_low:.1f}–{error_nm_high:.1f})"
+
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(20, ge=1, le=1000, description="cubes at each seeing, without a tail")
     samples_of_tails: int = Field(6, ge=0, le=1000, description="cubes at each seeing with each tail")
     samples_of_parts: int = Field(6, ge=0, le=1000, description="of those without, tried with fewer frames")
@@ -113,7 +112,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     )  # fmt: skip
 
 
-RANGE = "{error_nm:.1f} ({error_nm_low:.1f}–{error_nm_high:.1f})"
 LISTINGS = [
     ex.Listing("methods", "Modes",
         {"method": "{label}"},

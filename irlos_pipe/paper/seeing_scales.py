@@ -14,8 +14,7 @@ from matplotlib.figure import Figure as Canvas
 from pydantic import Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.laws import ResidualLaw
-from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
+from irlos_pipe.conventions.laws import SPARTA, ResidualLaw, SeeingScale
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.report.drawing import BLUE, FAINT, INK, ORANGE, svg
 
@@ -24,6 +23,16 @@ RANKS = {"median": 50.0, "p16": 16.0, "p84": 84.0}  # percentiles of the distrib
 SIZE_IN = (4.4, 3.2)
 
 Seeing = Annotated[float, Field(gt=0, le=10)]
+
+LISTING = ex.Listing("conditions", "The paper's conditions",
+    {
+        "condition": "{where}", 'SPARTA ["]': "{sparta_arcsec:.2f}", 'monitor ["]': "{monitor_arcsec:.2f}",
+        "better by SPARTA": "{better:.0%} of the time",
+        "AO residual [nm RMS]": "{wfe_nm:.0f} ± {wfe_sigma_nm:.0f}",
+        "if not translated": "{wfe_untranslated_nm:.0f}",
+    },
+    caption="Errors: 1σ of the disagreement between the two, where only the monitor's seeing is known.",
+)  # fmt: skip
 
 
 class Sizes(ex.StageConfig):
@@ -130,19 +139,7 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     return [ex.check(name, ratio, text, low=1 - WITHIN, high=1 + WITHIN)]
 
 
-LISTING = ex.Listing("conditions", "The paper's conditions",
-    {
-        "condition": "{where}", 'SPARTA ["]': "{sparta_arcsec:.2f}", 'monitor ["]': "{monitor_arcsec:.2f}",
-        "better by SPARTA": "{better:.0%} of the time",
-        "AO residual [nm RMS]": "{wfe_nm:.0f} ± {wfe_sigma_nm:.0f}",
-        "if not translated": "{wfe_untranslated_nm:.0f}",
-    },
-    caption="Errors: 1σ of the disagreement between the two, where only the monitor's seeing is known.",
-)  # fmt: skip
-
-
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """The draws."""
     names = ("monitor_arcsec", "sparta_arcsec")
     return {f"draws/{name}": ex.Quantity(rows[name].iloc[0], "arcsec", "drawn seeing") for name in names}
 

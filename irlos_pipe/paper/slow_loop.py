@@ -17,8 +17,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 from pydantic import Field
 
-from irlos_pipe.control.disturbance import Drift, SodiumLayer
-from irlos_pipe.control.linear_theory import Integrator, best_gain
+from irlos_pipe.control.linear_theory import Drift, Integrator, SodiumLayer, best_gain
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.common.focus_loop import (
@@ -49,12 +48,9 @@ SKY_FOCUS_NM = 5.0  # defocus of the AO residual in a frame of a second, as simu
 REACH_NM, NODES = 240.0, 8  # of the table of frames; a loop whose residual exceeds the reach has diverged
 OVER_THEORY = 1.5
 LABELS = {
-    DEFAULT: "default calibration",
-    PAPER_CHOICE: "NCPAs by DIP global",
-    UNCALIBRATED: "uncalibrated",
-    CENTROIDS: "2x2 mode, centroids",
-    LIFT: "2x2 mode, fit of the four images",
-}
+    DEFAULT: "default calibration", PAPER_CHOICE: "NCPAs by DIP global", UNCALIBRATED: "uncalibrated",
+    CENTROIDS: "2x2 mode, centroids", LIFT: "2x2 mode, fit of the four images",
+}  # fmt: skip
 RECORDED = ("residual_nm", "measured_nm", "true_nm", "due")
 
 
@@ -67,8 +63,6 @@ class Layer(ex.StageConfig):
 
 
 class Sizes(ex.StageConfig):
-    """Sizes and conditions of the experiment."""
-
     skies: int = Field(4, ge=1, le=1000, description="sets of NCPAs, each with its sky and its calibration")
     drifts: int = Field(1, ge=1, le=1000, description="drifts of the sodium layer on each sky")
     frames: int = Field(120, ge=10, le=100000, description="frames of 1 s per drift")

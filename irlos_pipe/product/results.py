@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.keys import DITTO as DITTO
-from irlos_pipe.conventions.numbers import Number as Number
+from irlos_pipe.conventions.keys import Number as Number
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.files.regular import read_regular
 from irlos_pipe.product.product import Product
@@ -28,6 +28,8 @@ ByNoll = dict[int, Number]  # coefficients [nm RMS] by Noll index, which is text
 # Values of an effect's parameters by name, as `describe` of the effect gives them: numbers, words, or
 # lists and tables of numbers.
 EffectValues = dict[str, Any]
+
+LOST = "Lost"  # begins the lines of a summary that say which exposures failed
 
 
 def item(default: Any, meaning: str = "") -> Any:
@@ -76,9 +78,6 @@ class Machine(ResultsPart):
 
     host: str = ""
     platform: str = ""
-
-
-LOST = "Lost"  # begins the lines of a summary that say which exposures failed
 
 
 class Provenance(ResultsPart):

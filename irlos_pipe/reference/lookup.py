@@ -16,6 +16,8 @@ from pydantic import BaseModel
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import aligned, suggestion
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
+from irlos_pipe.files.shipped import RECIPES, SIMULATIONS, shipped_folder, shipped_names
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import FACTS, Profile
 from irlos_pipe.product.product import Arrays, Checks
 from irlos_pipe.product.results import DITTO, ResultsPart
@@ -25,30 +27,28 @@ from irlos_pipe.stages import LIGHT_PATH, STAGES
 from irlos_pipe.stages.model.section import ModelConfig
 
 Kind = Literal[
-    "stage",
-    "key of a recipe",
-    "key of a side-car",
-    "key of a profile",
-    "fact of a profile",
-    "effect",
-    "check",
-    "number",
-    "array of a product",
-    "term",
-]
+    "stage", "key of a recipe", "key of a side-car", "key of a profile", "fact of a profile", "effect",
+    "check", "number", "array of a product", "term",
+]  # fmt: skip
+
+LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+WORDS = {
+    "number": "number", "integer": "whole number", "string": "text", "boolean": "true or false",
+    "null": "nothing",
+}  # fmt: skip
+ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
+LINE_LENGTH = 100
+TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A name with its explanation."""
-
     kind: Kind
     name: str  # where it stands, dotted: ``calibrate.method``
     text: str  # what it means, in lines; the first is a summary
 
     @property
     def summary(self) -> str:
-        """The first line of the explanation."""
         return self.text.partition("\n")[0]
 
     def is_called(self, name: str) -> bool:
@@ -59,7 +59,6 @@ class Entry:
 
 
 def all_entries() -> list[Entry]:
-    """Return everything that can be explained."""
     stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
     effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
     return [
@@ -112,14 +111,6 @@ def _table(entries: Sequence[Entry]) -> str:
 # -- keys of recipes, side-cars and profiles ---------------------------------------------------------
 
 Schema = Mapping[str, Any]
-LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
-WORDS = {
-    "number": "number",
-    "integer": "whole number",
-    "string": "text",
-    "boolean": "true or false",
-    "null": "nothing",
-}
 
 
 def key_entries() -> Iterator[Entry]:
@@ -133,7 +124,6 @@ def key_entries() -> Iterator[Entry]:
 
 
 def _fact_entries() -> Iterator[Entry]:
-    """Yield the facts that a profile may state."""
     for name, rule in FACTS.items():
         limits = f"value: {rule.kind}, ≥ {rule.low:g}, ≤ {rule.high:g}"
         lines = [rule.text, f"unit: {rule.unit}", limits, *(["required"] if rule.required else [])]
@@ -163,7 +153,6 @@ def _of_section(section: Schema, known: Schema, above: tuple[str, ...], kind: Ki
 
 
 def _sections(field: Schema, known: Schema) -> Iterator[Schema]:
-    """Yield the sections that a field may hold."""
     if "$ref" in field:
         yield known[field["$ref"].rpartition("/")[2]]
     for one in (field["items"],) if "items" in field else field.get("anyOf", ()):
@@ -171,7 +160,6 @@ def _sections(field: Schema, known: Schema) -> Iterator[Schema]:
 
 
 def _value(field: Schema, known: Schema) -> str:
-    """Return what a field may hold, in words."""
     if "anyOf" in field:
         return " or ".join(dict.fromkeys(_value(one, known) for one in field["anyOf"]))
     if "enum" in field or "const" in field:
@@ -205,7 +193,6 @@ def _check_entries() -> Iterator[Entry]:
 
 
 def _array_entries() -> Iterator[Entry]:
-    """Yield every array of every product."""
     for stage in LIGHT_PATH:
         arrays: Arrays = getattr(STAGES[stage], "ARRAYS", {})
         for name, (unit, axes, text) in arrays.items():
@@ -216,23 +203,12 @@ def _array_entries() -> Iterator[Entry]:
 # -- numbers of results.json -------------------------------------------------------------------------
 
 UNITS = {
-    "nm": "nm",
-    "mas": "mas",
-    "e": "e-",
-    "px": "px",
-    "deg": "deg",
-    "arcsec": "arcsec",
-    "m": "m",
-    "s": "s",
-    "seconds": "s",
-    "mag": "mag",
-    "adu": "ADU",
-}
-ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
+    "nm": "nm", "mas": "mas", "e": "e-", "px": "px", "deg": "deg", "arcsec": "arcsec", "m": "m", "s": "s",
+    "seconds": "s", "mag": "mag", "adu": "ADU",
+}  # fmt: skip
 
 
 def _number_entries() -> Iterator[Entry]:
-    """Yield every key under ``stages`` of results.json."""
     for stage in LIGHT_PATH:
         yield from _numbers(STAGES[stage].Results, (stage,))
 
@@ -290,8 +266,6 @@ def models_in(annotation: Any) -> Iterator[type]:
 # -- terms of the glossary ---------------------------------------------------------------------------
 
 GLOSSARY = Path(__file__).with_name("glossary.md")
-LINE_LENGTH = 100
-TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 
 
 def _term_entries() -> Iterator[Entry]:
@@ -300,3 +274,32 @@ def _term_entries() -> Iterator[Entry]:
         lines = textwrap.fill(" ".join(text.split()), LINE_LENGTH)
         for name in [names] if "(" in names else names.split(", "):
             yield Entry("term", name, lines)
+
+
+def recipe_list() -> str:
+    """Return a line for every recipe, with its inputs and its title, and one for every specification."""
+    recipes, specs = (
+        [(name, load_yaml(shipped_folder(kind) / f"{name}.yaml")[0]) for name in shipped_names(kind)]
+        for kind in (RECIPES, SIMULATIONS)
+    )
+    rows = [(name, ", ".join(content["inputs"]), content["title"]) for name, content in recipes]
+    simulated = [(name, content["title"]) for name, content in specs]
+    return "\n\n".join(
+        (
+            f"irlos run NAME --input INPUT=PATH --output DIR\n{aligned([('NAME', 'INPUT', ''), *rows])}",
+            f"irlos simulate NAME --output DIR\n{aligned([('NAME', ''), *simulated])}",
+        )
+    )
+
+
+def recipe_text(name: str) -> str:
+    """Return the file of the recipe, or of the specification, called `name`.
+
+    Raises `ConfigurationError` when there is none.
+    """
+    known = [*shipped_names(RECIPES), *shipped_names(SIMULATIONS)]
+    for kind in (RECIPES, SIMULATIONS):
+        path = shipped_folder(kind) / f"{name}.yaml"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise ConfigurationError(f"{name}: no recipe or specification of this name{suggestion(name, known)}")

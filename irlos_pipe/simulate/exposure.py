@@ -14,11 +14,10 @@ import numpy as np
 
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.simulate.atmosphere import ResidualScreens
-from irlos_pipe.simulate.camera import camera_of
+from irlos_pipe.simulate.camera import camera_of, pupil_of, steps_nm
 from irlos_pipe.simulate.effects.sky import MotionEffect, SkyEffect
 from irlos_pipe.simulate.effects.wavefront import FocusStageEffect, LensEffect, WavefrontEffect, reached_nm
 from irlos_pipe.simulate.motion import SHORTEST_STEP_S, STILL, MotionSeries
-from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope, rotated_nm, sum_nm
 
@@ -134,7 +133,6 @@ class _LightPath:
         self._resting_images: np.ndarray | None = None
 
     def exposed(self, frame: int) -> Exposure:
-        """Expose the next frame, number `frame`."""
         scene, blur = self._scene, STILL
         screens_nm, positions_mas = self._subexposures.next_frame()
         for effect in self._motion:

@@ -12,8 +12,6 @@ from helpers import focus_loop as made_loop
 
 from benchmarks.focus_faults import rig as faults
 from benchmarks.focus_faults.spoiling import PIXELS
-from benchmarks.focus_loop import telescope as telescopes
-from benchmarks.focus_loop.ageing import Ageing
 from benchmarks.focus_loop.process import Feed
 from benchmarks.focus_loop.run import Outcome
 from benchmarks.focus_loop.telescope import FIRST_COUNTER, Exposed, Night, Telescope
@@ -84,13 +82,6 @@ def test_an_offset_arrives_after_the_delay(telescope):
     assert residuals == pytest.approx([0.0, 0.0, 100.0, 100.0])
 
 
-def test_a_lost_star_leaves_the_noise_alone_and_counters_go_on(telescope):
-    kept, lost = telescope.expose(1), telescope.expose(2)
-    assert np.mean(kept.reads[0].image_e) == pytest.approx(1000.0, rel=0.01)
-    assert abs(np.mean(lost.reads[0].image_e)) < 20.0
-    assert [read.counter - FIRST_COUNTER for read in (*kept.reads, *lost.reads)] == [2, 3, 4, 5]
-
-
 def outcome(records: list[dict], residuals_nm: list[float]) -> Outcome:
     truth = {i: {"exposure": i, "drift_nm": 0.0, "residual_nm": one} for i, one in enumerate(residuals_nm)}
     return Outcome(Night(reads=1, exposures=len(residuals_nm)), records, [], truth, [])
@@ -129,66 +120,7 @@ def test_closing_and_recovery_count_from_the_last_exposure_of_a_fault():
     assert found.recovery(4, limit_nm=1.0) == -1
 
 
-def test_residuals_hold_what_wanders_within_an_exposure():
-    """Drifts within a second add to the residual of an exposure: never less than the RMS of the truth."""
-    found = outcome([], [3.0, 4.0])
-    wander = found.night.drift.wander_within_nm2(1.0)
-    assert wander > 0
-    assert found.residual_nm(range(2)) == pytest.approx(np.sqrt(12.5 + wander))
-
-
-def test_an_ageing_instrument_keeps_its_focus_and_the_size_of_what_turns():
-    """A turn conserves the RMS of all modes of one order; steps of a drift add up to what is asked."""
-    scene = telescopes.scene_of(Night(exposures=1))
-    turned = Ageing(turn_deg=40.0, turning=1.0).aged(scene, 0.5, seed=1)
-    assert [turned.ncpa_nm[noll] for noll in (2, 3, 4, 11)] == [scene.ncpa_nm[noll] for noll in (2, 3, 4, 11)]
-    angle = np.deg2rad(2 * 20.0)
-    before = scene.ncpa_nm[6] + 1j * scene.ncpa_nm[5]  # of cos 2θ and sin 2θ
-    assert turned.ncpa_nm[6] + 1j * turned.ncpa_nm[5] == pytest.approx(before * np.exp(1j * angle))
-    sizes = [np.linalg.norm([one.ncpa_nm[noll] for noll in range(5, 16)]) for one in (scene, turned)]
-    assert sizes[0] == pytest.approx(sizes[1])
-    drift = Ageing(drift_nm=30.0)
-    after = [drift.change_nm(scene, hours, seed=1) for hours in (0.25, 1.0)]
-    assert np.linalg.norm(list(after[1].values())) == pytest.approx(30.0)
-    assert after[0] == pytest.approx({noll: nm / 4 for noll, nm in after[1].items()})
-    assert min(after[1]) == 5
-
-
-def test_light_of_a_later_step_has_the_ncpas_of_its_middle(monkeypatch, tmp_path):
-    made: dict[str, dict[int, float]] = {}
-
-    def table(kept, scene, *size):
-        made[kept.stem] = dict(scene().ncpa_nm)
-        return kept.stem
-
-    monkeypatch.setattr(telescopes, "kept_table", table)
-    night = Night(reads=1, exposures=700, ageing=Ageing(drift_nm=36.0, step_s=300.0))
-    telescope = Telescope(night, tmp_path)
-    assert telescope._calm == ["calm", "calm_1", "calm_2"]
-    scene = telescopes.scene_of(night)
-    assert made["calm"] == dict(scene.ncpa_nm)
-    assert made["calm_2"] == pytest.approx(night.ageing.aged(scene, 750 / 3600, night.seed).ncpa_nm)
-    used = []
-    monkeypatch.setattr(telescope, "_read", lambda index, one, table, *rest: used.append(table))
-    for index in (0, 299, 300, 699):
-        telescope.expose(index)
-    assert used == ["calm", "calm", "calm_1", "calm_2"]
-
-
 # -- bad exposures -----------------------------------------------------------------------------
-
-
-def measured(counter: int, defocus_nm: float, valid: bool = True) -> dict:
-    return {"counter": counter, "defocus_nm": defocus_nm, "sigma_nm": 4.0, "valid": valid, "reasons": []}
-
-
-def test_counts_are_those_of_the_exposures():
-    """Right: used, refused, without a record. Bad: used and right, used and wrong, refused."""
-    shots = [faults.Shot(number, 0.0, number <= 3) for number in range(1, 7)]
-    records = [measured(1, 3.0), measured(2, 0.0, False), measured(4, -11.0), measured(5, 13.0)]
-    found = faults.judged(faults.Outcome([*records, measured(6, 99.0, False)], [], shots))
-    assert (found["bad"], found["right"], found["refused"]) == (3, 3, 2)
-    assert (found["commanded_right"], found["commanded_wrongly"], found["wrong_right"]) == (1, 1, 0)
 
 
 class FewSkies(faults.Skies):

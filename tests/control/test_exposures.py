@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irlos_pipe.control.exposures import Accumulator, Read
+from irlos_pipe.control.exposures import Accumulator, Read, Repeats
 
 READS = 4
 
@@ -71,21 +71,6 @@ def test_a_recorder_that_counts_anew_is_followed_after_a_few_exposures():
     assert [one.index for one in exposures] == list(range(exposures[0].index, 10))
 
 
-def test_old_reads_that_come_once_more_are_no_new_count():
-    accumulator = Accumulator(READS, last_index=99, last_unix_s=read(396).unix_s)
-    exposures = fed(range(404), accumulator)
-    assert [(one.index, one.late, one.restarted) for one in exposures] == [(100, 400, False)]
-
-
-def test_what_is_open_can_be_closed():
-    accumulator = Accumulator(READS)
-    fed([0, 1], accumulator)
-    (exposure,) = accumulator.flush()
-    assert (exposure.reads, exposure.missing) == (2, 2)
-    assert accumulator.flush() == []
-    assert fed([2, 3], accumulator) == []  # too late
-
-
 def test_reads_with_different_windows_make_no_image():
     accumulator = Accumulator(2)
     accumulator.add(read(0))
@@ -115,20 +100,6 @@ def test_every_recording_counts_by_itself_and_none_is_late_or_missing():
     ]
 
 
-def test_told_that_counters_begin_anew_the_first_read_counts():
-    accumulator = Accumulator(2)
-    fed([4000, 4001, 4002], accumulator)
-    (cut_short,) = accumulator.count_anew()
-    assert (cut_short.index, cut_short.reads) == (2001, 1)
-    (exposure,) = fed([6, 7], accumulator)
-    assert (exposure.index, exposure.late, exposure.missing) == (3, 0, 0)
-
-
-def test_a_counter_that_jumps_leaves_no_reads_missing_and_says_so():
-    _, second = fed([0, 1, 2, 3, 2**62, 2**62 + 1, 2**62 + 2, 2**62 + 3])
-    assert (second.missing, second.restarted) == (0, True)
-
-
 def test_one_read_with_a_wild_counter_costs_some_exposures_and_no_more():
     accumulator = Accumulator(READS)
     reads = [*map(read, range(4)), replace(read(4), counter=2**62), *map(read, range(5, 60))]
@@ -136,3 +107,39 @@ def test_one_read_with_a_wild_counter_costs_some_exposures_and_no_more():
     assert exposures[-1].index == 14
     assert sum(one.reads == READS for one in exposures) >= 10
     assert sum(one.reads + one.late for one in exposures) + accumulator.unused == 60
+
+
+# Pixels that come again. Truth: images of random numbers, and copies of them.
+
+
+def image(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(100.0, 10.0, (64, 64)).astype(np.float32)
+
+
+def half_of(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.concatenate([one[:, :32], other[:, 32:]], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("again", "repeated"),
+    [
+        (image(0), True),
+        (half_of(image(0), image(9)), True),
+        (half_of(image(9), image(0)), True),
+        (image(0) + np.float32(1e-3) * image(8), False),
+        (np.roll(image(0), 1, 1), False),
+    ],
+    ids=["copy", "left half", "right half", "with new noise", "displaced"],
+)
+def test_a_copy_is_known_again_whole_or_in_part(again, repeated):
+    seen = Repeats()
+    assert not any(seen.has(image(seed)) for seed in range(3))
+    assert seen.has(again) is repeated
+
+
+def test_an_exposure_counts_its_repeated_reads_and_not_those_that_come_twice():
+    accumulator = Accumulator(2)
+    images = [image(0), image(1), image(0), image(2)]
+    reads = [Read(counter, 0.0, one) for counter, one in enumerate(images)]
+    first, second = (one for read in [reads[0], *reads] for one in accumulator.add(read))
+    assert (first.repeated, first.doubled, second.repeated) == (0, 1, 1)

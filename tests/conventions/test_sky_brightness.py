@@ -20,7 +20,3 @@ def test_bands_add_by_their_weights_and_pixels_by_their_area():
     expected = 1.5e11 * 0.0097**2 * (10 ** (-0.4 * 16.5) + 10 ** (-0.4 * 14.4)) / 2
     assert both == pytest.approx(expected)
     assert both == pytest.approx(14, abs=1)  # J and H at Paranal in full-pupil pixels of IRLOS
-
-
-def test_without_a_brightness_there_is_no_sky():
-    assert replace(SKY, sky_mag_per_arcsec2=()).sky_photons_per_s([(1600.0, 1.0)], 1e10, 1000.0) == 0

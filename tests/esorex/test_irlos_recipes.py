@@ -79,16 +79,3 @@ def test_an_error_on_the_users_side_is_one_line(recipes):
     frames = cpl.ui.FrameSet([cpl.ui.Frame("a.fits", tag="FLAT")])
     with pytest.raises(RuntimeError, match="no input for the tag 'FLAT'"):
         recipes.NcpaCalibration().run(frames, {})
-
-
-def test_every_recipe_has_what_pyesorex_asks_for(recipes):
-    import cpl.ui
-
-    found = [
-        one for one in vars(recipes).values() if isinstance(one, type) and issubclass(one, cpl.ui.PyRecipe)
-    ]
-    assert {one._name for one in found} >= {"irlos_ncpa_calibration", "irlos_full_reduction"}
-    for one in found:
-        fields = ("_name", "_version", "_author", "_email", "_copyright", "_synopsis", "_description")
-        assert all(isinstance(getattr(one, field), str) for field in fields)
-        assert len(one().parameters) == 2

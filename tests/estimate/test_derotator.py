@@ -62,14 +62,6 @@ def test_of_symmetric_modes_only_the_sum_is_told(parts):
     assert np.all(split.rotating.zernike_nm[SYMMETRIC] == 0)
 
 
-def test_half_a_turn_tells_odd_orders_apart_only(parts):
-    split = split_series(make(parts, angles=np.array([0.0, 180.0])), 1)
-    odd = np.isin(NOLLS, (7, 8, 9, 10, 16, 17, 18, 19, 20, 21))
-    assert np.array_equal(split.separable, odd)
-    assert np.allclose(split.rotating.zernike_nm[odd], parts[0][odd], atol=1e-8)
-    assert np.allclose(split.unsplit.zernike_nm[~odd], (parts[0] + parts[1])[~odd], atol=1e-8)
-
-
 @pytest.mark.slow
 def test_errors_and_chi2_are_those_of_monte_carlo(parts, correlated):
     series = make(parts, covariance=correlated)
@@ -105,11 +97,6 @@ def test_the_sense_of_rotation_is_found(parts, sense):
     found = try_both_senses(make(parts, sense=sense))
     assert found.best.sense == sense
     assert found.delta_chi2 > 1000
-
-
-def test_a_series_in_which_nothing_turns_has_no_sense(parts):
-    found = try_both_senses(make((np.zeros(len(NOLLS)), parts[1])))
-    assert found.delta_chi2 == pytest.approx(0, abs=1e-9)
 
 
 def test_the_angles_agree_when_turned_back_without_the_fixed_part(parts):

@@ -8,18 +8,22 @@ import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
+from helpers.optics_cases import J_AND_H, halo_and_jitter, ncpa_nm, settings, vector
+from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
-from irlos_pipe.estimate.image_fit import Layout
-from irlos_pipe.estimate.lift import image_problem, lift
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import PhotonFit, alike
+from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.loss import LOSSES
+from irlos_pipe.numerics.parallel import workers
+from irlos_pipe.numerics.solution import CONVERGED
 from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf import PsfModel
 
@@ -84,16 +88,6 @@ def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
     assert torch.allclose(result.covariance_nm2[0], torch.diag(sigma.double() ** 2), rtol=1e-2, atol=1.0)
 
 
-def test_map_lies_between_the_prior_and_the_maximum_likelihood(model):
-    true = torch.tensor([[0.0, 0.0, 100.0]], dtype=torch.float64)
-    image = drawn(model, true, cases.photons(20), seed=3)
-    ml = estimate(model, image, np.array([100.0])).zernike_nm[0, 2]
-    sigma = float(cramer_rao_nm(ImageModel(model), true, torch.tensor([cases.photons(20)]), NOISE)[0, 2])
-    options = LiftOptions("model", torch.zeros(1, 3).double(), torch.full((3,), sigma).double())
-    between = estimate(model, image, np.array([100.0]), options).zernike_nm[0, 2]
-    assert abs(float(between / ml) - 0.5) < 0.15  # equal precision of prior and data: half way
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("mag_j", [12, 18, 19])
 def test_a_wrong_prior_biases_map_by_its_share_of_the_information(model, mag_j):
@@ -120,33 +114,6 @@ def test_a_frame_of_nan_is_flagged_and_the_others_are_estimated(model):
     result = lift(ImageModel(model), images, cases.everything(images), NOISE, true * 0.9)
     assert result.solution.status[1] == "invalid"
     assert torch.allclose(result.zernike_nm[[0, 2]], true[[0, 2]], atol=2.0)
-
-
-def test_masked_pixels_carry_no_weight(model):
-    true = random_modes(2, seed=9)
-    images = drawn(model, true, cases.photons(12), seed=10)
-    hurt = images.clone()
-    hurt[:, 30:33, 30:33] = 1e6
-    mask = cases.everything(images)
-    mask[30:33, 30:33] = False
-    whole, options = ImageModel(model), LiftOptions("model")
-    a, b = (lift(whole, picture, mask, NOISE, true * 0.9, options) for picture in (images, hurt))
-    # The start's smoothed variances see the neighbours of masked pixels; the estimates must not.
-    assert torch.allclose(a.zernike_nm, b.zernike_nm, atol=0.05)
-
-
-@pytest.mark.slow
-def test_the_capture_range_exceeds_600_nm_either_way(model):
-    introduced = np.linspace(-600, 600, 25)
-    true = torch.zeros(25, 3, dtype=torch.float64)
-    true[:, 2] = torch.as_tensor(introduced)
-    images = drawn(model, true, cases.photons(12), seed=11)
-    law = calibrate_law(PsfModel(cases.settings(64, TWO_COLOURS), [4]))
-    ratio = axis_ratios(images, cases.everything(images), law.angle_deg)
-    data = RampData(images, cases.everything(images), NOISE, introduced)
-    start = start_from_defocus(model, data, law.defocus_nm(ratio))
-    result = fit_ramp(model, data, start, LiftOptions()).result
-    assert np.abs(result.mode(4)[0].numpy() - introduced).max() < 5
 
 
 @pytest.mark.slow
@@ -185,36 +152,6 @@ def test_the_slope_with_variances_that_follow_is_that_of_the_objective():
         assert float(rise / (2 * step)) == pytest.approx(float(gradient[0, i]), rel=1e-4, abs=1e-6)
 
 
-@pytest.mark.slow
-def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
-    true = random_modes(20, seed=11)
-    data = drawn(model, true, 3e4, seed=12)
-    found = estimate(model, data, true[:, 2].numpy())
-    layout, x, complete = Layout(TTF), found.solution.values, ImageModel(model)
-    for _ in range(6):
-        signal = complete.predict(x[:, :3], x[:, 3], x[:, 4])
-        problem = image_problem(complete, layout, data, NOISE.variance_e2(signal), cases.everything(data))
-        problem = problem.with_tolerance(1e-6)
-        x = solve(problem, x).values
-    assert ((x - found.solution.values)[:, :3].abs() < 0.02 * found.sigma_nm).all()
-
-
-@pytest.mark.slow
-def test_images_that_are_fitted_in_pieces_find_what_they_find_together(model, monkeypatch):
-    true = random_modes(7, seed=21)
-    data = drawn(model, true, 3e4, seed=22)
-    prior = {"prior_mean_nm": true + 5.0, "prior_sigma_nm": torch.tensor([300.0, 300.0, 50.0])}
-    options = LiftOptions(**prior)
-    arguments = ImageModel(model), data, cases.everything(data), NOISE, 0.5 * true, options
-    together = lift(*arguments)
-    monkeypatch.setattr("irlos_pipe.estimate.lift.IMAGES_AT_ONCE", 3)
-    pieces = lift(*arguments)
-    assert pieces.solution.status == together.solution.status
-    assert torch.allclose(pieces.zernike_nm, together.zernike_nm, rtol=0, atol=1e-4)
-    assert torch.allclose(pieces.model_e, together.model_e, rtol=1e-5, atol=1e-3)
-    assert torch.allclose(pieces.chi2_nu, together.chi2_nu)
-
-
 def test_the_scan_finds_defocus_and_position_of_any_image():
     """To 60 nm, from where every fit finds its minimum, and a pixel; a diversity shows the sign."""
     case = cases.settings(64, TWO_COLOURS, diversity={6: -170.0})
@@ -227,18 +164,6 @@ def test_the_scan_finds_defocus_and_position_of_any_image():
     pixel_nm = case.pixel_scale_mas * MAS * case.geometry.diameter_m / 4 * 1e9
     assert ((found - true)[:, 2].abs() <= 60.0).all()
     assert ((found - true)[:, :2].abs() <= pixel_nm).all()
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.int32])
-def test_images_of_any_kind_are_fitted_by_a_model_of_double_precision(dtype):
-    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
-    true = random_modes(3, seed=61)
-    images = drawn(precise, true, 1e5, seed=62).round()
-    arguments = cases.everything(images), NOISE, 0.8 * true
-    exact = lift(ImageModel(precise), images.double(), *arguments)
-    found = lift(ImageModel(precise), images.to(dtype), *arguments)
-    assert found.solution.converged.all()
-    assert ((found.zernike_nm - exact.zernike_nm).abs() < 0.03 * exact.sigma_nm).all()
 
 
 @pytest.mark.slow
@@ -256,23 +181,6 @@ def test_errors_of_a_robust_loss_hold_and_are_not_smaller_than_those_of_the_like
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1, abs=0.08)
     assert float((result.sigma_nm[:, 2] / bound).median()) > 1.0
     assert float(result.chi2_nu.mean()) == pytest.approx(1, abs=0.02)
-
-
-@pytest.mark.slow
-def test_single_wrong_pixels_hardly_disturb_a_robust_loss(model):
-    images = 60
-    true, flux = random_modes(images, seed=13), cases.photons(13)
-    data = drawn(model, true, flux, seed=14)
-    brightest = data.flatten(1).max(1).values
-    hit = np.random.default_rng(15).integers(12, 52, (images, 2))
-    data[torch.arange(images), hit[:, 0], hit[:, 1]] += 0.5 * brightest
-    found = {
-        loss: estimate(model, data, true[:, 2].numpy(), LiftOptions(loss=loss)).zernike_nm
-        for loss in ("gaussian", "huber", "l1")
-    }
-    rms_nm = {loss: float((zernike_nm - true).square().mean().sqrt()) for loss, zernike_nm in found.items()}
-    assert rms_nm["huber"] < 0.5 * rms_nm["gaussian"]
-    assert rms_nm["l1"] < 0.5 * rms_nm["gaussian"]
 
 
 # -- realisations with the curvature of their frames ---------------------------------------------
@@ -320,3 +228,157 @@ def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, f
     assert ours.solution.converged.all()
     assert float(((ours.zernike_nm - theirs.zernike_nm).abs() / theirs.sigma_nm).max()) < 0.1
     assert ours.sigma_nm.numpy() == pytest.approx(theirs.sigma_nm.numpy(), rel=0.3)
+
+
+# The Cramér-Rao bound. Truth: Fisher matrices from finite differences of images, and analysis.
+
+
+CRAMER_RAO_NOLLS = (2, 3, 4, 5, 7)
+CRAMER_RAO_NOISE = NoiseModel(1.3, 9.0)
+STEP_NM = 0.1
+
+
+@pytest.fixture(scope="module")
+def model_of_cramer_rao() -> PsfModel:
+    return PsfModel(settings(32, J_AND_H[1::3]), CRAMER_RAO_NOLLS, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def wavefronts() -> torch.Tensor:
+    return torch.cat([vector(ncpa_nm(seed, 7, 80.0), CRAMER_RAO_NOLLS) for seed in (1, 2, 3)])
+
+
+def bound_by_differences(model_of_cramer_rao, x, flux_e, optics, background_e) -> np.ndarray:
+    """Standard errors from the Fisher matrix of modes, flux and background."""
+
+    def image(modes, flux, background):
+        return (flux * model_of_cramer_rao.images(modes[None], optics)[0] + background).numpy().ravel()
+
+    columns = [
+        (image(x + move, flux_e, background_e) - image(x - move, flux_e, background_e)) / (2 * STEP_NM)
+        for move in STEP_NM * torch.eye(len(CRAMER_RAO_NOLLS), dtype=torch.float64)
+    ]
+    columns.append((image(x, 1.01 * flux_e, 0) - image(x, 0.99 * flux_e, 0)) / (0.02 * flux_e))
+    columns.append(np.ones_like(columns[0]))
+    variance = (
+        CRAMER_RAO_NOISE.excess_noise_factor * image(x, flux_e, background_e) + CRAMER_RAO_NOISE.floor_e2
+    )
+    jacobian = np.stack(columns, axis=1)
+    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ (jacobian / variance[:, None]))))[
+        : len(CRAMER_RAO_NOLLS)
+    ]
+
+
+@pytest.mark.parametrize("background_e", [0.0, 20.0])
+@pytest.mark.parametrize("blurred", [False, True])
+def test_the_bound_is_the_inverse_of_the_fisher_matrix(
+    model_of_cramer_rao, wavefronts, blurred, background_e
+):
+    effects = halo_and_jitter(model_of_cramer_rao)
+    whole = ImageModel(model_of_cramer_rao, effects.held(effects.starts) if blurred else ())
+    flux = torch.tensor([1e4, 1e5, 1e6], dtype=torch.float64)
+    ours = cramer_rao_nm(whole, wavefronts, flux, CRAMER_RAO_NOISE, background_e=background_e).numpy()
+    theirs = [
+        bound_by_differences(model_of_cramer_rao, x, float(f), whole.optics, background_e)
+        for x, f in zip(wavefronts, flux, strict=True)
+    ]
+    assert ours == pytest.approx(np.array(theirs), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("noise", "flux_e", "gain"), [(NoiseModel(1.0, 1e-9), 1e5, 2.0), (NoiseModel(1e-9, 1e4), 1e4, 4.0)]
+)
+def test_four_times_the_light_halves_the_error_of_photon_noise_and_quarters_that_of_reads(
+    model_of_cramer_rao, wavefronts, noise, flux_e, gain
+):
+    whole = ImageModel(model_of_cramer_rao)
+    faint, bright = (
+        cramer_rao_nm(whole, wavefronts, torch.full((3,), flux), noise) for flux in (flux_e, 4 * flux_e)
+    )
+    assert (faint / bright).numpy() == pytest.approx(gain, rel=1e-3)
+
+
+# Robust fits of the frames of a cube, which share their linearisation.
+# Truth: scipy's BFGS on the loss of the same images in float64, its gradient by automatic
+# differentiation (other minimiser, other derivatives), finite differences, and the same fits in
+# one thread. That the wavefronts are the right ones where the model is, test_calibration.py holds.
+
+
+FRAME_FITS_NOLLS = tuple(range(2, 12))
+DRAWN = tuple(range(2, 31))
+FRAMES, FLUX, SCATTER_NM = 12, 3e6, 15.0
+
+
+def problem(dtype=torch.float32, frames: int = FRAMES) -> tuple[ImageFit, torch.Tensor]:
+    """Frames with modes that the fitted model misses, and the coefficients of those it has."""
+    rng = np.random.default_rng(7)
+    scatter_nm = SCATTER_NM * torch.as_tensor(rng.standard_normal((frames, len(DRAWN))))
+    true = cases.vector(cases.ncpa_nm(4, 30), DRAWN) + scatter_nm
+    sampled = cases.settings(32).for_single_frames()
+    clean = PsfModel(sampled, DRAWN).images(true).double().clamp_min(0).numpy() * FLUX
+    drawn = torch.cat([cases.draw_frames(image, 1, seed=k) for k, image in enumerate(clean)])
+    images = drawn.flatten(1)[:, None].to(dtype)
+    variance = cases.READ_NOISE.variance_e2(images.double().mean(0, keepdim=True))
+    model = ImageModel(PsfModel(sampled, FRAME_FITS_NOLLS, dtype=dtype))
+    return ImageFit(model, Layout(FRAME_FITS_NOLLS), images, variance, loss=LOSSES["l1"]), true[
+        :, : len(FRAME_FITS_NOLLS)
+    ]
+
+
+def start(fit: ImageFit, true_nm: torch.Tensor) -> torch.Tensor:
+    return fit.layout.start(fit.images[:, 0], true_nm.mean(0))
+
+
+@pytest.fixture(scope="module")
+def solved():
+    fit, true = problem()
+    return fit, true, fit_frames(fit, start(fit, true), max_iterations=60)
+
+
+def test_every_frame_reaches_the_loss_that_an_independent_minimiser_reaches(solved):
+    found = solved[-1]
+    exact, _ = problem(torch.float64)
+    assert set(found.status) == {CONVERGED}
+    for frame in (0, 5, 11):
+        best = minimum(exact, found.values[frame], frame)
+        reached = exact.objective(found.values[frame : frame + 1], torch.tensor([frame])).item()
+        assert reached < 1.002 * best
+
+
+def minimum(fit: ImageFit, near: torch.Tensor, frame: int) -> float:
+    """Lowest loss about some parameters, by scipy."""
+    which = torch.tensor([frame])
+    scale = torch.cat([torch.full((len(FRAME_FITS_NOLLS),), 5.0), torch.tensor([1e4, 1.0])])
+
+    def loss(u: np.ndarray) -> tuple[float, np.ndarray]:
+        v = torch.as_tensor(u).requires_grad_()
+        value = fit.objective(near + scale * v[None], which).sum()
+        value.backward()
+        return value.item(), v.grad.numpy()
+
+    return minimize(loss, np.zeros(len(scale)), jac=True, method="BFGS").fun
+
+
+def test_results_are_the_same_to_the_bit_for_any_number_of_workers(solved):
+    fit, true, found = solved
+    with workers(2):
+        again = fit_frames(fit, start(fit, true), max_iterations=60)
+    assert torch.equal(again.values, found.values)
+    assert again.status == found.status
+
+
+def test_the_gradient_is_that_of_finite_differences():
+    fit, true = problem(torch.float64, frames=2)
+    x, both = start(fit, true), torch.arange(2)
+    value, gradient = fit.gradient(x, both)
+    assert value.numpy() == pytest.approx(fit.objective(x, both).numpy(), rel=1e-12)
+    for column, step in [
+        (0, 1e-3),
+        (5, 1e-3),
+        (len(FRAME_FITS_NOLLS), 1.0),
+        (len(FRAME_FITS_NOLLS) + 1, 1e-3),
+    ]:
+        move = torch.zeros_like(x)
+        move[:, column] = step
+        numeric = (fit.objective(x + move, both) - fit.objective(x - move, both)) / (2 * step)
+        assert gradient[:, column].numpy() == pytest.approx(numeric.numpy(), rel=1e-4)

@@ -1,7 +1,7 @@
 """LIFT on the four images of a 2x2 mode, what they determine, and defocus from their centroids.
 
 Truth: wavefronts put into the model itself with Gaussian noise, so these tests share all assumptions of the
-model; `tests/simulate/test_simulate_lenslets.py` compares its images with those of the simulator. Of
+model; `tests/simulate/test_simulate_imaging.py` compares its images with those of the simulator. Of
 centroids: mean slopes by numerical integration, and images of known wavefronts.
 """
 
@@ -63,17 +63,6 @@ def test_what_displaced_images_leave_of_defocus_is_their_prior_over_the_gradient
     found_nm = identified(free, {}, torch.zeros(12).double(), frames, loose).bound_nm[focus]
     by_prior_nm = SIGMA_MAS / np.linalg.norm(gradient_matrix(SETTINGS.geometry)[:, focus])
     assert found_nm == pytest.approx(np.hypot(held_nm, by_prior_nm), rel=0.05)
-
-
-def test_a_dark_image_determines_nothing_and_a_bright_one_everything(model):
-    nothing = torch.zeros(0, dtype=torch.float64)
-    dark = Frames(torch.full((1, 24, 24), 1e-9, dtype=torch.float64), GOOD, NOISE)
-    bright = Frames(torch.full((1, 24, 24), 1e6, dtype=torch.float64), GOOD, NOISE)
-    prior = np.full(5, 100.0)
-    assert identified(model, {4: 30.0}, nothing, dark, prior).combinations == 0
-    found = identified(model, {4: 30.0}, nothing, bright, prior)
-    assert found.combinations == 5 and found.determined() == (2, 3, 4, 5, 6)
-    assert np.all(found.left < 0.01)
 
 
 # -- centroids -----------------------------------------------------------------------------------

@@ -7,19 +7,14 @@ from helpers.patience import within
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import printable
-from irlos_pipe.files.yaml import line_of, load_yaml, parse_yaml, yaml_text
+from irlos_pipe.files.yaml import load_yaml, parse_yaml
 
 QUICK = settings(max_examples=100, deadline=None, derandomize=True, database=None)
 TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc", "Cn", "Co"]), max_size=20)
 WORDS = st.sampled_from(
     ["off", "Yes", "010", "0x1F", "1:30", "1e5", "~", "null", ".5", "-", "2024-01-01", "<<", "="]
-)
-VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | TEXTS | WORDS,
-    lambda below: st.lists(below, max_size=3) | st.dictionaries(TEXTS | WORDS, below, max_size=3),
-    max_leaves=8,
 )
 TEXT = """\
 role: psf
@@ -38,12 +33,6 @@ def test_values_come_with_their_lines():
     assert lines[("diversity",)] == 2
     assert lines[("diversity", "zernike", 7)] == 4
     assert lines[("spectrum", 1, "wavelength_nm")] == 7
-
-
-def test_a_key_that_is_not_there_has_the_line_of_its_parent():
-    _, lines = parse_yaml(TEXT, "f.yaml")
-    assert line_of(lines, ("diversity", "source")) == 2
-    assert line_of(lines, ("target",)) == 1
 
 
 @pytest.mark.parametrize(
@@ -100,11 +89,6 @@ def test_what_yaml_forgives_is_not_forgiven(text, message):
     assert "\n" not in str(caught.value)
 
 
-def test_the_kind_of_error_is_the_callers_choice(tmp_path):
-    with pytest.raises(InputDataError, match=r"gone\.yaml: cannot be read: No such file"):
-        load_yaml(tmp_path / "gone.yaml", InputDataError)
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [(b"a: \xff\xfe", "not a UTF-8 text file"), (b"#" * 5_000_000, "larger than 1 MB")],
@@ -113,12 +97,6 @@ def test_a_file_that_is_no_text_or_huge_is_refused(tmp_path, content, message):
     (tmp_path / "f.yaml").write_bytes(content)
     with pytest.raises(ConfigurationError, match=message):
         load_yaml(tmp_path / "f.yaml")
-
-
-@QUICK
-@given(st.dictionaries(TEXTS | WORDS, VALUES, max_size=4))
-def test_settings_are_read_as_they_were_written(content):
-    assert parse_yaml(yaml_text(content), "f.yaml")[0] == content
 
 
 @QUICK

@@ -1,11 +1,20 @@
 """Frames that cannot be used, each with its reason."""
 
+from __future__ import annotations
+
+from functools import cache
+
 import numpy as np
 import pytest
+from astropy.io import fits
+from helpers import paths
 from helpers.sparta_files import counts, frames_e, star
 
 from irlos_pipe.frames import screening
+from irlos_pipe.frames.cleaning import clean
 from irlos_pipe.frames.hits import Hits
+from irlos_pipe.frames.measured_noise import MeasuredNoise
+from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector, RawFrames
 from irlos_pipe.frames.screening import (
     core_of,
     hit_in_core,
@@ -13,9 +22,68 @@ from irlos_pipe.frames.screening import (
     recorder_faults,
     saturated_frames,
     star_faults,
-    tally,
 )
+from irlos_pipe.frames.told import EXCESS, GAIN, READ_NOISE, believed, constants
 from irlos_pipe.stages.ingest.stage import Config
+
+SAMPLING_PX = 3.81
+OBSCURATION = 0.49
+ACROSS = 48  # samples across the pupil
+SUB_EXPOSURES = 3
+
+
+def speckle_cube(
+    frames: int = 60,
+    size: int = 64,
+    *,
+    flux_e: float = 1e7,
+    residual_rad: float = 0.5,
+    memory: float = 0.7,
+    read_noise_e: float = 15.0,
+    stripes_e: float = 0.0,
+    seed: int = 0,
+) -> np.ndarray:
+    """Return frames (frames, size, size) [e-] of a star with `flux_e` electrons inside the window.
+
+    `residual_rad` is the RMS of the residual phase within a frame, half of its variance static, `memory` the
+    correlation of the changing phase from one exposure to the next, and `stripes_e` the RMS of an offset that
+    all pixels of a row share in one frame.
+    """
+    rng = np.random.default_rng(seed)
+    static = _screen(rng) * residual_rad / np.sqrt(2)
+    moving = _screen(rng)
+    images = np.zeros((frames, size, size))
+    for image in images:
+        for _ in range(SUB_EXPOSURES):
+            moving = memory * moving + np.sqrt(1 - memory**2) * _screen(rng)
+            image += _intensity(static + moving * residual_rad / np.sqrt(2), size)
+    images *= flux_e / images.sum(axis=(1, 2)).mean()
+    stripes = rng.normal(0, stripes_e, (frames, size, 1))
+    return rng.poisson(images) + rng.normal(0, read_noise_e, images.shape) + stripes
+
+
+def _pupil() -> np.ndarray:
+    y, x = (np.indices((ACROSS, ACROSS)) - (ACROSS - 1) / 2) / ACROSS
+    radius = np.hypot(y, x)
+    return ((radius <= 0.5) & (radius >= 0.5 * OBSCURATION)).astype(float)
+
+
+def _screen(rng: np.random.Generator) -> np.ndarray:
+    """Phase of unit RMS over the pupil with a power spectrum that falls like f^-2."""
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(2 * ACROSS), np.fft.fftfreq(2 * ACROSS)))
+    frequency[0, 0] = np.inf
+    white = np.fft.fft2(rng.normal(size=frequency.shape))
+    phase = np.fft.ifft2(white / frequency).real[:ACROSS, :ACROSS]
+    inside = _pupil() > 0
+    phase -= phase[inside].mean()
+    return phase / phase[inside].std()
+
+
+def _intensity(phase: np.ndarray, size: int) -> np.ndarray:
+    across = (np.arange(ACROSS) - (ACROSS - 1) / 2) / ACROSS
+    transform = np.exp(-2j * np.pi * np.outer(np.arange(size) - (size - 1) / 2, across) / SAMPLING_PX)
+    return np.abs(transform @ (_pupil() * np.exp(1j * phase)) @ transform.T) ** 2
+
 
 LIMITS = Config().limits()
 IMAGE = star(32, 32, flux_e=1e5)
@@ -56,11 +124,6 @@ def test_a_frame_that_the_recorder_spoilt_is_rejected(frame, pixels, value, reas
     assert recorder_faults(adu, np.arange(4)).tolist() == ["", "", reason, ""]
 
 
-def test_a_repeated_counter_costs_the_second_frame():
-    counter = np.array([0, 20, 20, 40])
-    assert recorder_faults(counts(IMAGE, 4), counter).tolist() == ["", "", screening.REPEATED_COUNTER, ""]
-
-
 def test_saturated_pixels_count_unless_they_are_bad():
     adu = np.zeros((3, 4, 4))
     adu[1, 2, 2] = adu[2, 0, 0] = 65535
@@ -81,23 +144,6 @@ def test_a_frame_without_the_star_is_rejected():
 def test_noise_and_a_gradient_are_no_star(gradient):
     noise = np.random.default_rng(0).normal(0, 1, (20, 32, 32)) + gradient * np.arange(32)
     assert judged(noise.astype(np.float32)) == [screening.NO_STAR] * 20
-
-
-def test_a_star_too_faint_for_single_frames_is_kept_if_their_median_shows_it():
-    cube = frames_e(star(32, 32, flux_e=200), 150, read_noise_e=3.0).astype(np.float32)
-    assert screening.star_peaks(cube).snr.min() < LIMITS.star_snr
-    assert judged(cube) == [""] * 150
-
-
-def test_a_star_about_to_leave_the_window_is_rejected():
-    cube = images()
-    cube[7] = frames_e(star(32, 32, flux_e=1e5, shift_px=(0, 15.5)), 1)[0]
-    assert judged(cube) == only(7, screening.AT_EDGE)
-
-
-def test_a_star_off_centre_is_kept():
-    off_centre = frames_e(star(32, 32, flux_e=1e5, shift_px=(-8, 8)), 12).astype(np.float32)
-    assert judged(off_centre) == [""] * 12
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.6])
@@ -128,18 +174,6 @@ def test_an_exposure_where_the_star_stands_as_in_the_mean_is_none_that_is_made_o
     assert judged(cube.astype(np.float32)) == [""] * 13
 
 
-def test_flux_that_varies_a_little_is_no_fault():
-    cube = images() * np.linspace(0.9, 1.1, 12, dtype=np.float32)[:, None, None]
-    assert judged(cube) == [""] * 12
-
-
-def test_reasons_found_earlier_stay():
-    cube = images()
-    cube[2] *= 0.5
-    reasons = screening.also(no_reasons(12), np.arange(12) == 2, screening.SATURATED)
-    assert star_faults(cube, reasons, LIMITS).tolist() == only(2, screening.SATURATED)
-
-
 def test_many_hits_reject_a_frame_only_in_the_core():
     peak = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
     number = LIMITS.core_hits_px + 1
@@ -151,5 +185,119 @@ def test_many_hits_reject_a_frame_only_in_the_core():
     assert hit_in_core(hits, core_of(IMAGE, LIMITS), 4, LIMITS).tolist() == [False, True, False, False]
 
 
-def test_reasons_are_counted():
-    assert tally(np.array(["", "b", "a", "b"])) == {"b": 2, "a": 1}
+# Speckles of a bright star are no defects; clipped, hot and hit pixels among them are found.
+
+
+GAIN_E = 4.0
+PEAK = (32, 32)
+PHARO = paths.SHARED / "realdata" / "palomar_pharo" / "ca1.fits"
+needs_pharo = pytest.mark.skipif(not PHARO.is_file(), reason="the recording of PHARO is not there")
+PHARO_SAMPLING_PX = 3.81  # 2.145 um, 4.646 m, 25 mas
+
+
+@cache
+def cube_e() -> np.ndarray:
+    return speckle_cube(40, seed=11)
+
+
+@cache
+def pharo_e() -> np.ndarray:
+    return fits.getdata(PHARO).astype(np.float64) * GAIN_E
+
+
+def cleaned(images_e, sampling_px=SAMPLING_PX, read_noise_e=15.0):
+    raw = RawFrames(adu=(images_e / GAIN_E).astype(np.float32), frame_counter=np.arange(len(images_e)))
+    config = Config()
+    detector = Detector(e_per_adu=GAIN_E, read_noise_e=read_noise_e)
+    return clean(raw, detector, sampling_px, config.thresholds(), config.limits())
+
+
+def bad(result):
+    return {tuple(place) for place in np.argwhere(~result.good).tolist()}
+
+
+def hits(result):
+    found = result.hits
+    return set(zip(found.frame.tolist(), found.row.tolist(), found.column.tolist(), strict=True))
+
+
+def test_speckles_are_neither_bad_pixels_nor_hits():
+    result = cleaned(cube_e())
+    assert (bad(result), hits(result), result.used.all()) == (set(), set(), True)
+
+
+def test_speckles_are_no_noise():
+    """What the pedestal takes of the halo leaves its photon noise in the floor."""
+    result = cleaned(cube_e())
+    noise, halo_e = result.noise, result.background.pedestal_adu * GAIN_E
+    assert noise.floor_e2 == pytest.approx(15.0**2 + halo_e, rel=0.05)
+    assert noise.excess_noise_factor == pytest.approx(1.0, abs=0.05)
+
+
+def test_hits_at_the_core_on_the_ring_and_in_the_wings_are_found_alone():
+    """A fifth of the signal where there is much, 15 times the noise elsewhere."""
+    images = cube_e().copy()
+    wanted = {(3, *PEAK), (8, 30, 32), (14, 33, 31), (20, 32, 39), (25, 25, 32), (30, 8, 50), (33, 58, 12)}
+    for place in wanted:
+        signal = np.median(images[:, place[1], place[2]])
+        images[place] += max(0.2 * signal, 15 * np.sqrt(max(signal, 0) + 15**2))
+    result = cleaned(images)
+    assert hits(result) == wanted
+    assert bad(result) == set()
+    assert result.used.all()
+
+
+def test_a_clipped_peak_costs_its_pixels_and_no_frame():
+    """Levels of their own for two pixels: no common level of saturation."""
+    images = cube_e().copy()
+    for (row, column), quantile in {(32, 32): 0.3, (32, 31): 0.6}.items():
+        images[:, row, column] = np.minimum(
+            images[:, row, column], np.quantile(images[:, row, column], quantile)
+        )
+    result = cleaned(images)
+    assert {(32, 32), (32, 31)} <= bad(result)
+    assert np.argwhere(result.clipped).tolist() == [[32, 31], [32, 32]]
+    assert result.used.all()
+
+
+def test_what_is_told_stands_and_what_is_only_assumed_gives_way():
+    """Truth: 2 e-/ADU and 15 e-; with the 4 e-/ADU assumed, slope and floor come out 2 and 4 times higher."""
+    noise = MeasuredNoise(900.0, 5.0, 2.0, 0.01)
+    detector = Detector(e_per_adu=4.0, read_noise_e=1.0)
+    assumed, sources = believed(detector, {GAIN: PROFILE, READ_NOISE: PROFILE}, noise)
+    assert (assumed.e_per_adu, assumed.read_noise_e) == (pytest.approx(2.0), pytest.approx(15.0))
+    assert sources == {GAIN: FRAMES, READ_NOISE: FRAMES}
+    told = {GAIN: SIDECAR, READ_NOISE: SIDECAR, EXCESS: SIDECAR}
+    assert believed(detector, told, noise) == (detector, told)
+    assert all(one.contradicted for one in constants(detector, told, noise))
+
+
+@pytest.mark.parametrize(("measured", "excess"), [(1.6, 1.6), (0.98, 1.0), (0.8, 1.25)])
+def test_an_excess_noise_of_the_profile_gives_way_to_frames_where_the_gain_is_told(measured, excess):
+    """No detector is quieter than the photons; a slope far below 1 contradicts the gain that was told."""
+    detector = Detector(e_per_adu=0.5, read_noise_e=1.0, excess_noise_factor=1.25)
+    noise = MeasuredNoise(1.0, 0.1, measured, 0.01)
+    assert believed(detector, {GAIN: SIDECAR, EXCESS: PROFILE}, noise)[0].excess_noise_factor == excess
+
+
+@needs_pharo
+def test_every_frame_of_pharo_is_kept_and_what_is_masked_in_its_core_is_clipped():
+    result = cleaned(pharo_e(), PHARO_SAMPLING_PX, 17.0)
+    assert result.used.all()
+    core = {place for place in bad(result) if max(abs(place[0] - 32), abs(place[1] - 32)) <= 4}
+    assert {(32, 31), (32, 32), (33, 32)} <= core <= {(31, 32), (32, 31), (32, 32), (33, 31), (33, 32)}
+
+
+@needs_pharo
+def test_defects_put_into_pharo_are_found():
+    images = pharo_e().copy()
+    before = cleaned(images, PHARO_SAMPLING_PX, 17.0)
+    hot = {(25, 33), (12, 14)}
+    hit = {(4, 40, 32), (60, 10, 48), (88, 50, 20)}
+    for place in hot:
+        images[:, *place] += max(0.7 * np.median(images[:, *place]), 300.0)
+    for place in hit:
+        images[place] += max(0.7 * images[place], 1000.0)
+    result = cleaned(images, PHARO_SAMPLING_PX, 17.0)
+    assert bad(result) - bad(before) == hot
+    assert hit <= hits(result)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.paper import capture
@@ -33,25 +32,6 @@ def test_the_scan_and_the_default_find_every_defocus_and_zero_misses_large_ones_
     assert right[zero.true_nm.abs() < 350].all() and not right.all()
     same = by_start["scan"].defocus_nm.to_numpy()[right.to_numpy()]
     assert zero.defocus_nm[right].to_numpy() == pytest.approx(same, abs=1)
-
-
-@pytest.mark.slow
-def test_every_frame_has_its_own_sky_and_pointing():
-    _, data, _ = capture.simulate_ramp(star(reach_nm=1e-6, shift_px=3.0))
-    assert np.std(data.introduced_nm) > 1  # what is left is the defocus of the sky
-    bright = (data.images_e - 0.3 * data.images_e.amax((1, 2), keepdim=True)).clamp_min(0)
-    columns = (bright.sum(1) @ torch.arange(64.0)) / bright.sum((1, 2))
-    assert 0.5 < columns.std() < 3.0
-
-
-@pytest.mark.slow
-def test_h_alone_has_the_light_and_the_wavelength_of_h():
-    (both, both_data, _), (alone, data, _) = (
-        capture.simulate_ramp(star(bands=one, frames=1)) for one in ("J+H", "H")
-    )
-    assert alone.photons == pytest.approx(both.photons / 2)
-    assert [wavelength for wavelength, _ in alone.spectrum(1)] == [1625.0]
-    assert float(data.images_e.sum() / both_data.images_e.sum()) == pytest.approx(0.5, rel=0.03)
 
 
 @pytest.mark.slow

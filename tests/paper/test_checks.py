@@ -6,10 +6,8 @@ The committed numbers are changed in one place; limits and what is beyond them a
 import math
 
 import pytest
-from conftest import invoke
-from helpers.paths import RECIPES, REPOSITORY
+from helpers.paths import REPOSITORY
 
-from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.paper.common.table import read_tables
 from irlos_pipe.product.product import Check, Product
 from irlos_pipe.stages import STAGES
@@ -101,15 +99,6 @@ def test_a_number_beyond_its_limit_is_missed(stage, table, where, column, kept, 
     assert check in missed(stage, found)
 
 
-def test_a_limit_without_ncpas_is_missed():
-    found = tables("faint")
-    curves = found["curves"]
-    curves.loc[~curves.calibrated, "limit_mag"] = math.nan
-    assert "ways without NCPAs that meet the criterion, 1 s" not in missed("faint", found)
-    curves.loc[curves.key == "none_3", "limit_mag"] = 12.0
-    assert "ways without NCPAs that meet the criterion, 1 s" in missed("faint", found)
-
-
 @pytest.mark.parametrize(
     ("faint_nm", "diverged", "kept"),
     [(19.0, 0, True), (21.0, 0, False), (math.nan, 0, False), (99.0, 4, True)],
@@ -127,15 +116,6 @@ def test_a_loop_that_leaves_more_than_the_2x2_mode_on_any_star_is_missed(faint_n
     assert ("residual over that of the 2x2 centroids" not in missed("slow_loop", found)) is kept
 
 
-def test_an_experiment_that_is_finished_is_not_repeated(tmp_path):
-    """The products of the real stages are read again, not only those of stand-ins."""
-    arguments = ("run", str(RECIPES / "paper/seeing_scales.yaml"), "--output", str(tmp_path / "out"))
-    assert invoke(*arguments).exit_code == 0
-    again = invoke(*arguments)
-    assert again.exit_code == 0 and "1 of 1 checks passed" in again.output
-    assert "up to date" in again.output
-
-
 def product(stage: str, results: dict) -> Product:
     return Product(stage, {}, results, [Check("old", 1.0, "", None, 2.0, "")])
 
@@ -145,8 +125,3 @@ def test_numbers_of_an_experiment_are_judged_by_the_checks_of_today_and_others_b
     old = product("seeing_scales", {"tables": records})
     assert [check.name for check in judged(STAGES["seeing_scales"], old)] != ["old"]
     assert [check.name for check in judged(STAGES["calibrate"], product("calibrate", {}))] == ["old"]
-
-
-def test_results_of_another_stage_are_not_judged():
-    with pytest.raises(InputDataError, match="seeing_scales"):
-        judged(STAGES["seeing_scales"], product("seeing_scales", {"tables": 3}))

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.ensemble_cases import NAMES, computed, context, die, draw, draws, object_array, refuse, threads
+from helpers.ensemble_cases import NAMES, computed, context, die, draw, draws, refuse, threads
 
-from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.paper.common.ensemble import _read, _work, run_samples, sample_key
 
 pytestmark = pytest.mark.slow
@@ -67,25 +67,12 @@ def test_an_error_of_a_sample_keeps_its_kind_and_names_the_sample(tmp_path):
     assert len(list(tmp_path.glob("*.npz"))) == 1  # what was finished stays
 
 
-def test_a_worker_that_dies_gives_one_line_and_finished_samples_stay(tmp_path):
-    samples = draws(tmp_path)[1:3]
-    with pytest.raises(IrlosError, match=r"^scan: a worker process was killed, .* run the same command"):
-        run_samples(die, samples, context(tmp_path, jobs=1), "scan")
-    assert [file.stem for file in tmp_path.glob("*.npz")] == [sample_key(die, samples[0])]
-
-
 def test_every_worker_uses_one_thread_and_this_process_keeps_its_own(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     found = run_samples(threads, draws(tmp_path), context(tmp_path), "threads")
     assert {(one["torch"], one["omp"]) for (one,) in found} == {(1, "1")}
     assert os.environ["OMP_NUM_THREADS"] == "7" and "MKL_NUM_THREADS" not in os.environ
-
-
-def test_what_cannot_be_stored_is_refused_by_its_name(tmp_path):
-    with pytest.raises(TypeError, match="object_array: 'answer' is neither numbers nor text"):
-        run_samples(object_array, draws(tmp_path)[:1], context(tmp_path), "objects")
-    assert not list(tmp_path.glob("*.npz"))
 
 
 def test_the_key_of_a_sample_depends_on_function_values_and_kinds_and_not_on_the_order_of_keys(tmp_path):

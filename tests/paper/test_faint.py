@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from helpers.experiment_stage import drawn, run_on, sample, tables_of
-from pydantic import ValidationError
 
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
 from irlos_pipe.paper import faint
@@ -48,15 +47,3 @@ def test_curves_pool_the_errors_of_all_samples_and_the_floor_is_that_of_a_perfec
     assert curve.residual_floor_nm == pytest.approx(MEDIAN_OF_NORMAL * np.sqrt(12.5))
     figure, table = drawn(output, faint).blocks
     assert "this pipeline, 3 modes" in figure.svg and len(table.rows) == 6
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"faintest_mag_j": (19.0,)}, "one value for each of exposures_s"),
-        ({"magnitudes": 20}, "frames can only be dimmed; lower magnitudes"),
-    ],
-)
-def test_scans_that_cannot_be_made_are_refused(changes, message):
-    with pytest.raises(ValidationError, match=message):
-        faint.Sizes(**changes)

@@ -7,7 +7,7 @@ focus stage moves.
 import numpy as np
 import pytest
 import torch
-from helpers.experiment_stage import context, drawn, run_on, sample, tables_of
+from helpers.experiment_stage import drawn, run_on, sample, tables_of
 
 from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.numerics.solution import Solution
@@ -47,16 +47,6 @@ def test_ping_pong_goes_from_side_to_side_and_inwards():
     assert len(TARGET_1.order(3)) == 3
 
 
-def test_the_stage_of_target_1_overshoots_and_half_of_target_2_is_biased():
-    for target, expected in (
-        (TARGET_1, lambda commanded: 15 * np.sign(commanded)),
-        (TARGET_2, lambda commanded: 40 * (commanded > 0)),
-    ):
-        commanded = target.order(8)
-        reached = reached_nm(commanded, effects_of(target.stage_effects), np.random.default_rng(0))
-        assert reached - commanded == pytest.approx(expected(commanded))
-
-
 @pytest.mark.parametrize("target", [TARGET_1, TARGET_2], ids=["saw-tooth", "bias"])
 def test_the_error_of_the_stage_is_found_from_the_commanded_defocus(target):
     commanded = np.repeat(target.order(10), 5)
@@ -83,10 +73,3 @@ def test_a_minimum_is_wrong_when_another_start_found_a_better_one_elsewhere():
     wrong = wrong_minima({"zero": zero, "scan": scan})
     assert wrong["zero"].tolist() == [False, True, False, True]
     assert wrong["scan"].tolist() == [False, False, False, False]
-
-
-def test_only_the_first_ramp_has_the_papers_number_of_frames():
-    sizes = first_tests.Sizes(samples=2, frames_per_offset=(10, 20), frames_of_others=3)
-    seen = list(first_tests.samples(context(sizes)))
-    assert [len(one["order_nm"]) for one in seen] == [100, 30, 160, 24]
-    assert len({one.seed for one in seen}) == 4

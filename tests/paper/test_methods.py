@@ -9,15 +9,12 @@ import torch
 from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.effects import SeeingHalo
-from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.paper import methods
-from irlos_pipe.paper.common.calibrations import DEFAULT, partial_halo, sharpest_half
-from irlos_pipe.paper.common.scenes import cube_scene
+from irlos_pipe.paper.common.calibrations import DEFAULT, partial_halo
 from irlos_pipe.paper.methods import METHODS, PARTS, speckle_floor_nm
 
 FACILITY = load_instrument("irlos").facility
@@ -34,19 +31,21 @@ def test_the_default_beats_the_mean_image_and_all_leave_less_than_was_introduced
     assert 0 < half["modes_nm"] < default["introduced_nm"] and half["part"] == 0.5
 
 
-@pytest.mark.slow
-def test_introduced_ncpas_have_the_spread_of_the_paper():
-    cubes = [cube_scene("a", (1, k), FACILITY, 0.5, 24, 7.0) for k in range(400)]
-    totals = [np.linalg.norm(list(cube.ncpa_nm.values())) for cube in cubes]
-    assert np.mean(totals) == pytest.approx(142, abs=4 * 30 / 20)
-    assert np.std(totals) == pytest.approx(30, rel=0.15)
-
-
 def test_the_floor_is_the_part_of_the_error_that_more_frames_remove():
     # Mean squares 4 + 9 / part.
     errors = {part: [np.sqrt(4 + 9 / part)] * 5 for part in (0.25, 0.5, 1.0)}
     assert speckle_floor_nm(errors) == pytest.approx((3.0, 2.0))
     assert speckle_floor_nm({0.5: [1.0], 1.0: [2.0]})[0] == 0.0  # never imaginary
+
+
+def test_a_residual_without_direction_has_a_round_transfer_function():
+    halo = partial_halo(SeeingHalo(ResidualBand(0.125, 2.5, 25.0), FACILITY.residual_law, 0.8), 2)
+    wavelength_m = torch.tensor(1.6e-6, dtype=torch.float64)
+    grid = OtfGrid(FocalGrid(96, 9.0, 96, 9.0), wavelength_m[None, None, None], wavelength_m)
+    values = torch.tensor([1e4, 2.0], dtype=torch.float64)
+    factor = halo.apply(values, torch.ones((), dtype=torch.float64), grid)[0].numpy()
+    along_x, along_y = -np.log(factor[0, 1:20]), -np.log(factor[1:20, 0])
+    assert along_x == pytest.approx(along_y, rel=1e-3)
 
 
 def test_conditions_methods_and_parts_stand_apart(monkeypatch):
@@ -70,21 +69,3 @@ def test_conditions_methods_and_parts_stand_apart(monkeypatch):
     assert found["parts"].samples.tolist() == [2] * 2 * len(PARTS)
     _, _, table, shapes, _ = drawn(output, methods).blocks
     assert table.rows[1][:2] == ["DIP global", "40.0 (40.0…40.0) (40.0–40.0)"] and len(shapes.rows) == 10
-
-
-def test_the_sharpest_half_is_the_half_with_less_blur():
-    y, x = np.mgrid[-8:9, -8:9]
-    widths = (1.0, 3.0, 1.2, 2.5)
-    images = np.array([np.exp(-(x**2 + y**2) / (2 * w**2)) for w in widths])
-    frames = Frames(torch.as_tensor(images), torch.ones(17, 17, dtype=torch.bool), NoiseModel(1.0, 1.0))
-    assert torch.equal(sharpest_half(frames).images_e, frames.images_e[[0, 2]])
-
-
-def test_a_residual_without_direction_has_a_round_transfer_function():
-    halo = partial_halo(SeeingHalo(ResidualBand(0.125, 2.5, 25.0), FACILITY.residual_law, 0.8), 2)
-    wavelength_m = torch.tensor(1.6e-6, dtype=torch.float64)
-    grid = OtfGrid(FocalGrid(96, 9.0, 96, 9.0), wavelength_m[None, None, None], wavelength_m)
-    values = torch.tensor([1e4, 2.0], dtype=torch.float64)
-    factor = halo.apply(values, torch.ones((), dtype=torch.float64), grid)[0].numpy()
-    along_x, along_y = -np.log(factor[0, 1:20]), -np.log(factor[1:20, 0])
-    assert along_x == pytest.approx(along_y, rel=1e-3)

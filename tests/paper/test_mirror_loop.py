@@ -8,12 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
+from helpers.experiment_stage import sample
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS
 from irlos_pipe.paper import mirror_loop
-from irlos_pipe.paper.common.mirror_bench import Bench, MirrorErrors, diversity_error_nm, further
-from irlos_pipe.paper.mirror_loop import LOOPS, improves
+from irlos_pipe.paper.mirror_loop import LOOPS, Bench, MirrorErrors, diversity_error_nm, further
 
 SIZES = {
     "frames": 12, "star_frames": 2, "corrections": 4, "pitches_m": (0.25,), "shift": 0.02, "turn_deg": 2.0
@@ -62,12 +61,6 @@ def test_tip_and_tilt_are_not_corrected():
     assert still["all_nm"] == pytest.approx(np.hypot(still["modes_nm"], still["beyond_nm"]), rel=0.02)
 
 
-def test_a_diversity_made_with_a_gain_is_wrong_by_its_distance_from_one():
-    real = replace(ALIGNED, gain=0.9, offsets_nm={4: 99.0})
-    error_nm = diversity_error_nm(BENCH.telescope, real, {6: 170.0})
-    assert BENCH.coefficients_nm(error_nm)[6] == pytest.approx(-17.0, rel=0.03)
-
-
 class TrueCube:
     """A cube whose calibration is the true wavefront beyond the diversity as declared."""
 
@@ -113,21 +106,6 @@ def test_a_loop_with_true_estimates_is_the_mirror_that_is_told_the_truth(true_ro
     assert causes["diversity"] == pytest.approx(17.0 if diversity == "mirror" else 0.0, rel=0.3)
 
 
-@pytest.mark.slow
-def test_loops_of_true_estimates_keep_their_checks_and_are_shown(true_rows, monkeypatch):
-    output = run_on(monkeypatch, mirror_loop, lambda one: true_rows, samples=2, biases_nm=(0.0, 200.0))
-    tables = tables_of(output)
-    assert not [name for name in missed(output) if name.startswith("Noll 4–30 left")]
-    assert tables["loops"][["method", "diversity"]].drop_duplicates().to_numpy().tolist() == [
-        list(one) for one in LOOPS
-    ]
-    assert tables["loops"].limit.tolist()[-2:] == ["diversity"] * 2
-    assert tables["alone"].error.tolist() == list(MirrorErrors().alone())
-    figure, loops, alone, causes = drawn(output, mirror_loop).blocks
-    assert (len(loops.rows), len(alone.rows), len(causes.rows)) == (6, 6, 6)
-    assert list(loops.marks) == ["good"] * 2 + [""] * 4 and "DIP global" in figure.svg
-
-
 @pytest.mark.long
 def test_a_calibrated_loop_takes_a_bias_out():
     star = sample(mirror_loop, (3, 0), sizes=SIZES | {"corrections": 2, "frames": 20}, bias_nm=150.0)
@@ -135,10 +113,3 @@ def test_a_calibrated_loop_takes_a_bias_out():
     assert first["modes_nm"] > 150
     assert last["modes_nm"] < 0.15 * first["modes_nm"]
     assert first["strehl"] < last["strehl"]
-
-
-@pytest.mark.parametrize(
-    ("seen_nm", "falls"), [([9], True), ([9, 8], True), ([90, 82], False), ([9, 2, 3], False)]
-)
-def test_an_estimate_improves_where_it_is_a_tenth_below_the_one_before(seen_nm, falls):
-    assert improves(seen_nm) is falls

@@ -48,16 +48,6 @@ def test_the_law_of_the_introduced_modes_is_found_and_noise_makes_a_plateau(stat
     assert laws.C_nm[("all from Noll 4 on", "dip_global")] == pytest.approx(np.hypot(20, 5), rel=0.15)
 
 
-def test_modes_beyond_are_the_error_of_the_estimate(statistics):
-    methods = tables_of(statistics)["methods"].set_index("name")
-    assert methods.beyond_nm["introduced"] == 0
-    for method, error in ERROR_NM.items():
-        assert methods.beyond_nm[method] == pytest.approx(error, rel=0.05)
-        assert methods.error_nm[method] == pytest.approx(error * 98**0.5, rel=0.05)
-    figure, beyond, laws = drawn(statistics, mode_statistics).blocks
-    assert (figure.title, len(beyond.rows), len(laws.rows)) == ("Strength of the modes", 3, 5)
-
-
 @pytest.mark.long
 def test_the_introduced_number_beats_fewer_and_unseen_frames_recommend_it():
     sizes = {"frames": 32, "published_frames": 2, "numbers": (31, 51), "magnitudes": (7.0, 16.0)}
@@ -91,9 +81,3 @@ def test_the_best_number_is_found_for_every_method_and_magnitude(monkeypatch):
     *figures, _, cubes = drawn(output, mode_number).blocks
     assert [figure.title for figure in figures] == ["Calibration", "LIFT avg."]
     assert cubes.rows == [["cube 0", "Noll 2–51"], ["cube 1", "Noll 2–51"]]
-
-
-@pytest.mark.parametrize("numbers", [(21, 11), (3, 11), (11, 300), (11, 11)])
-def test_numbers_of_modes_rise(numbers):
-    with pytest.raises(ValueError, match="rising numbers"):
-        mode_number.Sizes(numbers=numbers)

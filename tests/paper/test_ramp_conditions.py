@@ -11,33 +11,13 @@ from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.paper import ramp_conditions
 from irlos_pipe.paper.common.calibrations import DEFAULT
-from irlos_pipe.paper.common.ramp_light import CONDITIONS, WAYS, effects_of, fit_way
 from irlos_pipe.paper.common.ramps import calibrated, observe
-from irlos_pipe.paper.ramp_conditions import cube_of, mode_errors, ramp_of
+from irlos_pipe.paper.ramp_conditions import CONDITIONS, WAYS, cube_of, fit_way, mode_errors, ramp_of
 from irlos_pipe.simulate.exposure import expose
 
 SIZES = {"reach_nm": 200.0, "offsets": 3, "frames_per_offset": 1, "cube_frames": 40}
 STAR = sample(ramp_conditions, sizes=SIZES | {"conditions": ("dispersion_100_at_0",)})
 CUBE = cube_of(STAR)
-
-
-def effects(key: str) -> dict:
-    return effects_of(CONDITIONS[key], STAR.seed, STAR.facility)
-
-
-def test_chromatic_ncpas_have_their_size_between_j_and_h_and_none_at_the_calibration():
-    made = effects("chromatic_60")["chromatic_ncpa"]
-    slopes = made["zernike_nm_per_um"]
-    assert np.linalg.norm(list(slopes.values())) * (1.625 - 1.215) == pytest.approx(60)
-    assert min(slopes) == 4
-    assert made["reference_nm"] == 1600
-
-
-def test_a_lens_has_its_size_and_no_focus():
-    made = effects("chromatic_60_filter_30")["filter_ncpa"]["zernike_nm"]
-    assert np.linalg.norm(list(made.values())) == pytest.approx(30)
-    assert min(made) == 5
-    assert effects("filter_30") == {"filter_ncpa": {"zernike_nm": made}}
 
 
 def made_up(offset_nm: float = 0.0, slope: float = 0.05) -> dict:
@@ -62,19 +42,6 @@ def test_errors_are_told_apart_into_slope_mean_and_scatter():
     assert errors["mode_nm"][3] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("offset_nm", "kept"), [(0.0, True), (9.0, False)])
-def test_a_ramp_with_a_larger_error_than_asked_fails_its_check(monkeypatch, offset_nm, kept):
-    monkeypatch.setitem(CONDITIONS, "clean", replace(CONDITIONS["clean"], ways=("nine",)))
-    row = {"condition": "clean", "way": "nine", "sigma_nm": np.full(9, 0.5), "converged": 1.0}
-    output = run_on(monkeypatch, ramp_conditions, lambda one: [row | made_up(offset_nm, 0.0)], samples=2)
-    assert (not missed(output)) is kept
-    assert output.checks[0].value == pytest.approx(np.hypot(offset_nm, 1.0))
-    assert set(tables_of(output)["modes"].sigma_nm) == {0.5}
-    _, table, modes = drawn(output, ramp_conditions).blocks
-    assert list(table.marks) == ["good" if kept else "bad"]
-    assert len(modes.rows) == 7
-
-
 @pytest.mark.slow
 def test_dispersion_is_found_by_the_default_and_misleads_a_model_without_it():
     default, plain = ramp_conditions.rows(STAR)
@@ -92,3 +59,16 @@ def test_held_tip_and_tilt_stay_where_they_are_held():
     )
     assert np.abs(held.result.zernike_nm[:, :2].numpy()).max() < 0.1
     assert np.abs(free.result.zernike_nm[:, :2].numpy()).max() > 1
+
+
+@pytest.mark.parametrize(("offset_nm", "kept"), [(0.0, True), (9.0, False)])
+def test_a_ramp_with_a_larger_error_than_asked_fails_its_check(monkeypatch, offset_nm, kept):
+    monkeypatch.setitem(CONDITIONS, "clean", replace(CONDITIONS["clean"], ways=("nine",)))
+    row = {"condition": "clean", "way": "nine", "sigma_nm": np.full(9, 0.5), "converged": 1.0}
+    output = run_on(monkeypatch, ramp_conditions, lambda one: [row | made_up(offset_nm, 0.0)], samples=2)
+    assert (not missed(output)) is kept
+    assert output.checks[0].value == pytest.approx(np.hypot(offset_nm, 1.0))
+    assert set(tables_of(output)["modes"].sigma_nm) == {0.5}
+    _, table, modes = drawn(output, ramp_conditions).blocks
+    assert list(table.marks) == ["good" if kept else "bad"]
+    assert len(modes.rows) == 7

@@ -1,17 +1,14 @@
 """All methods with the same modes and frames. Truth: what was drawn, medians of made-up numbers."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers import optics_cases as cases
 from helpers.experiment_stage import drawn, missed, run_on, tables_of
 
 from irlos_pipe.paper import ranking
-from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES
 from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.ranking import OWN, with_tail
-from irlos_pipe.simulate.exposure import expose
 
 SCENE = cube_scene("test", (31, 0), cases.FACILITY, 0.35, 6, 7.0)
 
@@ -23,29 +20,6 @@ def test_a_tail_follows_the_drawn_ncpas_and_leaves_these_alone():
     assert all(tailed[noll] == without[noll] for noll in without)
     # 149 draws of 3 nm: their RMS is 3 nm within 3 / sqrt(2 · 149), here four times that.
     assert np.std([tailed[noll] for noll in range(52, 201)]) == pytest.approx(3.0, abs=0.7)
-
-
-def test_the_error_is_that_of_the_29_modes_over_the_whole_cube():
-    cube = ObservedCube.of(SCENE)
-    truth_nm = cube.exposed.mean_zernike_nm()
-    calibration = cube.calibrated(VARIANTS["lift_avg"])
-    changed_nm = np.array([truth_nm[noll] for noll in calibration.nolls])
-    changed_nm[[2, 5]] += (3.0, 4.0)
-    telescope = cube.exposed.telescope
-    wrong_nm = 3.0 * telescope.mode(4) + 4.0 * telescope.mode(7)
-    weight = telescope.transmission / telescope.transmission.sum()
-    mean_nm = np.sum(weight * wrong_nm)
-    rms_nm = np.sqrt(np.sum(weight * (wrong_nm - mean_nm) ** 2))
-    found = cube.modes_delta_nm(replace(calibration, zernike_nm=changed_nm))
-    assert found == pytest.approx(rms_nm, rel=0.01)
-
-
-def test_the_truth_holds_with_a_strong_tail():
-    """Without a sky the mean wavefront is the static one, but for tip and tilt of the image motion."""
-    scene = replace(with_tail(SCENE, 10.0), sky=None, frames=1)
-    found_nm = expose(scene).mean_zernike_nm()
-    drawn_nm = [scene.ncpa_nm[noll] for noll in range(4, 31)]
-    assert [found_nm[noll] for noll in range(4, 31)] == pytest.approx(drawn_nm, abs=0.01)
 
 
 @pytest.mark.parametrize(("open_nm", "kept"), [(2.0, True), (19.0, False)])

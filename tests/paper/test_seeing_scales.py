@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 from helpers.experiment_stage import context, drawn, run_on, tables_of
-from scipy.integrate import quad
 from scipy.stats import lognorm
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper import seeing_scales
-from irlos_pipe.paper.seeing_scales import log_normal_density
 
-LAW = load_instrument("irlos").facility.residual_law
 MANY = 200_000
 
 
@@ -35,35 +32,10 @@ def test_both_seeings_have_the_medians_and_scatters_of_their_log_normal_laws():
         assert logarithm.std() == pytest.approx(scatter, abs=4 * scatter / np.sqrt(2 * MANY))
 
 
-def test_without_disagreement_one_seeing_follows_from_the_other():
-    monitor, sparta = draws(disagreement=0.0, ratio=0.9, offset_arcsec=0.05)
-    assert np.allclose(sparta, 0.9 * monitor + 0.05)
-
-
-def test_the_density_is_that_of_scipy_and_its_area_is_one():
-    value = np.linspace(0.1, 3, 50)
-    expected = lognorm(0.35, scale=0.7).pdf(value)
-    assert np.allclose(log_normal_density(value, 0.7, 0.35), expected, rtol=1e-12)
-    assert quad(log_normal_density, 1e-6, 20, (0.7, 0.35))[0] == pytest.approx(1, abs=1e-6)
-
-
-@pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95), (1.0, 163)])
-def test_the_residual_of_the_simulated_conditions_is_that_of_the_test_report(seeing_arcsec, wfe_nm):
-    assert LAW.wfe_nm(seeing_arcsec) == pytest.approx(wfe_nm, abs=0.5)
-
-
 def test_how_rare_a_condition_is_follows_from_its_law(monkeypatch):
     rows = run(monkeypatch, draws=MANY, simulated_arcsec=(1.0,))["conditions"]
     expected = lognorm(np.hypot(0.35, 0.15), scale=0.56).cdf(1.0)
     assert rows.better[0] == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / MANY))
-
-
-def test_the_error_of_a_translated_residual_is_its_scatter_among_simultaneous_measurements(monkeypatch):
-    """Monte Carlo: among draws in which the monitor sees the same, SPARTA's residual scatters as stated."""
-    stated = run(monkeypatch, on_sky_arcsec=(0.8,))["conditions"].wfe_sigma_nm.iloc[-1]
-    _, alike = draws(median_arcsec=0.8, scatter=1e-9)
-    # to first order in the disagreement, whose square is 2 %
-    assert LAW.wfe_nm(alike).std() == pytest.approx(stated, rel=0.03)
 
 
 def test_the_relation_is_the_profiles_unless_the_recipe_gives_another(monkeypatch):

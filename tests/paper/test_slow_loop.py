@@ -8,8 +8,7 @@ import pytest
 from helpers import optics_cases as cases
 from helpers.experiment_stage import drawn, run_on, sample, tables_of
 
-from irlos_pipe.control.disturbance import Drift, SodiumLayer
-from irlos_pipe.control.linear_theory import Integrator, best_gain
+from irlos_pipe.control.linear_theory import Drift, Integrator, SodiumLayer, best_gain
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.paper import slow_loop
 from irlos_pipe.paper.common.focus_loop import (
@@ -19,12 +18,9 @@ from irlos_pipe.paper.common.focus_loop import (
     close_loops,
     frame_table,
     outcome_of,
-    sensor_of,
     two_by_two_sensors,
 )
-from irlos_pipe.paper.common.observation import Read
 from irlos_pipe.paper.common.scenes import in_four_images, star_scene
-from irlos_pipe.paper.slow_loop import noise_law
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Sampling
 
@@ -64,12 +60,6 @@ def test_drifts_have_the_structure_function_at_every_lag():
         assert measured == pytest.approx(DRIFT.structure_nm2(0.1 * steps), rel=0.13)  # 3.5 sigma of 1500
 
 
-def test_what_wanders_within_a_frame_is_the_scatter_about_its_mean():
-    rng = np.random.default_rng(2)
-    frames = np.array([DRIFT.draw_nm(rng, 400, 2.0 / 400) for _ in range(1500)])
-    assert frames.var(1).mean() == pytest.approx(DRIFT.wander_within_nm2(2.0), rel=0.12)
-
-
 # -- linear theory -----------------------------------------------------------------------------------
 
 
@@ -81,20 +71,6 @@ def test_the_stability_limit_is_where_a_pole_reaches_the_unit_circle(delay):
         polynomial[0], polynomial[1] = 1, -1
         polynomial[-1] += gain
         assert (np.abs(np.roots(polynomial)).max() < 1) == stable
-
-
-def test_without_delay_the_noise_grows_as_a_leaky_average():
-    """``g / (2 - g)`` of the measurement's variance."""
-    left_nm = Integrator(0.3, 1.0, 0).residual_nm(Drift(2.0, 1e-9), 10.0)
-    assert left_nm == pytest.approx(10 * np.sqrt(0.3 / 1.7), rel=1e-6)
-
-
-def test_deadbeat_control_leaves_one_step_of_a_random_walk():
-    """Gain 1 without delay: the residual of a frame is its mean less that of the frame before, whose variance
-    is ⅔ of a step's, plus the ⅙ that wanders within the frame."""
-    walk = Drift(2.0, 5.0)  # a random walk of 5 nm per root second
-    left_nm = Integrator(1.0, 1.0, 0).residual_nm(walk, 0.0)
-    assert left_nm == pytest.approx(5 * np.sqrt(2 / 3 + 1 / 6), rel=2e-3)
 
 
 @pytest.mark.slow
@@ -136,11 +112,6 @@ class PerfectSensor:
         return 100 * (a - b) / (a + b)
 
 
-class BlindSensor:
-    def measure(self, images_e, noise):
-        return np.full(len(images_e), np.nan)
-
-
 def linear_table(frames: int) -> FrameTable:
     """Two pixels that share the light in the ratio 1 ± defocus / 100 nm."""
     series = np.zeros((2, frames, 1, 2))
@@ -167,26 +138,6 @@ def test_a_step_is_taken_out_after_the_delay():
     assert late == pytest.approx([0, 0, 0, 40, 40, 20, 0, -10, -10], abs=0.1)
 
 
-def test_longer_exposures_measure_and_correct_less_often():
-    drift = np.full(8, 40.0)
-    record = closed([Loop("one", 12.0, 0.5, exposures=2)], drift, PerfectSensor(), delay=0)
-    assert record.residual_nm[0] == pytest.approx([40, 40, 20, 20, 10, 10, 5, 5], abs=0.1)
-    assert record.due[0].tolist() == [False, True] * 4
-
-
-def test_without_a_measurement_the_command_is_held():
-    drift = np.linspace(0, 30, 6)
-    record = closed([Loop("one", 12.0, 0.5)], drift, BlindSensor())
-    assert record.residual_nm[0] == pytest.approx(drift)
-    assert np.isnan(record.measured_nm).all() and record.due.all()
-
-
-def test_a_loop_beyond_its_reach_has_diverged_and_stays_so():
-    drift = np.array([0.0, 50.0, 150.0, 0.0])
-    record = closed([Loop("one", 12.0, 0.1)], drift, BlindSensor())
-    assert np.isfinite(record.residual_nm[0]).tolist() == [True, True, False, False]
-
-
 @pytest.mark.slow
 def test_the_loop_leaves_what_theory_predicts_of_a_real_drift():
     frames, sub = 3000, 10
@@ -196,15 +147,6 @@ def test_the_loop_leaves_what_theory_predicts_of_a_real_drift():
     assert outcome["residual_nm"] == pytest.approx(Integrator(0.4).residual_nm(DRIFT, 0.0), rel=0.06)
     assert outcome["slope"] == pytest.approx(1, abs=1e-3)
     assert Integrator(0.4).gain_margin(outcome["slope"]) == pytest.approx(2.5, rel=2e-3)
-
-
-def test_the_sensor_s_slope_and_noise_are_found_whatever_the_offset_of_each_sky():
-    rng = np.random.default_rng(6)
-    true = 20 * rng.standard_normal((3, 2, 400))
-    offset = np.array([-30.0, 0.0, 50.0])[:, None, None]
-    slope, noise = sensor_of(0.8 * true + offset + 5 * rng.standard_normal(true.shape), true)
-    assert slope == pytest.approx(0.8, abs=0.02)
-    assert noise == pytest.approx(5, rel=0.06)
 
 
 # -- simulated frames --------------------------------------------------------------------------------
@@ -253,24 +195,7 @@ def test_loops_measure_and_correct_what_they_leave_and_faint_ones_lose_measureme
     assert len(table.rows) == 3
 
 
-@pytest.mark.slow
-def test_with_all_reads_the_bound_is_that_of_a_noisier_detector_under_the_sky():
-    """The bound of 200 reads is that of one with √200 times the noise, and grows further with the sky."""
-
-    def noise_nm(sky_mags, read):
-        facility = replace(cases.FACILITY, sky_mag_per_arcsec2=sky_mags)
-        return noise_law(sample(slow_loop, facility=facility, read=read), "uncalibrated")(22.0, 1)
-
-    many = Read(0.005, 1.0, 1.0, 0.0)
-    in_reads = noise_nm((), many)
-    assert in_reads == pytest.approx(noise_nm((), Read(1.0, np.sqrt(200), 1.0, 0.0)))
-    in_sky = noise_nm(((1215, 16.5), (1625, 14.4)), many)
-    assert noise_nm((), None) < 0.5 * in_reads < 0.49 * in_sky
-
-
 # -- the 2x2 mode ------------------------------------------------------------------------------------
-
-FOUR_LOOPS = (Loop("lift_2x2", 12.0, 0.4), Loop("uncalibrated", 12.0, 0.4), Loop("centroids_2x2", 12.0, 0.2))
 
 
 def bench_in_four(**changes):
@@ -316,16 +241,3 @@ def test_centroids_scatter_as_drawn_images_do_and_no_less_than_the_bound():
     scatter = np.nanstd(sensor.measure(images_e, noise))
     assert sensor.photon_noise_nm(2e4, noise) == pytest.approx(scatter, rel=0.15)  # each to 4 %
     assert scatter > sensor.bound_nm(2e4, noise)
-
-
-@pytest.mark.slow
-def test_loops_of_both_modes_run_on_one_drift_in_the_order_asked_for():
-    """Of every loop: drift less the sum of gain times measurement, one frame late."""
-    found = sorted(run(FOUR_LOOPS, 10), key=lambda row: row["loop"])
-    for loop, row in zip(FOUR_LOOPS, found, strict=True):
-        command = loop.gain * np.concatenate([[0, 0], np.cumsum(row["measured_nm"][0])[:-2]])
-        assert row["residual_nm"][0] == pytest.approx(row["drift_nm"][0] - command)
-    (alone,) = run(FOUR_LOOPS[1:2], 10)
-    for name in ("measured_nm", "residual_nm"):
-        assert found[1][name] == pytest.approx(alone[name])
-    assert found[2]["photon_noise_nm"] > found[2]["bound_nm"]

@@ -9,12 +9,9 @@ from irlos_pipe.paper.common.table import (
     Listing,
     csv_of_tables,
     frame,
-    grouped,
     median_in_range,
     read_tables,
     rms_in_range,
-    spread,
-    spreads,
 )
 
 ROWS = [
@@ -23,18 +20,6 @@ ROWS = [
     {"method": "b", "size": 2, "error_nm": math.nan, "error_nm_p16": None, "error_nm_p84": None},
 ]
 TABLES = {"rows": frame(ROWS)}
-
-
-def test_groups_stand_in_the_order_in_which_they_appear():
-    rows = frame({"key": key, "x": x} for key, x in (("b", 3.0), ("a", 1.0), ("b", 5.0)))
-    found = grouped(rows, ["key"], lambda group, key: spreads(group, "x"))
-    assert list(found.key) == ["b", "a"]
-    assert found.x.tolist() == [4.0, 1.0]
-
-
-def test_a_spread_is_a_normal_distributions_one_sigma():
-    found = spread("x", np.random.default_rng(3).normal(50.0, 5.0, 40_000))
-    assert list(found.values()) == pytest.approx((50, 45, 55), abs=0.2)
 
 
 def test_the_range_of_an_rms_holds_it_and_closes_on_equal_values():
@@ -49,16 +34,6 @@ def test_the_range_of_a_median_holds_where_values_are_normal():
     rng = np.random.default_rng(3)
     found = [median_in_range("x", rng.standard_normal(25)) for _ in range(400)]
     assert np.mean([one["x_low"] <= 0 <= one["x_high"] for one in found]) == pytest.approx(0.9, abs=0.06)
-
-
-def test_the_range_of_few_samples_reaches_to_their_ends_and_that_of_one_is_unknown():
-    # Smallest and largest of four values hold the median with 1 − 2 · 2⁻⁴ = 87.5 %; plain percentiles less.
-    rng = np.random.default_rng(4)
-    found = [median_in_range("x", rng.standard_normal(4)) for _ in range(400)]
-    assert np.mean([one["x_low"] <= 0 <= one["x_high"] for one in found]) == pytest.approx(0.875, abs=0.05)
-    assert list(median_in_range("x", [1.0, 2.0, 9.0]).values()) == pytest.approx((2.0, 1.0, 9.0))
-    one = rms_in_range("x", [2.0])
-    assert one["x"] == 2.0 and np.isnan(one["x_low"])
 
 
 def test_csv_keeps_every_digit_and_kind(tmp_path):
@@ -89,12 +64,3 @@ def test_what_differs_stands_side_by_side():
     ]
     chosen = Listing("rows", "", {"method": "{method}"}, {"size {size}": "{error_nm:.0f}"}, heads=["size 2"])
     assert list(chosen.table(TABLES).rows) == [["a", "3"], ["b", "–"]]
-
-
-def test_rows_are_good_within_their_limit():
-    limited = {"rows": frame({"x": x, "asked": asked} for x, asked in ((1.0, 2.0), (3.0, 2.0), (3.0, None)))}
-    assert list(Listing("rows", "", {"x": "{x}"}, limit=("x", "asked")).table(limited).marks) == [
-        "good",
-        "bad",
-        "",
-    ]

@@ -10,7 +10,7 @@ from astropy.io import fits
 from helpers.sparta_files import counts, loop_table, star, write_muse, write_recorder, write_sidecar
 
 from irlos_pipe.pipeline import Selection, plan_run, run_recipe
-from irlos_pipe.pipeline.inputs import input_files, remember
+from irlos_pipe.pipeline.inputs import input_files
 from irlos_pipe.recipe import load_recipe
 
 RECIPE = "recipe: test\ninputs: {cube: data}\nstages: [ingest]\n"
@@ -196,23 +196,6 @@ def test_a_damaged_recording_counts_until_it_is_mended(tmp_path, finished):
     (data / "broken" / "broken.fits").unlink()
     write_recorder(data / "broken", PIXELS)
     assert planned(tmp_path, data) == "input file cube/data/broken/broken.fits changed"
-
-
-def test_what_is_read_of_an_input_is_told_without_opening_files_until_one_is_touched(tmp_path):
-    opened: list[Path] = []
-
-    def files_of(root: Path) -> list[Path]:
-        opened.append(root)
-        return sorted(root.glob("*.fits"))
-
-    data = tmp_path / "data"
-    cube(data)
-    inputs = {"cube": (data,)}
-    first = input_files(inputs, tmp_path, files_of)
-    remember(first, tmp_path)
-    assert input_files(inputs, tmp_path, files_of) == first and len(opened) == 1
-    fits.writeto(data / "new.fits", PIXELS)
-    assert len(input_files(inputs, tmp_path, files_of)) == len(first) + 1 and len(opened) == 2
 
 
 @pytest.mark.parametrize("content", ['{"lists": 3}', '{"lists": {"x": 1}}', "[]", '{"lists": []}'])

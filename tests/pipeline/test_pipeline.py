@@ -3,14 +3,11 @@
 import json
 import sys
 
-import numpy as np
 import pytest
 from helpers.fake_stages import COUNTS
 from helpers.running import STAGES, reasons, results, run, visible
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
-from irlos_pipe.pipeline import Selection
-from irlos_pipe.product.storage import read_product
 
 PRODUCTS = ["01_ingest.h5", "02_calibrate.h5", "03_lift.h5"]
 
@@ -28,32 +25,6 @@ def test_a_run_leaves_products_results_quality_report_log_and_the_resolved_recip
     ]
 
 
-def test_results_hold_the_section_of_each_stage_with_nan_as_null(bench):
-    run(bench)
-    head = {"schema": "irlos-results", "schema_version": 1, "recipe": "test", "status": "ok"}
-    assert {key: value for key, value in results(bench).items() if key != "stages"} == head
-    assert results(bench)["stages"]["ingest"] == {"total": 8.0, "spread": None}
-    assert results(bench)["stages"]["calibrate"] == {"method": "dip_avg"}
-
-
-def test_quality_holds_every_check_with_its_stage(bench):
-    run(bench)
-    quality = json.loads((bench.output / "qc.json").read_text())
-    assert quality["passed"] is True
-    assert quality["checks"] == [
-        {
-            "stage": "calibrate",
-            "name": "mean",
-            "passed": True,
-            "value": 4.0,
-            "unit": "ADU",
-            "low": 0,
-            "high": None,
-            "message": "counts are positive",
-        }
-    ]
-
-
 def test_a_second_run_does_nothing_and_changes_no_file(bench):
     first, _ = run(bench)
     before = {name: (bench.output / name).read_bytes() for name in visible(bench) if name != "run.log"}
@@ -66,49 +37,12 @@ def test_a_second_run_does_nothing_and_changes_no_file(bench):
     assert run(bench)[1] == [] and (bench.output / "report.html").is_file()
 
 
-def test_a_rerun_makes_the_same_content_except_for_provenance(bench):
-    run(bench)
-    before = [read_product(bench.output / name) for name in PRODUCTS]
-    run(bench, selection=Selection(force=True))
-    for old, name in zip(before, PRODUCTS, strict=True):
-        new = read_product(bench.output / name)
-        assert (new.results, new.config) == (old.results, old.config)
-        assert (new.checks, new.log) == (old.checks, old.log)
-        assert all(np.array_equal(new.arrays[key].value, old.arrays[key].value) for key in old.arrays)
-        assert new.provenance["key"] == old.provenance["key"]
-
-
-def test_a_product_knows_where_it_comes_from(bench):
-    run(bench)
-    origin = read_product(bench.output / "03_lift.h5").provenance
-    assert origin["inputs"][0]["sha256"] == "5994471abb01112afcc18159f6cc74b4f511b99806da59b3caf5a9c173cacfc5"
-    assert {"irlos_pipe", "python", "torch", "numpy"} <= origin["software"].keys()
-    assert origin["seed"] == 0 and origin["machine"]["host"] and origin["started"] <= origin["finished"]
-
-
-def test_messages_of_a_stage_are_in_its_product_and_in_the_log(bench):
-    run(bench)
-    assert read_product(bench.output / "01_ingest.h5").log == ["INFO read 2 files"]
-    assert read_product(bench.output / "02_calibrate.h5").log == []
-    assert "irlos_pipe.stage.ingest: read 2 files" in (bench.output / "run.log").read_text()
-
-
 def test_a_failed_limit_is_reported_after_the_products_are_written(bench):
     bench.make("calibrate.fail_qc")
     outcome, worked = run(bench)
     assert (outcome.status, outcome.exit_code, worked) == ("qc_failed", 4, list(STAGES))
     assert results(bench)["status"] == "qc_failed"
     assert not json.loads((bench.output / "qc.json").read_text())["passed"]
-
-
-def test_terminal_and_log_name_the_exposures_that_were_lost_again_when_it_is_skipped(bench):
-    bench.make("calibrate.lose_exposure")
-    lost = "Lost            exposure 3: no star"
-    outcomes = [run(bench)[0] for _ in range(2)]
-    assert [one.summary["calibrate"][-1] for one in outcomes] == [lost, lost]
-    assert [(one.exit_code, one.status) for one in outcomes] == [(5, "partial")] * 2
-    log = (bench.output / "run.log").read_text()
-    assert "WARNING irlos_pipe.run: calibrate: lost: exposure 3: no star" in log
 
 
 def test_a_failed_stage_keeps_the_products_before_it_and_says_so_in_the_results(bench):

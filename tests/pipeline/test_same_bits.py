@@ -78,9 +78,3 @@ def test_eight_jobs_more_threads_of_numpy_and_a_second_run_give_the_same_bits(
     assert list(again) == list(with_one_job) and len(again) == 6
     for name, product in again.items():
         assert content(product) == content(with_one_job[name]), name
-
-
-def test_another_seed_gives_other_draws(recipe, with_one_job):
-    other = products(recipe, "seed", 1, seed=6)
-    assert content(other["05_sensitivity"]) != content(with_one_job["05_sensitivity"])
-    assert content(other["03_calibrate"]) == content(with_one_job["03_calibrate"])

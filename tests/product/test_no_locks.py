@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.conventions.errors import InputDataError, Locked
-from irlos_pipe.files.atomic import ENOTSUPP, has_locks
-from irlos_pipe.night.database import opened
+from irlos_pipe.files.atomic import ENOTSUPP
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.runfolder import SOFT_LOCK_NAME, owned_folder
 from irlos_pipe.product.storage import open_product, read_product, write_product
@@ -25,10 +24,6 @@ def no_locks(request, monkeypatch):
 
     for name in ("flock", "lockf"):
         monkeypatch.setattr(fcntl, name, refused)
-
-
-def test_a_local_disk_has_locks(tmp_path):
-    assert has_locks(tmp_path) and not list(tmp_path.iterdir())
 
 
 def test_a_folder_is_owned_by_a_file_with_a_note_and_free_afterwards(tmp_path, no_locks, caplog):
@@ -47,12 +42,6 @@ def test_a_second_run_is_kept_away_and_told_which_file_to_remove(tmp_path, no_lo
         owned_folder(tmp_path),
     ):
         pass
-
-
-def test_the_database_of_a_tree_opens_without_locks(tmp_path, no_locks):
-    for _ in range(2):
-        with opened(tmp_path) as database:
-            assert list(database.descriptions()) == []
 
 
 def test_a_product_is_read_while_another_program_has_it_locked(tmp_path):

@@ -1,20 +1,27 @@
 """Side-cars, and which source wins; reads and seeing as they are told. Truth: arithmetic."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy import units as u
+from astropy.io import fits
+from astropy.modeling.models import BlackBody
+from conftest import invoke
 from helpers.sparta_files import sidecar, write_muse, write_sidecar
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.seeing import SeeingScale
+from irlos_pipe.conventions.laws import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.acquisition import photons, resolve, spectrum_of
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
+from irlos_pipe.readers.sidecar import AcquisitionKeys, DetectorKeys, read_sidecar
+from irlos_pipe.readers.sidecar_template import proposals, sidecar_template
 
 IRLOS = load_instrument("irlos")
 SCALED = replace(IRLOS, seeing_scales=IRLOS.seeing_scales | {"mass_dimm": SeeingScale(0.75, 0.02)})
@@ -52,13 +59,6 @@ def test_every_key_of_the_side_car_arrives(tmp_path):
     assert resolved.warnings == ()
 
 
-def test_the_side_car_of_a_file_goes_before_that_of_its_folder(tmp_path):
-    data = tmp_path / "MUSE.2023-07-14T03:21:10.000.fits"
-    assert sidecar_path(data).name == "acquisition.yaml"
-    own = write_sidecar(tmp_path / "MUSE.2023-07-14T03:21:10.000.yaml")
-    assert sidecar_path(data) == own
-
-
 def test_recipe_wins_over_side_car_over_header_over_profile(tmp_path):
     write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec", "exposure_s")
     header = {"mag_j": 11.0, "seeing_arcsec": 0.9}
@@ -70,21 +70,6 @@ def test_recipe_wins_over_side_car_over_header_over_profile(tmp_path):
     assert found.seeing_measured
     assert (found.exposure_s, found.sources["exposure_s"]) == (0.1, "instrument profile")
     assert (found.detector.read_noise_e, found.detector.e_per_adu) == (3.0, 0.5)
-
-
-def test_what_comes_from_header_or_profile_is_warned_of(tmp_path):
-    write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec", "pixel_scale_mas", "mag_j")
-    lines = resolve(recording(tmp_path, header={"seeing_arcsec": 0.9}), NOTHING, IRLOS).warnings
-    assert lines[0] == "rec: taken from the header: seeing_arcsec = 0.9"
-    assert lines[1] == "rec: taken from the instrument profile: pixel_scale_mas = 9.7"
-    assert "mag_j is not known" in lines[2]
-
-
-def test_header_values_out_of_range_are_not_taken(tmp_path):
-    write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec")
-    found = resolve(recording(tmp_path, header={"seeing_arcsec": -1.0}), NOTHING, IRLOS).acquisition
-    assert found.sources["seeing_arcsec"] == "instrument profile"
-    assert not found.seeing_measured
 
 
 @pytest.mark.parametrize("key", ["role", "spectrum", "diversity"])
@@ -105,33 +90,10 @@ def test_without_a_side_car_all_missing_keys_are_named_at_once(tmp_path):
         resolve(recording(tmp_path), NOTHING, IRLOS)
 
 
-def test_the_recipe_alone_can_say_everything(tmp_path):
-    keys = AcquisitionKeys.model_validate(sidecar())
-    assert resolve(recording(tmp_path), keys, IRLOS).acquisition.diversity == {6: -170.0}
-
-
-def test_an_exposure_that_nobody_knows_stays_unknown(tmp_path):
-    """As in archives of other instruments, whose profiles have no usual exposure."""
-    pharo = load_instrument("pharo")
-    assert "exposure_s" not in pharo.defaults
-    write_sidecar(tmp_path / "acquisition.yaml", "exposure_s")
-    assert resolve(recording(tmp_path), NOTHING, pharo).acquisition.exposure_s is None
-
-
 def test_a_ramp_must_say_its_defocus(tmp_path):
     write_sidecar(tmp_path / "acquisition.yaml", "introduced_defocus_nm", role="defocus_ramp")
     with pytest.raises(InputDataError, match="key 'introduced_defocus_nm' missing"):
         resolve(recording(tmp_path), NOTHING, IRLOS)
-
-
-def test_a_dark_needs_neither_spectrum_nor_diversity(tmp_path):
-    write_sidecar(tmp_path / "acquisition.yaml", "spectrum", "diversity", role="dark")
-    assert resolve(recording(tmp_path), NOTHING, IRLOS).acquisition.role == "dark"
-
-
-def test_defocus_may_be_given_per_frame(tmp_path):
-    write_sidecar(tmp_path / "acquisition.yaml", introduced_defocus_nm=[-100.0, 0.0, 100.0])
-    assert resolve(recording(tmp_path), NOTHING, IRLOS).introduced_defocus_nm.tolist() == [-100.0, 0.0, 100.0]
 
 
 def test_defocus_for_another_number_of_frames_is_refused(tmp_path):
@@ -173,13 +135,6 @@ def test_a_mistake_in_a_side_car_is_reported_in_one_line_with_its_place(tmp_path
     assert "\n" not in str(caught.value)
 
 
-def test_further_mistakes_are_counted(tmp_path):
-    path = tmp_path / "acquisition.yaml"
-    path.write_text("mag_j: x\nseeing_arcsec: y\nexposure_s: z\n")
-    with pytest.raises(InputDataError, match=r"mag_j.*\(and 2 more\)$"):
-        read_sidecar(path)
-
-
 def test_keys_for_an_input_replace_single_keys_only():
     general = AcquisitionKeys(mag_j=7.0, detector={"e_per_adu": 2.0, "read_noise_e": 1.0})
     merged = general.updated(AcquisitionKeys(role="psf", detector={"read_noise_e": 4.0}))
@@ -208,20 +163,10 @@ def test_a_spectrum_that_would_take_all_memory_is_refused(tmp_path, wavelengths)
         read_sidecar(write_sidecar(tmp_path / "acquisition.yaml", spectrum=spectrum))
 
 
-def test_a_wavelength_without_weight_does_not_widen_the_band():
-    points = [{"wavelength_nm": 500.0, "weight": 0.0}, {"wavelength_nm": 1600.0}]
-    assert AcquisitionKeys.model_validate(sidecar(spectrum=points)).spectrum[1].wavelength_nm == 1600
-
-
 @pytest.mark.parametrize("key", ["pixel_scale_mas", "mag_j", "exposure_s"])
 def test_a_truth_value_is_no_number(key):
     with pytest.raises(ValidationError, match="no number"):
         AcquisitionKeys.model_validate({key: True})
-
-
-def test_truth_values_stay_where_they_belong():
-    keys = AcquisitionKeys.model_validate({"detector": {"coadds_averaged": True}})
-    assert keys.detector.coadds_averaged is True
 
 
 def acquisition(folder, *, exposure_s: float | None = 0.1, detector: dict | None = None, **keys):
@@ -236,21 +181,6 @@ def test_a_frame_has_as_many_reads_as_fill_its_exposure(tmp_path):
     detector = acquisition(tmp_path, detector={"read_s": 0.002, "read_noise_e": 0.8}).detector
     assert detector.reads == 50
     assert detector.read_noise_e == pytest.approx(0.8 * np.sqrt(50))
-
-
-def test_the_read_noise_of_the_profile_is_that_of_one_of_its_reads(tmp_path):
-    detector = acquisition(tmp_path).detector  # reads of 5 ms and 1 e-
-    assert (detector.reads, detector.read_noise_e) == (20, pytest.approx(np.sqrt(20)))
-
-
-def test_a_read_noise_that_is_told_without_reads_is_that_of_a_frame(tmp_path):
-    detector = acquisition(tmp_path, detector={"read_noise_e": 2.5}).detector
-    assert (detector.reads, detector.read_noise_e) == (1, 2.5)
-
-
-def test_reads_make_the_exposure_where_none_is_told(tmp_path):
-    told = acquisition(tmp_path, exposure_s=None, detector={"read_s": 0.004, "coadds": 250})
-    assert told.exposure_s == pytest.approx(1.0)
 
 
 def test_sky_and_dark_current_collect_during_the_exposure(tmp_path):
@@ -278,40 +208,10 @@ def seeing(folder: Path, recipe: AcquisitionKeys = NOTHING, header: dict | None 
     return resolved.acquisition.seeing_arcsec, resolved.warnings
 
 
-def test_translating_forth_and_back_changes_nothing_and_the_ratio_is_a_slope():
-    scale, values = SeeingScale(0.8, 0.05), np.linspace(0.3, 2, 9)
-    assert np.allclose(scale.from_sparta(scale.to_sparta(values)), values)
-    assert scale.to_sparta(1.5) - scale.to_sparta(0.5) == pytest.approx(0.8)
-
-
-def test_a_side_car_without_scale_is_on_that_of_sparta(tmp_path):
-    assert seeing(tmp_path, seeing_arcsec=0.8) == (0.8, ())
-    assert seeing(tmp_path, seeing_arcsec=0.8, seeing_scale="sparta") == (0.8, ())
-
-
 def test_a_seeing_on_another_scale_is_translated_and_that_is_reported(tmp_path):
     value, warnings = seeing(tmp_path, seeing_arcsec=0.8, seeing_scale="mass_dimm")
     assert value == pytest.approx(0.62)
     assert warnings == ("rec: seeing of 0.80 arcsec by mass_dimm taken as 0.62 arcsec by SPARTA",)
-
-
-def test_the_scale_in_the_recipe_wins(tmp_path):
-    recipe = AcquisitionKeys(seeing_scale="sparta")
-    assert seeing(tmp_path, recipe, seeing_arcsec=0.8, seeing_scale="mass_dimm")[0] == 0.8
-    recipe = AcquisitionKeys(seeing_scale="mass_dimm")
-    assert seeing(tmp_path, recipe, seeing_arcsec=0.8)[0] == pytest.approx(0.62)
-
-
-def test_a_scale_holds_only_for_the_seeing_beside_it(tmp_path):
-    header = {"seeing_arcsec": 0.8, "seeing_scale": "mass_dimm"}
-    recipe = AcquisitionKeys(seeing_arcsec=0.9)
-    assert seeing(tmp_path, header=header)[0] == pytest.approx(0.62)
-    assert seeing(tmp_path, recipe, header=header)[0] == 0.9
-
-
-def test_the_seeing_of_the_profile_is_never_translated(tmp_path):
-    header = {"seeing_arcsec": -1.0, "seeing_scale": "mass_dimm"}  # not measured
-    assert seeing(tmp_path, AcquisitionKeys(seeing_scale="mass_dimm"), header=header)[0] == 0.5
 
 
 @pytest.mark.parametrize(
@@ -336,3 +236,133 @@ def test_the_header_of_muse_has_the_monitors_seeing_and_its_table_that_of_sparta
     assert (monitor.header["seeing_arcsec"], monitor.header["seeing_scale"]) == (0.7, "mass_dimm")
     assert (sparta.header["seeing_arcsec"], sparta.header["seeing_scale"]) == (pytest.approx(0.5), "sparta")
     assert "seeing_scale" not in neither.header
+
+
+# A proposed side-car holds every key, and can be read; values follow who writes the keywords.
+
+
+FILLED = {
+    "role:": "role: psf",
+    "spectrum:": "spectrum: [{wavelength_nm: 1600}]",
+    "diversity:": "diversity: {source: none, zernike: {}}",
+}
+
+
+@pytest.fixture
+def cube(tmp_path):
+    path = tmp_path / "star.fits"
+    header = fits.Header({"OBJECT": "HD 1", "EXPTIME": 0.5, "RDNOISE": -1.0})
+    header["GAIN"] = (2.0, "[e-/ADU]")
+    fits.PrimaryHDU(np.random.default_rng(0).poisson(50.0, (3, 16, 16)), header).writeto(path)
+    return path
+
+
+def test_the_template_is_valid_once_the_three_keys_are_filled_in(cube):
+    text = sidecar_template(cube, load_instrument("irlos"))
+    lines = [FILLED.get(line.partition(" ")[0], line) for line in text.splitlines()]
+    cube.with_suffix(".yaml").write_text("\n".join(lines))
+    keys = read_sidecar(cube.with_suffix(".yaml"))
+    assert (keys.role, keys.target, keys.exposure_s) == ("psf", "HD 1", 0.5)
+    assert keys.detector == DetectorKeys(e_per_adu=2.0)  # a read noise of -1 is none
+    free = text.replace("# ", "")
+    assert [
+        key for key in [*AcquisitionKeys.model_fields, *DetectorKeys.model_fields] if key not in free
+    ] == []
+
+
+def test_the_command_writes_beside_the_file_and_replaces_nothing(cube):
+    assert invoke("sidecar", str(cube)).stdout == f"{cube.with_suffix('.yaml')}\n"
+    again = invoke("sidecar", str(cube))
+    assert again.exit_code == 2 and "exists" in again.stderr
+    assert invoke("sidecar", str(cube), "--output", "-").stdout == cube.with_suffix(".yaml").read_text()
+
+
+def test_a_run_that_is_only_planned_and_a_validation_tell_all_that_side_cars_lack(cube, tmp_path):
+    other = fits.getdata(cube)
+    fits.writeto(tmp_path / "other.fits", other)
+    (tmp_path / "other.yaml").write_text("rle: psf\nmag_j: 99\ndiversity: {zernike: {1: 3}}\n")
+    invoke("sidecar", str(cube))
+    options = ("diagnose", "--input", f"cube={tmp_path}")
+    for result in (
+        invoke("validate", *options),
+        invoke("run", *options, "--output", str(tmp_path.parent / "out"), "--dry-run"),
+    ):
+        lines = result.stderr.splitlines()
+        assert result.exit_code == 3 and len(lines) == 4
+        assert [f"other.yaml:{number}:" in line for number, line in enumerate(lines[:3], 1)] == [True] * 3
+        assert "star.yaml: keys 'role', 'spectrum', 'diversity' missing" in lines[3]
+
+
+ESO = {"HIERARCH ESO DET DIT": 0.2, "EXPTIME": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("cards", "planes", "key", "value", "sure"),
+    [
+        ({"GAIN": 139, "EGAIN": 0.34}, 1, "detector.e_per_adu", 0.34, True),
+        ({"GAIN": 139}, 1, "detector.e_per_adu", 139, False),
+        ({"GAIN": (2.0, "[e-/ADU] gain")}, 1, "detector.e_per_adu", 2.0, True),
+        ({"GAIN": (2.0, "electrons per DN")}, 1, "detector.e_per_adu", 2.0, True),
+        ({"GAIN": (2.0, "[ADU/e-]")}, 1, "detector.e_per_adu", 2.0, False),
+        ({"ITIME": 0.1, "COADDS": 20}, 1, "exposure_s", 2.0, True),
+        ({"ITIME": 0.1, "COADDS": 20}, 1, "detector.read_s", 0.1, True),
+        ({"EXPTIME": 2.0, "COADDEXP": 0.1, "COADDS": 20}, 1, "exposure_s", 2.0, True),
+        ({"EXPTIME": 2.0, "COADDS": 20}, 1, "exposure_s", 2.0, True),
+        (ESO | {"HIERARCH ESO DET NDIT": 5}, 5, "exposure_s", 0.2, True),
+        (ESO | {"HIERARCH ESO DET NDIT": 4}, 5, "exposure_s", 0.2, True),
+        (ESO | {"HIERARCH ESO DET NDIT": 5}, 1, "detector.coadds", 5, False),
+        (ESO | {"HIERARCH ESO DET NDIT": 5}, 1, "exposure_s", 1.0, False),
+    ],
+)
+def test_a_proposal_has_the_meaning_of_its_author_or_is_doubtful(cards, planes, key, value, sure):
+    header = fits.Header()
+    for name, content in cards.items():
+        header[name] = content
+    proposed = proposals(header, planes)[key]
+    assert proposed.value == pytest.approx(value) and (proposed.doubt == "") is sure
+
+
+# Spectrum from filter and star. Truth: integrals over the curve, and Planck's law by astropy.
+
+
+J_AND_H = [(1150, 0), (1157, 0.8), (1273, 0.8), (1280, 0), (1530, 0), (1541, 0.9), (1709, 0.9), (1720, 0)]
+
+
+def test_photons_are_those_of_planck_s_law():
+    nm = np.array([1000.0, 1600.0, 2300.0])
+    radiance = BlackBody(4000 * u.K, scale=1 * u.W / u.m**2 / u.um / u.sr)(nm * u.nm).value * nm
+    assert photons(nm, 4000) / photons(nm, 4000)[0] == pytest.approx(radiance / radiance[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("kelvin", [3500.0, 9600.0])
+def test_three_points_per_band_have_its_photons_and_mean_wavelength(kelvin):
+    points = np.array(spectrum_of(J_AND_H, kelvin, "here"))
+    fine = np.linspace(1150, 1720, 100_001)
+    weight = np.interp(fine, *np.array(J_AND_H, float).T) * photons(fine, kelvin)
+    for low, high, own in ((1150, 1280, slice(0, 3)), (1530, 1720, slice(3, 6))):
+        band = (fine > low) & (fine < high)
+        assert points[own, 1].sum() == pytest.approx(weight[band].sum() / weight.sum(), rel=2e-3)
+        mean = np.average(fine[band], weights=weight[band])
+        assert np.average(points[own, 0], weights=points[own, 1]) == pytest.approx(mean, abs=0.2)
+    assert len(points) == 6 and points[:, 1].sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("curve", "message"),
+    [
+        (
+            J_AND_H[:-1],
+            "does not cover the band: at its longest wavelength, 1709 nm, the filter still transmits 0.9",
+        ),
+        (J_AND_H[1:], "does not cover the band: at its shortest wavelength, 1157 nm"),
+        (J_AND_H[::-1], "wavelengths should rise"),
+    ],
+)
+def test_a_curve_that_is_none_is_refused(curve, message):
+    with pytest.raises(InputDataError, match=message):
+        spectrum_of(curve, 5000.0, "here")
+
+
+def test_reads_make_the_exposure_where_none_is_told(tmp_path):
+    told = acquisition(tmp_path, exposure_s=None, detector={"read_s": 0.004, "coadds": 250})
+    assert told.exposure_s == pytest.approx(1.0)

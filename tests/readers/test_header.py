@@ -13,8 +13,8 @@ from astropy.time import Time
 from helpers.optics_cases import vector
 from helpers.sparta_files import counts, sidecar, star, write_recorder
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.frames.recording import HEADER, SIDECAR, Acquisition, Detector, Recording
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.recording import HEADER, Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.readers.acquisition import resolve
@@ -90,24 +90,10 @@ def test_the_pupil_turns_with_the_angles_of_the_header(tmp_path, turning, layout
     assert (acquisition.mag_j, acquisition.altitude_deg, acquisition.pressure_hpa) == (10.5, 62.0, 744.0)
 
 
-def test_what_a_person_says_counts_before_the_header(tmp_path, turning):
-    path = cube(tmp_path, HEADER_OF_PARANAL)
-    path.with_suffix(".yaml").write_text(yaml.safe_dump({"parallactic_angle_deg": 50.0}))
-    acquisition = resolved(path, turning)
-    assert acquisition.pupil_rotation_deg == pytest.approx((10 - 50 + 2 * 7) % 360)
-    assert acquisition.sources["parallactic_angle_deg"] == SIDECAR
-
-
 @pytest.mark.parametrize("told", [{"altitude_deg": 40.0}, {"airmass": 1.5557}])
 def test_altitude_or_airmass_as_told_take_the_place_of_both_of_the_header(tmp_path, told):
     acquisition = resolved(cube(tmp_path, HEADER_OF_PARANAL), load_instrument("irlos"), **told)
     assert acquisition.altitude_deg == pytest.approx(40.0, abs=0.1)
-
-
-def test_the_seeing_of_the_header_is_that_of_the_monitor(tmp_path):
-    """0.8 of it on the scale of SPARTA, by the profile of IRLOS."""
-    acquisition = resolved(cube(tmp_path, HEADER_OF_PARANAL), load_instrument("irlos"))
-    assert acquisition.seeing_arcsec == pytest.approx(0.72)
 
 
 def test_a_seeing_on_a_scale_that_the_profile_lacks_is_not_used(tmp_path):
@@ -130,26 +116,10 @@ def rotation_deg(folder, instrument, **angles):
     return resolved(cube(folder, {}), instrument, **angles).pupil_rotation_deg
 
 
-def test_the_pupil_of_irlos_stays_where_it_is(tmp_path):
-    assert rotation_deg(tmp_path, load_instrument("irlos"), parallactic_angle_deg=30.0) == 0
-
-
-def test_a_rule_turns_the_pupil_with_the_angles_of_the_recording(tmp_path):
-    instrument = turned_by(tmp_path, offset_deg=45, parallactic=-1, derotator=2)
-    angles = {"parallactic_angle_deg": 60.0, "derotator_angle_deg": 10.0}
-    assert rotation_deg(tmp_path, instrument, **angles) == pytest.approx((45 - 60 + 20) % 360)
-    assert rotation_deg(tmp_path, instrument, **angles, pupil_rotation_deg=-3.0) == -3
-
-
 def test_an_angle_that_the_rule_needs_has_to_be_known(tmp_path):
     instrument = turned_by(tmp_path, parallactic=-1)
     with pytest.raises(InputDataError, match="turns with 'parallactic_angle_deg', which is not known"):
         rotation_deg(tmp_path, instrument)
-
-
-def test_a_rule_with_an_unknown_angle_is_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"unknown key 'pupil\.turns\.paralactic'; did you mean"):
-        turned_by(tmp_path, paralactic=-1)
 
 
 def recording(name, angle_deg) -> Recording:
@@ -219,13 +189,3 @@ def test_the_date_of_a_header_is_read_however_it_is_told(cards):
 )
 def test_what_is_no_date_is_no_date(cards):
     assert np.isnan(start_of(fits.Header(cards)))
-
-
-def test_cubes_and_recorder_tables_without_times_have_the_date_of_their_header(tmp_path):
-    cube = counts(star(12, 12), 3)
-    fits.writeto(tmp_path / "c.fits", cube, fits.Header({"DATE-OBS": STAMP}))
-    recorder = write_recorder(tmp_path / "rec", cube)
-    fits.setval(recorder, "MJD-OBS", value=MJD)
-    for path in (tmp_path / "c.fits", recorder):
-        (raw,) = read_recordings(path, load_instrument("irlos"))
-        assert raw.start_unix_s == pytest.approx(UNIX_S, abs=1e-3)

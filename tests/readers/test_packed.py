@@ -13,14 +13,13 @@ import astropy
 import numpy as np
 import pytest
 from astropy.io import fits
-from helpers.sparta_files import counts, pixel_table, star, write_muse, write_sidecar
+from helpers.sparta_files import counts, star, write_muse, write_sidecar
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import read_recordings, recording_files
-from irlos_pipe.readers.fitsfile import has_fits_name, open_fits, stem
+from irlos_pipe.readers.fitsfile import open_fits, stored_hdus
 from irlos_pipe.readers.sidecar import sidecar_path
-from irlos_pipe.readers.stored_hdus import stored_hdus
 
 IRLOS = load_instrument("irlos")
 CUBE = np.rint(counts(star(24, 20), 3)).astype(np.uint16)
@@ -41,24 +40,6 @@ def written(*hdus, checksum=True) -> bytes:
 
 
 WHOLE = written(fits.PrimaryHDU(CUBE))
-
-
-def as_fpack_leaves_it(how: str) -> bytes:
-    """Tiles whose header holds the sums of the original in ZDATASUM."""
-    original = fits.ImageHDU(CUBE, name="CUBE")
-    original.add_checksum()
-    tiles = fits.CompImageHDU(CUBE, name="CUBE", compression_type=how)
-    tiles.header["CHECKSUM"], tiles.header["DATASUM"] = (
-        original.header[key] for key in ("CHECKSUM", "DATASUM")
-    )
-    return written(fits.PrimaryHDU(), tiles, checksum=False)
-
-
-@pytest.mark.parametrize("how", ["RICE_1", "GZIP_1", "GZIP_2", "HCOMPRESS_1"])
-def test_sums_of_the_original_are_not_those_of_its_tiles(tmp_path, how):
-    path = tmp_path / "c.fits.fz"
-    path.write_bytes(as_fpack_leaves_it(how))
-    assert np.array_equal(one(path).adu, CUBE)
 
 
 @pytest.mark.parametrize("name", ["m13_rice", "m13_gzip", "m13_hcomp", "m13_plio"])
@@ -97,39 +78,6 @@ def test_a_packed_raw_file_is_the_same_recording_and_damage_of_its_tiles_is_seen
         stream.write(bytes([last[0] ^ 1]))
     with pytest.raises(InputDataError, match="do not fit their DATASUM"):
         read_recordings(packed, IRLOS)
-
-
-@FPACK
-@pytest.mark.parametrize("options", [["-r"], ["-g1"], ["-g2"], ["-h"]])
-def test_the_header_of_a_packed_primary_image_is_found(tmp_path, options):
-    header = fits.Header({"OBJECT": "HD 1", "DATE-OBS": "2021-05-01T05:00:00", "HIERARCH ESO TEL ALT": 60.5})
-    fits.writeto(tmp_path / "c.fits", CUBE, header, checksum=True)
-    whole = one(tmp_path / "c.fits")
-    subprocess.run(["fpack", "-Y", *options, tmp_path / "c.fits"], check=True)
-    raw = one(tmp_path / "c.fits.fz")
-    assert np.array_equal(raw.adu, CUBE) and raw.header == whole.header == {"altitude_deg": 60.5}
-    assert raw.cards == whole.cards and raw.start_unix_s == whole.start_unix_s
-
-
-@FPACK
-def test_a_packed_table_is_named_with_what_to_do(tmp_path):
-    path = tmp_path / "t.fits"
-    path.write_bytes(written(fits.PrimaryHDU(), pixel_table(np.float32(CUBE).repeat(20, axis=0))))
-    subprocess.run(["fpack", "-D", "-Y", "-table", path], check=True)
-    with pytest.raises(InputDataError, match=r"a table packed by fpack.*unpack the file with funpack"):
-        read_recordings(tmp_path / "t.fits.fz", IRLOS)
-
-
-def test_a_pixel_scale_of_the_data_survives_its_tiles(tmp_path):
-    even = CUBE // 2 * 2
-    scaled = fits.ImageHDU(even.astype(np.float32))
-    scaled.scale("int16", bscale=2, bzero=100)
-    (tmp_path / "a.fits").write_bytes(written(fits.PrimaryHDU(), scaled))
-    with fits.open(tmp_path / "a.fits") as hdus:
-        tiles = fits.CompImageHDU(hdus[1].data, hdus[1].header, compression_type="GZIP_2", quantize_level=0)
-        (tmp_path / "b.fits.fz").write_bytes(written(fits.PrimaryHDU(), tiles))
-    assert np.array_equal(one(tmp_path / "a.fits").adu, even)
-    assert np.array_equal(one(tmp_path / "b.fits.fz").adu, even)
 
 
 @pytest.mark.parametrize(
@@ -186,15 +134,6 @@ def test_what_is_no_data_file_is_named(tmp_path, content, what):
         read_recordings(tmp_path / "a.fits", IRLOS)
 
 
-def test_random_groups_are_named(tmp_path):
-    groups = fits.GroupData(
-        np.zeros((3, 1, 1, 4), np.float32), bitpix=-32, parnames=["U"], pardata=[np.zeros(3)]
-    )
-    fits.GroupsHDU(groups).writeto(tmp_path / "a.fits")
-    with pytest.raises(InputDataError, match="random groups"):
-        read_recordings(tmp_path / "a.fits", IRLOS)
-
-
 @pytest.mark.slow
 def test_thousands_of_hdus_and_of_cards_are_refused_at_once(tmp_path):
     extension = written(fits.PrimaryHDU(), fits.ImageHDU(), checksum=False)[BLOCK:]
@@ -242,38 +181,6 @@ def test_a_card_that_cannot_be_read_is_an_error_where_the_data_depend_on_it(tmp_
         InputDataError, match="the card 'BZERO = nan' cannot be read, and the data depend on it"
     ):
         read_recordings(tmp_path / "a.fits", IRLOS)
-
-
-def test_cards_that_are_sound_are_left_alone(tmp_path):
-    header = fits.Header(
-        {"LONG": "x" * 200, "SMALL": 1.5e-30, "TRUE": True, "QUOTE": "O'Brien / x", "HIERARCH ESO A": -3}
-    )
-    header["HISTORY"] = "nan = 1"
-    header["EMPTY"] = None
-    fits.writeto(tmp_path / "a.fits", CUBE, header)
-    notes: list[str] = []
-    with open_fits(tmp_path / "a.fits", notes=notes) as hdus:
-        assert notes == [] and hdus[0].header["LONG"] == "x" * 200
-
-
-@pytest.mark.parametrize(
-    ("name", "own"),
-    [
-        ("a.b.fits", "a.b"),
-        ("a.FITS.FZ", "a"),
-        ("a.fits.gz", "a"),
-        ("a.fts.bz2", "a"),
-        ("a.fit.xz", "a"),
-        ("a.fits (2)", "a"),
-        ("a(2).fits", "a(2)"),
-        ("a.fits.3", "a"),
-        ("a.fits.part", None),
-        ("a.fitsx", None),
-        ("a.gz", None),
-    ],
-)
-def test_the_stem_of_a_name_is_what_packers_and_browsers_did_not_add(name, own):
-    assert has_fits_name(Path(name)) is (own is not None) and stem(Path(name)) == (own or name)
 
 
 CARD = 80
@@ -337,3 +244,12 @@ def test_few_bytes_that_unpack_to_many_are_refused_while_they_are_unpacked(tmp_p
     fits.writeto(tmp_path / "whole.fits", np.zeros((200, 64, 64)))
     (tmp_path / "a.fits").write_bytes(pack((tmp_path / "whole.fits").read_bytes()))
     assert "that unpack to more than 2097152" in refusal(tmp_path / "a.fits")
+
+
+def test_random_groups_are_named(tmp_path):
+    groups = fits.GroupData(
+        np.zeros((3, 1, 1, 4), np.float32), bitpix=-32, parnames=["U"], pardata=[np.zeros(3)]
+    )
+    fits.GroupsHDU(groups).writeto(tmp_path / "a.fits")
+    with pytest.raises(InputDataError, match="random groups"):
+        read_recordings(tmp_path / "a.fits", IRLOS)

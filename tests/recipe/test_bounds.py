@@ -39,10 +39,6 @@ def test_a_setting_out_of_its_range_is_named(setting):
     assert all(line.startswith(f"--set {setting.partition('=')[0]}: ") for line in lines)
 
 
-def test_off_is_a_word_as_documented():
-    assert loaded("lift.halo=off").configs["lift"].halo == "off"
-
-
 def test_a_simulation_of_thousands_of_bands_is_refused():
     band = {"centre_nm": 1600.0, "half_width_nm": 20.0}
     with pytest.raises(ConfigurationError, match="bands"):

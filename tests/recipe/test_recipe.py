@@ -9,10 +9,7 @@ from conftest import RECIPE
 from helpers import paths
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.overrides import overridden, parse_setting
-from irlos_pipe.instrument.instrument import PROFILES
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.simulate.recordings.spec import load_spec
 
 COMPANION = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
 RECIPES = sorted((paths.RECIPES).glob("*.yaml"))
@@ -32,14 +29,6 @@ def test_a_recipe_takes_defaults_for_what_it_does_not_say(bench):
     assert recipe.stages == ("ingest", "calibrate", "lift")
     assert recipe.configs["calibrate"].jitter_sigma_mas == 5.0
     assert (recipe.instrument.name.lower(), recipe.seed) == ("irlos", 0)
-
-
-def test_inputs_count_from_the_recipe_and_not_from_the_current_folder(bench, monkeypatch):
-    monkeypatch.chdir("/")
-    assert load_recipe(bench.recipe).inputs == {"cube": (bench.data,)}
-    monkeypatch.chdir(bench.data)  # one on the command line does; given twice, it makes a list
-    cubes = tuple(bench.data / name for name in ("a.dat", "b.dat"))
-    assert load_recipe(bench.recipe, inputs=["cube=a.dat", "cube=b.dat"]).inputs["cube"] == cubes
 
 
 def test_all_mistakes_are_reported_at_once_in_the_order_of_the_file(bench):
@@ -107,16 +96,6 @@ def test_wrong_stages_are_reported(bench, stages, expected):
     assert error_lines(bench, text)[0].startswith(f"recipe.yaml:5: {expected}")
 
 
-def test_a_missing_input_says_how_to_give_another(bench):
-    (line,) = error_lines(bench, RECIPE.replace("cube: data", "cube:"))
-    assert line == "recipe.yaml:4: input 'cube' is not given; add --input cube=PATH"
-    (line,) = error_lines(bench, RECIPE.replace("cube: data", "cube: gone"))
-    assert line == (
-        f"recipe.yaml:4: input 'cube': no such file or folder: {bench.folder / 'gone'}; "
-        "correct it, or give --input cube=PATH"
-    )
-
-
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [
@@ -158,11 +137,6 @@ def test_a_wrong_input_is_reported_by_its_option(bench, inputs, expected):
     assert line.startswith(expected)
 
 
-def test_mistakes_on_the_command_line_and_in_the_file_are_reported_together(bench):
-    lines = error_lines(bench, RECIPE + "sed: 1\n", settings=["nonsense", "calibrate.x=1"], inputs=["cub=x"])
-    assert len(lines) == 4
-
-
 def test_settings_are_yaml_and_the_last_one_counts(bench):
     settings = [
         "calibrate.method=dip_avg",
@@ -186,40 +160,6 @@ def test_a_section_can_be_taken_from_a_file(bench, monkeypatch):
     assert [(one.name, one.values) for one in model.entries()] == [("companion", COMPANION)]
 
 
-def test_the_adaptive_optics_are_those_of_the_profile_unless_the_recipe_gives_others(bench, tmp_path):
-    profile = yaml.safe_load((PROFILES / "irlos.yaml").read_text())
-    profile["facts"]["ao_cutoff_per_m"]["value"] = 7.5
-    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(profile))
-    own = load_recipe(bench.recipe, [f"instrument={tmp_path / 'mine.yaml'}", "model.outer_scale_m=22"])
-    resolved = yaml.safe_load(own.resolved_yaml())["model"]
-    assert (resolved["cutoff_per_m"], resolved["outer_scale_m"]) == (7.5, 22.0)
-
-
-def test_the_path_of_a_profile_on_the_command_line_counts_from_the_current_folder(tmp_path, monkeypatch):
-    """The recipe goes by name: its folder is that of the package."""
-    (tmp_path / "mine.yaml").write_text((PROFILES / "irlos.yaml").read_text())
-    monkeypatch.chdir(tmp_path)
-    settings = ["instrument=mine.yaml"]
-    recipe = load_recipe("ncpa_calibration", settings, complete=False)
-    assert (
-        recipe.instrument_name
-        == load_spec("bench", settings).head["instrument"]
-        == str(tmp_path / "mine.yaml")
-    )
-
-
-def test_a_file_for_a_section_that_is_not_there_is_reported(bench):
-    (line,) = error_lines(bench, settings=["model=nowhere/model.yaml"])
-    assert "nowhere/model.yaml" in line and "No such file" in line
-
-
-def test_a_setting_leaves_the_data_it_changes_alone():
-    data = {"calibrate": {"method": "dip_avg"}}
-    changed = overridden(data, parse_setting("calibrate.zernike.6=-170"))
-    assert changed == {"calibrate": {"method": "dip_avg", "zernike": {6: -170}}}
-    assert data == {"calibrate": {"method": "dip_avg"}}
-
-
 def test_the_resolved_recipe_says_everything_and_means_the_same(bench, tmp_path):
     recipe = load_recipe(bench.recipe, settings=["calibrate.solver.iterations=3"])
     copy = tmp_path / "elsewhere" / "resolved.yaml"
@@ -238,12 +178,6 @@ def test_a_file_that_is_no_recipe_is_reported_in_one_line(bench):
         load_recipe(bench.recipe)
 
 
-@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
-def test_a_recipe_of_the_project_is_named_like_its_file_and_has_a_title(path):
-    content = yaml.safe_load(path.read_text())
-    assert content["recipe"] == path.stem and content["title"]
-
-
 @pytest.mark.parametrize("path", SAMPLED, ids=lambda path: path.stem)
 def test_a_recipe_of_the_project_takes_samples_only_if_asked_to(path):
     with pytest.raises(ConfigurationError, match=r"is not given; add --input .*, or --samples"):
@@ -251,23 +185,6 @@ def test_a_recipe_of_the_project_takes_samples_only_if_asked_to(path):
     recipe = load_recipe(path.stem, samples=True)
     assert recipe.path == path and recipe.samples == tuple(recipe.inputs)
     assert "simulated sample" in recipe.notice
-
-
-def test_a_recipe_without_samples_asks_for_its_input_alone():
-    for samples in (False, True):
-        with pytest.raises(ConfigurationError, match=r"'cube' is not given; add --input cube=PATH$"):
-            load_recipe("two_by_two", samples=samples)
-
-
-def test_an_input_that_is_given_is_not_replaced_by_a_sample(tmp_path):
-    recipe = load_recipe("defocus_ramp", inputs=[f"ramp={tmp_path}"], samples=True)
-    assert recipe.inputs["ramp"] == (tmp_path,) and recipe.samples == ("calibration",)
-    assert load_recipe("ncpa_calibration", inputs=[f"calibration={tmp_path}"]).notice == ""
-
-
-def test_a_sample_is_known_for_one_however_it_is_given(tmp_path):
-    (tmp_path / "mine").symlink_to(paths.SAMPLES / "calibration-sky")
-    assert load_recipe("diagnose", inputs=[f"cube={tmp_path / 'mine'}"]).samples == ("cube",)
 
 
 def test_a_file_goes_before_a_name_and_an_unknown_name_is_corrected(bench, monkeypatch):

@@ -37,14 +37,6 @@ def test_a_file_may_have_comments_blanks_and_variables(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "line", ['"a b.fits" PSF', "'a b.fits' PSF RAW", "a\\ b.fits PSF # best", '"a b.fits"\tPSF  calib']
-)
-def test_a_path_may_have_blanks_and_a_line_a_group(tmp_path, line):
-    (tmp_path / "n.sof").write_text(line)
-    assert read_sof(tmp_path / "n.sof") == [("a b.fits", "PSF")]
-
-
-@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", ""),
@@ -59,12 +51,3 @@ def test_a_file_without_frames_or_tags_is_bad_data(tmp_path, text, message):
     with pytest.raises(InputDataError, match=rf"n\.sof{message}"):
         read_sof(path)
     assert invoke("validate", "ncpa_calibration", "--sof", str(path)).exit_code == 3
-
-
-def test_the_commands_take_a_set_of_frames(tmp_path):
-    path = tmp_path / "n.sof"
-    path.write_text("gone.fits NCPA_CALIBRATION\n")
-    result = invoke("validate", "ncpa_calibration", "--sof", str(path))
-    assert result.exit_code != 0 and "gone.fits" in result.stderr
-    path.write_text("data_samples/calibration-sky NCPA_CALIBRATION\n")
-    assert invoke("validate", "ncpa_calibration", "--sof", str(path)).exit_code == 0

@@ -91,14 +91,3 @@ def test_every_array_of_every_product_has_the_axes_that_are_declared(runs):
             assert known is not None, f"{product.stage}.{name}: say in ARRAYS of the stage what it is"
             axes = declared[known][1].split(",") if declared[known][1] else []
             assert len(axes) == array.value.ndim or "<array>" in known, known
-
-
-def test_the_frame_that_is_held_at_every_defocus_is_the_one_in_the_middle(runs):
-    product = read_product(runs[0] / "04_lift.h5")
-    twin, points = product.results["twin"], product.results["points"]
-    (held,) = [one for one in points if (one["name"], one["frame"]) == (twin["name"], twin["frame"])]
-    assert held["chi2_nu"] == sorted(one["chi2_nu"] for one in points)[len(points) // 2]
-    focus_nm, chi2_nu = (product.arrays[f"curve_{name}"].value for name in ("defocus_nm", "chi2_nu"))
-    assert (focus_nm[0], focus_nm[-1]) == (-900.0, 900.0) and len(chi2_nu) == len(focus_nm)
-    near = abs(focus_nm - twin["defocus_nm"]).argmin()
-    assert abs(focus_nm[chi2_nu.argmin()] - focus_nm[near]) <= 50.0

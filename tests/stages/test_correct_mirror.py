@@ -69,20 +69,6 @@ def test_offsets_of_a_mirror_make_the_wavefront_of_the_modal_offsets(folder):
 
 
 @pytest.mark.slow
-def test_other_modes_in_the_same_file_are_another_correction(folder, tmp_path, caplog):
-    modes = tmp_path / "modes.fits"
-    write_modes(modes, MIXTURE)
-    corrected(folder, modes)
-    caplog.clear()
-    corrected(folder, modes)
-    assert "correct: up to date" in caplog.text
-    write_modes(modes, 2.0 * MIXTURE)
-    before, _ = offsets(folder)
-    assert corrected(folder, modes).exit_code in (0, 4)
-    assert offsets(folder)[0] == pytest.approx(before / 2, rel=1e-4)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "message"),
     [

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from helpers.effect_cases import STRONG
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.effects.public_values import mean_of, rows_of
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
-    good_pixels,
-    image_effects,
     model_effects,
 )
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
@@ -44,19 +40,6 @@ def test_every_effect_can_be_free_fixed_or_free_from_a_start(name):
     assert fixed.parameters == ()
     assert [p.start for p in started.parameters] == pytest.approx(fixed.values)
     assert len(started.parameters) == len(fixed.values)
-
-
-@pytest.mark.parametrize("name", ["focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale"])
-def test_errors_of_the_focus_stage_are_no_part_of_an_image(name):
-    effects = effects_of(name, "companion")
-    assert [effect.name for effect in image_effects(effects)] == ["companion"]
-
-
-def test_bad_pixels_are_a_mask_and_no_part_of_an_image():
-    effects = effects_of({"bad_pixels": {"pixels": [[3, 4], [60, 1]]}})
-    assert image_effects(effects) == []
-    assert np.argwhere(~good_pixels(effects, (64, 64))).tolist() == [[3, 4], [60, 1]]
-    assert good_pixels([], (64, 64)).all()
 
 
 @pytest.mark.parametrize(("entry", "message"), [
@@ -107,31 +90,6 @@ def test_what_two_companions_were_calibrated_to_is_handed_on_to_the_same_two():
         "tip_tilt_jitter": [64.0]
     }
     assert set(calibrated_effects(product, IRLOS, model, cube, 0.8)) == {"tip_tilt_jitter"}
-
-
-def test_public_values_are_listed_one_number_a_row():
-    public = {"sigma_mas": 7.0, "zernike_nm": {"70": 1.0}, "tip_nm": [2.0, 3.0], "pixels": [[4, 5]]}
-    assert rows_of(public) == [
-        ("sigma_mas", 7.0), ("zernike_nm 70", 1.0), ("tip_nm 1", 2.0), ("tip_nm 2", 3.0),
-        ("pixels 1 1", 4), ("pixels 1 2", 5),
-    ]  # fmt: skip
-
-
-def test_the_mean_over_estimates_is_taken_number_by_number():
-    first = {"vibration": {"sigma_mas": 3.0, "shape": "gaussian"}, "petals": {"tip_nm": [1.0, -2.0]}}
-    second = {"vibration": {"sigma_mas": 5.0, "shape": "gaussian"}, "petals": {"tip_nm": [2.0, 2.0]}}
-    mean = {"vibration": {"sigma_mas": 4.0, "shape": "gaussian"}, "petals": {"tip_nm": [1.5, 0.0]}}
-    assert mean_of([first, second]) == mean
-
-
-def test_effects_have_the_values_and_options_of_the_recipe():
-    choices = {"high_order_ncpa": {"nolls": [70, 80]}}, {"vibration": {"shape": "gaussian"}}
-    high, vibration, companion = effects_of(
-        *choices, {"companion": {"flux_ratio": 0.1, "sep_mas": 100.0, "pa_deg": 90.0}}
-    )
-    assert [p.name for p in high.parameters] == ["noll_70", "noll_80"]
-    assert vibration.shape == "gaussian"
-    assert companion.all_values(torch.zeros(0)).tolist() == pytest.approx([0.1, 0.0, 100.0])
 
 
 def test_a_calibration_with_other_parameters_than_the_present_effect_has_is_refused():

@@ -1,38 +1,39 @@
 """Ingest as a whole: files in, recordings in electrons out."""
 
-import json
+from __future__ import annotations
+
 import logging
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from astropy.io import fits
 from helpers import paths
 from helpers.sparta_files import (
     TWO_BY_TWO,
     counts,
     frames_e,
     quadrants,
-    sidecar,
     star,
     write_muse,
     write_recorder,
     write_sidecar,
 )
 
-from irlos_pipe.conventions.errors import InputDataError, NothingToDo
-from irlos_pipe.files.json import json_text
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.storage import read_product, write_product
+from irlos_pipe.readers.acquisition import Resolved
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest import stage as ingest
 from irlos_pipe.stages.ingest.recording_arrays import (
-    overviews_from_product,
     recordings_from_product,
     screened_e,
 )
+from irlos_pipe.stages.ingest.sources import Source, accumulated
 from irlos_pipe.stages.model.section import ModelConfig
 
 SHARED = paths.SHARED / "samples"
@@ -68,59 +69,6 @@ def only_recording(output):
     return recording
 
 
-def test_counts_become_the_electrons_that_were_put_in(tmp_path):
-    write_recorder(tmp_path / "rec", counts(IMAGE, pedestal_adu=50), maps={"DARK": np.full(IMAGE.shape, 50)})
-    recording = only_recording(run(tmp_path))
-    mean = recording.images_e.mean(axis=0)
-    noise = np.sqrt((IMAGE + 1) / recording.frames)
-    assert np.std((mean - IMAGE) / noise) == pytest.approx(1, abs=0.1)
-    assert mean.sum() == pytest.approx(IMAGE.sum(), rel=1e-3)
-    assert recording.used.all() and recording.good.all()
-
-
-def test_a_clean_recording_of_any_window_passes_its_checks_and_keeps_its_times(tmp_path, caplog):
-    image = star(24, 37)
-    times = {"Seconds": 1700000000 + np.arange(12) // 10, "USeconds": 100000 * (np.arange(12) % 10)}
-    write_recorder(tmp_path / "rec", counts(image), pad=100, keys=sidecar(), times=times)
-    with caplog.at_level(logging.WARNING, logger="test"):
-        output = run(tmp_path)
-    assert caplog.messages == []
-    assert len(output.checks) == 7 and all(check.passed for check in output.checks)
-    recording = only_recording(output)
-    assert recording.window == (24, 37)
-    brightest = np.unravel_index(recording.images_e.mean(axis=0).argmax(), (24, 37))
-    assert brightest == np.unravel_index(image.argmax(), (24, 37))
-    assert recording.time_s == pytest.approx(0.1 * np.arange(12), abs=1e-5)
-    assert recording.start_unix_s == 1700000000
-
-
-def test_the_results_describe_every_recording(tmp_path):
-    write_recorder(
-        tmp_path / "rec",
-        counts(IMAGE),
-        counter=[*range(0, 160, 20), 200, 220, 240, 260],
-        maps={"DARK": np.full(IMAGE.shape, 50)},
-    )
-    output = run(tmp_path)
-    (row,) = output.results.as_json()["inputs"]
-    expected = {
-        "name": "rec",
-        "input": "cube",
-        "role": "ncpa_calibration",
-        "frames": 12,
-        "frames_rejected": 0,
-        "frames_missing": 2,
-        "window": [32, 32],
-        "mag_j": 8.0,
-        "saturated_frames": 0,
-        "bad_pixels": [],
-    }
-    assert {key: row[key] for key in expected} == expected
-    assert row["flux_e"] == pytest.approx(1e6, rel=0.01)
-    assert json.loads(json_text(output.results.as_json()))
-    assert len(output.summary) == 1
-
-
 def test_recordings_survive_the_product_file(tmp_path):
     write_recorder(tmp_path / "ramp" / "offset_2", counts(IMAGE), keys={"introduced_defocus_nm": 40.0})
     write_recorder(
@@ -138,21 +86,6 @@ def test_recordings_survive_the_product_file(tmp_path):
     assert ramp[0].acquisition == before.acquisition
     assert ramp[0].introduced_defocus_nm.tolist() == [40.0] * 12
     assert ramp[0].reason.tolist() == [""] * 12
-
-
-def test_the_raw_counts_stay_retrievable(tmp_path):
-    adu = counts(star(flux_e=3e5)).astype(np.uint16)
-    fits.writeto(tmp_path / "cube.fits", adu)
-    write_sidecar(tmp_path / "cube.yaml")
-    arrays = run(tmp_path).arrays
-    prefix = "recordings/cube/cube"
-    raw, background, flat = (
-        arrays[f"{prefix}/{name}"].value for name in ("raw_adu", "background_adu", "flat")
-    )
-    assert raw.dtype == np.uint16
-    assert np.array_equal(raw, adu)
-    again = (raw - background) / flat * 0.5
-    assert again == pytest.approx(arrays[f"{prefix}/images_e"].value, abs=0.1)
 
 
 def test_sky_and_flat_are_taken_out(tmp_path):
@@ -223,23 +156,6 @@ def earlier(output, *lacking):
     return replace(product_of(output), arrays=arrays)
 
 
-def test_the_mean_of_the_used_frames_is_stored(tmp_path):
-    adu = counts(IMAGE, 20)
-    adu[3] *= 2  # a flux that is not used
-    write_recorder(tmp_path / "rec", adu)
-    output = run(tmp_path)
-    product, older = product_of(output), earlier(output, "mean_e", "dark_variance_e2")
-    (overview,) = overviews_from_product(product)
-    (recording,) = recordings_from_product(product)
-    assert recording.used.sum() == 19
-    assert overview.mean_e == pytest.approx(recording.images_e[recording.used].mean(axis=0), rel=1e-5)
-    (again,) = overviews_from_product(older)
-    assert np.array_equal(again.mean_e, overview.mean_e)
-    assert recordings_from_product(older)[0].dark_variance_e2 == 0.0
-    with pytest.raises(InputDataError, match="no recordings of input 'ramp'"):
-        recordings_from_product(product, "ramp")
-
-
 def test_a_hit_in_the_core_costs_its_pixel_and_many_cost_the_frame(tmp_path):
     adu = counts(IMAGE, 20)
     row, column = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
@@ -263,13 +179,6 @@ def test_a_frame_with_a_row_that_no_light_makes_is_not_used(tmp_path, damage):
     recording = only_recording(run(tmp_path))
     assert np.flatnonzero(~recording.used).tolist() == [5]
     assert recording.reason[5] in ("detail finer than the optics make", "cosmic hit in the core")
-
-
-def test_detail_that_all_frames_have_costs_none(tmp_path):
-    adu = counts(IMAGE, 8)
-    adu[:, 4] *= 1.2
-    write_recorder(tmp_path / "rec", adu, keys={"detector": {"e_per_adu": 0.5, "read_noise_e": 0.01}})
-    assert only_recording(run(tmp_path)).used.all()
 
 
 PROFILE_NOISE = {"detector": {"e_per_adu": 0.5}}
@@ -309,26 +218,6 @@ def test_frames_in_any_unit_become_the_same_electrons(tmp_path, unit):
     assert only_recording(output).images_e.sum(axis=(1, 2)).mean() == pytest.approx(image.sum(), rel=0.1)
 
 
-@pytest.mark.parametrize(("averaged", "gain"), [(False, 0.5), (True, 12.5)])
-def test_a_coadded_frame_has_the_noise_of_all_its_exposures(tmp_path, averaged, gain):
-    told = {"e_per_adu": 0.5, "read_noise_e": 1.0, "coadds": 25, "coadds_averaged": averaged}
-    write_recorder(tmp_path / "rec", counts(IMAGE), keys={"detector": told})
-    detector = only_recording(run(tmp_path)).acquisition.detector
-    assert (detector.e_per_adu, detector.read_noise_e) == (gain, 5.0)
-
-
-def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
-    pattern = np.random.default_rng(7).normal(100, 10, IMAGE.shape)
-    noise = np.random.default_rng(8).normal(0, 2, (50, *IMAGE.shape))
-    write_recorder(tmp_path / "dark", (pattern + noise).astype(np.float32), keys={"role": "dark"})
-    write_recorder(tmp_path / "rec", (counts(IMAGE, pedestal_adu=0) + pattern).astype(np.float32))
-    output = run(tmp_path)
-    assert [row["role"] for row in output.results.as_json()["inputs"]] == ["ncpa_calibration", "dark"]
-    background = output.arrays["recordings/cube/rec/background_adu"].value
-    assert background == pytest.approx(pattern, abs=1.5)
-    assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2
-
-
 def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
     cubes = [
         (frames_e(star(18, 18, flux_e=2e5, seed=seed), 8) / 0.5 + 200).astype(np.float32) for seed in range(4)
@@ -340,23 +229,6 @@ def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
     assert recording.window == (36, 36) and recording.used.all()
     flux_e = recording.mean_e.reshape(2, 18, 2, 18).sum(axis=(1, 3))
     assert flux_e == pytest.approx(np.full((2, 2), 2e5), rel=0.05)
-
-
-def test_inputs_without_a_star_and_folders_without_recordings_are_refused(tmp_path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(NothingToDo):
-        run(tmp_path / "empty")
-    write_recorder(tmp_path / "dark", counts(IMAGE), keys={"role": "dark"})
-    with pytest.raises(InputDataError, match="input 'cube': only darks"):
-        run(tmp_path / "dark")
-
-
-def test_the_recipe_may_differ_per_input(tmp_path):
-    for name in ("a", "b"):
-        write_recorder(tmp_path / name, counts(IMAGE), keys={"mag_j": 5.0})
-    config = {"acquisition": {"target": "Vega"}, "acquisition_of": {"two": {"mag_j": 9.0}}}
-    rows = run(one=[tmp_path / "a"], two=[tmp_path / "b"], config=config).results.as_json()["inputs"]
-    assert [row["mag_j"] for row in rows] == [5.0, 9.0]
 
 
 def test_one_bad_recording_does_not_cost_the_others(tmp_path):
@@ -385,13 +257,6 @@ def test_a_cube_of_useless_frames_is_refused_with_the_reason(tmp_path, spoil, me
         run(tmp_path)
     assert "rec.fits" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_files_are_never_written(tmp_path):
-    path = write_recorder(tmp_path / "rec", counts(IMAGE))
-    before = {file: file.read_bytes() for file in path.parent.iterdir()}
-    run(tmp_path)
-    assert {file: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
 needs_samples = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared samples are not there")
@@ -437,16 +302,85 @@ def test_a_rejected_frame_changes_no_number_of_the_others(tmp_path, kind):
         assert row[key] == expected[key]
 
 
-def test_a_frame_without_its_pedestal_does_not_lower_that_of_the_others(tmp_path):
-    adu = counts(IMAGE, frames=20, pedestal_adu=100).astype(np.float32)
-    write_recorder(tmp_path / "alone" / "rec", adu[1:])
-    adu[0] -= 100
-    write_recorder(tmp_path / "beside" / "rec", adu)
-    (alone,), (beside,) = (run(tmp_path / name).results.as_json()["inputs"] for name in ("alone", "beside"))
-    assert beside["pedestal_adu"] == alone["pedestal_adu"]
-
-
 def test_a_star_below_the_level_of_the_background_fails_a_check(tmp_path):
     write_recorder(tmp_path / "rec", counts(IMAGE), maps={"DARK": np.full(IMAGE.shape, 5000)})
     (check,) = (one for one in run(tmp_path).checks if one.name.endswith("/flux"))
     assert check.value < 0 and not check.passed
+
+
+# Raw frames summed to longer exposures. Truth: arithmetic on made-up counts.
+
+
+FRAMES = 20
+ADU = np.random.default_rng(0).integers(190, 400, (FRAMES, 6, 7)).astype(np.uint16)
+
+
+def source(adu: np.ndarray = ADU, counter=None, introduced_nm=0.0, **raw) -> Source:
+    counter = np.arange(len(adu)) if counter is None else np.asarray(counter)
+    recording = RawRecording(
+        name="raw",
+        path=Path("raw.fits"),
+        layout="fits_cube",
+        adu=adu,
+        frame_counter=counter,
+        unix_s=1e9 + 0.005 * counter,
+        **raw,
+    )
+    detector = Detector(0.5, 1.0, background_e=0.1)
+    told = Acquisition("psf", detector, ((1600.0, 1.0),), {}, 9.7, exposure_s=0.005, frame_rate_hz=200.0)
+    defocus = np.broadcast_to(np.asarray(introduced_nm, float), (len(adu),)).copy()
+    return Source("cube", recording, Resolved(told, defocus, ()))
+
+
+def test_frames_are_summed_and_what_is_known_of_them_follows():
+    dark = np.full((6, 7), 195.5)
+    summed = accumulated(source(calibration=CalibrationMaps(dark_adu=dark, dark_variance_adu2=0.2)), 0.02)
+    raw, told = summed.raw, summed.resolved.acquisition
+    assert raw.adu.tolist() == ADU.reshape(5, 4, 6, 7).sum(axis=1).tolist()
+    assert raw.frame_counter.tolist() == [0, 4, 8, 12, 16]
+    assert raw.unix_s - 1e9 == pytest.approx([0, 0.02, 0.04, 0.06, 0.08], abs=1e-6)
+    assert raw.calibration.dark_adu == pytest.approx(4 * dark)
+    assert raw.calibration.dark_variance_adu2 == pytest.approx(16 * 0.2)
+    assert (told.exposure_s, told.frame_rate_hz) == (pytest.approx(0.02), 50.0)
+    detector = told.detector
+    assert (detector.reads, detector.read_noise_e, detector.background_e) == (4, 2.0, pytest.approx(0.4))
+
+
+def test_a_sum_without_one_of_its_frames_is_left_out():
+    summed = accumulated(source(ADU[:19], counter=[*range(5), *range(6, 20)]), 0.02)
+    assert summed.raw.frame_counter.tolist() == [0, 8, 12, 16]
+    assert summed.raw.adu[1].tolist() == ADU[7:11].sum(axis=0).tolist()
+
+
+def test_a_pixel_that_is_saturated_once_is_so_in_the_sum():
+    adu = ADU.copy()
+    adu[5, 2, 3] = 65535
+    summed = accumulated(source(adu), 0.02)
+    level = summed.resolved.acquisition.detector.saturation_adu
+    assert level == 4 * 65535
+    assert np.argwhere(summed.raw.adu >= level).tolist() == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    ("exposure_s", "frames", "message"),
+    [
+        (0.0125, 20, r"frames of 0.005 s do not add up to accumulate_s = 0.0125 \(2.5 frames\)"),
+        (0.2, 20, "no 40 of its 20 frames follow each other without a gap"),
+    ],
+)
+def test_what_cannot_be_summed_is_refused_in_one_line(exposure_s, frames, message):
+    with pytest.raises(InputDataError, match=message) as error:
+        accumulated(source(ADU[:frames]), exposure_s)
+    assert "\n" not in str(error.value)
+
+
+def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
+    pattern = np.random.default_rng(7).normal(100, 10, IMAGE.shape)
+    noise = np.random.default_rng(8).normal(0, 2, (50, *IMAGE.shape))
+    write_recorder(tmp_path / "dark", (pattern + noise).astype(np.float32), keys={"role": "dark"})
+    write_recorder(tmp_path / "rec", (counts(IMAGE, pedestal_adu=0) + pattern).astype(np.float32))
+    output = run(tmp_path)
+    assert [row["role"] for row in output.results.as_json()["inputs"]] == ["ncpa_calibration", "dark"]
+    background = output.arrays["recordings/cube/rec/background_adu"].value
+    assert background == pytest.approx(pattern, abs=1.5)
+    assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2

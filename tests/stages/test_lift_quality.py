@@ -56,11 +56,6 @@ def test_a_right_ramp_passes_and_so_does_a_slope_that_its_error_explains():
     assert "slope" not in _failed(noisy)
 
 
-def test_without_ncpas_the_error_is_what_the_run_is_to_show():
-    checks = checks_of(Config(calibrated=False), 1.0, _ramp(1.0, 57.0), {}, NOMINAL, 0.0, len(OFFSETS))
-    assert all(one.passed for one in checks)
-
-
 @pytest.mark.parametrize(("offset_nm", "unexplained"), [(20.0, True), (-20.0, True), (2.0, False)])
 def test_an_offset_beyond_three_of_its_errors_is_told(offset_nm, unexplained):
     summary = _ramp(1.0, offset_nm)
@@ -68,17 +63,3 @@ def test_an_offset_beyond_three_of_its_errors_is_told(offset_nm, unexplained):
     found_nm = unexplained_offset_nm(summary)
     assert found_nm == (abs(summary.offset_nm) if unexplained else 0.0)
     assert "calibration of another time" in offset_text(summary)
-
-
-def test_the_error_of_an_offset_far_from_the_frames_grows_with_the_lever():
-    """At 300 nm from offsets that scatter by 100 nm RMS the slope's error counts three times the mean's."""
-    summary = _ramp(1.0, offsets=np.repeat([200.0, 400.0], 30))
-    assert summary.offset_sigma_nm == pytest.approx(4.0 * np.sqrt(10) / np.sqrt(2), rel=0.2)
-    assert not unexplained_offset_nm(summary)
-
-
-@pytest.mark.parametrize(
-    ("given", "start"), [("told", "commanded"), ("commanded", "commanded"), ("scan", "scan")]
-)
-def test_the_former_spelling_of_a_start_is_accepted(given, start):
-    assert Config(start=given).start == start

@@ -18,23 +18,16 @@ from helpers import sparta_files
 from helpers.effect_cases import BAND, RESIDUAL_LAW
 from helpers.simulated_scenes import image
 
-from irlos_pipe.effects import FixedEffect
-from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.declaration import Conditions
-from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.motion import TipTiltJitter
 from irlos_pipe.estimate.lift_errors import FrameErrors
-from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.product import Product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.lift import work
-from irlos_pipe.stages.lift.fit import _with_light_of
 from irlos_pipe.stages.lift.input import (
-    explains,
     has_other_light,
     older_text,
-    own_text,
     with_own_wavefront,
 )
 from irlos_pipe.stages.lift.stage import Config
@@ -86,21 +79,6 @@ def test_what_depends_on_wavelength_is_added_in_a_broad_band_alone(spectrum, nam
     assert [effect.name for effect in found] == names
 
 
-def test_what_the_recipe_lists_itself_stays():
-    conditions = Conditions(cases.settings(32, ((1215.0, 1.0), (1625.0, 1.0))), BAND, RESIDUAL_LAW, 0.5, 30)
-    own = ChromaticNcpa.under(conditions, range(4, 12))
-    found = with_own_wavefront([own], conditions)
-    assert found[0] is own and [effect.name for effect in found] == ["chromatic_ncpa", "filter_ncpa"]
-
-
-@pytest.mark.parametrize(
-    ("after", "kept"),
-    [(NOMINAL, True), (FrameErrors(4.0, 5.6, 2.2), True), (FrameErrors(4.0, 5.9, 2.2), False)],
-)
-def test_half_of_the_excess_has_to_be_explained(after, kept):
-    assert explains(MISFIT, after) is kept
-
-
 @pytest.mark.parametrize(
     ("mode", "before", "after", "tried", "kept"),
     [
@@ -126,43 +104,12 @@ def test_it_is_tried_where_frames_misfit_and_kept_where_it_explains_that(
     assert seen == tried
 
 
-def test_a_ramp_in_the_light_of_its_calibration_is_left_alone(monkeypatch):
-    monkeypatch.setattr(work, "fit_frames", lambda ctx, ramp, *, own_wavefront=False, **rest: own_wavefront)
-    monkeypatch.setattr(work, "_frame_errors", lambda ramp, fit: MISFIT)
-    assert work._fitted(context(), ramp(1600.0)) is False
-
-
-def test_the_excess_is_all_of_chi2_where_nothing_is_nominal():
-    assert FrameErrors(4.0, 9.0, np.nan).excess == 9.0
-    assert FrameErrors(4.0, 2.0, 2.2).excess == 0.0
-
-
-def test_the_text_states_sizes_as_root_sums_of_squares():
-    effects = {
-        "chromatic_ncpa": {"zernike_nm_per_um": {"4": 30.0, "5": -40.0}},
-        "filter_ncpa": {"zernike_nm": {"5": 12.0, "6": 5.0}},
-        "seeing_halo": {"wfe_nm": 110.0},
-    }
-    text = own_text(effects)
-    assert "50 nm RMS per µm" in text and "13 nm RMS of filter or lens" in text
-    assert own_text({"seeing_halo": {"wfe_nm": 110.0}}) == ""
-
-
 @pytest.mark.parametrize(("own_nm", "told"), [(40.0, True), (15.0, False)])
 def test_a_wavefront_beyond_the_errors_says_that_the_calibration_is_of_another_time(own_nm, told):
     fit = SimpleNamespace(effects={"filter_ncpa": {"zernike_nm": {"5": own_nm}}}, errors={"filter_ncpa": 3.0})
     text = older_text(fit, 4.0)  # three times 5 nm are excused
     assert ("40 ± 5 nm RMS" in text and "not of this time" in text) is told
     assert older_text(SimpleNamespace(effects={}), 4.0) == ""
-
-
-def test_a_comparison_has_the_own_wavefront_of_the_fit_before_and_no_more():
-    conditions = Conditions(cases.settings(32, ((1215.0, 1.0), (1625.0, 1.0))), BAND, RESIDUAL_LAW, 0.5, 30)
-    own = [kind.under(conditions, range(5, 8)) for kind in (ChromaticNcpa, FilterNcpa)]
-    found = EffectSet([FixedEffect(own[1], [1.0, 2.0, 3.0])], PsfModel(cases.settings(32), (2, 3, 4)).grids)
-    fit = SimpleNamespace(model=SimpleNamespace(general=SimpleNamespace(effects=found)))
-    (only,) = _with_light_of(fit, own)
-    assert only is found.effects[0]
 
 
 # -- the whole stage, on the bench -------------------------------------------------------------------

@@ -28,14 +28,3 @@ def arrays():
 def test_what_a_right_model_leaves_is_white_and_what_a_wrong_one_leaves_is_not(arrays):
     assert arrays["left_power_after"].mean() == pytest.approx(1.0, abs=0.25)
     assert arrays["left_power_before"][0] > 10
-
-
-def test_a_bad_pixel_is_no_part_of_any_curve(arrays):
-    np.testing.assert_allclose(arrays["encircled_measured"], arrays["encircled_after"], atol=0.02)
-    np.testing.assert_allclose(arrays["otf_x_measured"], arrays["otf_x_after"], atol=0.02)
-
-
-def test_light_and_modulus_are_parts_of_one(arrays):
-    for name in ("measured", "before", "after"):
-        assert arrays[f"otf_y_{name}"][0] == pytest.approx(1.0)
-        assert 0.9 < arrays[f"encircled_{name}"][-1] <= 1.01

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.polynomial import chebyshev
 
-from irlos_pipe.control.disturbance import Drift
+from irlos_pipe.control.linear_theory import Drift
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lenslets import modes_of_centroids_nm
@@ -107,7 +107,6 @@ class FocusSensor:
         return measured.numpy() - self.zero_nm
 
     def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """Return the Cramér–Rao bound."""
         zero = torch.zeros(1, len(TTF), dtype=torch.float64)
         in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
         return float(cramer_rao_nm(self.model, zero, seen_e / in_window[None], noise)[0, FOCUS])

@@ -40,6 +40,9 @@ from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling
 
+FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
+LARGEST_NM = 10_000.0
+
 
 class Section(BaseModel):
     """Base of all sections of a spec: unknown keys and values that are not finite are refused."""
@@ -118,8 +121,6 @@ def _type(hint: Any, kind: str, *limits: float | None) -> Any:
 _SECTIONS: dict[str, Any] = {name: (_section(effect) | None, None) for name, effect in EFFECTS.items()}
 EffectKeys = create_model("EffectKeys", __base__=Section, **_SECTIONS)
 
-FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
-LARGEST_NM = 10_000.0
 BandName = Literal["narrow_h", "j", "h", "j_h"]
 Nanometres = Annotated[float, Field(ge=-LARGEST_NM, le=LARGEST_NM)]
 Zernikes = Annotated[dict[int, Nanometres], AfterValidator(require_nolls)]
@@ -229,17 +230,11 @@ Defocus = Annotated[
 Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf"]
 Side = Annotated[int, Field(ge=8, le=512)]
 Mode = Literal[
-    "64x64_FullPupil_200Hz_HighGain",
-    "64x64_FullPupil_500Hz_HighGain",
-    "20x20_SmallScale_500Hz_HighGain",
-    "20x20_SmallScale_200Hz_HighGain",
-    "20x20_SmallScale_500Hz_LowGain",
-    "20x20_SmallScale_200Hz_LowGain",
-    "20x20_LargeScale_500Hz_HighGain",
-    "20x20_LargeScale_200Hz_HighGain",
-    "20x20_LargeScale_500Hz_LowGain",
+    "64x64_FullPupil_200Hz_HighGain", "64x64_FullPupil_500Hz_HighGain", "20x20_SmallScale_500Hz_HighGain",
+    "20x20_SmallScale_200Hz_HighGain", "20x20_SmallScale_500Hz_LowGain", "20x20_SmallScale_200Hz_LowGain",
+    "20x20_LargeScale_500Hz_HighGain", "20x20_LargeScale_200Hz_HighGain", "20x20_LargeScale_500Hz_LowGain",
     "20x20_LargeScale_200Hz_LowGain",
-]
+]  # fmt: skip
 
 
 class Shared(Section):
@@ -297,7 +292,6 @@ class RecordingKeys(Shared):
 
     @property
     def lenslets(self) -> int:
-        """Lenslets per side of the pupil."""
         return 2 if self.mode.startswith("20x20_") else 1
 
     @field_validator("start", mode="before")

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import re
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
-import yaml
-from helpers.paths import PACKAGE, RECIPES
-from helpers.simulation_specs import CUBE, RAMP, planned, spec_of, written
+from helpers.paths import RECIPES
+from helpers.simulation_specs import CUBE, RAMP, planned, simulated, spec_of, truth, written
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.effects import EFFECTS, effects_of
-from irlos_pipe.simulate.recordings.keys import EffectKeys
-from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.recordings.run import SimulationFolder
+from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
 EXAMPLES = sorted((RECIPES / "simulations").glob("*.yaml"))
 LENSLETS = "20x20_SmallScale_500Hz_HighGain"
-EFFECT_LINE = re.compile(r"^ *(?:# )?([a-z_]+): (\{[^#]*\})", re.MULTILINE)
 
 
 def loaded(tmp_path: Path, spec: dict, *settings: str, **options):
@@ -38,48 +35,6 @@ def refusal(tmp_path: Path, spec: dict, *settings: str) -> list[str]:
 def test_the_example_specs_are_valid_and_say_how_to_use_them(path):
     assert plan_recordings(load_spec(path))
     assert f"irlos simulate {path.stem} --output" in path.read_text()
-
-
-def test_the_examples_show_every_effect_of_the_catalogue_with_values_that_load():
-    text = (EXAMPLES[0].parent / "hidden_companion.yaml").read_text()
-    shown = {name: yaml.safe_load(value) for name, value in EFFECT_LINE.findall(text) if name in EFFECTS}
-    assert shown.keys() == EFFECTS.keys() == EffectKeys.model_fields.keys()
-    given = EffectKeys.model_validate(shown).model_dump(exclude_none=True)
-    assert given.keys() == EFFECTS.keys()
-    effects_of(given)
-
-
-def test_a_vibration_may_have_its_former_spelling(tmp_path):
-    effects = {"vibration": {"sigma_mas": 5, "distribution": "gaussian"}}
-    one = planned(tmp_path, {"one": CUBE | {"effects": effects}})["one"]
-    assert one.hidden["vibration"]["shape"] == "gaussian" and "distribution" not in one.hidden["vibration"]
-
-
-def test_a_time_needs_no_quotes(tmp_path):
-    setting = "recordings.one.start=2024-03-01T02:00:00"
-    spec = loaded(tmp_path, spec_of({"one": CUBE}), setting)
-    assert spec.recordings["one"].start == "2024-03-01T02:00:00"
-    (tmp_path / "again.yaml").write_text(spec.resolved_yaml())
-    assert load_spec(tmp_path / "again.yaml").recordings == spec.recordings
-
-
-def test_the_resolved_spec_holds_what_the_profile_gives(tmp_path):
-    spec = loaded(tmp_path, spec_of({"one": CUBE | {"sky": {"seeing_arcsec": 0.6}, "motion": {}}}))
-    one = yaml.safe_load(spec.resolved_yaml())["recordings"]["one"]
-    facility = load_instrument("irlos").facility
-    assert (one["sky"]["cutoff_per_m"], one["sky"]["outer_scale_m"]) == (
-        facility.cutoff_per_m,
-        facility.outer_scale_m,
-    )
-    lines = [(line["hz"], line["share_x"], line["share_y"]) for line in one["motion"]["lines"]]
-    assert lines == [tuple(line) for line in facility.vibration_lines] and lines
-
-
-def test_more_can_be_simulated_than_a_model_accepts(tmp_path):
-    effects = {"plate_scale": {"fraction": 0.1}, "atmospheric_dispersion": {"mas_per_um": -100}}
-    one = planned(tmp_path, {"one": CUBE | {"effects": effects}})["one"]
-    assert one.hidden["plate_scale"]["fraction"] == 0.1
-    assert one.hidden["atmospheric_dispersion"]["mas_per_um"] == -100
 
 
 def test_every_mistake_is_told_at_once_with_line_and_suggestion(tmp_path):
@@ -156,24 +111,6 @@ def test_values_that_contradict_each_other_are_told(tmp_path, change, message):
     assert len(lines) == 1 and message in lines[0] and lines[0].startswith("spec.yaml:")
 
 
-def test_a_window_wider_than_the_sampled_image_is_refused(tmp_path):
-    # λ/D = 1580 nm / 8 m = 40.7 mas at the short end of the band: 500 px of 9.7 mas hold 119 of them.
-    wide = spec_of({"one": CUBE | {"window": [64, 500], "sampling": {"points_per_band": 41}}})
-    with pytest.raises(ConfigurationError, match=r"needs 120 samples .*pupil_samples >= 120"):
-        plan_recordings(loaded(tmp_path, wide))
-    assert plan_recordings(loaded(tmp_path, wide, "recordings.one.sampling.pupil_samples=120"))
-
-
-@pytest.mark.parametrize("name", ["a/b", "..", "a__b", ".hidden", "ä"])
-def test_a_recording_name_that_makes_no_folder_is_refused(tmp_path, name):
-    assert "becomes the name of a folder" in refusal(tmp_path, spec_of({name: CUBE}))[0]
-
-
-def test_a_spec_without_recordings_or_with_something_else_there_is_refused(tmp_path):
-    assert "at least 1" in refusal(tmp_path, spec_of({}))[0]
-    assert "should be a section" in refusal(tmp_path, spec_of({"one": 5}))[0]
-
-
 def test_a_recording_changes_shared_sections_key_by_key_for_itself_alone(tmp_path):
     recordings = {
         "plain": CUBE,
@@ -196,14 +133,6 @@ def test_a_recording_changes_shared_sections_key_by_key_for_itself_alone(tmp_pat
     assert same.sky == plain.sky and not same.effects
 
 
-def test_the_command_line_wins_over_the_file(tmp_path):
-    spec = loaded(
-        tmp_path, spec_of({"one": CUBE}), "recordings.one.frames=7", "sky.seeing_arcsec=1.0", seed=9
-    )
-    scene = plan_recordings(spec)[0].scene
-    assert (scene.frames, scene.sky.seeing_arcsec, scene.seed[0]) == (7, 1.0, 9)
-
-
 def test_the_resolved_spec_makes_the_same_recordings(tmp_path):
     spec = load_spec(EXAMPLES[0].parent / "on_sky.yaml", ["effects.bad_pixels=[[3, 4]]"], seed=4)
     path = tmp_path / "resolved.yaml"
@@ -211,18 +140,103 @@ def test_the_resolved_spec_makes_the_same_recordings(tmp_path):
     assert jsonable(plan_recordings(load_spec(path))) == jsonable(plan_recordings(spec))
 
 
-def test_an_instrument_profile_of_ones_own_gives_pupil_scale_and_photons(tmp_path):
-    profile = PACKAGE / "instrument" / "irlos.yaml"
-    text = profile.read_text().replace("value: 8.0", "value: 7.0").replace("{value: 9.7,", "{value: 12.5,")
-    (tmp_path / "mine.yaml").write_text(text.replace("value: 150000", "value: 300000"))
-    own = planned(tmp_path, {"one": CUBE}, instrument="./mine.yaml")["one"].scene
-    usual = planned(tmp_path, {"one": CUBE})["one"].scene
-    assert (own.geometry.diameter_m, own.pixel_scale_mas) == (7.0, 12.5)
-    assert own.photons == pytest.approx(2 * usual.photons)
-    assert (
-        "unknown instrument 'irlo'; did you mean 'irlos'?"
-        in refusal(tmp_path, spec_of({"one": CUBE}, instrument="irlo"))[0]
-    )
+# The recordings of a series: order, travel of the focus stage, angles, seeds. Expectations are by hand.
+
+
+FIVE = [-200, -100, 0, 100, 200]
+
+
+def reached_nm(folder: Path, effects: dict, **ramp) -> list[float]:
+    """Defocus that a ramp of five offsets reaches, in the order of the offsets."""
+    recordings = {"ramp": RAMP | {"offsets_nm": FIVE, "effects": effects} | ramp}
+    return [one.scene.introduced_nm for one in planned(folder, recordings).values()]
+
+
+def test_a_ramp_makes_one_recording_per_offset_and_its_times_tell_the_order(tmp_path):
+    ramp = planned(tmp_path, {"ramp": RAMP | {"offsets_nm": FIVE, "order": "ping_pong"}})
+    assert list(ramp) == [f"ramp/offset_0{index}" for index in range(5)]
+    assert [one.commanded_nm for one in ramp.values()] == FIVE
+    by_time = sorted(ramp.values(), key=lambda one: one.scene.start_unix_s)
+    assert [one.commanded_nm for one in by_time] == [-200, 200, -100, 100, 0]
+    starts = np.array([one.scene.start_unix_s for one in by_time])
+    counters = np.array([one.scene.first_counter for one in by_time])
+    assert np.all(np.diff(starts) >= 2) and np.array_equal(np.diff(counters), np.diff(starts) * 200)
+
+
+def test_hysteresis_biases_each_offset_by_the_direction_it_was_reached_from(tmp_path):
+    hysteresis = {"focus_stage_hysteresis": {"nm": 20}}
+    # From rest at 0: -200 (down), 200 (up), -100 (down), 100 (up), 0 (down).
+    assert reached_nm(tmp_path, hysteresis, order="ping_pong") == [-220, -120, -20, 120, 220]
+    assert reached_nm(tmp_path, hysteresis) == [-220, -80, 20, 120, 220]
+
+
+def test_a_stage_that_moves_between_frames_is_told_frame_by_frame(tmp_path):
+    cube = CUBE | {"introduced_nm": [0, 50, 0], "effects": {"focus_stage_hysteresis": {"nm": 5}}}
+    one = planned(tmp_path, {"steps": cube})["steps"]
+    assert one.commanded_nm == (0, 50, 0) and one.scene.introduced_nm == (0, 55, -5)
+
+
+def test_recordings_share_the_ncpas_and_nothing_else_that_is_random(tmp_path):
+    recordings = {"a": CUBE, "ramp": RAMP, "b": CUBE}
+    scenes = [one.scene for one in planned(tmp_path, recordings, ncpa={"total_nm": 142}).values()]
+    assert all(scene.ncpa_nm == scenes[0].ncpa_nm for scene in scenes)
+    assert np.linalg.norm(list(scenes[0].ncpa_nm.values())) == pytest.approx(142)
+    assert sorted(scenes[0].ncpa_nm) == list(range(2, 52))
+    assert len({scene.seed for scene in scenes}) == len(scenes)
+    other = planned(tmp_path, recordings, ncpa={"total_nm": 142}, seed=6)["a"].scene
+    assert other.ncpa_nm != scenes[0].ncpa_nm
+
+
+# The truth of simulated recordings. Expected: the coefficients put in, and Zernikes turned by hand.
+
+
+@pytest.mark.slow
+def test_the_truth_is_the_wavefront_that_was_put_in(tmp_path):
+    ncpa = {4: 30.0, 7: -20.0, 31: 10.0}
+    effects = {
+        "focus_stage_offset": {"nm": 25},
+        "companion": {"flux_ratio": 0.1, "sep_mas": 90, "pa_deg": 0},
+    }
+    ramp = RAMP | {"effects": effects, "sampling": {"pupil_samples": 96}}
+    simulated(tmp_path / "out", spec_of({"ramp": ramp}, ncpa={"zernike_nm": ncpa}))
+    told = truth(tmp_path / "out", "ramp__offset_02")
+    assert told["hidden"].keys() == effects.keys() and told["introduced_defocus_nm"] == 200
+    assert {int(noll): nm for noll, nm in told["ncpa_nm"].items()} == ncpa
+    mean = {int(noll): nm for noll, nm in told["mean_zernike_nm"].items()}
+    expected = dict.fromkeys(range(2, 32), 0.0) | ncpa | {4: 30.0 + 200 + 25}
+    assert mean == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_truth_of_a_derotator_series_turns_with_the_angle(tmp_path):
+    series = {"turns": CUBE | {"role": "derotator", "angles_deg": [0, 45]}}
+    fixed, turning = {"zernike_nm": {4: 10.0}}, {"zernike_nm": {6: 30.0}}
+    simulated(tmp_path / "out", spec_of(series, ncpa=fixed, rotating=turning))
+    # cos 2(theta - 45 deg) = sin 2 theta: vertical astigmatism, Noll 6, becomes oblique, Noll 5.
+    expected = ({6: 30.0, 4: 10.0}, {5: 30.0, 4: 10.0})
+    for index, zernike_nm in enumerate(expected):
+        found = truth(tmp_path / "out", f"turns__angle_0{index}")
+        for key in ("ncpa_nm", "mean_zernike_nm"):
+            values = {int(noll): nm for noll, nm in found[key].items() if abs(nm) > 1e-6}
+            assert values == pytest.approx(zernike_nm)
+
+
+def test_a_truth_that_names_a_folder_elsewhere_removes_nothing_there(tmp_path):
+    target = SimulationFolder(tmp_path / "sim")
+    (tmp_path / "sim" / "truth").mkdir(parents=True)
+    (tmp_path / "sim" / "data" / "mine").mkdir(parents=True)
+    (tmp_path / "precious").mkdir()
+    for name, told in (("x", "../../precious"), ("y", "mine"), ("z", ".")):
+        forged = {"simulation": {"recording": {"name": told}}}
+        (tmp_path / "sim" / "truth" / f"{name}.json").write_text(json.dumps(forged))
+        target.remove(name)
+    assert (tmp_path / "precious").is_dir()
+    assert list((tmp_path / "sim" / "data").iterdir()) == []
+    assert list((tmp_path / "sim" / "truth").iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", "a__b", ".hidden", "ä"])
+def test_a_recording_name_that_makes_no_folder_is_refused(tmp_path, name):
+    assert "becomes the name of a folder" in refusal(tmp_path, spec_of({name: CUBE}))[0]
 
 
 def test_a_tail_of_fine_modes_is_added_to_the_draw_and_leaves_it_as_it_is(tmp_path):
@@ -242,3 +256,9 @@ def test_a_pupil_may_differ_from_the_profile_in_its_hole(tmp_path):
     nominal = load_instrument("irlos").pupil
     assert one.scene.geometry.obscuration_m == 1.2
     assert one.scene.geometry.vanes == nominal.vanes and nominal.obscuration_m != 1.2
+
+
+def test_bands_of_ones_own_share_the_photons(tmp_path):
+    bands = [{"centre_nm": nm, "half_width_nm": 50, "share": share} for nm, share in ((1200, 1), (1600, 3))]
+    scene = planned(tmp_path, {"one": CUBE | {"bands": bands}})["one"].scene
+    assert [band.share for band in scene.bands] == [0.25, 0.75]

@@ -1,21 +1,88 @@
-"""Images through 2x2 lenslets. Truth: the Fourier integral written out, and finite differences."""
+"""The transform from pupil to focal plane in real arithmetic.
+
+Truth: the complex Fourier sum of the same samples, written out with NumPy (analysis).
+"""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from numpy.polynomial import chebyshev
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_sizes
-from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
+from irlos_pipe.effects import CATALOGUE, EffectSet
 from irlos_pipe.effects.motion import TipTiltJitter
 from irlos_pipe.effects.redrawn_pupil import PupilSizes
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.optics.lenslets import LensletArray, apart, light_path
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.focus_table import ShiftMatrices
+from irlos_pipe.optics.fourier_matrices import FocalGrid, MatrixDft, mirrored, products_up_to
+from irlos_pipe.optics.lenslets import LensletArray
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.optics.pupil import grid_centres
 from irlos_pipe.simulate.aperture import passed
+
+STEP_M, FRAMES = 0.25, 2
+
+
+def fields(samples: int) -> np.ndarray:
+    real, imag = np.random.default_rng(samples).standard_normal((2, FRAMES, samples, samples))
+    return real + 1j * imag
+
+
+def as_real(field: np.ndarray) -> torch.Tensor:
+    return mirrored(torch.as_tensor(np.stack([field.real, field.imag], axis=1)))
+
+
+def as_complex(amplitude: torch.Tensor) -> np.ndarray:
+    return torch.complex(*amplitude.unbind(-3)).numpy()
+
+
+class Case:
+    """A transform, and the complex matrix of the same grids."""
+
+    def __init__(self, samples: int, focal: int, degree: int):
+        self.u_m = grid_centres(samples, STEP_M)
+        grid = FocalGrid(focal, samples * STEP_M, 2 * focal, samples * STEP_M)
+        self.polynomials = chebyshev.chebvander(self.u_m / self.u_m[-1], degree).T
+        self.dft = MatrixDft(self.u_m, grid, self.polynomials, torch.zeros((), dtype=torch.float64))
+        self.matrix = np.exp(-2j * np.pi * np.outer(grid.frequency_per_m, self.u_m)) * STEP_M
+
+
+@pytest.fixture(params=[(24, 12, 5), (14, 20, 4), (16, 9, 0)], ids=str)
+def case(request) -> Case:
+    return Case(*request.param)
+
+
+def test_the_amplitude_is_the_fourier_sum(case):
+    field = fields(len(case.u_m))
+    truth = case.matrix @ field @ case.matrix.T
+    ours = as_complex(case.dft.amplitude(as_real(field)))
+    assert ours == pytest.approx(truth, abs=1e-12 * abs(truth).max())
+
+
+def test_the_adjoint_is_the_transpose(case):
+    """``<A E, V> = <E, Aᵀ V>`` for any field and any amplitude."""
+    field = as_real(fields(len(case.u_m)))
+    amplitude = case.dft.amplitude(field)
+    other = torch.as_tensor(np.random.default_rng(2).standard_normal(amplitude.shape))
+    assert (case.dft.adjoint(other) * field).sum().item() == pytest.approx((amplitude * other).sum().item())
+
+
+def test_products_are_the_fourier_sums_of_the_field_times_polynomials(case):
+    field = fields(len(case.u_m))
+    found = np.concatenate([as_complex(part) for part in case.dft.products(as_real(field))])
+    for (a, b), ours in zip(products_up_to(len(case.polynomials) - 1), found, strict=True):
+        weighted = field * case.polynomials[b][:, None] * case.polynomials[a]
+        truth = (-1j) ** (a % 2 + b % 2) * (case.matrix @ weighted @ case.matrix.T)
+        assert ours == pytest.approx(truth, abs=1e-12 * abs(truth).max()), (a, b)
+
+
+# Images through 2x2 lenslets. Truth: the Fourier integral written out, and finite differences.
+
 
 UT4 = load_instrument("irlos").pupil
 MAS_RAD = np.pi / 180 / 3600e3
@@ -75,22 +142,6 @@ def test_images_are_the_fourier_integral_over_each_quarter(scale_mas, size, node
     assert image.sum() == pytest.approx(expected.sum(), rel=3e-4)
 
 
-def test_a_clear_quarter_disc_moves_its_image_by_its_mean_slope():
-    """Centroid of a quarter disc: 4R/3π along both axes; a_4 = 100 nm has a slope of 4√3 a x/R²."""
-    disc = PupilGeometry(8.0)
-    model = LensletArray(settings(40.0, 50, disc), (4,), dtype=torch.float64)
-    images = model.images(torch.tensor([[-100.0], [100.0]], dtype=torch.float64))
-    before, after = ([_centroid(one) for one in apart(image)] for image in images)
-    step_mas = 40.0 * (np.array(after) - np.array(before)) / 2
-    expected_mas = 4 * np.sqrt(3) * 100e-9 * (4 * 4.0 / (3 * np.pi)) / 4.0**2 / MAS_RAD
-    assert step_mas == pytest.approx(np.array(SIGNS) * expected_mas, rel=0.02)
-
-
-def _centroid(image: torch.Tensor) -> tuple[float, float]:
-    pixels = torch.arange(len(image), dtype=image.dtype)
-    return float(image.sum(1) @ pixels / image.sum()), float(image.sum(0) @ pixels / image.sum())
-
-
 def test_derivatives_are_finite_differences_with_effects_in_all_planes():
     psf = LensletArray(settings(size=12), NOLLS, dtype=torch.float64)
     effects = EffectSet([TipTiltJitter(), HighOrderNcpa((12,)), CATALOGUE["plate_scale"](78.0)], psf.grids)
@@ -120,15 +171,6 @@ def test_the_pullback_is_the_transpose_of_the_jacobian():
     assert torch.allclose(pullback(factors), (jacobian * factors[:, None]).sum((2, 3)), rtol=1e-9)
 
 
-def test_a_wavefront_by_an_effect_is_that_by_the_modes():
-    psf = LensletArray(settings(size=10), (4,), dtype=torch.float64)
-    nothing = torch.zeros(1, 1, dtype=torch.float64)
-    effect = EffectSet([FixedEffect(HighOrderNcpa((4,)), [80.0])], psf.grids)
-    by_effect = psf.images(nothing, effect(torch.zeros(0, dtype=torch.float64)))
-    by_mode = psf.images(nothing + 80.0)
-    assert (by_effect - by_mode).abs().max() < 1e-5 * by_mode.max()
-
-
 def test_a_pupil_that_an_effect_redraws_is_that_of_its_drawing():
     """A wider central hole and wider vanes, as an effect and as the geometry of another array."""
     told = settings(size=10)
@@ -142,20 +184,43 @@ def test_a_pupil_that_an_effect_redraws_is_that_of_its_drawing():
     assert (by_effect - by_drawing).abs().max() < 2e-4 * by_drawing.max()
 
 
-def test_baselines_of_a_quarter_reach_from_corner_to_corner():
-    """The ends of its arc are √2 radii apart: more than its grid is wide."""
-    psf = LensletArray(settings(size=6), NOLLS)
-    focal, radius_m = psf.grids.focal, UT4.diameter_m / 2
-    assert np.sqrt(2) * radius_m <= focal.longest_m <= 1.25 * np.sqrt(2) * radius_m
-    assert focal.width_m >= radius_m and np.abs(focal.baseline_y_m).max() >= radius_m
-    assert PsfModel(replace(settings(size=6), lenslets=1), NOLLS).grids.focal.longest_m >= UT4.diameter_m
-
-
-def test_settings_choose_the_light_path():
-    assert isinstance(light_path(settings(size=6), NOLLS), LensletArray)
-    assert isinstance(light_path(replace(settings(size=6), lenslets=1), NOLLS), PsfModel)
-
-
 def test_an_odd_window_has_no_lenslets():
     with pytest.raises(ValueError, match="15x12 px has no four equal quarters"):
         LensletArray(replace(settings(), window=(15, 12)), NOLLS)
+
+
+# Band-limited shifts. Truth: functions known in closed form whose spectrum ends where it is said to.
+
+
+BAND, BEYOND = 0.32, 16
+LIKE = torch.empty(0, dtype=torch.float64)
+
+
+def profile(x: np.ndarray) -> np.ndarray:
+    """``sinc⁴``, whose spectrum is a convolution of four boxes and ends at `BAND` exactly."""
+    return np.sinc(BAND / 2 * x) ** 4
+
+
+def slope(x: np.ndarray) -> np.ndarray:
+    """Its derivative, by central differences in steps far below a pixel."""
+    return (profile(x + 1e-5) - profile(x - 1e-5)) / 2e-5
+
+
+def along(pixels: int, centre: float) -> np.ndarray:
+    """Distances of the pixels of a window from `centre`, which counts from the window's middle."""
+    return np.arange(pixels) - (pixels - 1) / 2 - centre
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.45), (-3.7, 5.2), (6.9, -6.9)])
+@pytest.mark.parametrize("window", [(24, 24), (20, 33)])
+def test_an_image_and_its_slopes_are_moved_to_where_they_belong(window, shift):
+    rows, columns = window
+    wide = np.outer(profile(along(rows + 2 * BEYOND, 0.4)), profile(along(columns + 2 * BEYOND, -1.3)))
+    matrices = ShiftMatrices(window, BEYOND, BAND, 1.0, LIKE)
+    along_y, along_x = (m[0].numpy() for m in matrices(torch.tensor([shift], dtype=torch.float64)))
+    moved = along_y @ wide[::-1, ::-1] @ along_x.T
+    y, x = along(rows, 0.4 + shift[1]), along(columns, -1.3 + shift[0])
+    truth = np.outer(profile(y), profile(x))
+    assert np.abs(moved[:rows, :columns] - truth).max() < 1e-5
+    assert np.abs(moved[rows:, :columns] + np.outer(slope(y), profile(x))).max() < 1e-5
+    assert np.abs(moved[:rows, columns:] + np.outer(profile(y), slope(x))).max() < 1e-5
