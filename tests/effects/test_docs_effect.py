@@ -13,14 +13,12 @@ import torch
 from helpers.optics_cases import PRIOR, READ_NOISE, draw_frames, everything, ncpa_nm, settings, vector
 from helpers.paths import REPOSITORY
 
-from irlos_pipe.effects.catalogue import catalogue_page
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf import PsfModel
 
-MAKE = "python -c 'from irlos_pipe.effects.catalogue import catalogue_page as p; print(p(), end=\"\")'"
 TEXT = (REPOSITORY / "docs" / "extending.md").read_text()
 NOLLS = tuple(range(2, 12))
 ONE, NONE = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
@@ -51,14 +49,6 @@ def test_the_example_takes_away_the_light_of_the_spot(dark_spot, psf):
     assert lost == pytest.approx(area / clear, rel=0.05)
 
 
-def test_the_example_is_differentiated_without_further_ado(dark_spot, psf):
-    whole, at = ImageModel(psf, [dark_spot]), (vector(ncpa_nm(3, 11), NOLLS), ONE, NONE)
-    columns = whole.predict_and_jacobian(*at, SPOT)[1][0, len(NOLLS) : -2]
-    for column, move in zip(columns, 1e-5 * torch.eye(3).double(), strict=True):
-        numeric = (whole.predict(*at, SPOT + move) - whole.predict(*at, SPOT - move))[0] / 2e-5
-        assert column.numpy() == pytest.approx(numeric.numpy(), abs=1e-6 * float(numeric.abs().max()))
-
-
 @pytest.mark.slow
 def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     true_nm = ncpa_nm(3, 11, 60.0)
@@ -70,8 +60,3 @@ def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     )
     assert list(result.effect_values["dark_spot"]) == pytest.approx(SPOT.tolist(), rel=0.05)
     assert result.chi2_nu < 1.3
-
-
-def test_the_page_lists_what_the_classes_declare():
-    page = (REPOSITORY / "docs" / "effects.md").read_text()
-    assert page == catalogue_page(), f"write it again: {MAKE} > docs/effects.md"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from helpers.optics_cases import (
 )
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
-from irlos_pipe.effects.base import kind_of, label_after, labels_of
 from irlos_pipe.optics.grids import Optics, OtfGrid
 from irlos_pipe.optics.psf import PsfModel
 
@@ -75,11 +73,6 @@ def test_jitter_adds_its_variance_to_the_second_moment_at_every_wavelength(model
     assert curvature_at_zero(model, factor, wavelength) == pytest.approx(SIGMA_MAS**2, rel=1e-9)
 
 
-def test_no_jitter_changes_nothing(model, wavefront):
-    plain = model.images(wavefront)[0].numpy()
-    assert jittered(model, wavefront, 0.0) == pytest.approx(plain, abs=1e-5 * plain.max())
-
-
 def test_an_asymmetric_kernel_is_convolved_not_correlated(model, wavefront):
     """A kernel with 30 % of its light at +3 columns, -2 rows leaves 30 % of the image there."""
     grid, wavelengths = model.grids.focal, torch.as_tensor(model.wavelengths_m)
@@ -98,19 +91,6 @@ def test_a_residual_stretched_along_x_widens_the_image_along_x(model):
     factor = effects(torch.tensor([150.0**2, 2.0, 1.5, *[0.0] * 4], dtype=torch.float64)).transfer
     along_x, along_y = float(factor[0, 0, 2]), float(factor[0, 2, 0])
     assert along_x < along_y < 1
-
-
-def test_the_residual_is_described_by_its_total_and_its_direction():
-    halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5)
-    variance = 120.0**2 - halo.fitting_nm2
-    stretch = [0.8 * np.cos(2 * np.deg2rad(70)), 0.8 * np.sin(2 * np.deg2rad(70))]
-    described = halo.describe(np.array([0.9 * variance, 2.2, *stretch, 0.3, -0.4, 0.1 * variance]))
-    assert described["wfe_nm"] == pytest.approx(120)
-    assert described["slope"] == 2.2
-    assert (described["stretch"], described["stretch_angle_deg"]) == pytest.approx((0.8, 70))
-    assert described["cross"] == pytest.approx(0.5)
-    assert described["aliasing"] == pytest.approx(0.1)
-    assert halo.describe(np.array(halo.values_of(wfe_nm=120.0)))["wfe_nm"] == pytest.approx(120)
 
 
 @pytest.mark.parametrize("measured", [True, False])
@@ -136,26 +116,11 @@ def test_without_a_measured_seeing_the_whole_halo_grows_with_the_residual(model)
     assert unchanged.max() > 0.1 * exponents[True][0].max()
 
 
-def test_a_halo_that_is_searched_for_is_described_by_its_total():
-    halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5, measured=False)
-    (searched,) = halo.candidates((64, 64), 9.7)
-    described = searched.describe(np.array([0.25]))
-    assert described == {"wfe_nm": pytest.approx((104.27 * 0.5 + 58.6) / 2)}
-    assert halo.describe(np.array(halo.values_of(**described)))["wfe_nm"] == pytest.approx(
-        described["wfe_nm"]
-    )
-
-
 @pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95.1), (1.0, 162.9)])
 def test_the_residual_to_start_from_follows_the_seeing_law(seeing_arcsec, wfe_nm):
     """104.27 nm/arcsec x seeing + 58.6 nm."""
     halo = SeeingHalo(BAND, RESIDUAL_LAW, seeing_arcsec)
     assert halo.describe([p.start for p in halo.parameters])["wfe_nm"] == pytest.approx(wfe_nm, abs=0.1)
-
-
-def test_jitter_is_described_in_mas():
-    jitter = TipTiltJitter()
-    assert jitter.describe(np.array(jitter.values_of(sigma_mas=7.5))) == {"sigma_mas": pytest.approx(7.5)}
 
 
 def pinned(effects: EffectSet, values: torch.Tensor, free: tuple[str, ...]) -> EffectSet:
@@ -185,19 +150,3 @@ def test_a_parameter_left_free_starts_at_its_value_and_acts_as_before(model):
     chosen = [effects.tangents(changed).transfer[i] for i in (1, -1)]
     for ours, theirs in zip(partly.tangents(own).transfer, chosen, strict=True):
         assert ours.numpy() == pytest.approx(theirs.numpy(), abs=1e-15)
-
-
-KINDS = ["companion", "plate_scale", "companion", "companion", "tip_tilt_jitter", "companion"]
-
-
-@pytest.mark.parametrize("gone", range(len(KINDS)))
-def test_labels_after_one_has_left_are_those_of_the_others(gone):
-    effects = [SimpleNamespace(name=name) for name in KINDS]
-    labels = labels_of(effects)
-    others = [label for position, label in enumerate(labels) if position != gone]
-    left = [effect for position, effect in enumerate(effects) if position != gone]
-    assert [label_after(label, labels[gone]) for label in others] == labels_of(left)
-
-
-def test_every_label_tells_its_kind():
-    assert [kind_of(label) for label in labels_of([SimpleNamespace(name=name) for name in KINDS])] == KINDS

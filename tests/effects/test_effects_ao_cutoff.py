@@ -18,7 +18,6 @@ from helpers.optics_cases import (
     FACILITY,
     NCPA_LAW,
     PRIOR,
-    RESIDUAL_LAW,
     draw_frames,
     everything,
     settings,
@@ -29,7 +28,7 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
-from irlos_pipe.effects import CATALOGUE, Conditions, FixedEffect, SeeingHalo
+from irlos_pipe.effects import Conditions, SeeingHalo
 from irlos_pipe.effects.ao_cutoff import AoCutoff
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
@@ -65,10 +64,6 @@ def factor(per_m: float) -> torch.Tensor:
     return EFFECT.apply(torch.tensor([per_m]).double(), one, on)
 
 
-def test_as_told_it_changes_nothing():
-    assert torch.equal(factor(0.5), torch.ones_like(factor(0.5)))
-
-
 @pytest.mark.parametrize("per_m", [0.4, 0.7])
 def test_the_factor_is_that_of_the_structure_function_between_the_cut_offs(per_m):
     """Adaptive quadrature of 2 (1 - J0) over the rings between: turbulence, less what is left inside."""
@@ -94,21 +89,6 @@ def test_its_derivative_is_a_finite_difference():
     assert slope.numpy() == pytest.approx(
         ((high - low) / (2 * step)).numpy(), abs=1e-7 * float(slope.abs().max())
     )
-
-
-def test_it_means_nothing_where_the_window_does_not_show_the_edge_of_the_corrected_field():
-    """1600 nm times 2.5 cycles per metre are 825 mas, and half the window 310."""
-    conditions = Conditions(settings(), BAND, RESIDUAL_LAW, 0.5, 30)
-    with pytest.raises(ValueError, match=r"ends 825 mas from the star, outside the window \(310 mas\)"):
-        AoCutoff.under(conditions)
-    assert AoCutoff.under(replace(conditions, band=LOW)).parameters[0].start == 0.5
-
-
-def test_a_recipe_may_hold_it_and_results_state_the_cut_off_itself():
-    assert CATALOGUE["ao_cutoff"] is AoCutoff
-    held = FixedEffect(EFFECT, EFFECT.values_of(per_m=0.61))
-    assert held.describe(np.zeros(0)) == {"per_m": pytest.approx(0.61)}
-    assert EFFECT.phrase({"per_m": 0.61}) == "a correction that ends at 0.610 cycles per metre instead of 0.5"
 
 
 # -- recordings ------------------------------------------------------------------------------------

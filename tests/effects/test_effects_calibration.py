@@ -111,18 +111,6 @@ def test_with_petals_in_the_model_the_modes_are_those_of_the_whole_wavefront():
 
 
 @pytest.mark.slow
-def test_a_bump_is_found_and_counted_with_the_modes():
-    x, y = xy_m(SAMPLES)
-    bump_nm = 200.0 * np.exp(-((x + 1.5) ** 2 + (y - 2.0) ** 2) / (2 * 0.4**2))
-    added = modes_of(bump_nm)
-    result = calibrated(hcipy_image(bump_nm), "phase_bump")
-    described = result.effects["phase_bump"]
-    true = {"nm": 200, "x_m": -1.5, "y_m": 2.0, "width_m": 0.4}
-    assert described == pytest.approx(true, rel=0.05)
-    assert error_nm(result, {noll: NCPA_NM[noll] + added[noll] for noll in added}) < 2.0
-
-
-@pytest.mark.slow
 def test_a_drift_is_measured_in_the_frames_with_its_sign():
     drift_nm = {4: -60.0, 7: 40.0}
     change = reference(SAMPLES).opd_nm(drift_nm)

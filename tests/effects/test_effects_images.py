@@ -14,7 +14,7 @@ from helpers.optics_cases import DIVERSITY, MAS_RAD, SCALE_MAS, ncpa_nm, setting
 from helpers.reference_psf import reference
 
 from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
-from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
+from irlos_pipe.effects.chromatic import FilterNcpa
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -99,10 +99,6 @@ def test_chromatic_aberrations_grow_with_the_distance_from_the_mean_wavelength()
     agree(ours("chromatic_ncpa"), truth(lambda nm: slopes * (nm - mean_nm) / 1e3))
 
 
-def test_the_wavefront_of_a_filter_adds_to_that_of_the_optics():
-    agree(ours("filter_ncpa"), truth(reference().opd_nm(STRONG["filter_ncpa"]["zernike_nm"])))
-
-
 def test_the_wavefront_of_a_filter_acts_only_in_recordings_through_it():
     through = replace(CONDITIONS, elements=("J+H", "lens"))
     lens = FilterNcpa.under(through, nolls=(5, 8), of="lens")
@@ -112,36 +108,6 @@ def test_the_wavefront_of_a_filter_acts_only_in_recordings_through_it():
     unchanged = model().images(vector(STATIC_NM, NOLLS))[0]
     seen = model().images(vector(STATIC_NM, NOLLS), EffectSet([elsewhere], model().grids)(values))[0]
     assert seen.numpy() == pytest.approx(unchanged.numpy(), abs=1e-12)
-
-
-def test_what_tells_chromatic_and_filter_aberrations_from_common_ones():
-    narrow = replace(
-        CONDITIONS, settings=replace(CONDITIONS.settings, spectrum=((1590.0, 1.0), (1610.0, 1.0)))
-    )
-    mirror = replace(CONDITIONS, elements=("J+H", "mirror"))
-    lens = replace(CONDITIONS, elements=("J+H", "lens"))
-    chromatic, of_lens = ChromaticNcpa.under(CONDITIONS), FilterNcpa.under(lens, of="lens")
-    assert chromatic.shown_by([CONDITIONS])
-    assert not chromatic.shown_by([narrow])
-    assert of_lens.shown_by([lens, mirror])
-    assert not of_lens.shown_by([lens])
-
-
-def test_another_spectrum_is_that_of_other_wavelengths_and_weights():
-    wavelengths, weights = np.array(SPECTRUM).T
-    mean = np.average(wavelengths, weights=weights)
-    distance = wavelengths - mean
-    other = zip(1440.0 + 1.1 * distance, weights * (1 + 0.5 * distance / 1e3), strict=True)
-    agree(ours("spectrum"), truth(spectrum=list(other)))
-
-
-def test_another_plate_scale_is_that_of_larger_pixels():
-    agree(ours("plate_scale"), truth(scale_mas=1.02 * SCALE_MAS))
-
-
-def test_a_diversity_error_is_more_of_the_diversity():
-    larger = reference().opd_nm({6: -60.0})  # the diversity is -170 nm
-    agree(ours("diversity_error"), truth(larger))
 
 
 @pytest.mark.slow
@@ -173,11 +139,6 @@ def test_a_spot_is_a_disc_with_a_soft_edge():
     distance2 = (x - spot["x_m"]) ** 2 + (y - spot["y_m"]) ** 2
     factor = 1 - spot["opacity"] * np.exp2(-((distance2 / spot["radius_m"] ** 2) ** 2))
     agree(ours("pupil_spot"), truth(transmission=reference().transmission * factor))
-
-
-@pytest.mark.slow
-def test_high_orders_are_further_zernike_modes():
-    agree(ours("high_order_ncpa"), truth(reference().opd_nm(STRONG["high_order_ncpa"]["zernike_nm"])))
 
 
 @pytest.mark.slow

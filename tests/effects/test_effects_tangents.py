@@ -10,7 +10,7 @@ import torch
 from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, conditions_of, made
 from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
+from irlos_pipe.conventions.pupil_drawing import turned, with_sizes
 from irlos_pipe.effects import CATALOGUE, Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes, RedrawnPupil
@@ -123,22 +123,6 @@ def test_petals_and_segments_of_a_pupil_as_it_was_told_act_one_after_the_other()
     assert both == pytest.approx((petals + segments - clear.numpy()), abs=1e-12)
 
 
-@pytest.mark.slow
-def test_petals_of_a_redrawn_pupil_have_the_same_derivatives_by_reverse_differentiation():
-    """Truth: the Jacobian."""
-    effects, starts = zip(made("pupil_misregistration"), made("low_wind_effect"), strict=True)
-    whole = ImageModel(psf(), effects)
-    by_name = dict(zip([one.name for one in effects], starts, strict=True))
-    values = torch.cat([by_name[one.name] for one in whole.effects.effects]).requires_grad_()
-    with torch.enable_grad():
-        images_e = whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values)
-        factors = torch.linspace(-1, 1, images_e.numel()).double().view_as(images_e)
-        (slopes,) = torch.autograd.grad((images_e * factors).sum(), values)
-    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values.detach())[1]
-    expected = (jacobian[:, len(NOLLS) : -2] * factors[:, None]).sum((0, 2, 3))
-    assert slopes.numpy() == pytest.approx(expected.numpy(), rel=1e-3, abs=1e-4 * float(expected.abs().max()))
-
-
 @pytest.mark.parametrize(("defocus_nm", "error"), [(0.0, 1e-6), (120.0, 0.05)])
 def test_rough_derivatives_of_faint_ghosts_are_wrong_by_a_part_of_their_light(defocus_nm, error):
     """Truth: exact derivatives. A ghost as sharp as the star changes as the star does."""
@@ -166,11 +150,6 @@ def test_colours_and_pixels_are_differentiated_through_pupil_otf_and_copies():
     differentiated(["spectrum", "plate_scale", "atmospheric_dispersion", "ghost", "phase_bump"], 4, 1e-6)
 
 
-def test_colours_and_pixels_of_a_strained_image_are_differentiated_too():
-    names = ["spectrum", "plate_scale", "anamorphism", "atmospheric_dispersion", "ghost", "phase_bump"]
-    differentiated(names, 6, 1e-5)  # ripples of the field's end depend on the strain
-
-
 def differentiated(names: list[str], free: int, tolerance: float) -> None:
     """Compare derivatives by the parameters of the sampling with finite differences."""
     effects, starts = zip(*map(made, names), strict=True)
@@ -194,17 +173,6 @@ def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
     assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
 
 
-def test_the_residual_s_motion_that_goes_with_coma_is_among_frozen_effects():
-    """Truth: the model itself; without the motion the image would be another one."""
-    halo, values = made("seeing_halo")
-    whole = EffectSet([halo], psf().grids)
-    assert whole(values).by_mode
-    images = ImageModel(psf(), whole).predict(WAVEFRONTS, FLUX, BACKGROUND, values)
-    frozen = frozen_effects(whole, values)
-    theirs = ImageModel(psf(), frozen).predict(WAVEFRONTS, FLUX, BACKGROUND)
-    assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
-
-
 @pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.slow
 def test_modes_flux_and_background_are_differentiated_through_the_effect(name):
@@ -218,13 +186,6 @@ def test_modes_flux_and_background_are_differentiated_through_the_effect(name):
     total = 0.05 * jacobian[:, 2] + 1e-3 * FLUX[:, None, None] * jacobian[:, -2] + jacobian[:, -1]
     expected = ((high - low) / 2).numpy()
     assert total.numpy() == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
-
-
-def test_single_frames_of_a_drifting_recording_have_derivatives_too():
-    effect, values = made("ncpa_drift")
-    when = torch.tensor([0.0, 1.0])
-    for ours, theirs in zip(columns(effect, values, when), differences(effect, values, when), strict=True):
-        assert ours.numpy() == pytest.approx(theirs.numpy(), abs=2e-5 * float(theirs.abs().max()))
 
 
 def amplitude(
@@ -253,24 +214,6 @@ def test_derivatives_of_the_redrawn_pupil_are_good_to_a_few_percent(index, step)
 
     ours = Directional(light, torch.as_tensor(values)).along(direction).numpy()
     assert np.sqrt(np.mean((ours - expected) ** 2)) < 0.04 * np.sqrt(np.mean(expected**2))
-
-
-def test_what_is_held_of_a_redrawn_pupil_has_no_derivative():
-    stop = FixedEffect(PupilMisregistration(), [0.15, -0.6, 4.0], free=["rotation_deg"])
-    whole = ImageModel(psf(), [stop, PupilSizes(UT4)])
-    values = torch.tensor([4.0, 1.3, 0.055]).double()
-    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
-    free = ImageModel(psf(), [PupilMisregistration(), PupilSizes(UT4)])
-    all_values = torch.tensor([0.15, -0.6, 4.0, 1.3, 0.055]).double()
-    every = free.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, all_values)[1][:, len(NOLLS) : -2]
-    assert jacobian.numpy() == pytest.approx(every[:, 2:].numpy(), abs=1e-6 * float(every[:, 2:].abs().max()))
-
-
-def test_a_pupil_with_neither_a_hole_nor_vanes_has_no_sizes():
-    with pytest.raises(ValueError, match="neither a central obscuration nor vanes"):
-        PupilSizes(PupilGeometry(8.0))
-    with pytest.raises(ValueError, match="nothing of which vane_width_m"):
-        PupilSizes(PupilGeometry(8.0, 1.1)).values_of(vane_width_m=0.04)
 
 
 def searched(name: str) -> list[Effect]:
@@ -311,13 +254,6 @@ def test_beside_a_drift_derivatives_need_none_of_the_modes(name):
     at = WAVEFRONTS, FLUX, BACKGROUND, values
     every, alone = (whole.predict_and_jacobian(*at, modal=modal)[1] for modal in (True, False))
     assert torch.equal(alone, every[:, len(NOLLS) :])
-
-
-def test_a_drift_shows_in_single_frames_only():
-    (effect,) = searched("ncpa_drift")
-    none = torch.zeros(len(effect.parameters)).double()
-    assert columns(effect, none).abs().max() < 1e-6
-    assert columns(effect, none, torch.tensor([0.0, 1.0])).abs().amax((1, 2, 3)).min() > 1
 
 
 @pytest.mark.slow

@@ -11,13 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.effect_cases import CONDITIONS
 from helpers.light_path_derivatives import assert_jacobian, assert_pullback, random_modes
 from helpers.optics_cases import BAND, J_AND_H, NARROW_H, RESIDUAL_LAW, settings
 from helpers.reference_psf import reference
 from helpers.residual_screens import screens_nm
 
-from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo
 from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.effects.uneven_residual import NOLLS, UnevenResidual
@@ -81,14 +79,6 @@ def test_the_pullback_is_the_gradient_of_a_weighted_sum(model, effects, modes):
     assert_pullback(model, effects, modes, VALUES)
 
 
-def test_the_light_of_the_star_stays_whole(model, effects, modes):
-    """The transform's zero frequency: there D is 0, whatever the places."""
-    wide = PsfModel(settings(96, NARROW_H, pupil_samples=64), MODES, dtype=torch.float64)
-    image = wide.images(modes, EffectSet(effects.effects, wide.grids)(VALUES))
-    alike = wide.images(modes, EffectSet(effects.effects, wide.grids)(0 * VALUES))
-    assert image.sum((1, 2)) == pytest.approx(alike.sum((1, 2)), rel=0.01)
-
-
 @pytest.mark.slow
 def test_a_calibration_finds_what_the_simulated_screens_have():
     facility = load_instrument("irlos").facility
@@ -101,14 +91,3 @@ def test_a_calibration_finds_what_the_simulated_screens_have():
     for name, true in UNEVEN.items():
         assert sigma[name] < 0.08
         assert values[name] == pytest.approx(true, abs=3 * sigma[name])
-
-
-def test_it_means_nothing_on_a_bench():
-    with pytest.raises(ValueError, match="no AO residual"):
-        UnevenResidual.under(replace(CONDITIONS, residual_law=ResidualLaw(0.0, 0.0)))
-
-
-def test_a_sentence_says_where_the_residual_is_stronger():
-    effect = UnevenResidual.under(CONDITIONS)
-    assert "at the edge of the pupil (35% RMS" in effect.phrase(effect.describe(np.array([0.35, 0.0, 0.0])))
-    assert "in the middle of the pupil" in effect.phrase(effect.describe(np.array([-0.2, 0.0, 0.0])))

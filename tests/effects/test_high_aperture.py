@@ -11,9 +11,7 @@ import torch
 from helpers.effect_cases import CONDITIONS
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.diagnosis.ramp.diagnosis import diagnose_ramp
-from irlos_pipe.diagnosis.ramp.gap import LightPathName, compare
-from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.diagnosis.ramp.gap import compare
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
@@ -23,7 +21,6 @@ from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.simulate.effects.wavefront import HighAperture as Simulated
 from irlos_pipe.simulate.telescope import Telescope
-from irlos_pipe.stages.diagnose.ramp import sentence
 
 SINE, DIAMETER_M = 0.85, 1.7
 PIXEL_MAS = np.rad2deg(130e-9) * 3.6e6
@@ -39,15 +36,6 @@ SETTINGS = PsfSettings(
     margin_mas=150.0,
     halo_margin_mas=300.0,
 )
-
-
-def test_it_means_nothing_where_the_profile_knows_no_high_aperture():
-    for aperture in (0.0, 0.03):
-        with pytest.raises(ValueError, match="no high numerical aperture"):
-            CATALOGUE["high_aperture"].under(replace(CONDITIONS, numerical_aperture=aperture))
-    effect = CATALOGUE["high_aperture"].under(replace(CONDITIONS, numerical_aperture=SINE))
-    assert effect.describe(np.array([effect.parameters[0].start])) == {"sine": SINE}
-    assert effect.apply(torch.tensor([SINE]), SETTINGS).focus_sine == pytest.approx(SINE)
 
 
 def test_the_simulator_makes_the_shape_of_the_model():
@@ -102,14 +90,3 @@ def test_held_out_images_want_the_sphere(ramps):
     assert found.gap[1] < 0.7 * found.gap[0]
     assert not compare(ramps.data, ramps.sphere, ramps.parabola, ramps.held_out).favours(5.0)
     assert not compare(ramps.data, ramps.sphere, ramps.sphere, ramps.held_out).favours(5.0)
-
-
-def test_the_stage_is_not_blamed_while_images_miss_something(ramps):
-    found = compare(ramps.data, ramps.parabola, ramps.sphere, ramps.held_out)
-    assert found.complete
-    worse = replace(found, chi2_nu=(4.0, 1.5))
-    lens = LightPathName(CATALOGUE["high_aperture"](SINE), [SINE], worse)
-    stage = diagnose_ramp(OFFSETS_NM, 1.1 * OFFSETS_NM, ~ramps.held_out)
-    told = sentence(replace(stage, names=[], nearest=stage.names), lens)
-    assert "NA / n = 0.85" in told and "no error of the focus stage can be named" in told
-    assert "focus stage scale of +10.0" in sentence(stage, replace(lens, comparison=found))

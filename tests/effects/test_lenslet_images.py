@@ -1,15 +1,11 @@
 """`lenslet_images`. Truth: a tilt of the wavefront before one lenslet, and finite differences."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 import torch
-from helpers.effect_cases import CONDITIONS
 from helpers.lenslet_cases import lenslet_settings
 
 from irlos_pipe.conventions.units import tilt_nm
-from irlos_pipe.effects import CATALOGUE, EffectSet
+from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.lenslet_images import LensletImages
 from irlos_pipe.optics.lenslets import LensletArray, apart
 
@@ -44,22 +40,3 @@ def test_slopes_are_finite_differences(psf):
         ends = [psf.images(WAVEFRONT, effects(values + sign * step)) for sign in (1, -1)]
         slope = (ends[0] - ends[1])[0] / 2e-3
         assert (jacobian[0, 3 + index] - slope).abs().max() < 1e-5 * slope.abs().max()
-
-
-def test_public_values_survive_the_way_to_the_solver_and_back():
-    effect = LensletImages()
-    assert effect.describe(np.array(effect.values_of(**VALUES))) == VALUES
-
-
-def test_without_lenslets_it_means_nothing_and_with_them_there_are_four():
-    with pytest.raises(ValueError, match="no lenslets"):
-        CATALOGUE["lenslet_images"].under(CONDITIONS)
-    effect = CATALOGUE["lenslet_images"].under(replace(CONDITIONS, settings=SETTINGS))
-    with pytest.raises(ValueError, match="flux has 3 values; give one per lenslet, 4"):
-        effect.values_of(**VALUES | {"flux": [0.0] * 3})
-
-
-def test_a_sentence_names_the_rms_of_the_displacements_and_of_the_light():
-    public = {"x_mas": [3.0, -3.0, 3.0, -3.0], "y_mas": [1.0] * 4, "flux": [0.1, -0.1, 0.1, -0.1]}
-    told = "images of the lenslets 2.2 mas RMS beside their places, and 10 % uneven"  # √((9 + 1)/2) = 2.24
-    assert LensletImages().phrase(public) == told

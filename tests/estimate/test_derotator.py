@@ -4,7 +4,7 @@ errors against Monte Carlo; the variance for equal errors against the textbook f
 import numpy as np
 import pytest
 
-from irlos_pipe.estimate.derotator import Series, consistency, split_series, try_both_senses, usable_modes
+from irlos_pipe.estimate.derotator import Series, split_series, try_both_senses
 from irlos_pipe.optics.zernike import zernike_basis
 
 NOLLS = tuple(range(4, 29))
@@ -62,14 +62,6 @@ def test_of_symmetric_modes_only_the_sum_is_told(parts):
     assert np.all(split.rotating.zernike_nm[SYMMETRIC] == 0)
 
 
-def test_half_a_turn_tells_odd_orders_apart_only(parts):
-    split = split_series(make(parts, angles=np.array([0.0, 180.0])), 1)
-    odd = np.isin(NOLLS, (7, 8, 9, 10, 16, 17, 18, 19, 20, 21))
-    assert np.array_equal(split.separable, odd)
-    assert np.allclose(split.rotating.zernike_nm[odd], parts[0][odd], atol=1e-8)
-    assert np.allclose(split.unsplit.zernike_nm[~odd], (parts[0] + parts[1])[~odd], atol=1e-8)
-
-
 @pytest.mark.slow
 def test_errors_and_chi2_are_those_of_monte_carlo(parts, correlated):
     series = make(parts, covariance=correlated)
@@ -105,24 +97,3 @@ def test_the_sense_of_rotation_is_found(parts, sense):
     found = try_both_senses(make(parts, sense=sense))
     assert found.best.sense == sense
     assert found.delta_chi2 > 1000
-
-
-def test_a_series_in_which_nothing_turns_has_no_sense(parts):
-    found = try_both_senses(make((np.zeros(len(NOLLS)), parts[1])))
-    assert found.delta_chi2 == pytest.approx(0, abs=1e-9)
-
-
-def test_the_angles_agree_when_turned_back_without_the_fixed_part(parts):
-    series = make(parts)
-    found = consistency(series, split_series(series, 1))
-    assert found.without_fixed_nm < 1e-8
-    assert found.measured_nm > 50
-    assert found.expected_nm == pytest.approx(np.sqrt(2 * len(NOLLS)))
-    turning_only = make((parts[0], np.zeros(len(NOLLS))))
-    assert consistency(turning_only, split_series(turning_only, 1)).turned_back_nm < 1e-8
-
-
-def test_pointing_and_incomplete_pairs_are_left_out():
-    kept = usable_modes(range(2, 31), highest_noll=27)
-    assert np.arange(2, 31)[~kept].tolist() == [2, 3, 27, 28, 29, 30]
-    assert usable_modes(range(2, 31))[2:].all()

@@ -93,20 +93,6 @@ def test_defocus_up_to_900_nm_is_found_without_a_start(focus):
     assert np.abs([one.defocus_nm - x[2] for one, x in zip(found, truth, strict=True)]).max() < 5.0
 
 
-def test_the_order_of_images_does_not_matter_to_the_bit(focus):
-    images = drawn(anywhere(6, 800.0))
-    forwards = [focus.measurement(image) for image in images]
-    assert [focus.measurement(image) for image in images[::-1]] == forwards[::-1]
-    assert [sensor().measurement(image) for image in images] == forwards
-
-
-def test_reads_add_their_noise(focus):
-    one = focus.measurement(drawn([0.0, 0.0, 50.0], 500.0)[0])
-    many = focus.measurement(drawn([0.0, 0.0, 50.0], 500.0, reads=16)[0], reads=16)
-    assert many.sigma_nm > 2 * one.sigma_nm
-    assert 0.9 < many.chi2_nu < 1.1
-
-
 def test_bad_pixels_do_not_count():
     good = GOOD.copy()
     good[20:22, 18] = False
@@ -139,12 +125,6 @@ def test_what_cannot_be_used_says_why(focus, reason, image):
     assert reason in found.reasons
 
 
-def test_a_saturated_read_is_not_used():
-    image = drawn([0.0, 0.0, 50.0])[0]
-    assert "saturated" in sensor(saturation_e=0.9 * image.max()).measurement(image).reasons
-    assert sensor(saturation_e=0.9 * image.max()).measurement(image, reads=2).reasons == ()
-
-
 def test_without_diversity_the_sign_is_open_and_the_twin_is_named():
     plain = ImageModel(PsfModel(replace(SETTINGS, known=replace(SETTINGS.known, diversity_nm={})), (2, 3, 4)))
     blind = Focus(plain, GOOD, NOISE)
@@ -161,11 +141,6 @@ def test_no_faint_image_gives_a_valid_wrong_defocus(focus):
     assert np.abs(errors).max() < 120.0
 
 
-def test_another_window_is_refused(focus):
-    with pytest.raises(ValueError, match=r"\(40, 40\).*\(48, 40\)"):
-        focus.measure(np.zeros((40, 40)))
-
-
 @pytest.mark.parametrize(
     ("model", "words"),
     [
@@ -178,28 +153,6 @@ def test_another_window_is_refused(focus):
 def test_models_without_a_table_are_refused(model, words):
     with pytest.raises(ValueError, match=words):
         Focus(model, GOOD, NOISE)
-
-
-def test_fixed_motion_is_in_the_table():
-    model = ImageModel(MODEL.psf, [FixedEffect(TipTiltJitter(), TipTiltJitter().values_of(12.0))])
-    one, zero = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
-    image = model.predict(torch.tensor([[0.0, 0.0, 60.0]]), one * 1e6, zero)[0].numpy()
-    assert Focus(model, GOOD, NOISE).measurement(image).defocus_nm == pytest.approx(60.0, abs=0.5)
-    assert abs(sensor().measurement(image).defocus_nm - 60.0) > 1.0
-
-
-@pytest.mark.parametrize("value", [1e13, 1e20, 1e38, -1e38, 1e300])
-def test_numbers_that_no_detector_gives_are_refused_as_those_that_are_none(focus, value):
-    everywhere, pixel = np.full((48, 40), value), drawn([0.0, 0.0, 50.0])[0]
-    pixel[20, 20] = value
-    for image in (everywhere, pixel):
-        found = focus.measurement(image)
-        assert (found.valid, found.reasons) == (False, ("not_finite",))
-
-
-@pytest.mark.parametrize("value", [1e5, 1e9, 1e11, -1e11, 0.0])
-def test_a_constant_image_is_measured_and_not_valid(focus, value):
-    assert not focus.measurement(np.full((48, 40), value)).valid
 
 
 @pytest.mark.parametrize("window", [(48, 48), (48, 40)])

@@ -12,14 +12,13 @@ from helpers import optics_cases as cases
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.image_fit import Layout
-from irlos_pipe.estimate.lift import image_problem, lift
+from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import PhotonFit, alike
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf import PsfModel
 
@@ -84,16 +83,6 @@ def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
     assert torch.allclose(result.covariance_nm2[0], torch.diag(sigma.double() ** 2), rtol=1e-2, atol=1.0)
 
 
-def test_map_lies_between_the_prior_and_the_maximum_likelihood(model):
-    true = torch.tensor([[0.0, 0.0, 100.0]], dtype=torch.float64)
-    image = drawn(model, true, cases.photons(20), seed=3)
-    ml = estimate(model, image, np.array([100.0])).zernike_nm[0, 2]
-    sigma = float(cramer_rao_nm(ImageModel(model), true, torch.tensor([cases.photons(20)]), NOISE)[0, 2])
-    options = LiftOptions("model", torch.zeros(1, 3).double(), torch.full((3,), sigma).double())
-    between = estimate(model, image, np.array([100.0]), options).zernike_nm[0, 2]
-    assert abs(float(between / ml) - 0.5) < 0.15  # equal precision of prior and data: half way
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("mag_j", [12, 18, 19])
 def test_a_wrong_prior_biases_map_by_its_share_of_the_information(model, mag_j):
@@ -120,19 +109,6 @@ def test_a_frame_of_nan_is_flagged_and_the_others_are_estimated(model):
     result = lift(ImageModel(model), images, cases.everything(images), NOISE, true * 0.9)
     assert result.solution.status[1] == "invalid"
     assert torch.allclose(result.zernike_nm[[0, 2]], true[[0, 2]], atol=2.0)
-
-
-def test_masked_pixels_carry_no_weight(model):
-    true = random_modes(2, seed=9)
-    images = drawn(model, true, cases.photons(12), seed=10)
-    hurt = images.clone()
-    hurt[:, 30:33, 30:33] = 1e6
-    mask = cases.everything(images)
-    mask[30:33, 30:33] = False
-    whole, options = ImageModel(model), LiftOptions("model")
-    a, b = (lift(whole, picture, mask, NOISE, true * 0.9, options) for picture in (images, hurt))
-    # The start's smoothed variances see the neighbours of masked pixels; the estimates must not.
-    assert torch.allclose(a.zernike_nm, b.zernike_nm, atol=0.05)
 
 
 @pytest.mark.slow
@@ -185,36 +161,6 @@ def test_the_slope_with_variances_that_follow_is_that_of_the_objective():
         assert float(rise / (2 * step)) == pytest.approx(float(gradient[0, i]), rel=1e-4, abs=1e-6)
 
 
-@pytest.mark.slow
-def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
-    true = random_modes(20, seed=11)
-    data = drawn(model, true, 3e4, seed=12)
-    found = estimate(model, data, true[:, 2].numpy())
-    layout, x, complete = Layout(TTF), found.solution.values, ImageModel(model)
-    for _ in range(6):
-        signal = complete.predict(x[:, :3], x[:, 3], x[:, 4])
-        problem = image_problem(complete, layout, data, NOISE.variance_e2(signal), cases.everything(data))
-        problem = problem.with_tolerance(1e-6)
-        x = solve(problem, x).values
-    assert ((x - found.solution.values)[:, :3].abs() < 0.02 * found.sigma_nm).all()
-
-
-@pytest.mark.slow
-def test_images_that_are_fitted_in_pieces_find_what_they_find_together(model, monkeypatch):
-    true = random_modes(7, seed=21)
-    data = drawn(model, true, 3e4, seed=22)
-    prior = {"prior_mean_nm": true + 5.0, "prior_sigma_nm": torch.tensor([300.0, 300.0, 50.0])}
-    options = LiftOptions(**prior)
-    arguments = ImageModel(model), data, cases.everything(data), NOISE, 0.5 * true, options
-    together = lift(*arguments)
-    monkeypatch.setattr("irlos_pipe.estimate.lift.IMAGES_AT_ONCE", 3)
-    pieces = lift(*arguments)
-    assert pieces.solution.status == together.solution.status
-    assert torch.allclose(pieces.zernike_nm, together.zernike_nm, rtol=0, atol=1e-4)
-    assert torch.allclose(pieces.model_e, together.model_e, rtol=1e-5, atol=1e-3)
-    assert torch.allclose(pieces.chi2_nu, together.chi2_nu)
-
-
 def test_the_scan_finds_defocus_and_position_of_any_image():
     """To 60 nm, from where every fit finds its minimum, and a pixel; a diversity shows the sign."""
     case = cases.settings(64, TWO_COLOURS, diversity={6: -170.0})
@@ -227,18 +173,6 @@ def test_the_scan_finds_defocus_and_position_of_any_image():
     pixel_nm = case.pixel_scale_mas * MAS * case.geometry.diameter_m / 4 * 1e9
     assert ((found - true)[:, 2].abs() <= 60.0).all()
     assert ((found - true)[:, :2].abs() <= pixel_nm).all()
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.int32])
-def test_images_of_any_kind_are_fitted_by_a_model_of_double_precision(dtype):
-    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
-    true = random_modes(3, seed=61)
-    images = drawn(precise, true, 1e5, seed=62).round()
-    arguments = cases.everything(images), NOISE, 0.8 * true
-    exact = lift(ImageModel(precise), images.double(), *arguments)
-    found = lift(ImageModel(precise), images.to(dtype), *arguments)
-    assert found.solution.converged.all()
-    assert ((found.zernike_nm - exact.zernike_nm).abs() < 0.03 * exact.sigma_nm).all()
 
 
 @pytest.mark.slow

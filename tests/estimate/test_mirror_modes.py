@@ -46,26 +46,6 @@ def test_errors_are_those_of_the_wavefront():
     assert scatter == pytest.approx(offsets(maps_nm).sigma, rel=0.2)
 
 
-def test_a_part_is_corrected_by_a_part_of_the_offsets():
-    maps_nm = table(np.eye(18))
-    assert offsets(maps_nm, 0.4).value == pytest.approx(0.4 * offsets(maps_nm).value)
-    assert offsets(maps_nm, 0.4).after_nm == pytest.approx(offsets(maps_nm).after_nm)
-
-
-def test_units_of_the_table_are_those_of_the_offsets():
-    maps_nm = table(np.eye(18))
-    scale = 10.0 ** np.linspace(-4, 4, 18)
-    assert offsets(maps_nm * scale[:, None, None]).value == pytest.approx(offsets(maps_nm).value / scale)
-
-
-def test_piston_tip_and_tilt_of_the_modes_change_nothing():
-    maps_nm = table(np.eye(18))
-    y, x = np.mgrid[:SAMPLES, :SAMPLES]
-    assert offsets(maps_nm + 3.0 * x - 2.0 * y + 50.0).value == pytest.approx(
-        offsets(maps_nm).value, abs=1e-6
-    )
-
-
 def test_what_the_modes_cannot_make_is_left():
     """Of two orthogonal shapes one is in the table."""
     full = offsets(table(np.eye(18)[2:3]))

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.mode_law import ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
+from irlos_pipe.estimate.mode_law import ModeScatter, fit_mode_law, mode_scatter
 
 NOLLS = tuple(range(2, 102))
 A_NM, DECAY, C_NM = 70.0, 0.2, 10.0
@@ -59,13 +59,3 @@ def test_the_error_of_a_standard_deviation_is_that_of_chi2():
     scatter = scatter_of(draws, 2)
     exact = np.sqrt(chi2(draws).ppf([0.1587, 0.8413]) / draws)
     assert scatter.std_sigma_nm / scatter.std_nm == pytest.approx(np.diff(exact)[0] / 2, rel=0.05)
-
-
-def test_tip_and_tilt_get_their_common_variance():
-    scatter = equalised_tilts(ModeScatter((2, 3, 4), np.array([3.0, 4.0, 7.0]), np.zeros(3), 2))
-    assert scatter.std_nm == pytest.approx([np.sqrt(12.5), np.sqrt(12.5), 7.0])
-
-
-def test_three_parameters_need_more_than_three_modes():
-    with pytest.raises(ValueError, match="at least four modes"):
-        fit_mode_law(scatter_of(1, 1), np.arange(100) < 3, START, remove_noise=True)

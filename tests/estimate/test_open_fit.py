@@ -22,20 +22,12 @@ from irlos_pipe.estimate.open_fit import (
     OpenFit,
     TailLaw,
     fit_tail_law,
-    last_noll_of,
     visible_order,
 )
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.zernike import noll_to_nm
 
 REPORTED, TAIL = slice(0, 29), range(67, 232)
 TAIL_NM, FLUX_E, FRAMES = 3.0, 4e6, 12
-
-
-@pytest.mark.parametrize("order", [0, 1, 7, 20])
-def test_the_last_mode_of_an_order_is_followed_by_the_next(order):
-    last = last_noll_of(order)
-    assert (noll_to_nm(last)[0], noll_to_nm(last + 1)[0]) == (order, order + 1)
 
 
 @pytest.mark.parametrize("window", [24, 32, 48])
@@ -70,11 +62,6 @@ def test_the_law_of_drawn_modes_is_found():
     amplitude, slope = (np.array([getattr(one, name) for one in found]) for name in ("amplitude_nm", "slope"))
     assert np.log(amplitude).mean() == pytest.approx(np.log(4.0), abs=0.12)
     assert slope.mean() == pytest.approx(1.5, abs=0.4)
-
-
-def test_without_a_tail_the_law_closes():
-    found = fit_tail_law(TailLaw(67), [*range(2, 30), *TAIL], *tail_problem(1, TailLaw(67, 1e-6, 0.0), 1.0))
-    assert np.sqrt(np.mean(found.sigma_nm(TAIL) ** 2)) < 0.5  # of the noise
 
 
 def small_problems() -> tuple[OpenFit, ImageFit, torch.Tensor]:
@@ -147,13 +134,6 @@ def test_the_law_of_the_tail_is_that_of_the_truth(calibrated):
     """Modes of orders 11 to 18 have 3 nm, those of 19 and 20, with Noll 201 and beyond, less and nothing."""
     tail = calibrated[0]["open"].tail
     assert tail.sigma_nm([67, 150]) == pytest.approx([TAIL_NM, TAIL_NM], rel=0.35)
-
-
-def test_an_open_basis_of_a_method_without_one_is_refused():
-    images = torch.ones(2, 24, 24)
-    frames = Frames(images, cases.everything(images), cases.READ_NOISE)
-    with pytest.raises(ValueError, match="no open basis"):
-        calibrate(frames, cases.settings(24), CalibrationOptions("dip_avg", highest_noll="open"))
 
 
 def test_joined_colours_keep_light_and_mean_and_lie_less_apart_than_told():

@@ -26,7 +26,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.cube_fit import CubeFit
 from irlos_pipe.estimate.image_fit import Layout
 from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, last_noll_of, open_basis, visible_order
-from irlos_pipe.estimate.open_minima import Softening, by_curvature, by_prior, likelier_minimum
+from irlos_pipe.estimate.open_minima import Softening, by_curvature, likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
@@ -114,20 +114,6 @@ def test_a_wrong_minimum_gives_way_to_the_right_one(problem):
     assert (found.solution.values - place())[0, :27].norm() < 5
 
 
-@pytest.mark.slow
-def test_the_same_search_has_the_same_end_and_leaves_its_problem_alone(problem, monkeypatch):
-    monkeypatch.setattr(open_minima, "SHAKES", 1)
-    wrong = place() + 60.0
-    weights, start = problem.root_weight.clone(), wrong.clone()
-    ends = [
-        likelier_minimum(task(wrong), closed(problem, 1e6), ended(problem, wrong), 0.0).solution.values
-        for _ in range(2)
-    ]
-    assert torch.equal(*ends)
-    assert torch.equal(problem.root_weight, weights)
-    assert torch.equal(wrong, start)
-
-
 def test_softened_weights_are_those_of_the_larger_variance(problem):
     """Also where the normal equations with the true weights are kept."""
     problem.normal_equations(place(), FIRST)
@@ -139,24 +125,6 @@ def test_softened_weights_are_those_of_the_larger_variance(problem):
         softened.normal_equations(place(), FIRST), other.normal_equations(place(), FIRST), strict=True
     ):
         assert own.numpy() == pytest.approx(expected.numpy(), rel=1e-9)
-
-
-def test_bad_pixels_keep_no_weight_when_weights_are_softened(problem):
-    root = problem.root_weight.clone()
-    root[0, 0, 100] = 0.0
-    softened = Softening(3.0, 0.5).of(problem.reweighed(root))
-    assert softened.root_weight[0, 0, 100] == 0
-    assert bool((softened.root_weight[0, 0, 101:] > 0).all())
-
-
-def test_shakes_by_the_prior_have_a_part_of_its_width_and_leave_tilt_and_focus(problem):
-    rng, before = np.random.default_rng(2), place()
-    moves = torch.cat([by_prior(problem, before, rng) - before for _ in range(300)])
-    width = moves.std(0) / open_minima.PRIOR_PART
-    assert torch.equal(before, place())
-    assert bool((moves[:, [0, 1, 2, 27, 28]] == 0).all())
-    assert width[3:20].numpy() == pytest.approx(np.full(17, 40.0), rel=0.2)
-    assert width[20:27].numpy() == pytest.approx(LAW.sigma_nm(range(22, 29)), rel=0.2)
 
 
 @pytest.mark.slow
@@ -212,22 +180,6 @@ def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
     found = likelier_side(wrong, max_iterations=30)
     assert found.solution.objective[0] < wrong.solution.objective[0]
     assert stop_of(found) == pytest.approx(TRUE_M, abs=0.01)
-
-
-@pytest.mark.slow
-def test_a_fit_on_the_right_side_stays_there():
-    right = opened_from(DIRECTION_RAD)
-    assert stop_of(likelier_side(right, max_iterations=30)) == pytest.approx(TRUE_M, abs=0.01)
-
-
-def test_a_model_without_a_direction_is_left_as_it_is(wrong):
-    held = [
-        FixedEffect(effect.base, effect.all_values([0.0] * 3))
-        for effect in wrong.problem.model.effects.effects
-    ]
-    model = ImageModel(wrong.problem.model.psf, held)
-    bare = Opened(wrong.problem.with_model(model), wrong.solution, wrong.law)
-    assert likelier_side(bare, max_iterations=30) is bare
 
 
 # -- effects that a diagnosis found --------------------------------------------------------------

@@ -51,13 +51,6 @@ def test_the_slopes_are_those_of_estimates_with_a_slightly_wrong_ncpa(right):
         assert slopes[:, KNOWN.index(noll)] == pytest.approx(numeric, abs=0.02)
 
 
-def test_an_error_of_the_known_defocus_is_one_of_the_estimate(right):
-    covariance = np.zeros((len(KNOWN), len(KNOWN)))
-    covariance[2, 2] = 9.0
-    sigma_nm = optics_sigma_nm(*right, GOOD, NOISE, KNOWN, covariance)
-    assert sigma_nm == pytest.approx(np.full(3, 3.0), rel=1e-6)
-
-
 def test_errors_add_up_by_their_covariance(right):
     model, result = right
     rng = np.random.default_rng(1)

@@ -20,7 +20,7 @@ from helpers.optics_cases import (
     vector,
 )
 
-from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
+from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import Layout
 from irlos_pipe.estimate.lift import image_problem, smooth
@@ -47,24 +47,6 @@ def test_what_a_calibration_has_measured_is_taken_and_the_rest_is_as_expected(gr
     truth = factor([MEASURED, TipTiltJitter(7.0)], grids)
     torch.testing.assert_close(factor(chosen, grids), truth)
     assert not any(effect.parameters for effect in chosen)
-
-
-def test_without_a_calibration_everything_is_as_expected(grids):
-    truth = factor(expected(AVAILABLE), grids)
-    torch.testing.assert_close(factor(ramp_effects(AVAILABLE, {}), grids), truth)
-
-
-def test_a_kernel_given_in_mas_replaces_the_measured_one(grids):
-    chosen = ramp_effects(AVAILABLE, {}, halo="off", object_sigma_mas=12.0)
-    torch.testing.assert_close(factor(chosen, grids), factor([TipTiltJitter(12.0)], grids))
-    assert not any(effect.parameters for effect in chosen)
-
-
-def test_fitting_frees_the_variance_of_the_residual_and_of_the_kernel():
-    chosen = ramp_effects(AVAILABLE, {"seeing_halo": MEASURED}, halo="fit", object_sigma_mas="fit")
-    free = [parameter for effect in chosen for parameter in effect.parameters]
-    assert [parameter.name for parameter in free] == ["variance_nm2", "variance_mas2"]
-    assert free[0].start == pytest.approx(MEASURED.values[0])
 
 
 # -- effects fitted to a whole ramp --------------------------------------------------------------
@@ -112,22 +94,12 @@ def test_the_size_of_the_object_is_recovered_from_a_ramp(model):
     assert np.sqrt(values.mean()) == pytest.approx(SIGMA_MAS, rel=0.01)
 
 
-def test_the_defocus_of_every_image_is_recovered_beside(model):
-    fit = jitter_fit(model, seed=50)
-    assert fit.x[:, 2].numpy() == pytest.approx(np.array(DEFOCUS_NM), abs=1.5)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("start_mas", [1.0, 30.0])
 def test_the_result_does_not_depend_on_the_start(model, start_mas):
     near, far = jitter_fit(model, 60), jitter_fit(model, 60, start_mas)
     assert far.status == "converged"
     assert abs(far.values - near.values).item() < 0.1 * near.covariance.item() ** 0.5
-
-
-def test_an_absent_object_stays_at_its_bound(model):
-    values = [jitter_fit(model, seed, sigma_mas=0.0) for seed in (70, 71, 72)]
-    assert all(0 <= fit.values.item() < 4 * fit.covariance.item() ** 0.5 for fit in values)
 
 
 def test_the_residual_can_be_scaled_on_a_ramp(model):

@@ -10,7 +10,6 @@ from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.estimate.sensitivity import (
     MEDIAN_OF_NORMAL,
     Criterion,
-    curve_of,
     dim,
     limiting_magnitude,
     scan,
@@ -50,19 +49,6 @@ def test_dimmed_frames_can_have_the_noise_of_many_reads(bright_image):
     assert abs(np.mean(dimmed.var(0) / expected) - 1) < 0.01
 
 
-def test_a_factor_of_one_changes_nothing(bright_image):
-    frames = cases.draw_frames(bright_image, 3, seed=1, noise=NOISE)
-    same = dim(frames, torch.as_tensor(bright_image).expand(3, -1, -1), 1.0, NOISE, torch.Generator())
-    assert torch.equal(same, frames.double())
-
-
-@pytest.mark.parametrize("factor", [0.0, 1.01, -1.0])
-def test_frames_cannot_be_made_brighter(bright_image, factor):
-    frames = torch.as_tensor(bright_image)[None]
-    with pytest.raises(ValueError, match="only be dimmed"):
-        dim(frames, frames, factor, NOISE, torch.Generator())
-
-
 CRITERION = Criterion(median_nm=20.0, failure_fraction=0.1)
 MAGNITUDES = np.array([12.0, 14.0, 16.0, 18.0])
 
@@ -79,21 +65,6 @@ MAGNITUDES = np.array([12.0, 14.0, 16.0, 18.0])
 def test_the_limit_is_where_errors_or_failures_exceed_the_criterion(median_nm, failures, limit):
     found = limiting_magnitude(MAGNITUDES, median_nm, failures, CRITERION)
     assert found == pytest.approx(limit, nan_ok=True)
-
-
-def test_a_curve_counts_failures_apart_from_errors():
-    errors = np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [10.0, np.nan, 20.0, 30.0, np.nan]])
-    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.array([1.0, 2.0]), np.ones(2), CRITERION)
-    assert curve.median_abs_error_nm.tolist() == [3.0, 20.0]
-    assert curve.failures.tolist() == [0, 2]
-    assert (curve.trials, curve.limit_mag) == (5, 12.0)
-
-
-def test_a_magnitude_at_which_everything_fails_has_no_error():
-    errors = np.array([[1.0, 1.0], [np.nan, np.nan]])
-    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.ones(2), np.ones(2), CRITERION)
-    assert np.isnan(curve.median_abs_error_nm[1])
-    assert curve.limit_mag == 12.0
 
 
 @pytest.mark.slow

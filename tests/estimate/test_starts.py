@@ -13,7 +13,7 @@ from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
-from irlos_pipe.estimate.starts import FEW_FRAMES, median_of_frames_nm
+from irlos_pipe.estimate.starts import median_of_frames_nm
 from irlos_pipe.numerics.solution import CONVERGED, Solution
 from irlos_pipe.optics.psf import PsfModel
 
@@ -41,17 +41,6 @@ def test_the_median_of_a_few_frames_is_near_the_truth(frames, truth_nm):
     model = PsfModel(cases.settings(WINDOW), NOLLS)
     found = median_of_frames_nm(model, frames.images_e, frames.good, frames.noise)
     assert (found - truth_nm[0]).norm() < 5
-
-
-def test_frames_that_cannot_be_fitted_do_not_count(frames, truth_nm):
-    images = frames.images_e.clone()
-    spread = torch.linspace(0, len(images) - 1, FEW_FRAMES).round().long()
-    images[spread[:3], 5, 5] = float("nan")
-    model = PsfModel(cases.settings(WINDOW), NOLLS)
-    found = median_of_frames_nm(model, images, frames.good, frames.noise)
-    assert (found - truth_nm[0]).norm() < 5
-    images[spread, 5, 5] = float("nan")
-    assert torch.all(median_of_frames_nm(model, images, frames.good, frames.noise) == 0)
 
 
 @pytest.mark.slow

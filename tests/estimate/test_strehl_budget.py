@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from helpers.optics_cases import NARROW_H, SCALE_MAS, ncpa_nm, settings, vector
 from helpers.reference_psf import reference
 
-from irlos_pipe.conventions.units import MAS, NM
-from irlos_pipe.effects import FixedEffect, TipTiltJitter
 from irlos_pipe.estimate.correction import ALL, strehl_budget
-from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 
 WINDOW, NOLLS = (41, 41), tuple(range(4, 16))
 WAVELENGTH_NM = NARROW_H[0][0]
@@ -34,24 +29,6 @@ def test_small_aberrations_follow_marechal_and_multiply():
         assert found[name].wfe_nm == pytest.approx(nm)
     assert found[ALL].alone == pytest.approx(found["low"].alone * found["high"].alone, abs=1e-3)
     assert found["low"].without == pytest.approx(found["high"].alone)
-
-
-def test_image_motion_lowers_the_peak_as_its_gaussian_does_the_otf():
-    """The peak is the integral of the OTF: that of the pupil drawn here, its pixel and a Gaussian."""
-    sigma_mas, size = 6.0, 256
-    geometry = settings(WINDOW).geometry
-    step_m = 2 * geometry.diameter_m / size
-    pupil = area_weighted_pupil(geometry, grid_centres(size, step_m))
-    overlap = np.fft.ifft2(np.abs(np.fft.fft2(pupil, (2 * size, 2 * size))) ** 2).real
-    baseline_m = np.fft.fftfreq(2 * size, 1 / (2 * size)) * step_m
-    frequency = baseline_m / (WAVELENGTH_NM * NM)
-    pixel = np.sinc(frequency * SCALE_MAS * MAS)
-    blur = np.exp(-2 * (np.pi * sigma_mas * MAS * frequency) ** 2)
-    whole = overlap * np.outer(pixel, pixel)
-    true = (whole * np.outer(blur, blur)).sum() / whole.sum()
-    found = budget([FixedEffect(TipTiltJitter(), [sigma_mas**2])])["tip_tilt_jitter"]
-    assert found.alone == pytest.approx(true, abs=2e-3)
-    assert math.isnan(found.wfe_nm)
 
 
 @pytest.mark.slow

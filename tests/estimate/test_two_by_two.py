@@ -65,17 +65,6 @@ def test_what_displaced_images_leave_of_defocus_is_their_prior_over_the_gradient
     assert found_nm == pytest.approx(np.hypot(held_nm, by_prior_nm), rel=0.05)
 
 
-def test_a_dark_image_determines_nothing_and_a_bright_one_everything(model):
-    nothing = torch.zeros(0, dtype=torch.float64)
-    dark = Frames(torch.full((1, 24, 24), 1e-9, dtype=torch.float64), GOOD, NOISE)
-    bright = Frames(torch.full((1, 24, 24), 1e6, dtype=torch.float64), GOOD, NOISE)
-    prior = np.full(5, 100.0)
-    assert identified(model, {4: 30.0}, nothing, dark, prior).combinations == 0
-    found = identified(model, {4: 30.0}, nothing, bright, prior)
-    assert found.combinations == 5 and found.determined() == (2, 3, 4, 5, 6)
-    assert np.all(found.left < 0.01)
-
-
 # -- centroids -----------------------------------------------------------------------------------
 
 

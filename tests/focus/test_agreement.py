@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from helpers import focus_loop as made
 
-from irlos_pipe.focus.calibration import exposure_differences, optical_differences, stated_differences
+from irlos_pipe.focus.calibration import optical_differences, stated_differences
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 CALIBRATED = made.calibration().acquisition
@@ -31,9 +31,3 @@ def test_the_same_frames_agree_and_scales_of_weights_do_not_matter():
 def test_other_frames_are_told_by_what_differs(change, words):
     (line,) = optical_differences(replace(CALIBRATED, **change), CALIBRATED)
     assert words in line
-
-
-def test_exposures_differ_only_where_both_are_known():
-    known = replace(CALIBRATED, exposure_s=1.0)
-    assert exposure_differences(known, CALIBRATED) == []
-    assert exposure_differences(replace(known, exposure_s=2.0), known) == ["exposure_s 2, not 1"]

@@ -91,23 +91,6 @@ def test_frames_may_be_described_by_a_side_car(run, tmp_path):
         assert mine["defocus_nm"] == pytest.approx(theirs["defocus_nm"], abs=1.0)
 
 
-@pytest.mark.slow
-def test_a_run_without_the_frames_of_a_loop_asks_for_their_description(run, tmp_path):
-    only = tmp_path / "calibration"
-    shutil.copytree(run, only)
-    text = (only / "recipe.resolved.yaml").read_text().replace("input: ramp", "input: other")
-    (only / "recipe.resolved.yaml").write_text(text)
-    code, line = failure(only, "--replay", run, "--output", tmp_path / "loop")
-    assert code == 2 and "--acquisition FILE" in line
-
-
-@pytest.mark.parametrize("sources", [[], ["--ring", "a", "--folder", "b"]])
-def test_one_source_is_asked_for(sources, tmp_path):
-    result = invoke("focus", "run", "--output", str(tmp_path / "loop"), *sources)
-    assert result.exit_code == 2
-    assert "give one of --ring, --folder, --zeromq and --replay" in result.stderr
-
-
 @pytest.mark.parametrize(
     ("option", "value"),
     [

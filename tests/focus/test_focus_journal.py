@@ -10,7 +10,7 @@ from helpers import focus_loop as made
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.journal import Journal
-from irlos_pipe.focus.record import Record, event_line, record_of
+from irlos_pipe.focus.record import Record, record_of
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +62,6 @@ def test_records_and_events_are_lines_and_rows(tmp_path, records):
     assert rows(tmp_path) == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_line_cut_short_by_a_kill_is_taken_away_and_the_last_whole_one_counts(tmp_path, records):
-    content = recorded(tmp_path, records[:3]) + records[3].line()[:100].encode()
-    assert found(tmp_path, content).last == records[2]
-    recorded(tmp_path, records[3:4])
-    assert [record_of(line) for line in lines(tmp_path)] == records[:4]
-
-
 def test_on_a_full_disk_records_wait_and_none_is_lost_or_out_of_order(tmp_path, records):
     journal = Journal(tmp_path)
     journal.add(records[0])
@@ -84,14 +77,6 @@ def test_on_a_full_disk_records_wait_and_none_is_lost_or_out_of_order(tmp_path, 
     journal.close()
     assert [record_of(line) for line in lines(tmp_path)] == records[:5]
     assert rows(tmp_path) == [1, 2, 3, 4, 5]
-
-
-@pytest.mark.parametrize("content", ["something else\n", '{"a": 1}\n', "no end of line"])
-def test_another_file_is_refused_and_left_alone(tmp_path, content):
-    (tmp_path / "focus.jsonl").write_text(content)
-    with pytest.raises(InputDataError, match="not the record"):
-        Journal(tmp_path)
-    assert (tmp_path / "focus.jsonl").read_text() == content
 
 
 def test_whatever_byte_of_the_last_line_is_damaged_the_last_sound_record_is_found(tmp_path, records):
@@ -110,14 +95,6 @@ def test_wherever_the_file_ends_the_last_whole_record_is_found(tmp_path, records
         journal = found(tmp_path, content[:end])
         assert journal.last == records[content[:end].count(b"\n") - 1]
         assert journal.damaged == (not content[:end].endswith(b"\n"))
-
-
-def test_a_record_is_found_behind_any_number_of_events_and_damaged_lines(tmp_path, records):
-    content = recorded(tmp_path, records[:2])
-    event = event_line(2, 0.0, "ring: frame 1000 is damaged").encode()
-    journal = found(tmp_path, content + event * 5000 + b"\0" * 200_000 + b"\n" + event)
-    assert (journal.last, journal.damaged) == (records[1], 1)
-    assert rows(tmp_path) == [1, 2]
 
 
 @pytest.mark.parametrize("value", [None, "12", [1.0], {"a": 1}, float("nan"), float("inf")], ids=repr)
@@ -190,12 +167,3 @@ def test_a_link_is_not_followed(tmp_path, records):
     (output / "focus.jsonl").symlink_to("elsewhere")
     with pytest.raises(InputDataError, match="cannot be opened"):
         Journal(output)
-
-
-def test_a_line_of_ours_without_a_time_is_left_out_of_the_hour(tmp_path, records):
-    content = recorded(tmp_path, records[:2])
-    (tmp_path / "focus.jsonl").write_bytes(content + b'{"schema": "irlos-focus", "event": "x"}\n')
-    journal = Journal(tmp_path)
-    assert len(journal.recent(0.0)) == 2
-    assert journal.earlier is not None
-    journal.close()

@@ -5,7 +5,6 @@ import math
 import shutil
 import socket
 import subprocess
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,7 +16,7 @@ from helpers import focus_loop as made
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.focus.journal import Journal
-from irlos_pipe.focus.live import MOST_CONNECTIONS, LivePage, PageSettings, Publisher
+from irlos_pipe.focus.live import LivePage, PageSettings, Publisher
 from irlos_pipe.focus.record import event_line
 
 TOKEN = "a-token-of-some-length"
@@ -67,20 +66,6 @@ def test_it_serves_the_page_and_the_lines_after_a_number(page):
     assert answer(page, "/etc/passwd")[0] == 404
 
 
-def test_what_was_numbered_by_another_loop_is_sent_whole(page):
-    known = lines(page)
-    with served() as other:
-        other.show(made.records(1)[0].line())
-        assert len(lines(other, f"after={known['last']}&loop={known['loop']}")["lines"]) == 1
-
-
-def test_an_hour_is_one_by_time_however_many_exposures_it_has():
-    with served() as fast:
-        for number in range(5001):  # 4000 s, five in four seconds
-            fast.show(event_line(number, 0.0, str(number)), 1.7e9 + 0.8 * number)
-        assert [one["event"] for one in lines(fast)["lines"]] == [str(number) for number in range(500, 5001)]
-
-
 def test_after_a_restart_the_page_has_the_hour_from_the_record(tmp_path):
     journal = Journal(tmp_path)
     old, *young = made.records(4)
@@ -119,11 +104,6 @@ def test_with_a_token_only_who_has_it_is_answered():
     with served(TOKEN) as page:
         assert answer(page, "/")[0] == answer(page, "/lines?after=0&token=wrong")[0] == 403
         assert lines(page, f"token={TOKEN}")["lines"] == []
-
-
-def test_a_port_in_use_is_an_error_in_one_line(page):
-    with pytest.raises(ConfigurationError, match=r"cannot listen on 127\.0\.0\.1"):
-        LivePage(PageSettings(urlsplit(page.url).port))
 
 
 @pytest.mark.slow
@@ -194,39 +174,3 @@ def test_what_is_no_address_is_a_bad_request_without_a_word(page, capfd, request
         client.sendall(request_line + b"\r\n")
         assert client.recv(1000).split()[1] == b"400"
     assert capfd.readouterr().err == ""
-
-
-@pytest.mark.slow
-def test_visitors_who_say_nothing_are_few(page):
-    before = threading.active_count()
-    clients = [socket.create_connection(("127.0.0.1", urlsplit(page.url).port), timeout=5) for _ in range(30)]
-    for client in clients:
-        client.sendall(b"GET / HT")
-    time.sleep(0.3)
-    assert threading.active_count() - before <= MOST_CONNECTIONS
-    for client in clients:
-        client.close()
-    until = time.monotonic() + 5
-    while threading.active_count() > before and time.monotonic() < until:
-        time.sleep(0.01)
-    assert answer(page, "/")[0] == 200
-
-
-def test_the_socket_of_a_living_loop_is_not_taken_away(tmp_path):
-    first = Publisher(tmp_path / "s")
-    with pytest.raises(ConfigurationError, match="another loop listens there"):
-        Publisher(tmp_path / "s")
-    with socket.socket(socket.AF_UNIX) as client:
-        client.connect(str(tmp_path / "s"))
-        first.send("one\n")
-        assert client.recv(10) == b"one\n"
-    first.close()
-
-
-def test_a_loop_that_ends_leaves_the_socket_of_another_alone(tmp_path):
-    first = Publisher(tmp_path / "s")
-    (tmp_path / "s").unlink()
-    second = Publisher(tmp_path / "s")
-    first.close()
-    assert (tmp_path / "s").is_socket()
-    second.close()

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.ordinary import FEWEST_FRAMES, Ordinary
+from irlos_pipe.focus.ordinary import Ordinary
 
 
 def scattered(seed: int, defocus_nm: float = 20.0, flux_e: float = made.FLUX_E) -> np.ndarray:
@@ -58,8 +58,3 @@ def test_errors_of_the_ramps_own_frames_do_not_grow_and_those_of_others_do(ordin
     moved = SPOILT["moved by 2 px"](scattered(200))
     factor, beside_nm = ordinary.growth(sensor.measurement(moved).beside)
     assert factor > 1.0 or beside_nm > 3.0
-
-
-def test_too_few_frames_tell_nothing():
-    few = Ordinary.of(made.calibration().sensor, [scattered(seed) for seed in range(FEWEST_FRAMES - 1)])
-    assert few.frames == 0

@@ -1,6 +1,5 @@
 """From exposures to records. Truth: the defocus of the images, and the controller by itself."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -9,7 +8,6 @@ import pytest
 from helpers import focus_loop as made
 
 from irlos_pipe.control.controller import ControllerSettings
-from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.record import event_line, record_of
 
@@ -49,13 +47,6 @@ def test_a_record_survives_the_line_it_is_written_as():
         record_of('{"schema": "another"}')
 
 
-def test_records_of_older_loops_are_read():
-    record = loop().record(made.exposure(3, 123.0), 0.0)
-    later = ("sigma_photon_nm", "recording", "recorded_unix_s")
-    content = {key: value for key, value in json.loads(record.line()).items() if key not in later}
-    assert record_of(json.dumps(content)).state == record.state
-
-
 @pytest.mark.parametrize(
     ("reasons", "case", "options"),
     [
@@ -73,26 +64,6 @@ def test_the_offset_of_an_exposure_that_is_not_valid_is_held_and_the_record_says
     assert {*reasons} <= {*record.reasons}
     assert (record.valid, record.commanded, record.offset_nm) == (False, False, before.offset_nm)
     assert running.record(made.exposure(2, 50.0), 0.0).valid
-
-
-def test_a_stale_calibration_is_not_used():
-    settings = LoopSettings(SETTINGS.controller, stale_after_s=10.0)
-    assert loop(settings).record(made.exposure(9), 0.0).valid
-    assert loop(settings).record(made.exposure(11), 0.0).reasons == ("stale_calibration",)
-
-
-def test_an_exposure_of_too_few_reads_is_not_used():
-    accumulator = Accumulator(4)
-    accumulator.add(made.read(0, 0.0, reads=4))
-    (one,) = accumulator.flush()
-    assert "incomplete" in loop().record(one, 0.0).reasons
-
-
-def test_a_shadow_measures_and_commands_nothing():
-    shadow = LoopSettings(SETTINGS.controller, shadow=True)
-    record = loop(shadow).record(made.exposure(0, 300.0), 0.0)
-    assert (record.mode, record.valid, record.commanded, record.offset_nm) == ("shadow", True, False, 0.0)
-    assert record.defocus_nm == pytest.approx(300.0, abs=3.0)
 
 
 def test_whatever_a_measurement_raises_becomes_a_record_and_the_offset_is_held(monkeypatch):

@@ -62,23 +62,11 @@ def test_a_damaged_frame_is_named_and_the_next_one_read(path):
     assert "frame 2 is damaged" in fault.text
 
 
-def test_a_reader_cannot_change_the_frames(path):
-    RingWriter(path, (3, 4), 8)
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.pwrite(RingSource(path)._descriptor, b"x", 0)
-
-
 @pytest.mark.parametrize("content", [b"", b"IRLOSRNG", b"SIMPLE  = T" * 40, b"IRLOSRNG" + b"\xff" * 200])
 def test_another_file_is_refused(path, content):
     path.write_bytes(content)
     with pytest.raises(InputDataError, match="ring"):
         RingSource(path)
-
-
-def test_a_ring_of_another_shape_is_not_overwritten(path):
-    RingWriter(path, (3, 4), 8).close()
-    with pytest.raises(InputDataError, match="3x4"):
-        RingWriter(path, (4, 4), 8)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
@@ -134,17 +122,6 @@ def test_a_ring_that_is_cut_short_is_named_once_and_read_again_when_it_is_whole(
     assert [one.counter for one in source.poll(0.0)] == [7]
 
 
-def test_frames_beyond_the_end_of_a_ring_are_damaged(path):
-    writer = RingWriter(path, (3, 4), 8)
-    source = RingSource(path)
-    for counter in range(4):
-        writer.write(read(counter))
-    os.truncate(path, 64 + 100)
-    first, *rest = source.poll(0.0)
-    assert first.counter == 0
-    assert all(isinstance(one, Fault) and "cut short" in one.text for one in rest)
-
-
 @pytest.mark.parametrize("window", [(3, 4), (5, 6)])
 def test_a_ring_that_is_made_anew_is_read_from_its_beginning(path, window):
     writer = RingWriter(path, (3, 4), 8)
@@ -159,24 +136,3 @@ def test_a_ring_that_is_made_anew_is_read_from_its_beginning(path, window):
     assert f"frames of {window[0]}x{window[1]} px" in notice.text and notice.counts_anew
     (first,) = source.poll(0.0)
     assert (first.counter, first.image_e.shape) == (0, window)
-
-
-def test_a_ring_that_is_away_for_a_while_goes_on_where_it_was(path, tmp_path):
-    writer = RingWriter(path, (3, 4), 8)
-    source = RingSource(path)
-    writer.write(read(1))
-    source.poll(0.0)
-    path.rename(tmp_path / "away")
-    (notice,) = looked(source)
-    assert "No such file" in notice.text
-    (tmp_path / "away").rename(path)
-    (notice,) = looked(source)
-    assert "there again" in notice.text and not notice.counts_anew
-    writer.write(read(2))
-    assert [one.counter for one in source.poll(0.0)] == [2]
-
-
-def test_a_pipe_in_place_of_a_ring_is_refused_without_waiting(path):
-    os.mkfifo(path)
-    with pytest.raises(InputDataError, match="ring"):
-        RingSource(path)

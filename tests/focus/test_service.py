@@ -13,7 +13,7 @@ import pytest
 from helpers import focus_loop as made
 
 from irlos_pipe.control.controller import ControllerSettings
-from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, InputDataError, Locked
+from irlos_pipe.conventions.errors import ExitCode, InputDataError, Locked
 from irlos_pipe.focus import service as service_module
 from irlos_pipe.focus.calibration import CalibrationWatch, require_exchangeable
 from irlos_pipe.focus.loop import LoopSettings
@@ -62,13 +62,6 @@ def test_started_again_it_goes_on_and_does_nothing_twice(tmp_path):
     assert "started again after record 3, calibration first" in events
 
 
-def test_of_exposures_that_come_together_only_the_last_commands(tmp_path):
-    served(tmp_path, at_once(0, 8))
-    records, _ = lines(tmp_path)
-    assert [one["reasons"] for one in records] == [["late"]] * 3 + [[]]
-    assert [one["commanded"] for one in records] == [False, False, False, True]
-
-
 @pytest.mark.parametrize(
     "changes", [{"every_exposure_counts": True}, {"settings": replace(SETTINGS, shadow=True)}]
 )
@@ -108,14 +101,6 @@ def test_a_source_whose_frames_are_not_those_of_the_calibration_is_refused(tmp_p
         made.served(tmp_path, source, SETTINGS)
 
 
-def test_frames_exposed_otherwise_are_told(tmp_path):
-    found, source = made.calibration(), made.Listed([])
-    source.acquisition = replace(found.acquisition, exposure_s=4.0)
-    found = replace(found, acquisition=replace(found.acquisition, exposure_s=1.0))
-    said = made.served(tmp_path, source, SETTINGS, found)
-    assert "frames exposed otherwise than the calibration says: exposure_s 4, not 1" in said
-
-
 def test_two_loops_on_one_output_are_refused(tmp_path):
     class First(made.Listed):
         def poll(self, timeout_s):
@@ -124,12 +109,6 @@ def test_two_loops_on_one_output_are_refused(tmp_path):
             assert caught.value.exit_code == ExitCode.LOCKED
 
     made.served(tmp_path, First([]), SETTINGS)
-
-
-def test_a_folder_with_other_files_is_refused(tmp_path):
-    (tmp_path / "thesis.tex").write_text("text")
-    with pytest.raises(ConfigurationError, match=r"thesis\.tex"):
-        served(tmp_path, [])
 
 
 def test_an_interrupted_loop_records_what_it_has(tmp_path):
@@ -198,11 +177,6 @@ def test_a_calibration_for_other_frames_is_not_exchangeable():
         require_exchangeable(old, other)
 
 
-def test_what_has_to_be_said_of_a_calibration_is_said(tmp_path):
-    said = served(tmp_path, [], found=replace(made.calibration(), notice="simulated sample"))
-    assert said[1] == "calibration first: simulated sample"
-
-
 # -- recordings, rings and faults -----------------------------------------------------------------------
 
 
@@ -231,11 +205,6 @@ def test_a_ring_that_is_made_anew_loses_no_exposure(tmp_path):
     assert "made anew" in events
 
 
-def test_reads_that_no_record_tells_of_are_told_at_the_end(tmp_path):
-    said = served(tmp_path, [*reads(100, 104), *reads(0, 3)])
-    assert said[-1] == "stopped; 3 reads since the last record came too late or twice"
-
-
 @pytest.fixture
 def two_seconds_a_look(monkeypatch):
     clock = iter(range(0, 100_000, 2))
@@ -249,33 +218,12 @@ def test_frames_that_stop_and_come_again_are_told_once_each(tmp_path, two_second
     assert sum(line.startswith("frames come again after") for line in said) == 1
 
 
-def test_reads_that_only_come_late_are_silence(tmp_path, two_seconds_a_look):
-    said = served(tmp_path, [*reads(100, 104), *reads(0, 60, unix_s=0.0)], silent_after_s=50.0)
-    assert any(line.startswith("no frames for 50 s; ") for line in said)
-
-
 def test_of_many_faults_some_are_told_and_the_rest_counted(tmp_path):
     served(tmp_path, [*([Fault(f"junk {number}")] for number in range(500)), *reads(0, 2)])
     records, events = lines(tmp_path)
     assert [one for one in events if one.startswith("junk")] == [f"junk {number}" for number in range(20)]
     assert "480 more faults, the last: junk 499" in events
     assert records[0]["reads_damaged"] == 500
-
-
-def test_what_is_unforeseen_in_a_measurement_is_an_event(tmp_path, monkeypatch):
-    monkeypatch.setattr(type(made.calibration().sensor), "measurement", lambda *_: [][0])
-    served(tmp_path, reads(0, 4))
-    records, events = lines(tmp_path)
-    assert [one["reasons"] for one in records] == [["failed"]] * 2
-    assert "exposure 1 could not be measured: IndexError: list index out of range" in events
-
-
-def test_a_wild_counter_is_an_event_and_no_number_of_missing_reads(tmp_path):
-    wild = [[replace(made.read(2 + number, 30.0, reads=2), counter=2**62 + number)] for number in range(2)]
-    served(tmp_path, [*reads(0, 2), *wild])
-    records, events = lines(tmp_path)
-    assert records[1]["reads_missing"] == 0
-    assert f"the counter of the recorder went on to {2**62}" in events
 
 
 def test_the_socket_gets_events_as_well_as_records(tmp_path):
@@ -298,14 +246,6 @@ def test_the_socket_gets_events_as_well_as_records(tmp_path):
 
 def dated(counter: int, ahead_s: float) -> list:
     return [replace(made.read(counter, 30.0, reads=2), unix_s=time.time() + ahead_s)]
-
-
-def test_a_read_of_the_future_is_named_and_those_after_it_are_measured(tmp_path):
-    wild = [dated(10**5 + number, 3600.0) for number in range(2)]
-    served(tmp_path, [*reads(0, 2), *wild, *reads(2, 8)])
-    records, events = lines(tmp_path)
-    assert [(one["exposure"], one["valid"]) for one in records] == [(n, True) for n in range(4)]
-    assert sum("dated 3600 s ahead of the clock of the loop; not used" in event for event in events) == 2
 
 
 @pytest.mark.parametrize("seconds", [3600.0, -3.15e8, -1e10, 5e6])
@@ -346,9 +286,3 @@ def test_a_loop_whose_offsets_nothing_answers_stops_and_says_so(tmp_path):
 def test_old_frames_command_nothing_where_that_is_asked_for(tmp_path, arrivals, shadow, reasons):
     served(tmp_path, list(arrivals), replace(SETTINGS, stale_frames_s=900.0, shadow=shadow))
     assert lines(tmp_path)[0][0]["reasons"] == reasons
-
-
-def test_a_calibration_of_the_future_is_as_stale_as_one_of_the_past(tmp_path):
-    early = reads(0, 2, unix_s=made.MADE_UNIX_S - 1e6)
-    served(tmp_path, early, replace(SETTINGS, stale_after_s=86400.0))
-    assert lines(tmp_path)[0][0]["reasons"] == ["stale_calibration"]

@@ -1,7 +1,6 @@
 """Frames over ZeroMQ. Truth: what was sent, by a publisher of the test."""
 
 import socket
-import sys
 import time
 from dataclasses import replace
 
@@ -100,24 +99,10 @@ def test_a_program_that_speaks_something_else_is_named_once():
     assert [one.text.split(": ")[1] for one in found] == ["what answers there does not speak ZeroMQ"]
 
 
-@pytest.mark.parametrize(
-    "endpoint", ["", "5555", "tcp://127.0.0.1", "tcp://localhost:5", "udp://127.0.0.1:5"]
-)
-def test_what_is_no_endpoint_is_refused(endpoint):
-    with pytest.raises(ConfigurationError, match="give tcp://ADDRESS:PORT with an IP address, or ipc://FILE"):
-        ZeroMqSource(endpoint)
-
-
 @pytest.mark.parametrize("token", ["", "short"])
 def test_no_other_machine_without_a_token(token):
     with pytest.raises(ConfigurationError, match="at least 16 characters in IRLOS_FOCUS_TOKEN"):
         ZeroMqSource("tcp://192.0.2.1:5555", token)
-
-
-def test_without_pyzmq_an_error_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "zmq", None)
-    with pytest.raises(ConfigurationError, match=r"pip install 'irlos_pipe\[zeromq\]'"):
-        ZeroMqSource("tcp://127.0.0.1:5555")
 
 
 @pytest.mark.slow
@@ -148,12 +133,3 @@ def test_a_flood_of_junk_is_counted_and_frames_between_it_are_read(publisher):
     faults = [one for one in found if isinstance(one, Fault)]
     assert sum(one.reads for one in faults) == 500
     assert len(faults) < 100
-
-
-def test_messages_far_larger_than_a_frame_are_not_taken(publisher):
-    source = ZeroMqSource(publisher.get_string(zmq.LAST_ENDPOINT), window=(3, 4))
-    assert publisher.poll(5000)
-    publisher.recv()
-    publisher.send_multipart([b"x", b"\0" * 10**6, b""])
-    assert not [one for _ in range(3) for one in source.poll(0.1) if not isinstance(one, Fault)]
-    source.close()

@@ -67,11 +67,6 @@ def threads(sample: Draw) -> list[dict]:
     return [{"torch": torch.get_num_threads(), "omp": os.environ["OMP_NUM_THREADS"], "process": os.getpid()}]
 
 
-def object_array(sample: Draw) -> list[dict]:
-    """Something that cannot be stored."""
-    return [{"answer": object()}]
-
-
 def draws(folder: Path, names=NAMES) -> list[Draw]:
     return [Draw(name, seed, str(folder)) for seed, name in enumerate(names)]
 

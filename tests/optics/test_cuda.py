@@ -6,16 +6,13 @@ counts that the propagation was asked of the device; the tests on a real one are
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
 from conftest import invoke
 from helpers import optics_cases as cases
 from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, made
-from helpers.stand_in_device import MixedDevicesError, StandInDevice
+from helpers.stand_in_device import StandInDevice
 
 from irlos_pipe.diagnosis.checks.drift import measure_drift
 from irlos_pipe.diagnosis.fitting import Fitter
@@ -35,7 +32,6 @@ from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.pipeline.resources import resolve_device
 
 SMALL, HIGHEST_NOLL, TTF = cases.settings(16, pupil_samples=48), 7, (2, 3, 4)
 TRUE_NM = cases.ncpa_nm(4, HIGHEST_NOLL, 60.0)
@@ -157,33 +153,6 @@ def test_no_stage_mixes_tensors_of_two_devices(monkeypatch, tmp_path):
         result = invoke(*told)
     assert result.exit_code == 0, result.stderr
     assert device.operations > 10_000
-
-
-def test_the_linear_algebra_is_loaded_before_there_are_threads(monkeypatch):
-    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
-    with StandInDevice() as device:
-        assert resolve_device("auto") == "cuda"
-    assert device.operations > 0
-
-
-@needs_gpu
-def test_a_recipe_runs_with_several_threads_on_a_gpu(tmp_path):
-    """In a process of its own, where nothing has used the GPU's linear algebra before."""
-    told = ["run", "defocus_ramp", "--samples", "--output", str(tmp_path), "--device", "cuda", "--jobs", "4"]
-    done = subprocess.run([sys.executable, "-m", "irlos_pipe", *told], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-def test_the_stand_in_refuses_what_a_gpu_would():
-    with StandInDevice():
-        there, here = torch.ones(2, device="cuda"), torch.ones(2)
-        assert str((there * 2.0).device) == "cuda"
-        assert torch.equal(there.cpu() + here, torch.full((2,), 2.0))
-        for mixed in (lambda: there + here, lambda: torch.cat([here, there]), lambda: here[there > 0]):
-            with pytest.raises(MixedDevicesError):
-                mixed()
-        with pytest.raises(TypeError, match="numpy"):
-            there.numpy()
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")

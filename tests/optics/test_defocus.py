@@ -8,7 +8,7 @@ import torch
 from scipy.special import j0
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.optics.defocus import defocus_nm_per_um, defocus_series, shaped_modes
+from irlos_pipe.optics.defocus import defocus_nm_per_um, defocus_series
 from irlos_pipe.optics.focus_table import FocusTable, Reach
 from irlos_pipe.optics.light_path import AS_BUILT
 from irlos_pipe.optics.psf import PsfModel
@@ -52,35 +52,6 @@ def test_images_agree_with_the_debye_integral(z_nm):
     truth = debye_row(z_nm, 41)
     truth *= row.sum() / truth.sum()
     assert row == pytest.approx(truth, abs=3e-4 * truth.max())
-
-
-def test_a_parabola_is_far_from_the_debye_integral():
-    defocus_nm = 2.1 * defocus_nm_per_um(SINE)
-    model = PsfModel(settings(41, sine=0.0, defocus_nm=defocus_nm), (4,), dtype=torch.float64)
-    row, truth = model.images(torch.zeros(1, 1))[0, 20].numpy(), debye_row(2100.0, 41)
-    assert np.abs(row / row.sum() - truth / truth.sum()).max() > 0.1 * truth.max() / truth.sum()
-
-
-def test_the_series_is_the_shape_of_the_path():
-    grid = PsfModel(settings(21), (4,)).pupil_grid
-    rho = np.hypot(*grid.xy)
-    inside = grid.lit & (rho < 1)
-    shape = shaped_modes(grid, [4], SINE)[0][inside] * defocus_nm_per_um(SINE)
-    path = 1e3 * (1 - np.sqrt(1 - SINE**2 * rho[inside] ** 2))
-    assert np.ptp(shape - path) < 2e-3 * np.ptp(path)
-
-
-def test_small_apertures_have_the_parabola_of_noll_4():
-    sine = 0.01
-    assert defocus_nm_per_um(sine) == pytest.approx(1e3 * sine**2 / (4 * np.sqrt(3)), rel=1e-4)
-    assert defocus_series(sine) == {4: 1.0}
-    assert defocus_series(0.0) == {4: 1.0}
-
-
-def test_the_first_companion_follows_the_expansion():
-    sine = 0.1  # s²ρ²/2 + s⁴ρ⁴/8: Noll 4 has (s²/2 + s⁴/8) / (2√3), Noll 11 s⁴ / (48√5)
-    expected = sine**4 / (48 * np.sqrt(5)) / ((sine**2 / 2 + sine**4 / 8) / (2 * np.sqrt(3)))
-    assert defocus_series(sine)[11] == pytest.approx(expected, rel=0.01)  # the next term is 3s²/4 of it
 
 
 @pytest.mark.parametrize("sine", [-0.1, 0.99, float("nan")])

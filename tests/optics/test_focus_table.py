@@ -10,7 +10,6 @@ from helpers import optics_cases as cases
 
 from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale
-from irlos_pipe.effects.detector import InterpixelCrosstalk
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.lift import lift
@@ -56,25 +55,6 @@ def test_images_are_those_of_a_finer_model(dtype, nolls):
     table, truth = FocusTable(coarse, Optics(), REACH), fine.images(x[:, order])
     assert largest(table.images(x[:, order]) - truth, truth) < 5e-5
     assert largest(table.images_and_jacobian(x[:, order])[0] - truth, truth) < 5e-5
-
-
-def test_the_series_leaves_out_less_than_a_millionth_of_the_peak():
-    """A third of the range away, a table of the same light path with other nodes."""
-    model, x = PsfModel(SETTINGS, TTF, dtype=torch.float64), wavefronts(9)
-    shifted = Reach((REACH.focus_nm[0] - 130, REACH.focus_nm[1] + 170), REACH.tilt_nm)
-    one, other = (FocusTable(model, Optics(), reach).images(x) for reach in (REACH, shifted))
-    assert largest(one - other, one) < 1e-6
-
-
-def test_the_pullback_and_another_window_are_those_of_the_finer_model():
-    x, fine = wavefronts(), fine_model()
-    table = FocusTable(PsfModel(SETTINGS, TTF), Optics(), REACH)
-    factors = torch.as_tensor(np.random.default_rng(2).normal(size=(len(x), *WINDOW)))
-    slopes, truth = (model.images_and_pullback(x)[1](factors) for model in (table, fine))
-    assert (slopes - truth).abs().max() < 1e-3 * truth.abs().max()
-    small = (table.in_window((32, 36), 100.0, 320.0), fine.in_window((32, 36), 400.0, 900.0))
-    images, truth = (model.images(x) for model in small)
-    assert images.shape == (len(x), 32, 36) and largest(images - truth, truth) < 5e-5
 
 
 @pytest.mark.parametrize("mode", range(3))
@@ -131,15 +111,6 @@ def test_a_frame_beyond_the_reach_is_left_to_the_model_that_was_tabulated():
     assert torch.allclose(other.zernike_nm, true, atol=3.0)
     assert torch.equal(one.zernike_nm[1:], other.zernike_nm[1:])
     assert ((one.zernike_nm[0] - other.zernike_nm[0]).abs() < 0.05 * one.sigma_nm[0]).all()
-
-
-def test_detector_effects_stay_behind_the_table():
-    general = ImageModel(PsfModel(SETTINGS, TTF), [FixedEffect(InterpixelCrosstalk(), [0.02])])
-    quick, x = tabulated(general, torch.zeros(1, 3)), wavefronts(2)
-    flux, background = torch.tensor([1e5, 2e5]).double(), torch.tensor([3.0, 4.0]).double()
-    one, other = (model.predict(x, flux, background) for model in (general, quick))
-    assert isinstance(quick, TabulatedModel)
-    assert largest(one - other, one) < 1e-4
 
 
 def test_what_cannot_be_tabulated_is_left_as_it_is():

@@ -19,7 +19,6 @@ from scipy.special import j0, jv
 from irlos_pipe.effects import EffectSet, SeeingHalo
 from irlos_pipe.optics.in_band_residual import LOWEST, InBandResidual, Residual, aliased_turbulence
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.residual_otf import coma_between
 
 LENGTHS_M = np.array([0.05, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.5, 7.0, 8.0])
 VARIANCE_NM2 = 100.0**2
@@ -71,12 +70,6 @@ def test_a_stretched_residual_agrees_with_a_dense_sum(cos2, sin2, cos4, sin4):
     assert ours.tilt_with_coma == pytest.approx(np.array(with_coma), abs=1e-4 * np.abs(with_coma).max())
 
 
-def test_the_stretch_lies_along_its_angle():
-    """Power at frequencies along x decorrelates along x first."""
-    along_x, along_y = in_band([0.3, 0.0], [0.0, 0.3], 2.0, 1.0).structure
-    assert along_x > 1.5 * along_y
-
-
 def test_a_process_without_tip_and_tilt_is_what_is_left_of_one_with_them():
     """Covariance matrix of the power law on a disc; the projection is a matrix, no polynomial's transform."""
     u = (np.arange(30) + 0.5) / 30 * DIAMETER_M - RADIUS_M
@@ -108,22 +101,6 @@ def test_a_process_without_tip_and_tilt_is_what_is_left_of_one_with_them():
     assert np.abs(exact - stationary).mean() > 0.1 * 2 * VARIANCE_NM2
 
 
-def test_moments_of_the_coma_between_two_points_are_those_of_random_pairs():
-    rng = np.random.default_rng(4)
-    b = np.array([1.0, 4.0, 6.5])
-    mean, along, across = coma_between(b, DIAMETER_M)
-    for index, length in enumerate(b / RADIUS_M):
-        x, y = rng.uniform(-1, 1, (2, 1_000_000))
-        inside = (np.hypot(x, y) < 1) & (np.hypot(x + length, y) < 1)
-        x, y = x[inside], y[inside]
-        r2, moved2 = x**2 + y**2, (x + length) ** 2 + y**2
-        own = np.sqrt(8) * ((3 * moved2 - 2) * (x + length) - (3 * r2 - 2) * x)
-        other = np.sqrt(8) * ((3 * moved2 - 2) * y - (3 * r2 - 2) * y)
-        assert mean[index] == pytest.approx(own.mean(), abs=5 * own.std() / len(x) ** 0.5)
-        assert along[index] == pytest.approx(own.var(), rel=0.02)
-        assert across[index] == pytest.approx(other.var(), rel=0.02)
-
-
 @pytest.mark.parametrize("turns", [(3, 1), (2, 5), (0, 4)])
 def test_aliased_turbulence_is_what_a_simulated_sensor_takes_it_for(turns):
     """Waves beyond the cut-off through sub-apertures on a periodic square, reconstructed by least squares."""
@@ -148,15 +125,6 @@ def test_aliased_turbulence_is_what_a_simulated_sensor_takes_it_for(turns):
             total += abs(fit) ** 2 * np.hypot(gx, gy) ** (-11 / 3)
     ours = aliased_turbulence(np.array(fx / pitch_m), np.array(fy / pitch_m), BAND.cutoff_per_m)
     assert ours == pytest.approx(total * pitch_m ** (11 / 3), rel=0.02)
-
-
-def test_aliasing_adds_its_variance_to_the_residual():
-    distant = np.linspace(20, 25, 400)
-    bx, by = distant * np.cos(distant), distant * np.sin(distant)
-    residual = InBandResidual(bx, by, BAND)
-    lone = residual.at(0.0, torch.tensor(2.0), aliasing_nm2=VARIANCE_NM2).structure.numpy()
-    level = InBandResidual(bx, by, BAND).at(VARIANCE_NM2, torch.tensor(-0.5)).structure.numpy()
-    assert lone.mean() == pytest.approx(level.mean(), rel=0.02)
 
 
 def test_slopes_of_the_in_band_residual_are_differences():

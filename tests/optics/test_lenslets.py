@@ -7,13 +7,12 @@ import pytest
 import torch
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_sizes
-from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
+from irlos_pipe.effects import CATALOGUE, EffectSet
 from irlos_pipe.effects.motion import TipTiltJitter
 from irlos_pipe.effects.redrawn_pupil import PupilSizes
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.optics.lenslets import LensletArray, apart, light_path
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import LensletArray
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.simulate.aperture import passed
 
@@ -75,22 +74,6 @@ def test_images_are_the_fourier_integral_over_each_quarter(scale_mas, size, node
     assert image.sum() == pytest.approx(expected.sum(), rel=3e-4)
 
 
-def test_a_clear_quarter_disc_moves_its_image_by_its_mean_slope():
-    """Centroid of a quarter disc: 4R/3π along both axes; a_4 = 100 nm has a slope of 4√3 a x/R²."""
-    disc = PupilGeometry(8.0)
-    model = LensletArray(settings(40.0, 50, disc), (4,), dtype=torch.float64)
-    images = model.images(torch.tensor([[-100.0], [100.0]], dtype=torch.float64))
-    before, after = ([_centroid(one) for one in apart(image)] for image in images)
-    step_mas = 40.0 * (np.array(after) - np.array(before)) / 2
-    expected_mas = 4 * np.sqrt(3) * 100e-9 * (4 * 4.0 / (3 * np.pi)) / 4.0**2 / MAS_RAD
-    assert step_mas == pytest.approx(np.array(SIGNS) * expected_mas, rel=0.02)
-
-
-def _centroid(image: torch.Tensor) -> tuple[float, float]:
-    pixels = torch.arange(len(image), dtype=image.dtype)
-    return float(image.sum(1) @ pixels / image.sum()), float(image.sum(0) @ pixels / image.sum())
-
-
 def test_derivatives_are_finite_differences_with_effects_in_all_planes():
     psf = LensletArray(settings(size=12), NOLLS, dtype=torch.float64)
     effects = EffectSet([TipTiltJitter(), HighOrderNcpa((12,)), CATALOGUE["plate_scale"](78.0)], psf.grids)
@@ -120,15 +103,6 @@ def test_the_pullback_is_the_transpose_of_the_jacobian():
     assert torch.allclose(pullback(factors), (jacobian * factors[:, None]).sum((2, 3)), rtol=1e-9)
 
 
-def test_a_wavefront_by_an_effect_is_that_by_the_modes():
-    psf = LensletArray(settings(size=10), (4,), dtype=torch.float64)
-    nothing = torch.zeros(1, 1, dtype=torch.float64)
-    effect = EffectSet([FixedEffect(HighOrderNcpa((4,)), [80.0])], psf.grids)
-    by_effect = psf.images(nothing, effect(torch.zeros(0, dtype=torch.float64)))
-    by_mode = psf.images(nothing + 80.0)
-    assert (by_effect - by_mode).abs().max() < 1e-5 * by_mode.max()
-
-
 def test_a_pupil_that_an_effect_redraws_is_that_of_its_drawing():
     """A wider central hole and wider vanes, as an effect and as the geometry of another array."""
     told = settings(size=10)
@@ -140,20 +114,6 @@ def test_a_pupil_that_an_effect_redraws_is_that_of_its_drawing():
     by_drawing = LensletArray(drawn, NOLLS, dtype=torch.float64).images(modes)
     by_drawing *= by_effect.sum() / by_drawing.sum()  # its light counts as that of its own pupil
     assert (by_effect - by_drawing).abs().max() < 2e-4 * by_drawing.max()
-
-
-def test_baselines_of_a_quarter_reach_from_corner_to_corner():
-    """The ends of its arc are √2 radii apart: more than its grid is wide."""
-    psf = LensletArray(settings(size=6), NOLLS)
-    focal, radius_m = psf.grids.focal, UT4.diameter_m / 2
-    assert np.sqrt(2) * radius_m <= focal.longest_m <= 1.25 * np.sqrt(2) * radius_m
-    assert focal.width_m >= radius_m and np.abs(focal.baseline_y_m).max() >= radius_m
-    assert PsfModel(replace(settings(size=6), lenslets=1), NOLLS).grids.focal.longest_m >= UT4.diameter_m
-
-
-def test_settings_choose_the_light_path():
-    assert isinstance(light_path(settings(size=6), NOLLS), LensletArray)
-    assert isinstance(light_path(replace(settings(size=6), lenslets=1), NOLLS), PsfModel)
 
 
 def test_an_odd_window_has_no_lenslets():

@@ -68,17 +68,3 @@ def test_products_are_the_fourier_sums_of_the_field_times_polynomials(case):
         weighted = field * case.polynomials[b][:, None] * case.polynomials[a]
         truth = (-1j) ** (a % 2 + b % 2) * (case.matrix @ weighted @ case.matrix.T)
         assert ours == pytest.approx(truth, abs=1e-12 * abs(truth).max()), (a, b)
-
-
-@pytest.mark.parametrize("degree", range(6))
-def test_products_are_all_those_up_to_the_degree_even_sums_first(degree):
-    pairs = products_up_to(degree)
-    assert sorted(pairs) == [(a, b) for a in range(degree + 1) for b in range(degree + 1 - a)]
-    assert [(a + b) % 2 for a, b in pairs] == sorted((a + b) % 2 for a, b in pairs)
-    assert pairs[0] == (0, 0)
-
-
-def test_mirrored_maps_hold_each_half_from_the_axis_outwards():
-    row = mirrored(torch.arange(36).reshape(6, 6))[0]
-    assert (row % 6).tolist() == [3, 4, 5, 2, 1, 0]
-    assert int(row[0]) // 6 == 3

@@ -14,7 +14,6 @@ from helpers.reference_psf import reference
 from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.optics.fourier_matrices import FocalGrid, baseline_to_pixels
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS = tuple(range(2, 52))
@@ -48,12 +47,6 @@ def test_a_broad_band_image_agrees_with_hcipy():
     case = settings(64, J_AND_H)
     truth = reference().spectral_image(STRONG, case)
     assert images(case, STRONG) == pytest.approx(truth, abs=1e-4 * truth.max())
-
-
-def test_float32_propagation_costs_less_than_the_accuracy_that_is_claimed():
-    case = settings(64, J_AND_H)
-    exact = images(case, STRONG, dtype=torch.float64)
-    assert images(case, STRONG) == pytest.approx(exact, abs=1e-5 * exact.max())
 
 
 def airy(window: int, wavelength_nm: float, pixel_scale_mas: float) -> np.ndarray:
@@ -108,30 +101,6 @@ def test_the_optical_axis_lies_at_the_centre_of_even_and_odd_windows(window):
     assert image == pytest.approx(image[::-1, ::-1], abs=1e-12)
     if isinstance(window, int):
         assert image == pytest.approx(airy(window, 1600.0, SCALE_MAS), abs=2e-5 * image.max())
-
-
-def test_pixels_hold_the_integral_over_their_area():
-    coarse = images(settings(20, pixel_scale_mas=3 * SCALE_MAS), CALIBRATION, dtype=torch.float64)
-    fine = images(settings(60), CALIBRATION, dtype=torch.float64)
-    assert coarse == pytest.approx(fine.reshape(20, 3, 20, 3).sum((1, 3)), abs=1e-6 * coarse.max())
-
-
-@pytest.mark.slow
-def test_a_wide_window_holds_nearly_all_light():
-    total = images(settings(192), {}, (4,), torch.float64).sum()
-    assert total == pytest.approx(reference().spectral_image({}, settings(192)).sum(), rel=1e-4)
-    assert 0.98 < total < 1
-
-
-def test_a_window_wider_than_the_focal_grid_is_refused():
-    grid = FocalGrid(64, 8.5, 128, 8.5)
-    field_px = 64 * 1.6e-6 / (2 * 8.5) / (SCALE_MAS * MAS_RAD)
-    assert (
-        baseline_to_pixels(grid.baseline_y_m, int(field_px), SCALE_MAS, 1.6e-6, grid, half=False).shape[1]
-        == 128
-    )
-    with pytest.raises(ValueError, match="alias"):
-        baseline_to_pixels(grid.baseline_y_m, int(field_px) + 1, SCALE_MAS, 1.6e-6, grid, half=False)
 
 
 def test_a_window_beyond_the_period_of_the_pupil_grid_is_refused():

@@ -32,16 +32,3 @@ def test_the_defocus_of_bright_frames_errs_by_a_hundredth_of_a_nanometre():
     found = lift(model, images_e.float(), everything(images_e), READ_NOISE, start_nm, LiftOptions("model"))
     assert np.abs((found.zernike_nm - truth_nm)[:, 2].numpy()).max() < 0.02
     assert found.sigma_nm[:, 2].min() > 0.1
-
-
-def test_a_wide_window_gets_the_samples_that_it_needs():
-    wide = settings(256, SPECTRUM, pupil_samples=256).for_single_frames()
-    assert FRAME_PUPIL_SAMPLES < wide.pupil_samples < 256
-    PsfModel(wide, NOLLS)
-
-
-@pytest.mark.parametrize("samples", [48, 61])
-def test_a_coarser_sampling_is_left_as_it_is(samples):
-    coarse = settings(40, pupil_samples=samples).for_single_frames()
-    assert coarse.pupil_samples == samples
-    assert PsfModel(coarse, NOLLS).images(torch.zeros(1, 3)).shape == (1, 40, 40)

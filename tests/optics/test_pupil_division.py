@@ -61,11 +61,6 @@ def test_a_map_has_the_petals_that_its_vanes_part():
     assert petals_of(lit).index(*np.array([at(a) for a in (30, 150, 270)]).T).tolist() == [0, 1, 2]
 
 
-@pytest.mark.parametrize("geometry", [PupilGeometry(8.0), PupilGeometry(8.0, 1.0), with_vanes(4, 0, 2.0)])
-def test_a_pupil_that_nothing_divides_has_one_petal(geometry):
-    assert petals_of(geometry).count == simulated.petal_count(geometry) == 1
-
-
 def test_vanes_wider_than_a_cell_or_not_part_petals_whose_light_adds_up():
     for width_m in (0.002, 0.3):
         vanes = tuple(replace(vane, width_m=width_m) for vane in UT4.vanes)
@@ -85,14 +80,6 @@ def test_segments_are_those_drawn_and_their_light_adds_up(angle_deg):
     assert np.allclose(parts.sum(0), band_limited_pupil(geometry, 64)[1], atol=1e-12)
     whole = np.sqrt(3) / 2 * 1.2**2 / (6.5 / 64) ** 2
     assert parts[6:].sum((1, 2)) == pytest.approx(np.full(11, whole), rel=1e-3)
-
-
-def test_segments_are_numbered_ring_by_ring_from_the_diagonal():
-    centres = SEGMENTS.centres_m
-    angles = np.rad2deg(np.arctan2(centres[:, 1], centres[:, 0])) % 360
-    assert len(centres) == 19 and not centres[0].any()
-    assert angles[1:7] == pytest.approx([30, 90, 150, 210, 270, 330])
-    assert angles[7:] == pytest.approx([*np.arange(30, 361, 30)])
 
 
 def test_numbers_of_segments_turn_and_flip_with_the_pupil():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.optics_cases import ncpa_nm, settings, vector
-from helpers.polygon_images import area_m2, hexagon, polygon_image
+from helpers.polygon_images import hexagon, polygon_image
 from helpers.reference_psf import ReferenceImager, hcipy
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
@@ -84,13 +84,6 @@ def test_images_of_segments_agree_with_analysis(geometry, wavelength_nm):
     assert disagreement(image_of(geometry, {}, wavelength_nm), truth) <= 3e-5
 
 
-def test_a_polygon_with_a_re_entrant_corner_agrees_with_analysis():
-    geometry = placed(PupilGeometry(8.0, aperture=(Polygon(L_CORNERS),)), ASIDE)
-    corners = np.stack(ASIDE.forth(*np.array(L_CORNERS).T), axis=1)
-    truth = polygon_image([corners], 1600.0, 64, 9.7)
-    assert disagreement(image_of(geometry, {}), truth) <= 3e-5
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("flip", ["none", "x", "y"])
 def test_a_map_gives_the_image_of_its_samples(flip):
@@ -163,8 +156,3 @@ def test_derivatives_of_a_displaced_stop_are_those_of_the_drawing(geometry):
     for found, path in ((edges.moved(tuple(towards)), moved), (edges.turned(), turned_by)):
         truth = (path(step / 4) - path(-step / 4)) / (step / 2)
         assert np.linalg.norm(found - truth) < 0.05 * np.linalg.norm(truth)
-
-
-def test_areas_of_the_helpers_are_right():
-    assert area_m2(np.array(L_CORNERS)) == 12.0
-    assert area_m2(hexagon(1.0, (3.0, 1.0))) == pytest.approx(np.sqrt(3) / 2)

@@ -38,12 +38,3 @@ def test_an_image_and_its_slopes_are_moved_to_where_they_belong(window, shift):
     assert np.abs(moved[:rows, :columns] - truth).max() < 1e-5
     assert np.abs(moved[rows:, :columns] + np.outer(slope(y), profile(x))).max() < 1e-5
     assert np.abs(moved[:rows, columns:] + np.outer(profile(y), slope(x))).max() < 1e-5
-
-
-def test_shifts_may_be_given_in_other_units():
-    shift = torch.tensor([[1.7, -0.6]], dtype=torch.float64)
-    pixels = ShiftMatrices((16, 16), BEYOND, BAND, 1.0, LIKE)(shift)
-    nanometres = ShiftMatrices((16, 16), BEYOND, BAND, 94.0, LIKE)(94 * shift)
-    for one, other in zip(pixels, nanometres, strict=True):
-        assert torch.allclose(one[:, :16], other[:, :16], atol=1e-12)
-        assert torch.allclose(one[:, 16:], 94 * other[:, 16:], atol=1e-12)

@@ -13,7 +13,6 @@ import pytest
 import torch
 from helpers.optics_cases import J_AND_H, MAS_RAD, NARROW_H, SCALE_MAS, ncpa_nm, settings, vector
 from helpers.reference_psf import ReferenceImager, hcipy, ut4_aperture
-from scipy import ndimage
 from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
@@ -22,7 +21,6 @@ from irlos_pipe.effects.colour import Anamorphism, PlateScale, Spectrum
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.strained import pixel_map, pixel_map_slope
 
 NOLLS = tuple(range(2, 31))
 STATIC_NM = ncpa_nm(3, NOLLS[-1], 120.0)
@@ -98,38 +96,6 @@ def test_aberrated_images_are_those_of_a_pupil_in_stretched_coordinates():
     assert image(case, held()) == pytest.approx(truth, abs=1e-4 * truth.max())
 
 
-def test_an_image_that_moves_is_stretched_with_its_motion():
-    """Splines through an image on pixels a fifth as large, which no strain has met."""
-    window, finer, beyond = (30, 33), 5, 6
-    jitter = FixedEffect(TipTiltJitter(), TipTiltJitter().values_of(9.0))
-    fine = settings(
-        tuple(finer * (n + 2 * beyond) for n in window), pixel_scale_mas=SCALE_MAS / finer, margin_mas=300.0
-    )
-    smooth = image(fine, jitter) * finer**2
-    x, y, weights = sky_px(window, stretch())
-    middle = (np.array(smooth.shape) - 1) / 2
-    values = ndimage.map_coordinates(
-        smooth, [y * finer + middle[0], x * finer + middle[1]], order=5, mode="nearest"
-    )
-    expected = over_pixels(values, weights)
-    found = image(settings(window, margin_mas=300.0), held(), jitter)
-    # the fine image is itself a mean over its pixels
-    assert found == pytest.approx(expected, abs=1e-3 * expected.max())
-    assert np.abs(image(settings(window), jitter) - expected).max() > 0.02 * expected.max()
-
-
-def test_without_strain_the_pixels_are_squares_again():
-    case, jitter = settings((24, 27), J_AND_H), FixedEffect(TipTiltJitter(), [25.0])
-    plain = image(case, jitter)
-    assert image(case, held(fraction=1e-9), jitter) == pytest.approx(plain, abs=1e-8 * plain.max())
-
-
-def test_single_precision_is_good_enough():
-    case = settings((24, 27), J_AND_H)
-    exact = image(case, held())
-    assert image(case, held(), dtype=torch.float32) == pytest.approx(exact, abs=2e-6 * exact.max())
-
-
 @pytest.mark.parametrize("others", [(), (FixedEffect(TipTiltJitter(), [64.0]),)], ids=["alone", "in motion"])
 def test_the_pullback_is_the_transposed_jacobian(others):
     whole = ImageModel(PsfModel(settings((24, 27)), NOLLS, dtype=torch.float64), [held(), *others])
@@ -173,14 +139,6 @@ def test_automatic_differentiation_sees_strain_scale_and_colour(start):
     jacobian = whole.predict_and_jacobian(*at, values)[1][:, 3:-2]
     expected = (jacobian * weights[:, None]).sum((0, 2, 3)).numpy()
     assert moving.grad.numpy() == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
-
-
-def test_the_map_of_the_pixels_is_the_inverse_of_the_stretch():
-    strain = torch.as_tensor(np.array(Anamorphism().values_of(FRACTION, ANGLE_DEG)) / 2)
-    assert pixel_map(strain).numpy() == pytest.approx(np.linalg.inv(stretch()), rel=1e-12)
-    change, step = torch.tensor([0.3, -0.7]).double(), 1e-6
-    truth = (pixel_map(strain + step * change) - pixel_map(strain - step * change)) / (2 * step)
-    assert pixel_map_slope(strain, change).numpy() == pytest.approx(truth.numpy(), rel=1e-8)
 
 
 def test_a_strained_image_is_tabulated_although_tip_moves_it_along_both_axes():

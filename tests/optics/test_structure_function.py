@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from helpers.optics_cases import BAND, RESIDUAL_LAW, halo_and_jitter, settings
+from helpers.optics_cases import BAND, RESIDUAL_LAW, settings
 from scipy.integrate import quad
 from scipy.special import gamma, j0, kv
 
@@ -56,16 +56,6 @@ def test_the_variance_beyond_the_cut_off_has_its_closed_form():
     assert fitting_variance_nm2(distant, R0_M) == pytest.approx(kolmogorov, rel=1e-4)
 
 
-def test_the_fitting_structure_saturates_at_twice_its_variance():
-    assert fitting_structure_nm2(np.array([7.9]), BAND, R0_M)[0] == pytest.approx(
-        2 * fitting_variance_nm2(BAND, R0_M), rel=0.01
-    )
-
-
-def test_a_seeing_of_one_arcsecond_is_a_fried_parameter_of_ten_centimetres():
-    assert seeing_to_r0_m(1.0) == pytest.approx(0.1007, rel=1e-3)
-
-
 def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
     grids = PsfModel(settings(24), (4,)).grids
     grid = OtfGrid.of(grids.focal, grids.sampling)
@@ -77,12 +67,3 @@ def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
     beyond = 0.5 * (2 * np.pi / 1600) ** 2 * fitting_structure_nm2(lengths, BAND, seeing_to_r0_m(0.8))
     within = lengths < 8.0  # no two points of the pupil are further apart
     assert (both - inside).numpy()[within] == pytest.approx(beyond[within], abs=1e-5)
-
-
-def test_the_otf_factors_lie_between_zero_and_one_and_start_at_one():
-    model = PsfModel(settings(24), (4,), dtype=torch.float64)
-    effects = halo_and_jitter(model)
-    factor = effects(effects.starts).transfer
-    assert factor[0, 0, 0] == pytest.approx(1, abs=1e-12)
-    assert factor.min() > 0
-    assert factor.max() <= 1 + 1e-12

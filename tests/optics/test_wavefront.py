@@ -5,8 +5,7 @@ import pytest
 from helpers.optics_cases import UT4
 
 from irlos_pipe.optics.azimuthal_mean import ring_means
-from irlos_pipe.optics.psf_settings import KnownWavefront
-from irlos_pipe.optics.wavefront import clear_disc, clear_pupil, modes_at, opd_maps_nm
+from irlos_pipe.optics.wavefront import clear_disc, modes_at, opd_maps_nm
 
 SAMPLES = 80
 
@@ -20,17 +19,6 @@ def test_a_map_of_defocus_is_the_written_polynomial_where_there_is_light():
     assert maps[1][lit] == pytest.approx(20.0 * np.broadcast_to(centres, lit.shape)[lit])
     assert np.isnan(maps[:, ~lit]).all()
     assert maps[0][lit] == pytest.approx(30.0 * modes_at((4,), lit)[0])
-
-
-def test_the_clear_pupil_is_the_disc_without_the_vanes():
-    pupil, disc = clear_pupil(UT4, 400), clear_disc(UT4, 400)
-    assert not (pupil & ~disc)[np.hypot(*np.indices(disc.shape) - 199.5) < 199].any()
-    assert 0.97 < pupil.sum() / disc.sum() < 1.0
-
-
-def test_the_parts_of_the_known_wavefront_add_up_mode_by_mode():
-    known = KnownWavefront({6: -170.0, 4: 5.0}, {4: 200.0}, {6: 30.0, 7: 1.0})
-    assert known.total_nm == {6: -140.0, 4: 205.0, 7: 1.0}
 
 
 def test_ring_means_of_a_cone_are_its_radii_and_leave_bad_pixels_out():

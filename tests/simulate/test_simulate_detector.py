@@ -13,15 +13,11 @@ import numpy as np
 import pytest
 from helpers.simulated_scenes import FACILITY
 
-from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.simulate import SceneError
-from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel, Pattern
-from irlos_pipe.simulate.exposure import exposures
 from irlos_pipe.simulate.light import Band
-from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.readout import Readout, electrons
-from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.scene import Scene
 
 WINDOW = (40, 48)
 BENIGN = Scene("test", FACILITY, (Band(1600.0, 20.0),), (0,), 1, 0.1, window=WINDOW)
@@ -75,12 +71,6 @@ def test_the_read_noise_includes_the_rounding_to_whole_adu():
         assert signal_e.var() == pytest.approx(1.0, rel=0.01)
 
 
-def test_a_read_noise_below_that_of_rounding_is_refused_in_one_line():
-    with pytest.raises(ConfigurationError, match="below the noise of rounding") as error:
-        Readout.of(scene(e_per_adu=9.8), level(0)[0])
-    assert "\n" not in str(error.value)
-
-
 def test_excess_noise_keeps_the_mean_and_never_makes_negative_light():
     model = scene(excess_noise_factor=1.47, read_noise_e=0.0)
     signal_e = electrons(model, level(2.0, 500), rng())
@@ -88,19 +78,6 @@ def test_excess_noise_keeps_the_mean_and_never_makes_negative_light():
     # gamma-distributed gains: third central moment of the sum of a Poisson number N of gains g is N E[g³]
     skew = ((signal_e - signal_e.mean()) ** 3).mean()
     assert skew == pytest.approx(2.0 * 1.47 * (2 * 1.47 - 1), rel=0.05)
-
-
-@pytest.mark.slow
-def test_electrons_have_the_noise_that_the_raw_frames_have():
-    model = scene(excess_noise_factor=1.25, flat_rms=0.05, dark_e_per_s=100.0, fixed_pattern_adu=5.0)
-    mean_e = level(300.0, 2000)
-    readout = Readout.of(model, mean_e[0])
-    raw = readout.frames_adu(mean_e, rng(1))
-    response = readout.pixels.response
-    calibrated = (raw - readout.pedestal_adu) * 0.5 / response - readout.pixels.dark_e
-    direct = electrons(model, mean_e, rng(2))
-    assert direct.mean() == pytest.approx(calibrated.mean(), rel=1e-3)
-    assert direct.var(axis=0).mean() == pytest.approx(calibrated.var(axis=0).mean(), rel=5e-3)
 
 
 def test_crosstalk_shares_charge_with_the_four_neighbours_and_loses_none():
@@ -139,20 +116,6 @@ def test_nonlinearity_takes_its_fraction_at_the_peak_of_the_mean_image():
     assert measured == pytest.approx(linear * (1 - 0.05 * linear / 1e5), rel=1e-3, abs=0.1)
 
 
-def test_a_response_never_turns_down_and_stops_at_the_full_well():
-    bent = electrons(scene(nonlinearity_per_e=1e-5), ramp_of_light(50, 2e5), rng()).mean(axis=(0, 1))
-    assert np.all(np.diff(bent) > -10) and bent[-1] == pytest.approx(25_000, rel=1e-3)
-    full = electrons(scene(full_well_e=5e4), ramp_of_light(1, 2e5), rng())
-    assert full.max() == pytest.approx(5e4, abs=10) and full[0, :, 5] == pytest.approx(2e5 * 5 / 47, rel=0.05)
-
-
-def test_the_converter_ends_at_its_saturation():
-    model = scene(saturation_adu=4095.0)
-    raw = raw_adu(model, level(1e6))
-    assert raw.max() == raw.min() == 4095 and raw_adu(scene(), level(1e6)).max() == 65535
-    assert electrons(model, level(1e6), rng()).max() == pytest.approx((4095 - 200) * 0.5)
-
-
 def test_the_dark_shows_pedestal_pattern_dark_current_and_hot_pixels():
     model = scene(fixed_pattern_adu=10.0, dark_e_per_s=50.0, hot_e_per_s=(((3, 4), 5e4),))
     readout = Readout.of(model, level(0)[0])
@@ -187,13 +150,6 @@ def test_an_error_of_the_flat_stays_in_the_frames_and_is_seen_in_no_flat():
     flattened = electrons(model, mean_e, rng()).mean(axis=0)
     assert np.std(flattened / 2e4) == pytest.approx(0.02, rel=0.06)
     assert Readout.of(scene(flat_error_rms=0.02), mean_e[0]).flat(rng()) is None
-
-
-def test_the_pattern_belongs_to_the_detector_and_not_to_the_recording():
-    detectors = [scene(fixed_pattern_adu=5.0, flat_rms=0.01, pattern_seed=seed) for seed in (0, 0, 1)]
-    first, again, other = (Readout.of(one, level(0)[0]) for one in detectors)
-    assert np.array_equal(first.pedestal_adu, again.pedestal_adu)
-    assert not np.array_equal(first.pedestal_adu, other.pedestal_adu)
 
 
 @pytest.mark.slow
@@ -242,40 +198,6 @@ def test_a_frame_has_the_light_of_all_its_reads_and_the_read_noise_of_each():
         assert signal_e.var() == pytest.approx(1.25 * value_e + READS * 1.0, rel=0.01)
 
 
-def test_electrons_have_the_noise_of_the_raw_frames_and_of_the_sky():
-    sky = summed(sky_e_per_s=500.0, excess_noise_factor=1.25)
-    signal_e = electrons(sky, level(0.0, 300), np.random.default_rng(2))
-    assert signal_e.mean() == pytest.approx(500 * 0.04, rel=0.005)
-    assert signal_e.var() == pytest.approx(1.25 * 20 + READS, rel=0.01)
-
-
-def test_the_dark_of_many_reads_is_the_mean_of_frames_without_light():
-    model = summed(dark_e_per_s=2000.0, flat_rms=0.05)
-    readout, frames = Readout.of(model, level(0, 1)[0]), level(0, 400)
-    drawn = readout.frames_adu(frames, np.random.default_rng(3))
-    dark = readout.dark_adu(np.random.default_rng(4))
-    # the mean of 400 frames and the dark, of 64, err by the noise of a frame over the root of their numbers
-    sigma = np.sqrt(drawn.var(axis=0) * (1 / 400 + 1 / 64))
-    assert np.std((drawn.mean(axis=0) - dark) / sigma) == pytest.approx(1, abs=0.08)
-
-
-def test_levels_of_effects_are_those_of_a_frame_whatever_the_reads():
-    effects = {
-        "background_gradient": {"level_e": 80.0},
-        "bad_pixels": {"pixels": [[3, 4]], "kind": "hot", "level_e": 4000.0},
-    }
-    mean_e = electrons(summed(effects), level(0.0, 200), np.random.default_rng(5)).mean(axis=0)
-    assert np.median(mean_e) == pytest.approx(80, abs=1)
-    assert mean_e[3, 4] == pytest.approx(4080, rel=0.01)
-
-
-def test_a_bend_stated_at_the_peak_of_a_frame_does_not_depend_on_the_reads():
-    effects, light = {"detector_nonlinearity": {"fraction_at_peak": 0.1}}, level(1e6, 1)
-    for read_s in (None, 0.005):
-        image = electrons(summed(effects, read_s=read_s), light, np.random.default_rng(6))
-        assert image.mean() == pytest.approx(0.9e6, rel=1e-3)
-
-
 def test_reads_that_do_not_fill_the_exposure_are_refused_in_one_line():
     with pytest.raises(SceneError, match=r"do not add up to exposure_s = 0\.04") as error:
         summed(read_s=0.007)
@@ -301,27 +223,3 @@ def test_one_over_f_noise_has_the_correlation_of_its_spectrum():
     for lag in (1, 5):
         expected = np.sum(power * np.cos(2 * np.pi * f * lag)) / power.sum()
         assert np.mean(stripes[:, 3] * stripes[:, 3 + lag]) == pytest.approx(expected, abs=0.03)
-
-
-def test_stripes_of_independent_reads_add_up_to_those_of_a_frame():
-    effects = {"correlated_noise": {"e_rms": 20.0, "axis": "columns"}}
-    signal_e = electrons(summed(effects), level(0.0, 1500), np.random.default_rng(9))
-    columns = signal_e.mean(axis=1)
-    assert columns.std() == pytest.approx(np.hypot(20.0, np.sqrt(READS / WINDOW[0])), rel=0.05)
-
-
-def test_exposures_of_two_milliseconds_have_no_negative_light():
-    short = replace(
-        BENIGN,
-        frames=6,
-        exposure_s=0.002,
-        frame_rate_hz=500.0,
-        sky=Sky(0.35),
-        motion=Motion(7.0),
-        window=(64, 64),
-        sampling=Sampling(pupil_samples=96, points_per_band=1),
-        seed=(12,),
-    )
-    for exposure in exposures(short):
-        assert exposure.mean_e.min() >= 0
-        assert exposure.mean_e.sum() == pytest.approx(short.photons, rel=0.2)

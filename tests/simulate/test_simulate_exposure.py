@@ -51,20 +51,6 @@ def test_sky_and_motion_are_drawn_apart():
     assert np.allclose(with_motion.zernike_nm[:, 2:], without.zernike_nm[:, 2:], atol=1e-3)
 
 
-def test_more_frames_leave_the_first_ones_as_they_are():
-    few, many = expose(scene(**QUICK)), expose(scene(**QUICK | {"frames": 5}))
-    assert np.array_equal(few.mean_e, many.mean_e[:3])
-
-
-def test_frames_are_handed_out_one_by_one_and_reported():
-    reported: list[int] = []
-    cube = expose(scene(**QUICK), reported.append)
-    assert reported == [1, 2, 3]
-    for index, exposure in enumerate(exposures(scene(**QUICK))):
-        assert exposure.mean_e.dtype == np.float64
-        assert np.array_equal(exposure.mean_e.astype(np.float32), cube.mean_e[index])
-
-
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_frames():
     def peak_bytes(frames: int) -> int:
@@ -77,20 +63,6 @@ def test_memory_does_not_grow_with_the_number_of_frames():
 
     peak_bytes(2)  # fills the caches
     assert peak_bytes(40) < 1.02 * peak_bytes(4)
-
-
-@pytest.mark.slow
-def test_time_passes_between_frames():
-    slow = {**QUICK, "frames": 150, "exposure_s": 0.01, "motion": None}
-    dense, sparse = (expose(scene(**slow, frame_rate_hz=rate)).zernike_nm[:, 3] for rate in (100.0, 2.0))
-    correlation = [np.corrcoef(series[1:], series[:-1])[0, 1] for series in (dense, sparse)]
-    assert correlation[0] > 0.25 > abs(correlation[1])
-
-
-@pytest.mark.parametrize(("exposure_s", "expected"), [(0.1, 10), (0.095, 10), (0.004, 1)])
-def test_sub_exposures_are_no_longer_than_the_step(exposure_s, expected):
-    assert scene(sky=Sky(0.5), exposure_s=exposure_s).subexposures == expected
-    assert scene(exposure_s=exposure_s).subexposures == 1
 
 
 @pytest.mark.slow

@@ -7,17 +7,17 @@ pattern integrated over pixels by scipy; HCIPy's Zernikes; symmetry and energy.
 import numpy as np
 import pytest
 from helpers.reference_psf import hcipy, reference
-from helpers.simulated_scenes import MAS_RAD, NCPA_NM, UT4, image, scene, tilt_nm_rms, worst
+from helpers.simulated_scenes import MAS_RAD, NCPA_NM, image, scene, tilt_nm_rms, worst
 from scipy.integrate import dblquad
 from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.exposure import expose, exposures, telescope_of
+from irlos_pipe.simulate.exposure import expose, exposures
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Sampling
-from irlos_pipe.simulate.telescope import rotated_nm, zernike
+from irlos_pipe.simulate.telescope import zernike
 
 DISC = PupilGeometry(8.0)
 SAMPLES = 768  # of HCIPy's pupil; those of the simulator are 256 and 128
@@ -38,21 +38,6 @@ def test_the_coarser_sampling_of_sky_scenes_is_as_good(wavelength_nm, window):
     assert scene(**calm).pupil_samples < scene().pupil_samples
     found = image(bands=(Band(wavelength_nm, 1e-6),), **calm)
     assert worst(found, reference(SAMPLES).image(TOTAL_NM, wavelength_nm, window, 9.7)) < 1e-4
-
-
-@pytest.mark.parametrize("sky", [None, Sky(1e-4, wfe_nm=0.1)])
-def test_pixels_coarser_than_the_image_are_integrated_as_well(sky):
-    found = image(pixel_scale_mas=78.0, window=(6, 6), sky=sky, motion=Motion(rms_mas=1e-3))
-    fine = image(pixel_scale_mas=9.75, window=(48, 48))
-    assert worst(found, fine.reshape(6, 8, 6, 8).sum(axis=(1, 3))) < 1e-4
-
-
-@pytest.mark.slow
-def test_strong_aberrations_are_imaged_as_well():
-    strong_nm = {noll: 3 * value for noll, value in NCPA_NM.items()}
-    found = image(ncpa_nm=strong_nm, introduced_nm=400.0, window=(64, 64))
-    total_nm = {**strong_nm, 4: strong_nm[4] + 400.0, 6: strong_nm[6] - 170.0}
-    assert worst(found, reference(SAMPLES).image(total_nm, 1600.0, (64, 64), 9.7)) < 1e-4
 
 
 @pytest.mark.slow
@@ -93,11 +78,6 @@ def test_positive_tilts_move_the_image_to_larger_columns_and_rows(noll, axis):
     assert worst(np.roll(moved, -3, axis=axis)[4:-4, 4:-4], image(ncpa_nm={})[4:-4, 4:-4]) < 1e-9
 
 
-def test_pixels_integrate_over_their_full_area():
-    halves = image(window=(48, 48), pixel_scale_mas=4.85)
-    assert worst(halves.reshape(24, 2, 24, 2).sum(axis=(1, 3)), image(window=(24, 24))) < 1e-6
-
-
 @pytest.mark.slow
 def test_photons_follow_magnitude_exposure_and_throughput():
     faint = scene(mag_j=12.0, exposure_s=2.0, throughput=0.3, frame_rate_hz=0.5)
@@ -115,15 +95,6 @@ def test_zernikes_agree_with_hcipy():
         assert np.allclose(zernike(noll, grid.x, grid.y), expected, atol=1e-10), noll
 
 
-def test_a_wavefront_turned_by_its_coefficients_is_the_wavefront_turned():
-    x, y = np.meshgrid(*[np.linspace(-0.7, 0.7, 9)] * 2)
-    angle = np.deg2rad(25.0)
-    back = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-    expected = sum(value * zernike(noll, *back) for noll, value in NCPA_NM.items())
-    turned = sum(value * zernike(noll, x, y) for noll, value in rotated_nm(NCPA_NM, 25.0).items())
-    assert np.allclose(turned, expected)
-
-
 def test_the_rotating_part_turns_with_the_derotator():
     parts = {"ncpa_nm": {7: 30.0}, "rotating_nm": {2: 50.0, 5: 20.0}}
     found = expose(scene(**parts, derotator_angle_deg=90.0)).mean_zernike_nm()
@@ -138,13 +109,3 @@ def test_the_truth_leaves_out_diversity_and_introduced_defocus():
         assert all(np.isclose(found[noll], NCPA_NM.get(noll, 0.0), atol=1e-6) for noll in found)
     assert np.allclose(exposed.zernike_nm, exposed.zernike_nm[0])
     assert worst(exposed.mean_e[0], exposed.mean_e[1]) > 0.1
-
-
-def test_the_pupil_has_the_area_of_its_drawing():
-    telescope, vane = telescope_of(scene()), UT4.vanes[0]
-    # From the hole's edge to the outline along the vane's line.
-    start, step = np.array(vane.start_m), np.subtract(vane.end_m, vane.start_m)
-    step, forward = step / np.hypot(*step), start @ step / np.hypot(*step)
-    outer, inner = (np.sqrt(forward**2 - start @ start + r**2) for r in (4.0, UT4.obscuration_m / 2))
-    expected = np.pi / 4 * (8.0**2 - UT4.obscuration_m**2) - 4 * (outer - inner) * vane.width_m
-    assert np.isclose(telescope.area_m2, expected, rtol=1e-4)

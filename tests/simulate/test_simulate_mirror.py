@@ -36,30 +36,6 @@ def test_an_aligned_mirror_makes_the_modes_that_it_is_sent():
     assert left_nm[lit].std() < 0.02 * np.linalg.norm(list(sent_nm.values()))
 
 
-def test_few_actuators_make_fine_modes_badly_and_coarse_ones_well():
-    few = Mirror(Actuators(8.0, 1.0))
-    lit = TELESCOPE.transmission > 0
-    errors = {
-        noll: (replace(few, offsets_nm={noll: 1.0}).opd_nm(TELESCOPE) - TELESCOPE.mode(noll))[lit].std()
-        for noll in (4, 30)
-    }
-    assert errors[30] > 5 * errors[4]
-    assert 50 < few.actuators.present.sum() < 100
-
-
-def test_a_gain_scales_the_wavefront():
-    sent = replace(FINE, offsets_nm={4: 100.0, 30: 10.0})
-    expected = 0.9 * sent.opd_nm(TELESCOPE)
-    assert replace(sent, gain=0.9).opd_nm(TELESCOPE) == pytest.approx(expected)
-
-
-def test_a_turned_mirror_turns_its_modes_anticlockwise():
-    # cos 2(θ − α) = cos 2α cos 2θ + sin 2α sin 2θ: Noll 6 is the cosine, Noll 5 the sine.
-    found_nm = coefficients_nm(replace(FINE, turn_deg=10.0, offsets_nm={6: 100.0}))
-    angle = np.deg2rad(20.0)
-    assert found_nm[[6 - 2, 5 - 2]] == pytest.approx([100 * np.cos(angle), 100 * np.sin(angle)], abs=1.0)
-
-
 def test_a_shifted_mirror_makes_tilt_of_defocus():
     # √3 (2 ((x − s)² + y²) − 1) = Z4 − 2 √3 s · 2x + constant, s in radii of the pupil.
     shift_m = 0.02 * FINE.actuators.diameter_m / 2

@@ -9,7 +9,6 @@ import pytest
 from helpers.simulated_scenes import FACILITY, image, of_light, scene, worst
 from scipy.signal import welch
 
-from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.camera import Camera
 from irlos_pipe.simulate.exposure import expose
@@ -60,13 +59,6 @@ def expected_psd(f: np.ndarray, axis: int) -> np.ndarray:
     return total
 
 
-@pytest.mark.slow
-def test_tip_and_tilt_vibrate_differently(series_mas):
-    f, power = welch(series_mas, RATE_HZ, nperseg=8192, axis=0)
-    peak = power[np.abs(f - 48.3) < 0.3].sum(axis=0)
-    assert peak[1] > 20 * peak[0]
-
-
 def test_the_wander_is_slower_than_its_corner():
     series = MotionSeries(Motion(wander_hz=4.0), (), np.random.default_rng(2))
     f, power = welch(series.next_mas(1 / RATE_HZ, 200_000)[:, 0], RATE_HZ, nperseg=4096)
@@ -74,25 +66,6 @@ def test_the_wander_is_slower_than_its_corner():
     for hz in (4.0, 12.0, 40.0):
         found = power[np.abs(f - hz) < 0.1 * hz].mean()
         assert np.isclose(found / plateau, 1 / (1 + (hz / 4.0) ** 2), rtol=0.15), hz
-
-
-def test_motion_goes_on_while_nothing_is_exposed():
-    line = Motion(rms_mas=5.0, lines=((10.0, 1.0, 1.0),), line_coherence_s=1e6)
-    series = MotionSeries(line, UT4_LINES, np.random.default_rng(3))
-    first = series.next_mas(0.001, 1)[-1]
-    series.skip(0.25)
-    assert np.allclose(series.next_mas(0.25, 1)[-1], first, atol=0.05)
-    series.skip(0.05)
-    assert np.allclose(series.next_mas(1e-6, 1)[-1], -first, atol=0.05)
-
-
-def test_the_step_between_samples_does_not_change_the_statistics():
-    fast, slow = (
-        MotionSeries(Motion(), UT4_LINES, np.random.default_rng(4)).next_mas(step_s, 40_000)
-        for step_s in (0.002, 0.1)
-    )
-    assert np.allclose(fast.std(axis=0), 7.0, rtol=0.15)
-    assert np.allclose(slow.std(axis=0), 7.0, rtol=0.03)
 
 
 @pytest.mark.parametrize("sky", [None, Sky(1e-4, wfe_nm=0.1)])
@@ -127,8 +100,3 @@ def peak_of(frame: np.ndarray) -> np.ndarray:
     """Row and column of the brightest light, weighted with its square [px]."""
     weight = frame.astype(float) ** 2
     return np.array([np.sum(grid * weight) for grid in np.indices(frame.shape)]) / weight.sum()
-
-
-def test_shares_beyond_one_are_refused():
-    with pytest.raises(SceneError, match=r"values of share_x add up to 1\.3, more than 1"):
-        Motion(lines=((10.0, 0.7, 0.1), (20.0, 0.6, 0.1)))

@@ -66,10 +66,6 @@ def plain(tmp_path_factory):
     return recording(tmp_path_factory.mktemp("plain") / "out", {})
 
 
-def test_every_effect_is_tried():
-    assert SIZES.keys() == EFFECTS.keys()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_changes_the_frames_and_is_told_in_the_truth_alone(tmp_path, plain, name):

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from astropy.io import fits
 from helpers.simulation_specs import CUBE, planned
 
@@ -78,40 +77,6 @@ def test_the_side_car_tells_everything_that_ingest_needs(tmp_path, layout):
     assert (told.role, told.mag_j, told.exposure_s, told.seeing_arcsec) == ("ncpa_calibration", 9.0, 0.1, 0.7)
     assert told.detector.e_per_adu == 0.5 and told.detector.excess_noise_factor == 1.25
     assert told.diversity == {6: -170.0} and told.pixel_scale_mas == 9.7
-
-
-def test_the_side_car_tells_nothing_of_the_truth(tmp_path):
-    effects = {
-        "companion": {"flux_ratio": 0.12, "sep_mas": 150, "pa_deg": 30},
-        "plate_scale": {"fraction": 0.04},
-        "focus_stage_offset": {"nm": 37.7},
-        "diversity_error": {"nm": 11.1},
-    }
-    one = night(tmp_path, effects=effects, ncpa={"zernike_nm": {5: 77.7}})
-    side_car = yaml.safe_load((write(one, tmp_path / "night") / "acquisition.yaml").read_text())
-    known = "role target mag_j exposure_s frame_rate_hz pixel_scale_mas seeing_arcsec spectrum diversity"
-    assert set(side_car) == {*known.split(), "introduced_defocus_nm", "derotator_angle_deg", "detector"}
-    assert side_car["pixel_scale_mas"] == 9.7 and side_car["introduced_defocus_nm"] == 0
-    assert side_car["diversity"]["zernike"] == {6: -170.0}
-
-
-def test_a_spectrum_without_width_is_told_as_one_wavelength(tmp_path):
-    one = night(tmp_path, bands=[{"centre_nm": 1600, "half_width_nm": 0}])
-    side_car = yaml.safe_load((write(one, tmp_path / "night") / "acquisition.yaml").read_text())
-    assert side_car["spectrum"] == [{"wavelength_nm": 1600.0, "weight": 1.0}]
-
-
-def test_calibration_images_lie_beside_the_frames_where_the_detector_needs_them(tmp_path):
-    plain = write(night(tmp_path), tmp_path / "plain")
-    worn = write(night(tmp_path, detector={"flat_rms": 0.02, "dead": [[3, 4]]}), tmp_path / "worn")
-    assert sorted(path.name for path in plain.glob("IRAcq*")) == [
-        "IRAcq.DET1.DARK.fits",
-        "IRAcq.DET1.DEAD.fits",
-    ]
-    assert np.argwhere(fits.getdata(worn / "IRAcq.DET1.DEAD.fits")).tolist() == [[3, 4]]
-    flat = fits.getdata(worn / "IRAcq.DET1.FLAT.fits")
-    assert flat[3, 4] == 0 and np.delete(flat, 3 * 24 + 4).std() == pytest.approx(0.02, rel=0.15)
-    assert fits.getdata(plain / "IRAcq.DET1.DARK.fits").mean() == pytest.approx(200, abs=0.1)
 
 
 def test_a_muse_file_has_the_header_and_tables_of_the_instrument(tmp_path):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import logging
-from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -28,16 +26,6 @@ def made(steps) -> list[str]:
     return [step.planned.name for step in steps if step.reason]
 
 
-def test_data_and_truth_lie_apart(tmp_path):
-    simulated(tmp_path / "out", spec_of(NIGHT))
-    files = checksums(tmp_path / "out")
-    data = {name for name in files if name.startswith("data/")}
-    assert {"data/cube/cube.fits", "data/ramp/offset_02/offset_02.fits"} <= data
-    assert not any("truth" in name or "wavefront" in name for name in data)
-    expected = ["cube", *(f"ramp__offset_0{index}" for index in range(3))]
-    assert sorted(path.stem for path in (tmp_path / "out" / "truth").glob("*.json")) == expected
-
-
 @pytest.mark.slow
 def test_the_same_spec_and_seed_make_the_same_bytes_whatever_the_number_of_processes(tmp_path):
     pair = {"cube": CUBE, "faint": CUBE | {"mag_j": 12.0}}
@@ -48,13 +36,6 @@ def test_the_same_spec_and_seed_make_the_same_bytes_whatever_the_number_of_proce
     one, two, other = (checksums(tmp_path / name) for name in ("one", "two", "other"))
     assert one == two
     assert all(one[name] != other[name] for name in one if name.endswith((".json", "cube.fits")))
-
-
-def test_a_second_run_makes_nothing(tmp_path):
-    simulated(tmp_path / "out", spec_of(NIGHT))
-    before = checksums(tmp_path / "out")
-    assert made(simulated(tmp_path / "out", spec_of(NIGHT))) == []
-    assert checksums(tmp_path / "out") == before
 
 
 @pytest.mark.parametrize(
@@ -76,36 +57,6 @@ def test_only_what_changed_is_made_again_and_the_reason_is_told(tmp_path, change
     steps = simulated(tmp_path / "out", spec_of(NIGHT) | change)
     assert made(steps) == expected
     assert all(why in step.reason for step in steps if step.reason)
-
-
-@pytest.mark.slow
-def test_what_is_gone_is_made_again_and_force_makes_everything(tmp_path):
-    simulated(tmp_path / "out", spec_of(NIGHT))
-    before = checksums(tmp_path / "out")
-    (tmp_path / "out" / "truth" / "cube.json").unlink()
-    (tmp_path / "out" / "data" / "ramp" / "offset_01").rename(tmp_path / "elsewhere")
-    assert made(simulated(tmp_path / "out", spec_of(NIGHT))) == ["cube", "ramp/offset_01"]
-    assert len(made(simulated(tmp_path / "out", spec_of(NIGHT), force=True))) == 4
-    assert checksums(tmp_path / "out") == before
-
-
-def test_recordings_that_a_series_no_longer_has_are_removed_and_others_are_not(tmp_path, caplog):
-    simulated(tmp_path / "out", spec_of(NIGHT))
-    shorter = {"ramp": RAMP | {"offsets_nm": [-200, 0]}}
-    with caplog.at_level(logging.INFO):
-        simulated(tmp_path / "out", spec_of(shorter))
-    assert "ramp/offset_02: removed, the spec no longer has it" in caplog.messages
-    left = checksums(tmp_path / "out")
-    assert not any("offset_02" in name for name in left) and "data/cube/cube.fits" in left
-
-
-def test_a_cube_can_become_a_series_and_a_cube_again(tmp_path):
-    series = {"cube": CUBE | {"role": "derotator", "angles_deg": [0, 90]}}
-    for recordings in ({"cube": CUBE}, series, {"cube": CUBE}):
-        simulated(tmp_path / "out", spec_of(recordings))
-        darks = (tmp_path / "out" / "data").rglob("*DARK.fits")
-        folders = sorted(path.parent.name for path in darks)
-        assert folders == (["angle_00", "angle_01"] if recordings is series else ["cube"])
 
 
 def test_data_from_elsewhere_are_never_replaced(tmp_path):
@@ -149,34 +100,7 @@ def test_a_recording_that_fails_while_it_is_replaced_leaves_the_old_one(tmp_path
     assert checksums(tmp_path / "out" / "data") == before
 
 
-def test_leftovers_of_a_killed_run_are_removed(tmp_path):
-    (tmp_path / "out" / ".simulating-x" / "data").mkdir(parents=True)
-    simulated(tmp_path / "out", spec_of({"cube": CUBE}))
-    assert not (tmp_path / "out" / ".simulating-x").exists()
-
-
 def test_a_folder_in_use_is_left_alone(tmp_path):
     (tmp_path / "out").mkdir()
     with FileLock(tmp_path / "out" / ".lock"), pytest.raises(Locked):
         simulated(tmp_path / "out", spec_of({"cube": CUBE}))
-
-
-def test_saturated_recordings_are_warned_about(tmp_path, caplog):
-    with caplog.at_level(logging.WARNING):
-        simulated(tmp_path / "out", spec_of({"cube": CUBE | {"mag_j": 2.0}, "fine": CUBE}))
-    (warning,) = caplog.messages
-    assert warning.startswith("cube: ") and "saturated" in warning
-
-
-def test_the_progress_counts_the_frames_of_all_recordings(tmp_path):
-    class Bar:
-        def __init__(self, total, desc):
-            self.total, self.n = total, 0
-            bars.append(self)
-
-        def update(self, frames):
-            self.n += frames
-
-    bars = []
-    simulated(tmp_path / "out", spec_of(NIGHT), progress=lambda **of: nullcontext(Bar(**of)))
-    assert [(bar.total, bar.n) for bar in bars] == [(9, 9)]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
 import pytest
-from astropy.io import fits
 from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of, truth
 
 from irlos_pipe.simulate.recordings.run import SimulationFolder
@@ -40,15 +38,6 @@ def test_the_truth_of_a_derotator_series_turns_with_the_angle(tmp_path):
         for key in ("ncpa_nm", "mean_zernike_nm"):
             values = {int(noll): nm for noll, nm in found[key].items() if abs(nm) > 1e-6}
             assert values == pytest.approx(zernike_nm)
-
-
-def test_the_wavefront_file_agrees_with_the_coefficients(tmp_path):
-    simulated(tmp_path / "out", spec_of({"cube": CUBE}, sky={"seeing_arcsec": 0.5}, motion={}))
-    with fits.open(tmp_path / "out" / "truth" / "cube_wavefront.fits") as hdus:
-        opd_nm, clear, zernike_nm = (hdu.data for hdu in hdus)
-    told = truth(tmp_path / "out", "cube")["mean_zernike_nm"]
-    assert np.array_equal(np.isfinite(opd_nm), clear > 0) and zernike_nm.shape == (3, 30)
-    assert zernike_nm.mean(axis=0) == pytest.approx(list(told.values()), abs=1e-4)
 
 
 def test_a_truth_that_names_a_folder_elsewhere_removes_nothing_there(tmp_path):
