@@ -18,9 +18,9 @@ from benchmarks.focus_faults.rig import GAIN, Rig, Skies, outcome_of, run
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.focus.journal import event_line
 from irlos_pipe.focus.live import LivePage, PageSettings, Publisher
 from irlos_pipe.focus.mailbox import BODY, MAGIC, Command, Mailbox
-from irlos_pipe.focus.record import event_line
 
 EXPOSURES = 12
 RECORD, COMMAND, DATABASE = "focus.jsonl", "command", "focus.sqlite"

@@ -23,10 +23,9 @@ from benchmarks.focus_loop.telescope import LAYER, Night, kept_table, scene_of
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
-from irlos_pipe.focus.loop import LoopSettings
+from irlos_pipe.focus.journal import content_of
 from irlos_pipe.focus.mailbox import Mailbox
-from irlos_pipe.focus.record import content_of
-from irlos_pipe.focus.service import COMMAND, Service
+from irlos_pipe.focus.service import COMMAND, LoopSettings, Service
 from irlos_pipe.focus.source import Arrival
 from irlos_pipe.paper.common.focus_loop import FrameTable
 from irlos_pipe.simulate.atmosphere import Sky

@@ -16,8 +16,7 @@ from irlos_pipe.control.exposures import Read
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.live import PageSettings
-from irlos_pipe.focus.loop import LoopSettings
-from irlos_pipe.focus.service import Service
+from irlos_pipe.focus.service import LoopSettings, Service
 
 READS, MARKS = 10, 10
 MIB = 2**20

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.focus_loop.ageing import Ageing
-from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.exposures import Read
+from irlos_pipe.control.linear_theory import Drift, SodiumLayer
 from irlos_pipe.files.atomic import atomic_file
 from irlos_pipe.paper.common.focus_loop import FrameTable, frame_table
 from irlos_pipe.simulate.atmosphere import Sky

@@ -24,7 +24,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, ExitCode
 if TYPE_CHECKING:
     from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
     from irlos_pipe.focus.journal import Journal
-    from irlos_pipe.focus.loop import LoopSettings
+    from irlos_pipe.focus.service import LoopSettings
     from irlos_pipe.focus.source import Source
 
 DAY_S = 86400.0
@@ -144,7 +144,7 @@ class FocusOptions:
 
         Raises `ConfigurationError` if the controller cannot work with them.
         """
-        from irlos_pipe.focus.loop import LoopSettings
+        from irlos_pipe.focus.service import LoopSettings
 
         try:
             controller = ControllerSettings(

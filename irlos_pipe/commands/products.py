@@ -38,7 +38,7 @@ def status(folder: Path = argument("DIR"), as_json: bool = options.JSON) -> None
       irlos status demo --json
     """
     from irlos_pipe.commands.text import run_status, status_text, versions_text
-    from irlos_pipe.product.versions import version_folders, versions_in
+    from irlos_pipe.product.run_table import version_folders, versions_in
 
     with readable(folder):
         if version_folders(folder):
@@ -170,7 +170,7 @@ def export(
     elif bool(arrays) == bool(recording):
         raise click.UsageError("give either --array NAME or --aot RECORDING")
     elif recording:
-        from irlos_pipe.product.aot import write_aot
+        from irlos_pipe.product.export import write_aot
 
         write_aot(read_product(product), recording, output, replace=force)
     else:

@@ -27,8 +27,7 @@ from irlos_pipe.product.printed import (
     Versions,
 )
 from irlos_pipe.product.results import provenance_of
-from irlos_pipe.product.runfolder import RunFolder, existing_run
-from irlos_pipe.product.standing import is_standing
+from irlos_pipe.product.runfolder import RunFolder, existing_run, is_standing
 from irlos_pipe.product.storage import read_product
 
 CURRENT, OUTDATED = "up to date", "outdated"

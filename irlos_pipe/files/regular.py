@@ -14,13 +14,16 @@ import os
 import re
 import stat
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.files.limits import require_memory
+from irlos_pipe.conventions.late import LateModule
+from irlos_pipe.files.processes import require_memory
 
 HEAD_BYTES = 512  # by which a file is recognised
 PIECE_BYTES = 2**20  # unpacked at a time
@@ -143,3 +146,24 @@ def _unpacked(opener: Opener, stream: BinaryIO, path: Path) -> BinaryIO:
         raise InputDataError(f"{path}: packed, and cut off or damaged: {error}") from None
     content.seek(0)
     return content
+
+
+if TYPE_CHECKING:
+    from astropy.io import fits as fits
+else:
+    fits = LateModule("astropy.io.fits")
+
+
+def first_image(path: Path) -> tuple[np.ndarray, Mapping[str, Any]]:
+    """Return the first image of the FITS file at `path` that has data, in float64, and its header.
+
+    Raises `ValueError` where the file cannot be read, or holds no image; names the reason and not the file.
+    """
+    try:
+        with open_regular(path) as stream, fits.open(stream, memmap=False) as hdus:
+            image = next((hdu for hdu in hdus if hdu.is_image and hdu.data is not None), None)
+            if image is not None:
+                return np.asarray(image.data, dtype=np.float64), image.header
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"cannot be read: {str(error).splitlines()[0]}") from None
+    raise ValueError("holds no image")

@@ -14,8 +14,7 @@ from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.overrides import Override, absolute
-from irlos_pipe.files.validation import Origins, ValidationErrors, require_valid
+from irlos_pipe.files.validation import Origins, Override, ValidationErrors, absolute, require_valid
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry
 from irlos_pipe.instrument.pupil import drawn, require_usable

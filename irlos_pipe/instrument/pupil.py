@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Flip, Part, Placement, Samples
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.fits import first_image
+from irlos_pipe.files.regular import first_image
 
 # How far a value can be trusted. adopted: the project's convention; published: in a refereed paper or report
 # of the observatory; unverified: seen in public code or headers only; assumed: does little harm if wrong

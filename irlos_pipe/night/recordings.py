@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.json import canonical_json, json_text
-from irlos_pipe.files.limits import TookTooLong, time_limit
+from irlos_pipe.files.processes import TookTooLong, time_limit
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.night.database import Database
 from irlos_pipe.readers import recorder

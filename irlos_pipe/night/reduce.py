@@ -11,7 +11,7 @@ from pathlib import Path
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.files.limits import TookTooLong, time_limit
+from irlos_pipe.files.processes import TookTooLong, time_limit
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.published_run import PublishedRun

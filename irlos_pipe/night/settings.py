@@ -12,9 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files import shipped
-from irlos_pipe.files.overrides import absolute
 from irlos_pipe.files.shipped import named_file
-from irlos_pipe.files.validation import read_validated
+from irlos_pipe.files.validation import absolute, read_validated
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 Kind = Literal["calibration", "ramp", "derotator", "psf", "two_by_two"]

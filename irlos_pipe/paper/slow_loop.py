@@ -17,8 +17,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 from pydantic import Field
 
-from irlos_pipe.control.disturbance import Drift, SodiumLayer
-from irlos_pipe.control.linear_theory import Integrator, best_gain
+from irlos_pipe.control.linear_theory import Drift, Integrator, SodiumLayer, best_gain
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.common.focus_loop import (

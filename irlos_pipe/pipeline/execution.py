@@ -16,12 +16,11 @@ from irlos_pipe.pipeline.plan import Action, Step, checksum
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
-from irlos_pipe.product.header import Origin
 from irlos_pipe.product.product import Check, Product
 from irlos_pipe.product.results import LOST, Provenance, Recorded, StageResults, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
-from irlos_pipe.product.table import table_content
+from irlos_pipe.product.table import Origin, table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, depends_on, reads

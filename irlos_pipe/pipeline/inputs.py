@@ -14,7 +14,7 @@ from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 from irlos_pipe.files.regular import open_regular, read_regular
-from irlos_pipe.product.standing import listing_stamp
+from irlos_pipe.product.runfolder import listing_stamp
 
 CACHE_NAME = ".input_checksums.json"
 LISTS = "lists"  # key of the lists of files among the absolute paths of the cache

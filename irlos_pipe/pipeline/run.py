@@ -19,16 +19,22 @@ from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
 from irlos_pipe.product.results import provenance_of
-from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_free, require_outside_inputs
-from irlos_pipe.product.standing import inputs_stamp, remember_standing
-from irlos_pipe.product.storage import read_product
-from irlos_pipe.product.versions import (
+from irlos_pipe.product.run_table import (
     is_complete,
     link_latest,
     new_version,
     require_free_for_versions,
     version_folders,
 )
+from irlos_pipe.product.runfolder import (
+    RunFolder,
+    inputs_stamp,
+    owned_folder,
+    remember_standing,
+    require_free,
+    require_outside_inputs,
+)
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import files_of

@@ -13,8 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
-from irlos_pipe.files.fits import fits
-from irlos_pipe.files.regular import open_unpacked, what_else
+from irlos_pipe.files.regular import fits, open_unpacked, what_else
 from irlos_pipe.readers.stored_hdus import CARD_BYTES, require_sums, stored_hdus, unreadable_cards
 
 # Packers, archives and browsers add to a name: cube.fits.fz, cube.fits.bz2, cube.fits (1), cube.fits.1

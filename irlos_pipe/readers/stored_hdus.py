@@ -13,8 +13,8 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import printable
-from irlos_pipe.files.fits import fits
-from irlos_pipe.files.limits import require_memory
+from irlos_pipe.files.processes import require_memory
+from irlos_pipe.files.regular import fits
 
 CARD_BYTES, BLOCK_BYTES = 80, 2880
 PIECE_BYTES = BLOCK_BYTES * 364  # about a megabyte, read at once for a checksum

@@ -12,9 +12,8 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import RECIPES, SAMPLES, are_samples, named_file, shipped_folder
-from irlos_pipe.files.validation import ValidationErrors
+from irlos_pipe.files.validation import Override, ValidationErrors, absolute, parse_setting, read_overridden
 from irlos_pipe.files.yaml import load_yaml, yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.stages import STAGES

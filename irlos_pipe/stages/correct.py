@@ -15,14 +15,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
-from irlos_pipe.files.fits import first_image
-from irlos_pipe.files.regular import open_regular
+from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
-from irlos_pipe.product.header import Card
 from irlos_pipe.product.product import Check, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
-from irlos_pipe.product.table import Column, Table
+from irlos_pipe.product.table import Card, Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product

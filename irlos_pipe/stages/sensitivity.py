@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.files.limits import require_memory
+from irlos_pipe.files.processes import require_memory
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item

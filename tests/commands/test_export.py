@@ -14,10 +14,9 @@ from click.testing import Result
 from conftest import invoke
 from helpers.sparta_files import counts, star
 
-from irlos_pipe.product.header import Card, qc_keyword
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.storage import write_product
-from irlos_pipe.product.table import fits_content
+from irlos_pipe.product.table import Card, fits_content, qc_keyword
 
 RAW_HEADER = {
     "TELESCOP": "ESO-VLT-U4",

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.control.controller import BOOTSTRAP, TRACKING, ControllerSettings, ControllerState, decide
-from irlos_pipe.control.disturbance import Drift
-from irlos_pipe.control.linear_theory import Integrator
+from irlos_pipe.control.linear_theory import Drift, Integrator
 
 SETTINGS = ControllerSettings(gain=0.4, leak=0.0, delay=1, limit_nm=800.0, jump_nm=300.0)
 AT_REST = ControllerState()

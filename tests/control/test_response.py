@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.control.controller import ControllerSettings, ControllerState, decide
-from irlos_pipe.control.disturbance import SodiumLayer
-from irlos_pipe.control.response import Response
+from irlos_pipe.control.controller import ControllerSettings, ControllerState, Response, decide
+from irlos_pipe.control.linear_theory import SodiumLayer
 
 DRIFT = SodiumLayer(1.95, 23.0, 89.4e3).drift(8.0)
 

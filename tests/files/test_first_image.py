@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from irlos_pipe.files.fits import first_image
+from irlos_pipe.files.regular import first_image
 
 
 def test_image_behind_a_table_is_found(tmp_path):

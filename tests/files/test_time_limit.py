@@ -7,7 +7,7 @@ import time
 import pytest
 
 from irlos_pipe.files import limits
-from irlos_pipe.files.limits import TookTooLong
+from irlos_pipe.files.processes import TookTooLong
 
 
 def test_what_sleeps_too_long_is_stopped_with_a_line():

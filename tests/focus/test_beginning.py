@@ -7,8 +7,8 @@ from helpers import focus_loop as made
 
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.loop import LoopSettings
 from irlos_pipe.focus.mailbox import Command, Mailbox
+from irlos_pipe.focus.service import LoopSettings
 
 SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0))
 

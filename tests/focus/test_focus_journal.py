@@ -9,8 +9,7 @@ import pytest
 from helpers import focus_loop as made
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.journal import Journal
-from irlos_pipe.focus.record import Record, record_of
+from irlos_pipe.focus.journal import Journal, Record, record_of
 
 
 @pytest.fixture(scope="module")

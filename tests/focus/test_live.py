@@ -15,9 +15,8 @@ import pytest
 from helpers import focus_loop as made
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.focus.journal import Journal
+from irlos_pipe.focus.journal import Journal, event_line
 from irlos_pipe.focus.live import LivePage, PageSettings, Publisher
-from irlos_pipe.focus.record import event_line
 
 TOKEN = "a-token-of-some-length"
 

@@ -8,8 +8,8 @@ from helpers import focus_loop as made
 from scipy.ndimage import gaussian_filter
 
 from irlos_pipe.control.exposures import Accumulator
-from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.ordinary import Ordinary
+from irlos_pipe.focus.calibration import Ordinary
+from irlos_pipe.focus.service import FocusLoop, LoopSettings
 
 
 def scattered(seed: int, defocus_nm: float = 20.0, flux_e: float = made.FLUX_E) -> np.ndarray:

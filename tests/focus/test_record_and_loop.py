@@ -8,8 +8,8 @@ import pytest
 from helpers import focus_loop as made
 
 from irlos_pipe.control.controller import ControllerSettings
-from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.record import event_line, record_of
+from irlos_pipe.focus.journal import event_line, record_of
+from irlos_pipe.focus.service import FocusLoop, LoopSettings
 
 SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0))
 

@@ -16,9 +16,8 @@ from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.conventions.errors import ExitCode, InputDataError, Locked
 from irlos_pipe.focus import service as service_module
 from irlos_pipe.focus.calibration import CalibrationWatch, require_exchangeable
-from irlos_pipe.focus.loop import LoopSettings
 from irlos_pipe.focus.mailbox import Mailbox
-from irlos_pipe.focus.service import Service
+from irlos_pipe.focus.service import LoopSettings, Service
 from irlos_pipe.focus.source import Fault, Notice
 
 SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0), reads=2)

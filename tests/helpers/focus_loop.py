@@ -15,11 +15,9 @@ from irlos_pipe.control.exposures import Accumulator, Exposure, Read
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.lift_errors import FrameErrors
-from irlos_pipe.focus.calibration import Calibration
-from irlos_pipe.focus.loop import FocusLoop, LoopSettings
-from irlos_pipe.focus.ordinary import SharedErrors
-from irlos_pipe.focus.record import Record
-from irlos_pipe.focus.service import Service
+from irlos_pipe.focus.calibration import Calibration, SharedErrors
+from irlos_pipe.focus.journal import Record
+from irlos_pipe.focus.service import FocusLoop, LoopSettings, Service
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument

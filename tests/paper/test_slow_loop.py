@@ -8,8 +8,7 @@ import pytest
 from helpers import optics_cases as cases
 from helpers.experiment_stage import drawn, run_on, sample, tables_of
 
-from irlos_pipe.control.disturbance import Drift, SodiumLayer
-from irlos_pipe.control.linear_theory import Integrator, best_gain
+from irlos_pipe.control.linear_theory import Drift, Integrator, SodiumLayer, best_gain
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.paper import slow_loop
 from irlos_pipe.paper.common.focus_loop import (

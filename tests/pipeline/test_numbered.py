@@ -6,7 +6,7 @@ import pytest
 from conftest import Bench, invoke, products
 from filelock import FileLock
 
-from irlos_pipe.product.versions import link_latest, version_folders
+from irlos_pipe.product.run_table import link_latest, version_folders
 
 
 def numbered(bench: Bench, *options: str) -> int:

@@ -7,8 +7,7 @@ import sys
 import pytest
 from conftest import invoke
 
-from irlos_pipe.product.runfolder import RunFolder
-from irlos_pipe.product.standing import is_standing
+from irlos_pipe.product.runfolder import RunFolder, is_standing
 
 
 @pytest.fixture

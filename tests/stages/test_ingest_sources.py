@@ -48,6 +48,6 @@ def test_an_error_that_nobody_foresaw_costs_one_recording_only(tmp_path, monkeyp
 def test_a_recording_that_does_not_fit_into_the_memory_is_refused_before_it_is_cleaned(tmp_path, monkeypatch):
     write_recorder(tmp_path / "a", CUBE)
     (source,), _ = read(tmp_path)
-    monkeypatch.setattr("irlos_pipe.files.limits.available_bytes", lambda: 1e5)
+    monkeypatch.setattr("irlos_pipe.files.processes.available_bytes", lambda: 1e5)
     with pytest.raises(InputDataError, match=r"3 frames of 12x12 px: needs about 0\.0 GB of memory"):
         ingest(source, Config(), IRLOS)

@@ -11,7 +11,7 @@ LOG = logging.getLogger("test_sensitivity_effort")
 
 
 def test_a_scan_that_the_memory_cannot_hold_is_refused_before_it_begins(monkeypatch):
-    monkeypatch.setattr("irlos_pipe.files.limits.available_bytes", lambda: 1e9)
+    monkeypatch.setattr("irlos_pipe.files.processes.available_bytes", lambda: 1e9)
     announce(20, (64, 64), 5, 6, 4, LOG)
     with pytest.raises(ConfigurationError, match=r"3.3 GB of memory.*sensitivity.realisations"):
         announce(20, (64, 64), 1000, 6, 4, LOG)

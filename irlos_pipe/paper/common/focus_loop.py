@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.polynomial import chebyshev
 
-from irlos_pipe.control.disturbance import Drift
+from irlos_pipe.control.linear_theory import Drift
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lenslets import modes_of_centroids_nm

@@ -16,9 +16,8 @@ from pydantic import Field
 from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.files.overrides import absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import SIMULATIONS, named_file
-from irlos_pipe.files.validation import ValidationErrors
+from irlos_pipe.files.validation import ValidationErrors, absolute, parse_setting, read_overridden
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.simulate.detector import DetectorModel

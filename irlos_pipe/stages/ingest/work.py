@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
-from irlos_pipe.files.limits import require_memory
+from irlos_pipe.files.processes import require_memory
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned, clean
 from irlos_pipe.frames.detector import star_position
