@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.focus_latency import NOISE, WINDOW, Times, prepared, timed
 from irlos_pipe.estimate.focus.photon_fit import FocusScan
 from irlos_pipe.estimate.focus.sensor import Focus
-from irlos_pipe.optics.focus_images import FocusImages
+from irlos_pipe.optics.focus_table import FocusImages
 
 EVALUATIONS = 4  # of the image and its derivatives, as many as `Focus.measure` makes on average
 BLOCK = 200

@@ -35,8 +35,7 @@ from irlos_pipe.recipe import load_recipe
 from irlos_pipe.simulate.effects.wavefront import DiversityError, WavefrontEffect
 from irlos_pipe.simulate.exposure import static_zernike_nm
 from irlos_pipe.simulate.recordings.files import Planned
-from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 from irlos_pipe.simulate.scene import Scene
 
 REPORTED_SEED = 24494897  # of the reported run; whoever changes anything tries it with another one

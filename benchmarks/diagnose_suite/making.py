@@ -27,8 +27,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.exposure import exposures, telescope_of
 from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.recordings.files import Planned, write_files
-from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
 CUBE, RAMP, CALIBRATION = "cube", "ramp", "calibration"
 SECTIONS, HIDDEN, OUTSIDE, ORDER, MILD = range(5)  # streams of random numbers of a case

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
 from irlos_pipe.simulate.telescope import rotated_nm
 
 AGEING_STREAM = 3  # stream of a night's seed, after those of the telescope

@@ -19,9 +19,8 @@ from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.readout import electrons
-from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.scene import Sampling, Scene, draw_ncpa_nm
 
 FACILITY = load_instrument("irlos").facility
 TOTAL_NM = 142.0  # RMS in Noll 2 to 51

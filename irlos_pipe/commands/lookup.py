@@ -23,7 +23,7 @@ def recipes(
       irlos recipes ncpa_calibration > mine.yaml
       irlos recipes on_sky > night.yaml
     """
-    from irlos_pipe.reference.recipes import recipe_list, recipe_text
+    from irlos_pipe.reference.lookup import recipe_list, recipe_text
 
     click.echo(recipe_list() if name is None else recipe_text(name), nl=name is None)
 

@@ -110,8 +110,7 @@ def paper(
       <experiment>/    the run of each: report.html, results.json, products (irlos show)
     """
     from irlos_pipe.files.shipped import PAPER, shipped_folder
-    from irlos_pipe.paper.run.recipes import find_experiments
-    from irlos_pipe.paper.run.run import run_paper
+    from irlos_pipe.paper.run.run import find_experiments, run_paper
 
     with at_work(verbose, quiet):
         experiments = find_experiments(recipes or shipped_folder(PAPER), quick=quick, only=only, seed=seed)

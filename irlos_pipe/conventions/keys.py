@@ -5,9 +5,10 @@ The standard library alone, so that science can say it; pydantic reads it where 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import MISSING, field
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 Row = TypeVar("Row", bound=type)
 DITTO = "〃"  # the meaning of the field above says what this one is as well
@@ -42,3 +43,15 @@ def named_row(row: Row) -> Row:
         lambda cls, source, handler: handler(source) | {"serialization": how}
     )
     return row
+
+
+class NullIsNan:
+    """Says to pydantic, which science does not know, that null stands for NaN."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> dict[str, Any]:
+        """Return how such a number is read."""
+        function = {"type": "no-info", "function": lambda value: math.nan if value is None else value}
+        return {"type": "function-before", "function": function, "schema": handler(source)}
+
+
+Number = Annotated[float, NullIsNan()]

@@ -4,10 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from irlos_pipe.conventions.seeing import Seeing
+Seeing = TypeVar("Seeing", float, np.ndarray)
+SPARTA = "sparta"
+
+
+@dataclass(frozen=True)
+class SeeingScale:
+    """How the seeing of a monitor translates: ``SPARTA = ratio · monitor + offset``, the ratio positive."""
+
+    ratio: float = 1.0
+    offset_arcsec: float = 0.0
+
+    def to_sparta(self, seeing_arcsec: Seeing) -> Seeing:
+        """Return the seeing on SPARTA's scale [arcsec]."""
+        return self.ratio * seeing_arcsec + self.offset_arcsec
+
+    def from_sparta(self, seeing_arcsec: Seeing) -> Seeing:
+        """Return the seeing on the monitor's scale [arcsec]."""
+        return (seeing_arcsec - self.offset_arcsec) / self.ratio
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from irlos_pipe.conventions.keys import key
-from irlos_pipe.conventions.numbers import Number
+from irlos_pipe.conventions.keys import Number, key
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from irlos_pipe.effects.ao_cutoff import AoCutoff
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import Anamorphism, AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.effects.companion import Companion, Ghost
 from irlos_pipe.effects.declaration import Conditions, Public
@@ -32,9 +30,15 @@ from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
 from irlos_pipe.effects.pupil_steps import LowWindEffect, SegmentPiston
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
-from irlos_pipe.effects.seeing_halo import SeeingHalo
-from irlos_pipe.effects.uneven_residual import UnevenResidual
-from irlos_pipe.effects.wavefront import AmplitudeAberration, DiversityError, HighOrderNcpa, NcpaDrift
+from irlos_pipe.effects.seeing_halo import AoCutoff, SeeingHalo, UnevenResidual
+from irlos_pipe.effects.wavefront import (
+    AmplitudeAberration,
+    ChromaticNcpa,
+    DiversityError,
+    FilterNcpa,
+    HighOrderNcpa,
+    NcpaDrift,
+)
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect

@@ -11,9 +11,8 @@ import torch
 
 from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.effects import Effect, fixed_optics
-from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.grids import Optics
-from irlos_pipe.optics.image_quality import Curve, encircled_energy, transfer_cut
+from irlos_pipe.optics.image_quality import Curve, encircled_energy, ring_means, transfer_cut
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.conventions.keys import key
+from irlos_pipe.conventions.keys import Number, key
 from irlos_pipe.conventions.modes import TIP_TILT
-from irlos_pipe.conventions.numbers import Number
 from irlos_pipe.optics.zernike import noll_to_nm, partner, rotation_matrix
 
 MIN_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exceed tenfold that of the sum

@@ -10,9 +10,8 @@ from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility, VibrationLine
-from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
+from irlos_pipe.conventions.laws import SPARTA, NcpaLaw, ResidualLaw, SeeingScale
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.validation import Origins, Override, ValidationErrors, absolute, require_valid
 from irlos_pipe.files.yaml import load_yaml

@@ -24,17 +24,74 @@ Reference: Kaiser & Schafer 1980, IEEE Trans. ASSP 28, 105 (length and attenuati
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
+from numpy.lib.stride_tricks import as_strided
+from numpy.polynomial import legendre
 from scipy.special import jv
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM, cutoff_per_px, tilt_nm
-from irlos_pipe.optics.defocus import shaped_modes
-from irlos_pipe.optics.grids import Optics, Tangents
+from irlos_pipe.optics.grids import Optics, PupilGrid, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, LightPath, Pullback
 from irlos_pipe.optics.strained import pixel_map
+
+SMALLEST = 3e-5  # part of Noll 4 below which a companion is left out: 0.02 nm of 500 nm
+HIGHEST_SINE = 0.98  # beyond it the series converges slowly
+NODES, ORDERS = 200, 40  # of the quadrature, and highest radial order
+
+
+@lru_cache(maxsize=16)
+def defocus_series(sine: float) -> dict[int, float]:
+    """Return what accompanies one nm of Noll 4 when the focus moves: Noll index to nm RMS, Noll 4 included.
+
+    The `sine` is NA / n at the side where the focus moves, 0 to `HIGHEST_SINE`; 0 is the parabola.
+    """
+    if not 0 <= sine <= HIGHEST_SINE:
+        raise ValueError(
+            f"the sine of the marginal ray is {sine:g}; it should lie from 0 to {HIGHEST_SINE:g}"
+        )
+    parts = _radial_parts(sine) if sine > 0 else {DEFOCUS: 1.0}
+    ratios = {noll: part / parts[DEFOCUS] for noll, part in parts.items()}
+    return {noll: ratio for noll, ratio in ratios.items() if noll == DEFOCUS or ratio > SMALLEST}
+
+
+def defocus_nm_per_um(sine: float, index: float = 1.0) -> float:
+    """Return Noll 4 [nm RMS] per µm by which the focus moves where the refractive index is `index`.
+
+    The `sine`, above 0, is as of `defocus_series`.
+    """
+    return 1e3 * index * _radial_parts(sine)[DEFOCUS]
+
+
+def shaped_modes(grid: PupilGrid, nolls: Sequence[int], sine: float) -> np.ndarray:
+    """Return the Zernike polynomials `nolls` on a `grid`, Noll 4 with its companions, (modes, n, n).
+
+    The `sine` is as of `defocus_series`.
+    """
+    modes = grid.modes(nolls).copy()
+    if DEFOCUS in nolls and sine > 0:
+        series = defocus_series(sine)
+        modes[list(nolls).index(DEFOCUS)] = np.tensordot(list(series.values()), grid.modes([*series]), 1)
+    return modes
+
+
+@lru_cache(maxsize=16)
+def _radial_parts(sine: float) -> dict[int, float]:
+    """Noll 4, 11, 22, … of ``1 - sqrt(1 - s² ρ²)``.
+
+    With t = ρ² they are shifted Legendre polynomials ``sqrt(2k + 1) P_k(2t - 1)`` of unit RMS over the disc.
+    """
+    x, weights = legendre.leggauss(NODES)
+    path = 1 - np.sqrt(1 - sine**2 * (x + 1) / 2)
+    parts = legendre.legvander(x, ORDERS // 2).T @ (weights / 2 * path)
+    orders = range(2, ORDERS + 1, 2)
+    return {n * (n + 1) // 2 + 1: float(np.sqrt(n + 1) * parts[n // 2]) for n in orders}
+
 
 ATTENUATION_DB = 100.0  # of what the kernel has left beyond its half length
 
@@ -272,3 +329,66 @@ def _pixel_mas(psf: LightPath, optics: Optics) -> float:
 
 def _shortest_m(psf: LightPath, optics: Optics) -> float:
     return float((optics.sampling or psf.grids.sampling).wavelengths_m.min())
+
+
+class FocusImages:
+    """Unit-flux images of a `FocusTable` on the CPU, and their derivatives by tip, tilt and focus."""
+
+    def __init__(self, table: FocusTable):
+        self.window = table.settings.window
+        order = [*table.tilts, table.focus]
+        # (2, 3): least and largest tip, tilt and focus [nm RMS]
+        self.limits_nm = table.limits_nm.numpy()[:, order]
+        self._middle_nm, self._half_nm = table.middle_nm, table.half_nm
+        self._table, self._orders = np.ascontiguousarray(table.table.numpy()), table.orders.numpy()
+        self._rate, self._series = table.shift.rate.numpy(), table.shift.series.numpy()
+        height, width = self.window
+        tall, wide = table.shape
+        self._images = np.empty((2, tall * wide), np.float32)
+        self._rows = np.empty((2, height, tall), np.float32)
+        self._columns = np.empty((2, width, wide), np.float32)
+        self._along_x = np.empty((tall, 2 * width), np.float32)
+        self._slope_along_x = np.empty((tall, width), np.float32)
+        # The last image computed and its derivatives with respect to tip, tilt and focus [1/nm]; those of the
+        # next one take their places.
+        self.slopes = np.empty((3, height * width), np.float32)
+        self.image = np.empty(height * width, np.float32)
+        self._shape, self._longer = (tall, wide), max(self.window)
+
+    def __call__(self, tip_nm: float, tilt_nm: float, focus_nm: float) -> None:
+        """Compute `image` and `slopes` of a wavefront within `limits_nm` [nm RMS]."""
+        self._shift(tip_nm, tilt_nm)
+        np.matmul(self._weights(focus_nm), self._table, out=self._images)
+        image, slope = self._images.reshape(2, *self._shape)
+        rows, steeper_rows = self._rows
+        columns = self._columns.reshape(-1, self._shape[1])
+        width = self.window[1]
+        np.matmul(image, columns.T, out=self._along_x)
+        np.matmul(slope, self._columns[0].T, out=self._slope_along_x)
+        by_tip, by_tilt, by_focus = self.slopes.reshape(3, *self.window)
+        np.matmul(rows, self._along_x[:, :width], out=self.image.reshape(self.window))
+        np.matmul(rows, self._along_x[:, width:], out=by_tip)
+        np.matmul(steeper_rows, self._along_x[:, :width], out=by_tilt)
+        np.matmul(rows, self._slope_along_x, out=by_focus)
+
+    def _weights(self, focus_nm: float) -> np.ndarray:
+        """Chebyshev polynomials of the focus and their derivatives, (2, terms)."""
+        angle = np.arccos((focus_nm - self._middle_nm) / self._half_nm)
+        multiples = angle * self._orders
+        steepness = self._orders * np.sin(multiples) / (np.sin(angle) * self._half_nm)
+        return np.array([np.cos(multiples), steepness], np.float32)
+
+    def _shift(self, tip_nm: float, tilt_nm: float) -> None:
+        """Matrices of the shift along both axes, each followed by its derivative, see `ShiftMatrices`."""
+        phase = np.array([[tip_nm], [tilt_nm]]) * self._rate
+        basis = np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(np.float32)
+        along_x, along_y = (basis @ self._series).reshape(2, 2, -1)
+        self._fill(self._rows, along_y)
+        self._fill(self._columns, along_x)
+
+    def _fill(self, matrices: np.ndarray, kernels: np.ndarray) -> None:
+        """Toeplitz matrices of kernels (2, values) that reach over the longer side of the window."""
+        _, pixels, samples = matrices.shape
+        own = kernels[:, self._longer - pixels :]
+        step = own.strides[1]
+        matrices[...] = as_strided(own, (2, pixels, samples), (own.strides[0], step, step))

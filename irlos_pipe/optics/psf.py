@@ -16,7 +16,7 @@ What physical effects make of P, T, and of the sampling (λ, w, pixel scale in G
 `Optics`. Flux, background and the detector follow in `image_model`. Derivatives are hand-written:
 ``∂I/∂a_k = -(4π/λ) Im(U* F[Z_k E])``, and because a Zernike polynomial of degree n is a sum of
 products T_a(x) T_b(y), a + b ≤ n, the transform along x is shared by all modes. The transforms themselves
-are those of `optics.matrix_dft`, where fields are real arrays ``(frame, 2, y, x)``.
+are those of `optics.fourier_matrices`, where fields are real arrays ``(frame, 2, y, x)``.
 """
 
 from __future__ import annotations
@@ -34,14 +34,15 @@ from numpy.polynomial import chebyshev
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
-from irlos_pipe.optics.defocus import defocus_series, shaped_modes
-from irlos_pipe.optics.focal_plane import COMPLEX, FocalPlane
+from irlos_pipe.optics.focus_table import defocus_series, shaped_modes
+from irlos_pipe.optics.fourier_matrices import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, PupilMode, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
-from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.monochromatic import (
+    COMPLEX,
     ByMode,
     Colour,
+    FocalPlane,
     PixelSlopes,
     Rates,
     SkewPixels,

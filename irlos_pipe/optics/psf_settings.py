@@ -55,8 +55,8 @@ class PsfSettings:
     margin_mas: float = MARGIN_MAS
     # the same for the period of the OTF factors, whose wings are wider
     halo_margin_mas: float = HALO_MARGIN_MAS
-    # NA / n of the beam in which the focus moves; above 0, Noll 4 stands for the shape of `optics.defocus`
-    # everywhere
+    # NA / n of the beam in which the focus moves; above 0, Noll 4 stands everywhere for the
+    # shape in `optics.focus_table`
     focus_sine: float = 0.0
     # per side of the pupil: 1, or 2 where the window is that of the images of four quarters, see
     # `optics.lenslets`

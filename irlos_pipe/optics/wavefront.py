@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.conventions.keys import key
-from irlos_pipe.conventions.numbers import Number
+from irlos_pipe.conventions.keys import Number, key
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis

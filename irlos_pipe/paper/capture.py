@@ -30,8 +30,7 @@ from irlos_pipe.paper.common.scenes import J_AND_H, NCPA_NM, star_scene
 from irlos_pipe.report.drawing import BLUE, FAINT, svg
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.light import Band
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
 
 PAPER_NM = 410.0  # capture range that the paper states, started from zero
 # Right estimates err by less than 20 nm (AO residual, calibration, noise), wrong ones by hundreds: the next

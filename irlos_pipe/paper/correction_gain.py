@@ -15,7 +15,7 @@ from matplotlib.figure import Figure as Canvas
 from pydantic import Field
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, TIP_TILT
-from irlos_pipe.optics.azimuthal_mean import ring_means
+from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.scenes import star_image

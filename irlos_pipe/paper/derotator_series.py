@@ -16,7 +16,7 @@ from pydantic import Field
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.estimate.derotator import Series, Split, try_both_senses, usable_modes
-from irlos_pipe.optics.zernike import partner, rotation_matrix
+from irlos_pipe.optics.zernike import partner, rotation_matrix, zernike_basis
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import (
     DEFAULT,
@@ -26,15 +26,38 @@ from irlos_pipe.paper.common.calibrations import (
     frames_per_method,
 )
 from irlos_pipe.paper.common.observation import on_spartas_scale
-from irlos_pipe.paper.common.phase_bump import phase_bump_nm
 from irlos_pipe.paper.common.scenes import BY_MIRROR
 from irlos_pipe.report.images import common_limit_nm, wavefront_grid
 from irlos_pipe.report.section_derotator import maps_figure
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.scene import Sampling, Scene, draw_ncpa_nm
 from irlos_pipe.stages.derotator import SplitOutput, map_of
+
+PEAK_NM = 1140.0
+CENTRE = (0.145, 0.901)  # x, y [pupil radii]
+LENGTH, WIDTH = 0.546, 0.154  # standard deviations along and across [pupil radii]
+DIRECTION_DEG = 42.6  # of the ridge, from +x towards +y
+RADII, AZIMUTHS = 200, 360  # grid of points of equal area
+
+
+def ridge_nm(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the height of the bump at the points `x`, `y` of the unit disc [nm]."""
+    angle = np.radians(DIRECTION_DEG)
+    dx, dy = x - CENTRE[0], y - CENTRE[1]
+    along, across = dx * np.cos(angle) + dy * np.sin(angle), dy * np.cos(angle) - dx * np.sin(angle)
+    return PEAK_NM * np.exp(-(along**2) / (2 * LENGTH**2) - across**2 / (2 * WIDTH**2))
+
+
+def phase_bump_nm(highest_noll: int = 120) -> dict[int, float]:
+    """Return the coefficients of the bump over the disc, Noll 4 to `highest_noll`: nm RMS."""
+    radius = np.sqrt((np.arange(RADII) + 0.5) / RADII)[:, None]
+    azimuth = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    x, y = (radius * np.cos(azimuth)).ravel(), (radius * np.sin(azimuth)).ravel()
+    basis = zernike_basis(range(1, highest_noll + 1), x, y)
+    values = np.linalg.lstsq(basis.T, ridge_nm(x, y), rcond=None)[0]
+    return {noll: float(value) for noll, value in enumerate(values, start=1) if noll > 3}
+
 
 LARGEST_PULL = 1.5  # requirement on the error over the quoted error
 PARTS = {"rotating": "turns with the derotator", "fixed": "does not turn"}

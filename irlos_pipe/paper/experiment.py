@@ -17,7 +17,6 @@ import numpy as np
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import aligned
 from irlos_pipe.paper.common.ensemble import run_samples
-from irlos_pipe.paper.common.figures import lines, strips
 from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.common.table import (
     Frame,
@@ -28,11 +27,13 @@ from irlos_pipe.paper.common.table import (
     filled,
     frame,
     grouped,
+    lines,
     median_in_range,
     rms_in_range,
     spread,
     spreads,
     stacked,
+    strips,
 )  # fmt: skip
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import StageResults

@@ -32,8 +32,7 @@ from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
 from irlos_pipe.simulate.effects import effects_of
 from irlos_pipe.simulate.effects.wavefront import reached_nm
 from irlos_pipe.simulate.exposure import expose
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
 
 WRONG_NM = 50.0  # an estimate this far from the best minimum lies in another one
 BY_CHANCE = 1e-3  # probability of a larger pull where the quoted errors are right

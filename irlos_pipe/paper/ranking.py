@@ -15,8 +15,7 @@ from pydantic import Field
 from irlos_pipe.estimate.calibration_options import OPEN, HighestNoll
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
-from irlos_pipe.simulate.ncpa import draw_tail_nm
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.scene import Scene, draw_tail_nm
 
 TAIL_STREAM = 3  # child of the cube's seed that the tail is drawn from
 LAST_TAIL_NOLL = 200

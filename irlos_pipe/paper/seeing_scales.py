@@ -14,8 +14,7 @@ from matplotlib.figure import Figure as Canvas
 from pydantic import Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.laws import ResidualLaw
-from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
+from irlos_pipe.conventions.laws import SPARTA, ResidualLaw, SeeingScale
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.report.drawing import BLUE, FAINT, INK, ORANGE, svg
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.numbers import NullIsNan
+from irlos_pipe.conventions.keys import NullIsNan
 from irlos_pipe.conventions.text import aligned, suggestion
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.keys import DITTO as DITTO
-from irlos_pipe.conventions.numbers import Number as Number
+from irlos_pipe.conventions.keys import Number as Number
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.files.regular import read_regular
 from irlos_pipe.product.product import Product

@@ -10,7 +10,7 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.seeing import SPARTA
+from irlos_pipe.conventions.laws import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.instrument.instrument import Instrument, Mode
 from irlos_pipe.readers.fitsfile import hdu_label, image_array, require_one, stem

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import NullFormatter
 
 from irlos_pipe.frames.detector import star_position
-from irlos_pipe.optics.azimuthal_mean import ring_means
+from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.report.content import Figure
 from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, log_y, plot, svg
 from irlos_pipe.report.run_data import StageData

@@ -14,11 +14,10 @@ import numpy as np
 
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.simulate.atmosphere import ResidualScreens
-from irlos_pipe.simulate.camera import camera_of
+from irlos_pipe.simulate.camera import camera_of, pupil_of, steps_nm
 from irlos_pipe.simulate.effects.sky import MotionEffect, SkyEffect
 from irlos_pipe.simulate.effects.wavefront import FocusStageEffect, LensEffect, WavefrontEffect, reached_nm
 from irlos_pipe.simulate.motion import SHORTEST_STEP_S, STILL, MotionSeries
-from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope, rotated_nm, sum_nm
 

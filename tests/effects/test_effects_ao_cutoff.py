@@ -29,7 +29,7 @@ from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Conditions, SeeingHalo
-from irlos_pipe.effects.ao_cutoff import AoCutoff
+from irlos_pipe.effects.seeing_halo import AoCutoff
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames

@@ -14,8 +14,8 @@ from helpers.optics_cases import DIVERSITY, MAS_RAD, SCALE_MAS, ncpa_nm, setting
 from helpers.reference_psf import reference
 
 from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
-from irlos_pipe.effects.chromatic import FilterNcpa
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.wavefront import FilterNcpa
 from irlos_pipe.optics.psf import PsfModel
 
 STATIC_NM = ncpa_nm(6, NOLLS[-1], 100.0)

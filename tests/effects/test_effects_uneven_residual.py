@@ -17,8 +17,7 @@ from helpers.reference_psf import reference
 from helpers.residual_screens import screens_nm
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo
-from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
-from irlos_pipe.effects.uneven_residual import NOLLS, UnevenResidual
+from irlos_pipe.effects.seeing_halo import NOLLS, UnevenResidual, in_band_wfe_nm
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.calibrations import DEFAULT, VARIANTS, ObservedCube

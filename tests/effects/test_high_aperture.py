@@ -16,7 +16,7 @@ from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.optics.defocus import defocus_nm_per_um, shaped_modes
+from irlos_pipe.optics.focus_table import defocus_nm_per_um, shaped_modes
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.simulate.effects.wavefront import HighAperture as Simulated

@@ -16,8 +16,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.optics.focus_images import FocusImages
-from irlos_pipe.optics.focus_table import FocusTable, Reach
+from irlos_pipe.optics.focus_table import FocusImages, FocusTable, Reach
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.psf import PsfModel
 

@@ -23,7 +23,7 @@ from helpers.optics_cases import (
 from helpers.reference_psf import reference
 
 from irlos_pipe.effects import Conditions
-from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
+from irlos_pipe.effects.wavefront import ChromaticNcpa, FilterNcpa
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.setups import Setup, SetupsFit, _part, calibrate_setups

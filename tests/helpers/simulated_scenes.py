@@ -10,8 +10,7 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.light import Band
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.scene import Sampling, Scene, draw_ncpa_nm
 
 FACILITY = load_instrument("irlos").facility
 UT4 = FACILITY.pupil

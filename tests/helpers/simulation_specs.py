@@ -8,8 +8,7 @@ from pathlib import Path
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.simulate.recordings.files import Planned
 from irlos_pipe.simulate.recordings.run import simulate
-from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
 COARSE = {"pupil_samples": 32, "points_per_band": 1, "step_s": 0.1}
 CUBE = {"role": "ncpa_calibration", "mag_j": 9.0, "frames": 3, "exposure_s": 0.1, "window": [24, 24]}

@@ -18,8 +18,7 @@ from irlos_pipe.conventions.pupil_parts import Circle, Hexagons
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
 from irlos_pipe.instrument.profile import FACTS
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
-from irlos_pipe.optics.pupil_division import petals_of, segments_of
+from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres, petals_of, segments_of
 
 KECK_MAP = SHARED / "realdata/keck_nirc2/keck_pupil_open2_240px.fits"
 STATED = {"source": "a test", "status": "assumed"}

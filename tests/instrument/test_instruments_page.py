@@ -8,7 +8,7 @@ import pytest
 from helpers.paths import REPOSITORY
 
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.optics.pupil_division import petals_of, segments_of
+from irlos_pipe.optics.pupil import petals_of, segments_of
 
 PAGE = REPOSITORY / "docs/instruments.md"
 

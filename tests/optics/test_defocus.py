@@ -8,8 +8,7 @@ import torch
 from scipy.special import j0
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.optics.defocus import defocus_nm_per_um, defocus_series
-from irlos_pipe.optics.focus_table import FocusTable, Reach
+from irlos_pipe.optics.focus_table import FocusTable, Reach, defocus_nm_per_um, defocus_series
 from irlos_pipe.optics.light_path import AS_BUILT
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings

@@ -10,8 +10,7 @@ import pytest
 import torch
 from numpy.polynomial import chebyshev
 
-from irlos_pipe.optics.fourier_matrices import FocalGrid
-from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
+from irlos_pipe.optics.fourier_matrices import FocalGrid, MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.pupil import grid_centres
 
 STEP_M, FRAMES = 0.25, 2

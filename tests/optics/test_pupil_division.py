@@ -10,9 +10,11 @@ from helpers.optics_cases import UT4
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
 from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Hexagons, Placement, Samples
-from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited_pupil, grid_centres
-from irlos_pipe.optics.pupil_division import (
+from irlos_pipe.optics.pupil import (
     amplitudes_of,
+    area_weighted_pupil,
+    band_limited_pupil,
+    grid_centres,
     petals_of,
     segments_of,
 )

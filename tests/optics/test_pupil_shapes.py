@@ -16,8 +16,13 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, tu
 from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Placement, Polygon, Samples
 from irlos_pipe.optics.grids import Optics, PupilGrid
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited, grid_centres
-from irlos_pipe.optics.pupil_division import amplitudes_of, segments_of
+from irlos_pipe.optics.pupil import (
+    amplitudes_of,
+    area_weighted_pupil,
+    band_limited,
+    grid_centres,
+    segments_of,
+)
 from irlos_pipe.optics.pupil_edges import pupil_edges
 
 NOLLS = tuple(range(2, 30))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.optics_cases import UT4
 
-from irlos_pipe.optics.azimuthal_mean import ring_means
+from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.optics.wavefront import clear_disc, modes_at, opd_maps_nm
 
 SAMPLES = 80

@@ -11,8 +11,13 @@ from irlos_pipe.estimate.derotator import Series, split_series, usable_modes
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.zernike import zernike_basis
 from irlos_pipe.paper import derotator_series
-from irlos_pipe.paper.common.phase_bump import phase_bump_nm, ridge_nm
-from irlos_pipe.paper.derotator_series import draw_truth, rms_beyond_tilt_nm, split_errors
+from irlos_pipe.paper.derotator_series import (
+    draw_truth,
+    phase_bump_nm,
+    ridge_nm,
+    rms_beyond_tilt_nm,
+    split_errors,
+)
 from irlos_pipe.simulate.exposure import expose
 
 FACILITY = load_instrument("irlos").facility

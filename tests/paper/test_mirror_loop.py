@@ -12,8 +12,7 @@ from helpers.experiment_stage import sample
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS
 from irlos_pipe.paper import mirror_loop
-from irlos_pipe.paper.common.mirror_bench import Bench, MirrorErrors, diversity_error_nm, further
-from irlos_pipe.paper.mirror_loop import LOOPS
+from irlos_pipe.paper.mirror_loop import LOOPS, Bench, MirrorErrors, diversity_error_nm, further
 
 SIZES = {
     "frames": 12, "star_frames": 2, "corrections": 4, "pitches_m": (0.25,), "shift": 0.02, "turn_deg": 2.0

@@ -12,7 +12,7 @@ from helpers.paper_bench import PaperBench
 from helpers.paths import RECIPES
 
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.paper.run.recipes import find_experiments
+from irlos_pipe.paper.run.run import find_experiments
 from irlos_pipe.stages import EXPERIMENTS
 
 

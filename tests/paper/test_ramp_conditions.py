@@ -11,9 +11,8 @@ from helpers.experiment_stage import sample
 
 from irlos_pipe.paper import ramp_conditions
 from irlos_pipe.paper.common.calibrations import DEFAULT
-from irlos_pipe.paper.common.ramp_light import CONDITIONS, WAYS, fit_way
 from irlos_pipe.paper.common.ramps import calibrated, observe
-from irlos_pipe.paper.ramp_conditions import cube_of, mode_errors, ramp_of
+from irlos_pipe.paper.ramp_conditions import CONDITIONS, WAYS, cube_of, fit_way, mode_errors, ramp_of
 from irlos_pipe.simulate.exposure import expose
 
 SIZES = {"reach_nm": 200.0, "offsets": 3, "frames_per_offset": 1, "cube_frames": 40}

@@ -8,9 +8,8 @@ from helpers.paths import REPOSITORY
 
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.paper.common.table import csv_text, read_csv, read_tables
-from irlos_pipe.paper.run.recipes import find_experiments
 from irlos_pipe.paper.run.results_page import NUMBERS, PAGE, renewed
-from irlos_pipe.paper.run.run import CHECKS, RUNS
+from irlos_pipe.paper.run.run import CHECKS, RUNS, find_experiments
 from irlos_pipe.stages import STAGES
 
 COMMITTED = REPOSITORY / NUMBERS

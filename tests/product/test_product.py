@@ -11,8 +11,8 @@ import pytest
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.files import atomic
 from irlos_pipe.files.json import json_text, jsonable
-from irlos_pipe.product import checksum as seal
 from irlos_pipe.product import storage
+from irlos_pipe.product import storage as seal
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.storage import open_product, read_product, write_product
 

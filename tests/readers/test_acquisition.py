@@ -9,7 +9,7 @@ from helpers.sparta_files import sidecar, write_muse, write_sidecar
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.seeing import SeeingScale
+from irlos_pipe.conventions.laws import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings

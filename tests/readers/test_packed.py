@@ -18,9 +18,8 @@ from helpers.sparta_files import counts, star, write_muse, write_sidecar
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import read_recordings, recording_files
-from irlos_pipe.readers.fitsfile import open_fits
+from irlos_pipe.readers.fitsfile import open_fits, stored_hdus
 from irlos_pipe.readers.sidecar import sidecar_path
-from irlos_pipe.readers.stored_hdus import stored_hdus
 
 IRLOS = load_instrument("irlos")
 CUBE = np.rint(counts(star(24, 20), 3)).astype(np.uint16)

@@ -24,8 +24,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.regular import open_unpacked
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import each_once, files_by_folder, files_of, read_recordings, recording_files
-from irlos_pipe.readers.fitsfile import open_fits
-from irlos_pipe.readers.stored_hdus import stored_hdus
+from irlos_pipe.readers.fitsfile import open_fits, stored_hdus
 
 IRLOS = load_instrument("irlos")
 CUBE = counts(star(12, 12), 3)

@@ -8,7 +8,7 @@ from astropy import units as u
 from astropy.modeling.models import BlackBody
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.readers.star_spectrum import photons, spectrum_of
+from irlos_pipe.readers.acquisition import photons, spectrum_of
 
 J_AND_H = [(1150, 0), (1157, 0.8), (1273, 0.8), (1280, 0), (1530, 0), (1541, 0.9), (1709, 0.9), (1720, 0)]
 

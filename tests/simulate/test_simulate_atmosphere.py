@@ -10,7 +10,7 @@ from helpers.simulated_scenes import FACILITY, scene
 
 from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import ResidualScreens, Sky, aliasing_psd, von_karman_nm2_m2
-from irlos_pipe.simulate.pupil import pupil_of
+from irlos_pipe.simulate.camera import pupil_of
 from irlos_pipe.simulate.scene import Sampling
 
 COARSE = 64  # samples across the pupil, for statistics that need many screens

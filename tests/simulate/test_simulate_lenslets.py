@@ -15,8 +15,7 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.simulate.aperture import passed
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.recordings.run import simulate
-from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
 MODES_NM = {2: 30.0, 3: -20.0, 4: 90.0, 5: 25.0, 6: -40.0, 8: 30.0}
 RECORDING = {

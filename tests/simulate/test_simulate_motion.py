@@ -10,10 +10,9 @@ from helpers.simulated_scenes import FACILITY, image, of_light, scene, worst
 from scipy.signal import welch
 
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.camera import Camera
+from irlos_pipe.simulate.camera import Camera, pupil_of
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.motion import Motion, MotionSeries
-from irlos_pipe.simulate.pupil import pupil_of
 from irlos_pipe.simulate.scene import Sampling
 
 RATE_HZ = 400.0

@@ -20,8 +20,7 @@ from scipy.fft import rfft2
 
 from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE
-from irlos_pipe.optics.focus_images import FocusImages
-from irlos_pipe.optics.focus_table import FocusTable
+from irlos_pipe.optics.focus_table import FocusImages, FocusTable
 
 ITERATIONS = 20
 HALVINGS = 6  # halvings, at most, of a step that would raise the objective

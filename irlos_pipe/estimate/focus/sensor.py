@@ -22,8 +22,7 @@ from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.estimate.tabulated import TILT_REACH_NM
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, STALLED, Solution
-from irlos_pipe.optics.focus_images import FocusImages
-from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family
+from irlos_pipe.optics.focus_table import FocusImages, FocusTable, Reach, can_tabulate, is_family
 
 REACH_NM = 1000.0  # of defocus either way: images up to 900 nm have a template and room on both sides
 ROUGHLY_DECISIVE = 60.0  # Δχ² of the scan from which another maximum needs no fit of its own

@@ -15,8 +15,7 @@ from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling, Scene
+from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling, Scene, draw_ncpa_nm
 
 NARROW_H = (Band(bands.NARROW_H.centre_nm, bands.NARROW_H.half_width_nm),)
 J_AND_H = tuple(Band(band.centre_nm, band.half_width_nm, 0.5) for band in (bands.J, bands.H))

@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Conditions, Effect
-from irlos_pipe.effects.chromatic import FilterNcpa
+from irlos_pipe.effects.wavefront import FilterNcpa
 from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.setups import Setup, is_common

@@ -12,8 +12,8 @@ import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import Effect, FixedEffect
-from irlos_pipe.effects.chromatic import BROAD_NM, ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.declaration import Conditions
+from irlos_pipe.effects.wavefront import BROAD_NM, ChromaticNcpa, FilterNcpa
 from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm

@@ -10,7 +10,7 @@ from filelock import FileLock
 from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
-from irlos_pipe.simulate.recordings import making
+from irlos_pipe.simulate.recordings import run as making
 
 NIGHT = {"cube": CUBE, "ramp": RAMP}
 HIDDEN = {"companion": {"flux_ratio": 0.1, "sep_mas": 90, "pa_deg": 0}}

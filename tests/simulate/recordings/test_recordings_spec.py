@@ -10,8 +10,7 @@ from helpers.simulation_specs import CUBE, RAMP, planned, spec_of, written
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
 EXAMPLES = sorted((RECIPES / "simulations").glob("*.yaml"))
 LENSLETS = "20x20_SmallScale_500Hz_HighGain"
