@@ -47,7 +47,7 @@ class PsfSettings:
     spectrum: tuple[tuple[float, float], ...]  # photon weights, any positive scale
     known: KnownWavefront  # present in every image, in addition to the coefficients that the model is given
     # samples across the pupil diameter; 128 keeps the error below 1e-4 of the peak for wavefronts up to 600
-    # nm RMS (tests/test_psf_accuracy.py)
+    # nm RMS (tests/optics/test_psf.py)
     pupil_samples: int = 128
     # field computed beyond the window on each side. The end of the field rings into the window when the
     # intensity is interpolated to the pixels: with 100 mas by 1e-5 of a compact peak and 2e-4 of one spread

@@ -11,7 +11,7 @@ from test_docs import commands, is_sketch
 PAGES = ("README.md", "docs/expectations.md", "docs/data.md")
 # Of these nothing is computed; what else the pages call takes real data, or has tests of its own.
 QUICK = ("status", "show", "explain", "export", "report", "compare", "recipes")
-ELSEWHERE = ("KEY", "NAME", "--aot", "reduced")  # placeholders; tests/readers/test_aot.py; the versions below
+ELSEWHERE = ("KEY", "NAME", "--aot", "reduced")  # placeholders; tests/readers; the versions below
 
 
 def quick_calls(page: str) -> list[str]:

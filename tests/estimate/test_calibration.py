@@ -3,16 +3,32 @@ model error every method must find the truth within its errors), the scatter of 
 theory, and the twin solution against the symmetry of the pupil. Errors of many frames: the covariance of the
 mean of independent draws, and the scaling of errors by √(χ²/ν)."""
 
+from __future__ import annotations
+
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
+from helpers.optics_cases import (
+    DIVERSITY,
+    NARROW_H,
+    PRIOR,
+    READ_NOISE,
+    draw_frames,
+    everything,
+    ncpa_nm,
+    settings,
+)
+from helpers.reference_psf import reference
 
+from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
+from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects.effect_set import fixed_optics
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_errors import errors_of, widening
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.calibration_errors import errors_of, public_errors, widening
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.frames.noise import NoiseModel
@@ -155,3 +171,90 @@ def sigma_nm(misfit: float) -> np.ndarray:
     covariance, source = errors_of(SimpleNamespace(show_scatter=True), None, None, DRAWN_NM, misfit)
     assert source == "frames"
     return np.sqrt(np.diag(covariance))
+
+
+# Calibration of frames made by HCIPy (independent code): no model error is shared with the fit.
+
+
+HIGHEST_NOLL, CALIBRATION_INDEPENDENT_FRAMES, FLUX_E = 21, 16, 2e6
+TRUE_NM = ncpa_nm(9, HIGHEST_NOLL, 120.0)
+
+
+def frames_of(case) -> Frames:
+    images = draw_frames(
+        reference().spectral_image(TRUE_NM, case) * FLUX_E, CALIBRATION_INDEPENDENT_FRAMES, seed=12
+    )
+    return Frames(images, everything(images), READ_NOISE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_finds_the_aberrations_of_independent_frames(method):
+    case = settings(48)
+    result = calibrate(frames_of(case), case, CalibrationOptions(method, highest_noll=HIGHEST_NOLL))
+    error = result.zernike_nm - np.array(list(TRUE_NM.values()))
+    assert np.linalg.norm(error) < 0.5
+    assert set(result.frame_status) == {"converged"}
+
+
+@pytest.mark.slow
+def test_the_mean_of_frames_without_model_error_has_a_chi2_of_one():
+    case = settings(48)
+    result = calibrate(frames_of(case), case, CalibrationOptions(highest_noll=HIGHEST_NOLL, prior=PRIOR))
+    freedom = 48**2 - HIGHEST_NOLL - 1
+    assert result.chi2_nu == pytest.approx(1, abs=4 * np.sqrt(2 / freedom))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("window", [51, (40, 57)], ids=str)
+def test_odd_and_rectangular_windows_in_two_colours_bring_no_bias(window):
+    case = settings(window, ((1560.0, 1.0), (1690.0, 2.0)))
+    result = calibrate(frames_of(case), case, CalibrationOptions(highest_noll=HIGHEST_NOLL, prior=PRIOR))
+    error = result.zernike_nm - np.array(list(TRUE_NM.values()))
+    assert np.linalg.norm(error) < 0.4
+    assert np.sqrt(np.mean((error / result.sigma_nm) ** 2)) < 1.8
+
+
+@pytest.mark.slow
+def test_the_other_sign_of_the_diversity_is_told_apart():
+    """With the wrong sign assumed, the fit must not pass for a good one."""
+    case, wrong = settings(48), settings(48, diversity={6: 170.0})
+    result = calibrate(frames_of(case), wrong, CalibrationOptions(highest_noll=HIGHEST_NOLL, prior=PRIOR))
+    true = np.array(list(TRUE_NM.values()))
+    assert np.linalg.norm(result.zernike_nm - true) > 50
+
+
+# Errors of effects beside the modes; truth: scatter over recordings drawn from the model (same code).
+
+
+WINDOW, SIGMA_MAS, EFFECT_ERRORS_FRAMES, RECORDINGS = (24, 24), 7.0, 24, 10
+
+
+def recording(seed: int) -> Frames:
+    model = PsfModel(settings(WINDOW, NARROW_H, DIVERSITY), (4,), dtype=torch.float64)
+    optics = fixed_optics([FixedEffect(TipTiltJitter(), [SIGMA_MAS**2])], model.grids)
+    image = model.images(torch.tensor([[30.0]], dtype=torch.float64), optics)[0].numpy()
+    images = draw_frames(2e5 * image, EFFECT_ERRORS_FRAMES, seed)
+    return Frames(images, everything(images), READ_NOISE)
+
+
+@pytest.mark.slow
+def test_the_error_of_the_image_motion_is_its_scatter_over_recordings():
+    choice, pulls = CalibrationOptions(highest_noll=6, prior=PRIOR), []
+    for seed in range(RECORDINGS):
+        found = calibrate(recording(seed), settings(WINDOW), choice, [TipTiltJitter()])
+        value, sigma = (one["tip_tilt_jitter"]["sigma_mas"] for one in (found.effects, found.effects_sigma))
+        pulls.append((value - SIGMA_MAS) / sigma)
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.7  # 99 % of ten draws
+
+
+def test_what_is_held_has_no_error_and_what_is_free_its_own():
+    held = FixedEffect(Companion(), [0.03, 60.0, 0.0], free=["flux_ratio"])
+    effects = EffectSet([FixedEffect(TipTiltJitter(), [36.0]), held], _grids())
+    found = public_errors(effects, torch.tensor([0.03], dtype=torch.float64), np.array([[4e-6]]))
+    assert [*found] == ["companion"]
+    assert found["companion"] == pytest.approx({"flux_ratio": 2e-3, "sep_mas": 0.0, "pa_deg": 0.0}, abs=1e-9)
+
+
+def _grids():
+    return PsfModel(settings(WINDOW), (4,)).grids

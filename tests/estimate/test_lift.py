@@ -8,17 +8,23 @@ import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
+from helpers.optics_cases import J_AND_H, halo_and_jitter, ncpa_nm, settings, vector
+from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
-from irlos_pipe.estimate.image_fit import Layout
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import PhotonFit, alike
+from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.loss import LOSSES
+from irlos_pipe.numerics.parallel import workers
+from irlos_pipe.numerics.solution import CONVERGED
 from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf import PsfModel
 
@@ -254,3 +260,157 @@ def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, f
     assert ours.solution.converged.all()
     assert float(((ours.zernike_nm - theirs.zernike_nm).abs() / theirs.sigma_nm).max()) < 0.1
     assert ours.sigma_nm.numpy() == pytest.approx(theirs.sigma_nm.numpy(), rel=0.3)
+
+
+# The Cramér-Rao bound. Truth: Fisher matrices from finite differences of images, and analysis.
+
+
+CRAMER_RAO_NOLLS = (2, 3, 4, 5, 7)
+CRAMER_RAO_NOISE = NoiseModel(1.3, 9.0)
+STEP_NM = 0.1
+
+
+@pytest.fixture(scope="module")
+def model_of_cramer_rao() -> PsfModel:
+    return PsfModel(settings(32, J_AND_H[1::3]), CRAMER_RAO_NOLLS, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def wavefronts() -> torch.Tensor:
+    return torch.cat([vector(ncpa_nm(seed, 7, 80.0), CRAMER_RAO_NOLLS) for seed in (1, 2, 3)])
+
+
+def bound_by_differences(model_of_cramer_rao, x, flux_e, optics, background_e) -> np.ndarray:
+    """Standard errors from the Fisher matrix of modes, flux and background."""
+
+    def image(modes, flux, background):
+        return (flux * model_of_cramer_rao.images(modes[None], optics)[0] + background).numpy().ravel()
+
+    columns = [
+        (image(x + move, flux_e, background_e) - image(x - move, flux_e, background_e)) / (2 * STEP_NM)
+        for move in STEP_NM * torch.eye(len(CRAMER_RAO_NOLLS), dtype=torch.float64)
+    ]
+    columns.append((image(x, 1.01 * flux_e, 0) - image(x, 0.99 * flux_e, 0)) / (0.02 * flux_e))
+    columns.append(np.ones_like(columns[0]))
+    variance = (
+        CRAMER_RAO_NOISE.excess_noise_factor * image(x, flux_e, background_e) + CRAMER_RAO_NOISE.floor_e2
+    )
+    jacobian = np.stack(columns, axis=1)
+    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ (jacobian / variance[:, None]))))[
+        : len(CRAMER_RAO_NOLLS)
+    ]
+
+
+@pytest.mark.parametrize("background_e", [0.0, 20.0])
+@pytest.mark.parametrize("blurred", [False, True])
+def test_the_bound_is_the_inverse_of_the_fisher_matrix(
+    model_of_cramer_rao, wavefronts, blurred, background_e
+):
+    effects = halo_and_jitter(model_of_cramer_rao)
+    whole = ImageModel(model_of_cramer_rao, effects.held(effects.starts) if blurred else ())
+    flux = torch.tensor([1e4, 1e5, 1e6], dtype=torch.float64)
+    ours = cramer_rao_nm(whole, wavefronts, flux, CRAMER_RAO_NOISE, background_e=background_e).numpy()
+    theirs = [
+        bound_by_differences(model_of_cramer_rao, x, float(f), whole.optics, background_e)
+        for x, f in zip(wavefronts, flux, strict=True)
+    ]
+    assert ours == pytest.approx(np.array(theirs), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("noise", "flux_e", "gain"), [(NoiseModel(1.0, 1e-9), 1e5, 2.0), (NoiseModel(1e-9, 1e4), 1e4, 4.0)]
+)
+def test_four_times_the_light_halves_the_error_of_photon_noise_and_quarters_that_of_reads(
+    model_of_cramer_rao, wavefronts, noise, flux_e, gain
+):
+    whole = ImageModel(model_of_cramer_rao)
+    faint, bright = (
+        cramer_rao_nm(whole, wavefronts, torch.full((3,), flux), noise) for flux in (flux_e, 4 * flux_e)
+    )
+    assert (faint / bright).numpy() == pytest.approx(gain, rel=1e-3)
+
+
+# Robust fits of the frames of a cube, which share their linearisation.
+# Truth: scipy's BFGS on the loss of the same images in float64, its gradient by automatic
+# differentiation (other minimiser, other derivatives), finite differences, and the same fits in
+# one thread. That the wavefronts are the right ones where the model is, test_calibration.py holds.
+
+
+FRAME_FITS_NOLLS = tuple(range(2, 12))
+DRAWN = tuple(range(2, 31))
+FRAMES, FLUX, SCATTER_NM = 12, 3e6, 15.0
+
+
+def problem(dtype=torch.float32, frames: int = FRAMES) -> tuple[ImageFit, torch.Tensor]:
+    """Frames with modes that the fitted model misses, and the coefficients of those it has."""
+    rng = np.random.default_rng(7)
+    scatter_nm = SCATTER_NM * torch.as_tensor(rng.standard_normal((frames, len(DRAWN))))
+    true = cases.vector(cases.ncpa_nm(4, 30), DRAWN) + scatter_nm
+    sampled = cases.settings(32).for_single_frames()
+    clean = PsfModel(sampled, DRAWN).images(true).double().clamp_min(0).numpy() * FLUX
+    drawn = torch.cat([cases.draw_frames(image, 1, seed=k) for k, image in enumerate(clean)])
+    images = drawn.flatten(1)[:, None].to(dtype)
+    variance = cases.READ_NOISE.variance_e2(images.double().mean(0, keepdim=True))
+    model = ImageModel(PsfModel(sampled, FRAME_FITS_NOLLS, dtype=dtype))
+    return ImageFit(model, Layout(FRAME_FITS_NOLLS), images, variance, loss=LOSSES["l1"]), true[
+        :, : len(FRAME_FITS_NOLLS)
+    ]
+
+
+def start(fit: ImageFit, true_nm: torch.Tensor) -> torch.Tensor:
+    return fit.layout.start(fit.images[:, 0], true_nm.mean(0))
+
+
+@pytest.fixture(scope="module")
+def solved():
+    fit, true = problem()
+    return fit, true, fit_frames(fit, start(fit, true), max_iterations=60)
+
+
+def test_every_frame_reaches_the_loss_that_an_independent_minimiser_reaches(solved):
+    found = solved[-1]
+    exact, _ = problem(torch.float64)
+    assert set(found.status) == {CONVERGED}
+    for frame in (0, 5, 11):
+        best = minimum(exact, found.values[frame], frame)
+        reached = exact.objective(found.values[frame : frame + 1], torch.tensor([frame])).item()
+        assert reached < 1.002 * best
+
+
+def minimum(fit: ImageFit, near: torch.Tensor, frame: int) -> float:
+    """Lowest loss about some parameters, by scipy."""
+    which = torch.tensor([frame])
+    scale = torch.cat([torch.full((len(FRAME_FITS_NOLLS),), 5.0), torch.tensor([1e4, 1.0])])
+
+    def loss(u: np.ndarray) -> tuple[float, np.ndarray]:
+        v = torch.as_tensor(u).requires_grad_()
+        value = fit.objective(near + scale * v[None], which).sum()
+        value.backward()
+        return value.item(), v.grad.numpy()
+
+    return minimize(loss, np.zeros(len(scale)), jac=True, method="BFGS").fun
+
+
+def test_results_are_the_same_to_the_bit_for_any_number_of_workers(solved):
+    fit, true, found = solved
+    with workers(2):
+        again = fit_frames(fit, start(fit, true), max_iterations=60)
+    assert torch.equal(again.values, found.values)
+    assert again.status == found.status
+
+
+def test_the_gradient_is_that_of_finite_differences():
+    fit, true = problem(torch.float64, frames=2)
+    x, both = start(fit, true), torch.arange(2)
+    value, gradient = fit.gradient(x, both)
+    assert value.numpy() == pytest.approx(fit.objective(x, both).numpy(), rel=1e-12)
+    for column, step in [
+        (0, 1e-3),
+        (5, 1e-3),
+        (len(FRAME_FITS_NOLLS), 1.0),
+        (len(FRAME_FITS_NOLLS) + 1, 1e-3),
+    ]:
+        move = torch.zeros_like(x)
+        move[:, column] = step
+        numeric = (fit.objective(x + move, both) - fit.objective(x - move, both)) / (2 * step)
+        assert gradient[:, column].numpy() == pytest.approx(numeric.numpy(), rel=1e-4)

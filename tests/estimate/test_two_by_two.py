@@ -1,7 +1,7 @@
 """LIFT on the four images of a 2x2 mode, what they determine, and defocus from their centroids.
 
 Truth: wavefronts put into the model itself with Gaussian noise, so these tests share all assumptions of the
-model; `tests/simulate/test_simulate_lenslets.py` compares its images with those of the simulator. Of
+model; `tests/simulate/test_simulate_imaging.py` compares its images with those of the simulator. Of
 centroids: mean slopes by numerical integration, and images of known wavefronts.
 """
 

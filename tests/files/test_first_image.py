@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import textwrap
+import time
+
 import numpy as np
 import pytest
 from astropy.io import fits
 
+from irlos_pipe.files import processes
+from irlos_pipe.files.processes import TookTooLong
 from irlos_pipe.files.regular import first_image
 
 
@@ -35,3 +42,60 @@ def test_file_without_image_says_so(tmp_path):
     fits.PrimaryHDU().writeto(tmp_path / "map.fits")
     with pytest.raises(ValueError, match="holds no image"):
         first_image(tmp_path / "map.fits")
+
+
+# A limit of time; truth is the clock of the test, with room for a busy machine.
+
+
+def test_what_sleeps_too_long_is_stopped_with_a_line():
+    start = time.monotonic()
+    with (
+        pytest.raises(TookTooLong, match="reading it: took longer than"),
+        processes.time_limit(0.1, "reading it"),
+    ):
+        time.sleep(30)
+    assert time.monotonic() - start < 25
+
+
+@pytest.mark.slow
+def test_a_worker_that_does_not_even_hear_of_it_is_killed():
+    code = (
+        "import signal, time; from irlos_pipe.files import processes as t; t.GRACE_S = 0.1\n"
+        "with t.time_limit(0.1, 'x', kill=True):\n"
+        "    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM}); time.sleep(60)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=50).returncode == -9
+
+
+# Worker processes and what they leave behind.
+
+
+SCRIPT = """
+    import sys, time
+    from tqdm import tqdm
+    from irlos_pipe.files.processes import in_processes
+
+    def work(path):
+        list(tqdm([1], disable=True))
+        open(path, "w").close()
+        time.sleep(60)
+
+    if __name__ == "__main__":
+        try:
+            with in_processes(1, work, [(sys.argv[1],)]):
+                while not __import__("os").path.exists(sys.argv[1]):
+                    time.sleep(0.05)
+                raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            print("interrupted")
+"""
+
+
+def test_a_worker_with_a_progress_bar_that_is_killed_leaves_nothing_behind(tmp_path):
+    """No semaphore of the system, of which Python would warn at its end."""
+    script = tmp_path / "run.py"
+    script.write_text(textwrap.dedent(SCRIPT))
+    done = subprocess.run(
+        [sys.executable, script, tmp_path / "begun"], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")

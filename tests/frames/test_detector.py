@@ -1,8 +1,17 @@
 """Counts to electrons, levels, and the noise measured on a star."""
 
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
+from helpers import made_run
+from helpers import optics_cases as cases
 from helpers.sparta_files import SAMPLING_PX, counts, frames_e, star
+from scipy import integrate
+from simulator.detector import Detector as SimulatedDetector
 
 from irlos_pipe.frames.cleaning import find_background
 from irlos_pipe.frames.detector import (
@@ -11,10 +20,13 @@ from irlos_pipe.frames.detector import (
     star_position,
     to_electrons,
 )
-from irlos_pipe.frames.measured_noise import measure_noise
+from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
 from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
-from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.frames.recording import CalibrationMaps, Detector
+from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
+from irlos_pipe.frames.recording import SIDECAR, Acquisition, CalibrationMaps, Detector, Recording
+from irlos_pipe.frames.told import cutoff_ratio, told_of
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.psf import PsfModel
 
 DETECTOR = Detector(e_per_adu=0.5, read_noise_e=1.0)
 
@@ -105,3 +117,210 @@ def test_noise_is_measured_in_few_frames_and_in_one(count):
     assert noise.floor_e2 == pytest.approx(100.0, abs=5 * noise.floor_error_e2)
     assert noise.floor_error_e2 < 12
     assert np.isnan(noise.excess_noise_factor) == (count == 1)
+
+
+# The noise model. Truth: Monte Carlo with the detector of ``data_samples`` (independent code), analysis.
+
+
+LEVELS_E = np.array([0.0, 3.0, 40.0, 900.0, 20_000.0])
+
+
+def recording(detector: Detector, background_variance_e2: float) -> Recording:
+    acquisition = Acquisition("psf", detector, ((1600.0, 1.0),), {}, 9.7)
+    empty = np.zeros((1, 2, 2), np.float32)
+    zero = np.zeros(1)
+    return Recording(
+        "r",
+        "cube",
+        empty,
+        zero == 0,
+        zero.astype(str),
+        empty[0] == 0,
+        zero,
+        zero,
+        zero,
+        acquisition,
+        background_variance_e2,
+    )
+
+
+@pytest.mark.parametrize("excess", [1.0, 1.47])
+def test_simulated_frames_scatter_as_the_model_says(excess):
+    """Read noise counts once, as a variance: F x signal + sigma² within 1 %."""
+    simulated = SimulatedDetector(e_per_adu=0.5, read_noise_e=3.0, excess_noise_factor=excess)
+    rng = np.random.default_rng(1)
+    mean_e = np.repeat(LEVELS_E, 100_000)[None]
+    frame = simulated.read_out(mean_e, np.full(mean_e.shape, 500.0), 1.0, rng) * 0.5
+    measured = frame.reshape(len(LEVELS_E), -1).var(1)
+    noise = NoiseModel.of(recording(Detector(0.5, 3.0, excess), 0.0))
+    assert noise.variance_e2(LEVELS_E) == pytest.approx(measured, rel=0.02)
+    assert np.mean(noise.variance_e2(LEVELS_E) / measured) == pytest.approx(1, abs=0.01)
+
+
+def half_deviance(noise: NoiseModel, seen_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+    """How much less likely a model is than the data themselves."""
+    return noise.minus_quasi_likelihood(seen_e, model_e) - noise.minus_quasi_likelihood(seen_e, seen_e)
+
+
+@pytest.mark.parametrize("seen_e", [-7.0, 0.0, 3.0, 900.0])
+@pytest.mark.parametrize("model_e", [-4.0, 0.0, 5.0, 800.0])
+def test_the_deviance_is_the_integral_of_the_slope_of_least_squares(seen_e, model_e):
+    noise = NoiseModel(1.4, 5.0, 2.0)
+    expected, _ = integrate.quad(
+        lambda t: (seen_e - t) / float(noise.variance_e2(np.float64(t))), model_e, seen_e, points=[0.0]
+    )
+    found = half_deviance(noise, *(torch.tensor([one], dtype=torch.float64) for one in (seen_e, model_e)))
+    assert float(found) == pytest.approx(expected, rel=1e-8, abs=1e-9)
+
+
+def test_without_read_noise_the_deviance_is_that_of_poisson_s_law():
+    seen = torch.tensor([3.0, 40.0, 900.0], dtype=torch.float64)
+    model = torch.tensor([5.0, 38.0, 1000.0], dtype=torch.float64)
+    poisson = seen * (seen / model).log() - (seen - model)
+    found = half_deviance(NoiseModel(1.0, 1e-9), seen, model)
+    assert found.numpy() == pytest.approx(poisson.numpy(), rel=1e-6)
+
+
+def test_reads_sky_and_dark_add_up_in_variance():
+    noise = ExposureNoise(200, 1.0, 1.25, sky_e=14.0, dark_e=2.0)
+    assert noise.floor_e2 == pytest.approx(200 + 1.25 * 16)
+
+
+# Noise of the dark image, seen in the frames; truth by Monte Carlo with known variances.
+
+
+ALL_GOOD = np.ones((64, 64), dtype=bool)
+
+
+def star_e(peak_e: float = 1e4) -> np.ndarray:
+    """An Airy-like image of 4.2 pixels per λ/D with wings, by the Fourier transform of a disc."""
+    y, x = np.indices((256, 256)) - 128
+    field = np.fft.fftshift(np.fft.fft2(np.hypot(x, y) < 256 / 4.2 / 2))
+    image = (abs(field) ** 2)[96:160, 96:160]
+    return peak_e * image / image.max()
+
+
+def frames_e_of_measured_noise(dark_sigma_e: float, count: int = 60, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    photons = rng.poisson(star_e(), (count, 64, 64))
+    return photons + rng.normal(0, 1.0, photons.shape) - rng.normal(0, dark_sigma_e, (64, 64))
+
+
+@pytest.mark.parametrize("sigma_e", [0.2, 0.5, 2.0])
+def test_the_noise_of_the_dark_is_found_in_the_frames(sigma_e):
+    """To the error of eight draws, a tenth, and what the star's wings add, less than 0.01 e-²."""
+    found = np.mean(
+        [dark_variance_e2(frames_e_of_measured_noise(sigma_e, seed=s), ALL_GOOD, 100.0) for s in range(8)]
+    )
+    assert found == pytest.approx(sigma_e**2, rel=0.15, abs=0.01)
+
+
+@pytest.mark.parametrize("level_e", [-3.0, 0.0, 3.0])
+def test_a_background_that_is_off_by_some_electrons_does_not_change_the_photon_transfer(level_e):
+    """Ten frames of a gain as told: a slope of 1 to five of its errors, and less of an error than a tenth."""
+    prediction = neighbour_prediction(ALL_GOOD, 4.2)
+    images = frames_e_of_measured_noise(0.0, count=10, seed=3) + level_e
+    found = measure_noise(images, ALL_GOOD, prediction, NoiseModel(1.0, 1.0))
+    assert 0 < found.excess_noise_error < 0.1
+    assert abs(found.excess_noise_factor - 1) < 5 * found.excess_noise_error
+    assert np.isfinite(found.floor_error_e2) and found.floor_e2 >= 0
+
+
+def on_sky_e(flux_e: float, count: int = 40) -> np.ndarray:
+    """A star whose halo and centre change from frame to frame, with 9 e- of read noise, (count, 64, 64)."""
+    rng = np.random.default_rng(7)
+    shifted = [np.roll(star_e(flux_e), rng.integers(-2, 3, 2), (0, 1)) for _ in range(count)]
+    seen = np.stack(shifted) * rng.normal(1.0, 0.1, (count, 1, 1))
+    return rng.poisson(seen) + rng.normal(0, 9.0, seen.shape)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-5, 1e-3, 0.03, 30.0, 1e3, 1e6])
+@pytest.mark.parametrize("flux_e", [300.0, 1e5])
+def test_frames_in_another_unit_have_the_same_noise_in_that_unit(flux_e, unit):
+    """The slope is proportional to the unit, the floor to its square, to the rounding of the frames."""
+    prediction = neighbour_prediction(ALL_GOOD, 4.2)
+    images, told = on_sky_e(flux_e).astype(np.float32), NoiseModel(1.0, 81.0)
+    found = measure_noise(images, ALL_GOOD, prediction, told)
+    scaled = measure_noise((images * unit).astype(np.float32), ALL_GOOD, prediction, told)
+    assert found.floor_e2 > 0 and found.excess_noise_factor > 0
+    assert scaled.excess_noise_factor / unit == pytest.approx(found.excess_noise_factor, rel=1e-4)
+    assert scaled.excess_noise_error / unit == pytest.approx(found.excess_noise_error, rel=1e-4)
+    assert scaled.floor_e2 / unit**2 == pytest.approx(found.floor_e2, rel=1e-4)
+    assert scaled.floor_error_e2 / unit**2 == pytest.approx(found.floor_error_e2, rel=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_the_noise_is_that_of_the_frames_in_any_unit(unit):
+    images = (on_sky_e(3e3) * unit).astype(np.float32)
+    found = measure_noise(images, ALL_GOOD, neighbour_prediction(ALL_GOOD, 4.2), NoiseModel(1.0, 81.0))
+    assert found.excess_noise_factor == pytest.approx(unit, abs=5 * found.excess_noise_error)
+    assert found.floor_e2 == pytest.approx(81.0 * unit**2, abs=5 * found.floor_error_e2)
+    assert found.excess_noise_error < 0.1 * unit and found.floor_error_e2 < 5 * unit**2
+
+
+def test_image_motion_that_fills_a_small_window_is_not_taken_for_noise():
+    """A slope that is within its error of 1, however large that is; begun too high, it would stay at 13."""
+    window = slice(20, 44)
+    images, good = on_sky_e(1e6)[:, window, window], np.ones((24, 24), bool)
+    found = measure_noise(images, good, neighbour_prediction(good, 4.2), NoiseModel(1.0, 81.0))
+    assert found.excess_noise_factor == pytest.approx(1.0, abs=5 * found.excess_noise_error)
+    assert found.excess_noise_error > 0.1
+
+
+# Contradictions between what was told and what frames show, on images drawn from the model.
+
+
+FACILITY = load_instrument("irlos").facility
+CUTOFF_PER_PX = 9.7e-3 / 206264.8 * 8.0 / 1600e-9
+ZERO_POINT_E = 150_000 * 10 ** (0.4 * (15 - 7.0)) * 0.1  # of J = 7 in 0.1 s
+
+
+@pytest.fixture(scope="module")
+def mean_e() -> np.ndarray:
+    """Mean of 50 frames of a star with 3e6 photons."""
+    image = PsfModel(cases.settings(48), (4,)).images(torch.tensor([[40.0]]))[0].double().numpy()
+    return np.random.default_rng(1).poisson(image * 1.5e8) / 50
+
+
+def _recording(flux_e: float = 0.05 * ZERO_POINT_E, **keys):
+    one = made_run.recording("sky", "calibration", 4)
+    images = one.images_e * (flux_e / one.images_e[0].sum())
+    told = {"mag_j": 7.0, "exposure_s": 0.1, "frame_rate_hz": 10.0} | keys
+    acquisition = replace(one.acquisition, **told, sources=dict.fromkeys(told, SIDECAR))
+    return replace(one, images_e=images, acquisition=acquisition)
+
+
+def _found(recording, noise: MeasuredNoise | None = None, step_s: float = 0.1) -> tuple[set[str], set[str]]:
+    """Names of what is warned of, and of what is wrong beyond doubt."""
+    told = told_of(recording, noise or MeasuredNoise(), FACILITY, step_s)
+    return {one.name for one in told if one.warned}, {one.name for one in told if one.wrong}
+
+
+def test_what_is_told_rightly_is_not_doubted():
+    assert _found(_recording()) == (set(), set())
+
+
+def test_photon_transfer_contradicts_a_gain_four_times_off_but_not_within_its_error():
+    recording = replace(
+        _recording(), acquisition=replace(_recording().acquisition, detector=Detector(2.0, 1.0))
+    )
+    assert "photon noise" in _found(recording, MeasuredNoise(1.0, 0.1, 0.01, 0.001))[1]
+    assert "photon noise" not in _found(recording, MeasuredNoise(1.0, 0.1, 9.0, 2.0))[1]
+
+
+@pytest.mark.parametrize(
+    "keys", [{"diversity": {6: -0.17}}, {"diversity": {1000: -170.0}}, {"pixel_scale_mas": 0.0097}]
+)
+def test_implausible_values_are_worth_a_warning(keys):
+    assert _found(_recording(**keys))[0]
+
+
+def test_the_image_ends_at_the_cut_off_of_the_telescope(mean_e):
+    good = np.ones(mean_e.shape, bool)
+    assert 0.75 < cutoff_ratio(mean_e, good, CUTOFF_PER_PX) < 1.1
+    assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX / 1.5) > 1.25  # scale told too small by a third
+    smear = 2 / len(mean_e) / (1.5 * CUTOFF_PER_PX)  # of the taper, half the width of its main lobe
+    assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX * 1.5) == pytest.approx(1 / 1.5, abs=smear)
+    assert np.isnan(
+        cutoff_ratio(mean_e / 1e6 + np.random.default_rng(2).normal(size=mean_e.shape), good, 0.2)
+    )

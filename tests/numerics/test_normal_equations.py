@@ -6,14 +6,26 @@ solved directly (analysis), and the sums written out in float64.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import torch
+from helpers import optics_cases as cases
+from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, made
+from helpers.optics_cases import ncpa_nm, settings
 from scipy.optimize import minimize
 
-from irlos_pipe.numerics.loss import LOSSES
+from irlos_pipe.diagnosis.fitted import JointFit
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.numerics.directional import Directional, along_all
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.loss import L1_ROUNDING, LOSSES
 from irlos_pipe.numerics.normal_equations import Linearised, normal_equations
+from irlos_pipe.numerics.parallel import ordered_map, workers
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE
+from irlos_pipe.optics.psf import PsfModel
 
 PARAMETERS, PIXELS = 3, 400
 
@@ -102,3 +114,187 @@ def test_they_are_the_sums_over_images_and_pixels(parameters, repeats, own_weigh
     assert gradient.dtype == hessian.dtype == torch.float64
     assert (gradient - expected_slope).abs().max() < 20 * rounding
     assert (hessian - expected_hessian).abs().max() < 20 * rounding * expected_hessian.abs().max()
+
+
+# The gradient by reverse-mode differentiation.
+# Truth: the gradient from Jacobians, which `test_effects_tangents` holds against finite
+# differences.
+
+
+# Beyond the edge of the pupil as built, where a displaced stop lets light pass, the wavefront of the images
+# ends and that of the Jacobian goes on.
+LEFT = {"pupil_misregistration": 2e-5}
+ONE = torch.arange(1)
+FLUX_E, BACKGROUND_E, NOISE_E2 = 1e6, 30.0, 100.0
+
+
+def star() -> PsfModel:
+    """Two colours of both bands, float64."""
+    return PsfModel(
+        settings(WINDOW, SPECTRUM, margin_mas=150.0, halo_margin_mas=250.0), NOLLS, dtype=torch.float64
+    )
+
+
+@pytest.mark.parametrize("name", sorted(STRONG.keys() - {"correlated_noise"}))
+@pytest.mark.slow
+def test_the_cheap_gradient_is_that_of_the_normal_equations(name):
+    effect, values = made(name)
+    model = ImageModel(star(), [effect])
+    known = ncpa_nm(3, NOLLS[-1], 80.0)
+    modes = torch.tensor([[known.get(noll, 0.0) for noll in NOLLS]], dtype=torch.float64)
+    layout = Layout(NOLLS, model.effects.parameters, prior_sigma_nm=torch.full((len(NOLLS),), 200.0))
+    noise = np.random.default_rng(1).normal(0, 40, (1, 1, WINDOW[0] * WINDOW[1]))
+    data = ImageModel(star()).predict(modes, torch.tensor([FLUX_E]), torch.tensor([BACKGROUND_E]))
+    data = data.flatten(1)[:, None] + torch.as_tensor(noise)
+    problem = JointFit([ImageFit(model, layout, data, torch.full_like(data, NOISE_E2))])
+    x = torch.cat([modes, values[None], torch.tensor([[1.02 * FLUX_E, BACKGROUND_E]])], dim=1)
+    value, gradient, hessian = problem.normal_equations(x, ONE)
+    cheap_value, cheap_gradient = problem.cheap_gradient(x, ONE)
+    assert float(cheap_value) == pytest.approx(float(value), rel=1e-12)
+    unit = torch.diagonal(hessian[0]).sqrt()
+    slopes, cheap = (one[0] / unit for one in (gradient, cheap_gradient))
+    assert cheap.numpy() == pytest.approx(slopes.numpy(), abs=LEFT.get(name, 1e-6) * float(slopes.norm()))
+
+
+# Losses. Truth: automatic differentiation, the written definitions, and known estimators of location.
+
+
+RESIDUALS = torch.cat([-torch.logspace(2, -3, 60), torch.logspace(-3, 2, 60)]).double()
+each_loss = pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
+
+
+@each_loss
+def test_the_weight_is_the_slope_over_the_residual(loss):
+    r = RESIDUALS.clone().requires_grad_()
+    loss.value(r).sum().backward()
+    assert (loss.weight(RESIDUALS) * RESIDUALS).numpy() == pytest.approx(r.grad.numpy(), rel=1e-9)
+
+
+@each_loss
+def test_reweighted_least_squares_bounds_the_loss_from_above(loss):
+    """The reason why re-weighting never raises the objective."""
+    for at in (0.01, 0.5, 3.0, 50.0):
+        here = torch.tensor([at], dtype=torch.float64)
+        bound = loss.value(here) + loss.weight(here) * (RESIDUALS**2 - at**2) / 2
+        assert (loss.value(RESIDUALS) <= bound + 1e-9).all()
+
+
+def test_l1_is_the_absolute_value_but_for_its_rounded_kink():
+    r = RESIDUALS
+    assert (r.abs() - LOSSES["l1"].value(r)).numpy() == pytest.approx(
+        np.full(len(r), L1_ROUNDING), abs=L1_ROUNDING
+    )
+    far = 2000 * L1_ROUNDING
+    assert LOSSES["l1"].value(torch.tensor([far])).item() == pytest.approx(far, rel=1e-3)
+
+
+def location(data: torch.Tensor, loss) -> float:
+    """Position that minimises the loss, by re-weighting."""
+    at = data.mean()
+    for _ in range(500):
+        weight = loss.weight(data - at)
+        at = (weight * data).sum() / weight.sum()
+    return float(at)
+
+
+def test_an_outlier_pulls_the_robust_losses_least():
+    data = torch.as_tensor(np.random.default_rng(4).standard_normal(200))
+    hit = torch.cat([data, torch.tensor([1e4], dtype=torch.float64)])
+    pull = {name: abs(location(hit, loss) - location(data, loss)) for name, loss in LOSSES.items()}
+    assert pull["gaussian"] > 40
+    assert pull["huber"] < 0.1 and pull["l1"] < 0.1
+
+
+@pytest.mark.parametrize("scatter", [20 * L1_ROUNDING, 400 * L1_ROUNDING])
+def test_the_curvature_of_l1_is_about_the_density_of_residuals_at_zero(scatter):
+    """Which is √(2/π) over the standard deviation for each normal residual; 1/|r| exceeds it three times."""
+    r = scatter * torch.as_tensor(np.random.default_rng(1).standard_normal((1, 1, 4000)))
+    curvature = LOSSES["l1"].curvature(r).mean().item()
+    assert 0.8 < curvature / (np.sqrt(2 / np.pi) / scatter) < 1.3
+
+
+# Derivatives along directions, alone and from several threads at once; truth: analysis.
+
+
+VALUES = torch.tensor([0.3, -1.2, 2.0], dtype=torch.float64)
+FACTORS = torch.arange(1, 4, dtype=torch.float64)
+
+
+def waves(values: torch.Tensor) -> torch.Tensor:
+    return torch.exp(1j * FACTORS * values).sum() * torch.ones(2, dtype=torch.float64)
+
+
+def slopes_of_waves(values: torch.Tensor) -> np.ndarray:
+    one = 1j * FACTORS.numpy() * np.exp(1j * FACTORS.numpy() * values.numpy())
+    return np.stack([one, one], axis=1)
+
+
+def squares(values: torch.Tensor) -> torch.Tensor:
+    return values**2
+
+
+def test_derivatives_of_a_complex_function_along_all_elements():
+    assert along_all(waves, VALUES).numpy() == pytest.approx(slopes_of_waves(VALUES), rel=1e-12)
+
+
+def test_derivatives_by_one_element_and_along_a_direction():
+    direction = torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)
+    change = Directional(squares, VALUES)
+    assert change.by(1).tolist() == pytest.approx([0.0, -2.4, 0.0])
+    assert change.along(direction).tolist() == pytest.approx([0.6, -4.8, 0.0])
+
+
+@pytest.mark.slow
+def test_threads_do_not_meet_in_their_derivatives():
+    def all_of_them(scale: float) -> torch.Tensor:
+        values = scale * VALUES
+        single = along_all(lambda v: (v**3).sum()[None], values[:1])
+        return torch.cat(
+            [along_all(squares, values).sum(1), Directional(squares, values).by(0), single.flatten()]
+        )
+
+    scales = np.linspace(0.5, 2.0, 200)
+    with ThreadPoolExecutor(4) as pool:
+        found = torch.stack(list(pool.map(all_of_them, scales))).numpy()
+    x = scales[:, None] * VALUES.numpy()
+    wanted = np.column_stack([2 * x, 2 * x[:, 0], np.zeros((200, 2)), 3 * x[:, 0] ** 2])
+    assert found == pytest.approx(wanted, rel=1e-12)
+
+
+# Worker threads: results must not depend on them. Truth: the same calculation in one thread.
+
+
+TTF = (2, 3, 4)
+
+
+def fitted(count: int) -> torch.Tensor:
+    model = PsfModel(cases.settings(24, cases.J_AND_H), TTF)
+    mean = model.images(torch.zeros(1, 3)).double().numpy() * 1e5
+    frames = cases.draw_frames(mean[0], 11, seed=1)
+    images = frames[:, None].flatten(2)
+    variance = cases.READ_NOISE.variance_e2(images.mean(0, keepdim=True))
+    problem = ImageFit(ImageModel(model), Layout(TTF), images, variance)
+    with workers(count):
+        return solve(problem, problem.layout.start(images[:, 0])).values
+
+
+@pytest.mark.slow
+def test_fits_are_the_same_to_the_bit_for_any_number_of_workers():
+    """Repeated: a worker that uses two threads inside a product differs now and then only."""
+    alone = fitted(1)
+    assert all(torch.equal(alone, fitted(3)) for _ in range(20))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_derivatives_by_torch_func_survive_the_workers(count):
+    model = PsfModel(cases.settings(24, cases.J_AND_H), TTF, dtype=torch.float64)
+    at = torch.tensor([[10.0, -20.0, 30.0]], dtype=torch.float64)
+    with workers(count):
+        automatic = torch.func.jacfwd(lambda x: model.images(x)[0])(at)[:, :, 0]
+        _, jacobian = model.images_and_jacobian(at)
+    assert torch.allclose(automatic.permute(2, 0, 1), jacobian[0], rtol=1e-8, atol=1e-14)
+
+
+def test_an_error_in_a_worker_reaches_the_caller():
+    with workers(2), torch.no_grad(), pytest.raises(ZeroDivisionError):
+        ordered_map(lambda n: 1 / n, [1, 0])

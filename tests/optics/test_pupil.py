@@ -10,16 +10,23 @@ from helpers.optics_cases import UT4
 from helpers.reference_psf import reference
 from scipy.special import j1
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.conventions.pupil_parts import Circle, Placement
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Placement, Samples
 from irlos_pipe.optics.fourier_matrices import require_resolved
+from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.optics.pupil import (
     CLEAN_BAND,
+    amplitudes_of,
     area_weighted_pupil,
     band_limited,
     band_limited_pupil,
     grid_centres,
+    petals_of,
+    segments_of,
 )
+from irlos_pipe.optics.wavefront import clear_disc, modes_at, opd_maps_nm
+from irlos_pipe.optics.zernike import noll_to_nm, rotation_matrix, zernike, zernike_basis
+from irlos_pipe.simulate import aperture as simulated
 
 RING = PupilGeometry(8.0, 1.116)
 
@@ -80,3 +87,174 @@ def test_a_window_beyond_what_the_grid_resolves_is_refused():
     require_resolved(64, 0.999 * field_mas / 64, wavelength_m, step_m)
     with pytest.raises(ValueError, match=r"1\.5 times as many pupil samples"):
         require_resolved(64, 1.5 * field_mas / 64, wavelength_m, step_m)
+
+
+# Petals and segments. Truth: the drawing itself, by symmetry and by counting.
+
+
+SEGMENTS = Hexagons(1.2, 0.05, 2, (0, 5))
+
+
+def with_vanes(count: int, first_deg: float, reach_m: float = 4.2, **more) -> PupilGeometry:
+    """A disc of 8 m with vanes outwards from the axis."""
+    angles = np.deg2rad(first_deg + np.arange(count) * 360 / count)
+    ends = [(reach_m * np.cos(a), reach_m * np.sin(a)) for a in angles]
+    return PupilGeometry(8.0, 1.2, tuple(Vane((0.0, 0.0), end, 0.03) for end in ends), **more)
+
+
+def at(angle_deg: float, radius_m: float = 2.5) -> tuple[np.ndarray, np.ndarray]:
+    angle = np.deg2rad(angle_deg)
+    return np.array(radius_m * np.cos(angle)), np.array(radius_m * np.sin(angle))
+
+
+CASES = [
+    (UT4, [45, 135, 225, 315]),
+    (with_vanes(3, 90), [30, 150, 270]),
+    (with_vanes(3, 30), [90, 210, 330]),
+    (with_vanes(6, 0), [30, 90, 150, 210, 270, 330]),
+    (with_vanes(4, 0, reach_m=3.95), [45, 135, 225, 315]),  # ends 5 cm before the rim
+    (with_vanes(6, 0, aperture=(Hexagons(1.2, 0.02, 2),)), [30, 90, 150, 210, 270, 330]),
+]
+
+
+@pytest.mark.parametrize(("geometry", "angles_deg"), CASES)
+def test_petals_are_counted_anticlockwise_from_the_one_nearest_to_the_diagonal(geometry, angles_deg):
+    assert petals_of(geometry).count == simulated.petal_count(geometry) == len(angles_deg)
+    points = np.array([at(angle) for angle in angles_deg]).T
+    assert petals_of(geometry).index(*points).tolist() == list(range(len(angles_deg)))
+    assert simulated.petal_index(geometry, *points).tolist() == list(range(len(angles_deg)))
+
+
+def test_a_map_has_the_petals_that_its_vanes_part():
+    u = grid_centres(200, 0.042)
+    drawn = area_weighted_pupil(with_vanes(3, 90), u)
+    drawn[np.abs(drawn) < 0.6] = 0
+    thick = replace(with_vanes(3, 90), vanes=tuple(replace(v, width_m=0.15) for v in with_vanes(3, 90).vanes))
+    lit = PupilGeometry(8.4, aperture=(AmplitudeMap(Samples.of(area_weighted_pupil(thick, u)), 0.042),))
+    assert petals_of(lit).count == simulated.petal_count(lit) == 3
+    assert petals_of(lit).index(*np.array([at(a) for a in (30, 150, 270)]).T).tolist() == [0, 1, 2]
+
+
+def test_vanes_wider_than_a_cell_or_not_part_petals_whose_light_adds_up():
+    for width_m in (0.002, 0.3):
+        vanes = tuple(replace(vane, width_m=width_m) for vane in UT4.vanes)
+        geometry = replace(UT4, vanes=vanes)
+        parts = amplitudes_of(petals_of(geometry), geometry, 64)
+        assert parts.shape[0] == 4
+        assert np.allclose(parts.sum(0), band_limited_pupil(geometry, 64)[1], atol=1e-12)
+        right, top, left, bottom = parts.sum((1, 2))
+        assert (right, top) == pytest.approx((left, bottom), rel=0.01)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 37.0])
+def test_segments_are_those_drawn_and_their_light_adds_up(angle_deg):
+    geometry = turned(PupilGeometry(6.5, 1.0, aperture=(SEGMENTS,)), angle_deg)
+    parts = amplitudes_of(segments_of(geometry), geometry, 64)
+    assert segments_of(geometry).count == len(parts) == 17
+    assert np.allclose(parts.sum(0), band_limited_pupil(geometry, 64)[1], atol=1e-12)
+    whole = np.sqrt(3) / 2 * 1.2**2 / (6.5 / 64) ** 2
+    assert parts[6:].sum((1, 2)) == pytest.approx(np.full(11, whole), rel=1e-3)
+
+
+def test_numbers_of_segments_turn_and_flip_with_the_pupil():
+    geometry, placement = PupilGeometry(7.0, aperture=(SEGMENTS,)), Placement.of(20.0, "x", (0.1, 0.05))
+    xy = np.array([piece.placement.shift_m for piece in geometry.segments]).T
+    assert segments_of(geometry).index(*xy).tolist() == list(range(17))
+    carried = placed(geometry, placement)
+    assert segments_of(carried).index(*placement.forth(*xy)).tolist() == list(range(17))
+    assert simulated.segment_index(carried, *placement.forth(*xy)).tolist() == list(range(17))
+
+
+# Zernike polynomials. Truth: the table of Noll (1976), numerical integration, HCIPy.
+
+
+# Noll 1976, table I: index -> (n, m), with the sign that his even-is-cosine rule gives
+NOLL_TABLE = {
+    1: (0, 0), 2: (1, 1), 3: (1, -1), 4: (2, 0), 5: (2, -2), 6: (2, 2), 7: (3, -1), 8: (3, 1), 9: (3, -3),
+    10: (3, 3), 11: (4, 0), 12: (4, 2), 13: (4, -2), 14: (4, 4), 15: (4, -4), 16: (5, 1), 17: (5, -1),
+    22: (6, 0), 37: (8, 0),
+}  # fmt: skip
+
+
+def disc(radii: int = 40, angles: int = 64):
+    """Points and weights that integrate polynomials over the unit disc exactly."""
+    nodes, weights = np.polynomial.legendre.leggauss(radii)
+    squared = (nodes + 1) / 2  # uniform in r²
+    theta = np.arange(angles) * 2 * np.pi / angles
+    x = np.outer(np.sqrt(squared), np.cos(theta)).ravel()
+    y = np.outer(np.sqrt(squared), np.sin(theta)).ravel()
+    return x, y, np.repeat(weights / 2 / angles, angles)
+
+
+@pytest.mark.parametrize(("noll", "orders"), NOLL_TABLE.items(), ids=str)
+def test_indices_follow_the_table_of_noll(noll, orders):
+    assert noll_to_nm(noll) == orders
+
+
+@pytest.mark.parametrize("noll", [0, -3])
+def test_an_index_below_one_is_refused(noll):
+    with pytest.raises(ValueError, match="start at 1"):
+        noll_to_nm(noll)
+
+
+def test_modes_are_orthonormal_over_the_unobscured_disc():
+    x, y, weight = disc()
+    modes = zernike_basis(range(1, 67), x, y)
+    assert (modes * weight) @ modes.T == pytest.approx(np.eye(66), abs=1e-10)
+
+
+@pytest.mark.slow
+def test_all_modes_are_those_of_hcipy():
+    hcipy = pytest.importorskip("hcipy")
+    grid = hcipy.make_pupil_grid(32, 2.0)
+    x, y = np.asarray(grid.x), np.asarray(grid.y)
+    for noll in range(1, 67):
+        theirs = hcipy.zernike(*hcipy.noll_to_zernike(noll), D=2.0, grid=grid, radial_cutoff=False)
+        assert zernike(noll, x, y) == pytest.approx(np.asarray(theirs), abs=1e-9)
+
+
+NOLLS = tuple(range(2, 67))  # complete radial orders 1 to 10
+
+
+@pytest.mark.parametrize("angle_deg", [23.0, -71.0, 161.0, 540.0])
+def test_coefficients_turn_as_the_wavefront_does(angle_deg):
+    """Truth: the wavefront evaluated at rotated points, no interpolation."""
+    rng = np.random.default_rng(1)
+    radius, azimuth = np.sqrt(rng.uniform(0, 1, 400)), rng.uniform(0, 2 * np.pi, 400)
+    coefficients = rng.normal(size=len(NOLLS))
+    turned = rotation_matrix(NOLLS, angle_deg) @ coefficients
+    before = azimuth - np.radians(angle_deg)  # anticlockwise: what was at θ − α is now at θ
+    expected = coefficients @ zernike_basis(NOLLS, radius * np.cos(before), radius * np.sin(before))
+    found = turned @ zernike_basis(NOLLS, radius * np.cos(azimuth), radius * np.sin(azimuth))
+    assert np.abs(found - expected).max() < 1e-11
+
+
+def test_half_a_pair_cannot_be_turned():
+    with pytest.raises(ValueError, match="Noll 5 turns into 6"):
+        rotation_matrix((4, 5), 10.0)
+
+
+# Maps of wavefronts and azimuthal means. Truth: closed forms of low modes and of simple images.
+
+
+SAMPLES = 80
+
+
+def test_a_map_of_defocus_is_the_written_polynomial_where_there_is_light():
+    lit = clear_disc(UT4, SAMPLES)
+    centres = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) * 2 / SAMPLES
+    radius2 = centres[:, None] ** 2 + centres[None, :] ** 2
+    maps = opd_maps_nm((2, 4), np.array([[0.0, 30.0], [10.0, 0.0]]), lit)
+    assert maps[0][lit] == pytest.approx(30.0 * np.sqrt(3) * (2 * radius2[lit] - 1))
+    assert maps[1][lit] == pytest.approx(20.0 * np.broadcast_to(centres, lit.shape)[lit])
+    assert np.isnan(maps[:, ~lit]).all()
+    assert maps[0][lit] == pytest.approx(30.0 * modes_at((4,), lit)[0])
+
+
+def test_ring_means_of_a_cone_are_its_radii_and_leave_bad_pixels_out():
+    rows, columns = np.indices((21, 25))
+    cone = np.hypot(rows - 10, columns - 12)
+    cone[3, 4] = np.nan
+    radius, mean = ring_means(cone, (10, 12))
+    assert mean == pytest.approx(radius) and len(radius) == 10
+    assert len(ring_means(cone, (10, 12), reach_px=4)[0]) == 4

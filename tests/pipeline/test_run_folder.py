@@ -1,16 +1,22 @@
 """What a run may touch: nothing of others, nothing through links; and what makes its results invalid."""
 
 import os
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from conftest import Bench, invoke, products
+from filelock import FileLock
 from helpers.patience import within
 from helpers.running import reasons, results, run, visible
 from helpers.sparta_files import counts, star, write_recorder
 
+import irlos_pipe
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
-from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.pipeline import Selection, provenance, run_recipe
 from irlos_pipe.pipeline.inputs import CACHE_NAME
+from irlos_pipe.product.run_table import link_latest, version_folders
 from irlos_pipe.recipe import load_recipe
 
 
@@ -105,3 +111,185 @@ def test_after_a_failed_run_no_old_deliverable_or_report_looks_like_its_result(b
     assert results(bench)["status"] == "failed"
     assert not {"table.csv", "report.html"} & set(visible(bench))
     assert sorted(os.listdir(bench.output / "earlier")) == ["report.html", "table.csv"]
+
+
+# Versions of a reduction side by side: what is there is not changed, the link leads to what is whole.
+
+
+def numbered(bench: Bench, *options: str) -> int:
+    return bench.run("--numbered", *options).exit_code
+
+
+def there(bench: Bench) -> list[str]:
+    return [path.name for path in version_folders(bench.output)]
+
+
+def content(bench: Bench, version: str) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (bench.output / version).glob("*.h5")}
+
+
+def test_the_first_version_is_the_latest_and_the_same_reduction_again_up_to_date(bench):
+    assert numbered(bench) == 0
+    assert there(bench) == ["001"] and os.readlink(bench.output / "latest") == "001"
+    before = content(bench, "001")
+    assert len(products(bench.output / "latest")) == 3
+    assert numbered(bench) == 0 and there(bench) == ["001"] and content(bench, "001") == before
+
+
+@pytest.mark.parametrize("option", [("--set", "calibrate.method=dip_global"), ("--force",), ()])
+def test_a_reduction_that_would_replace_products_begins_a_version(bench, option):
+    numbered(bench)
+    before = content(bench, "001")
+    if not option:
+        (bench.data / "c.dat").write_bytes(b"1")
+    assert numbered(bench, *option) == 0
+    assert there(bench) == ["001", "002"] and os.readlink(bench.output / "latest") == "002"
+    assert content(bench, "001") == before
+
+
+def test_a_version_that_stopped_is_continued_and_the_link_stays_until_it_is_whole(bench):
+    numbered(bench)
+    bench.make("calibrate.crash")
+    changed = ("--set", "ingest.scale=2")
+    assert numbered(bench, *changed) == 1
+    assert there(bench) == ["001", "002"] and os.readlink(bench.output / "latest") == "001"
+    (bench.data / "calibrate.crash").unlink()
+    # what made it crash was an input file, so that ingest differs: a version that stopped early is kept
+    assert numbered(bench, *changed) == 0
+    assert there(bench)[-1] == os.readlink(bench.output / "latest")
+
+
+@pytest.mark.parametrize("make", ["file", "run"])
+def test_a_folder_of_something_else_is_refused(bench, make):
+    if make == "run":
+        bench.run()
+    else:
+        bench.output.mkdir()
+        (bench.output / "mine.txt").touch()
+    result = bench.run("--numbered")
+    assert result.exit_code == 2 and "holds other files" in result.stderr
+
+
+def test_a_folder_of_versions_is_no_run_and_the_message_says_where_one_is(bench):
+    numbered(bench)
+    assert "holds other files (001 (and" not in bench.run().stdout
+    result = invoke("report", str(bench.output))
+    assert result.exit_code == 3 and f"{bench.output / 'latest'}" in result.stderr
+
+
+def test_latest_that_is_no_link_is_refused_and_left_alone(bench):
+    numbered(bench)
+    (bench.output / "latest").unlink()
+    (bench.output / "latest").mkdir()
+    result = bench.run("--numbered", "--force")
+    assert result.exit_code == 2 and "latest: is no link" in result.stderr
+    link_latest(bench.output, bench.output / "001")
+    assert {path.name for path in bench.output.iterdir()} == {".lock", "001", "latest"}
+
+
+def test_on_a_disk_without_links_the_newest_version_is_named(bench, monkeypatch):
+    def unsupported(*_, **__):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(os, "symlink", unsupported)
+    for option in ((), ("--force",)):
+        result = bench.run("--numbered", *option)
+        assert result.exit_code == 0
+    assert f"the newest complete version is {bench.output / '002'}" in result.stderr
+    assert "latest" in invoke("status", str(bench.output)).stdout.splitlines()[2]
+    assert f"{bench.output / '002'}" in invoke("report", str(bench.output)).stderr
+
+
+def test_two_runs_do_not_share_a_number(bench):
+    numbered(bench)
+    with FileLock(bench.output / ".lock"):
+        assert numbered(bench, "--force") == 75
+    assert there(bench) == ["001"]
+
+
+# Where a product comes from: the revision of the software, with git or without.
+
+
+@pytest.fixture
+def version(monkeypatch):
+    """Return the version that a package in a folder states."""
+
+    def stated(folder) -> str:
+        monkeypatch.setattr(irlos_pipe, "__file__", str(folder / "irlos_pipe" / "__init__.py"))
+        provenance.software_versions.cache_clear()
+        return provenance.software_versions()["irlos_pipe"]
+
+    yield stated
+    provenance.software_versions.cache_clear()
+
+
+def git(folder, *arguments):
+    identity = ("-c", "user.name=x", "-c", "user.email=x@example.org")
+    return subprocess.run(
+        ["git", "-C", folder, *identity, *arguments], check=True, capture_output=True, text=True
+    )
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    git(tmp_path, "init", "-q")
+    (tmp_path / "file").write_text("1")
+    git(tmp_path, "add", "file")
+    git(tmp_path, "commit", "-qm", "one")
+    return tmp_path
+
+
+def test_a_checkout_states_its_revision_and_whether_it_was_changed(version, checkout):
+    revision = git(checkout, "rev-parse", "--short", "HEAD").stdout.strip()
+    assert version(checkout) == f"{irlos_pipe.__version__}+git.{revision}"
+    (checkout / "file").write_text("2")
+    git(checkout, "tag", "-a", "v1", "-m", "v1")  # does not hide the revision
+    assert version(checkout) == f"{irlos_pipe.__version__}+git.{revision}.dirty"
+
+
+# The folder in which a stage keeps finished parts until its product is written.
+
+
+def uses_scratch(bench: Bench, monkeypatch) -> list[Path]:
+    """Let `calibrate` keep a part in its scratch folder; returns the folders of its runs."""
+    folders, stage = [], sys.modules["irlos_pipe.stages.calibrate.stage"]
+    work = stage.run
+
+    def keeping_a_part(ctx):
+        folders.append(ctx.scratch)
+        ctx.scratch.mkdir(parents=True, exist_ok=True)
+        (ctx.scratch / "part").touch()
+        return work(ctx)
+
+    monkeypatch.setattr(stage, "run", keeping_a_part)
+    return folders
+
+
+def fails(bench: Bench, *settings: str) -> None:
+    bench.make("calibrate.bad_data")
+    with pytest.raises(InputDataError):
+        run(bench, *settings)
+    (bench.data / "calibrate.bad_data").unlink()
+
+
+def test_parts_outlive_a_run_that_stopped_and_the_next_run_finds_them(bench, monkeypatch):
+    folders = uses_scratch(bench, monkeypatch)
+    bench.make("calibrate.bad_data")
+    for _ in range(2):
+        with pytest.raises(InputDataError):
+            run(bench)
+    assert folders[0] == folders[1] and [file.name for file in folders[0].iterdir()] == ["part"]
+    assert folders[0].parent == bench.output / ".partial" and folders[0].name.startswith("calibrate-")
+
+
+def test_each_setting_has_its_parts_and_all_are_removed_when_the_product_of_the_stage_is_there(
+    bench, monkeypatch
+):
+    folders = uses_scratch(bench, monkeypatch)
+    fails(bench)
+    fails(bench, "calibrate.solver.iterations=7")
+    assert folders[0] != folders[1]
+    run(bench, selection=Selection(last="ingest", force=True))  # another stage leaves them alone
+    assert folders[0].is_dir()
+    run(bench)
+    assert len(folders) == 3 and not (bench.output / ".partial").exists()

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
+import os
+import shutil
+import sqlite3
+import sys
 from pathlib import Path
 
 import pytest
+from conftest import invoke
 from helpers import made_run
 
 from irlos_pipe.product.printed import Comparison, NumberPair
-from irlos_pipe.product.product import Product
+from irlos_pipe.product.product import Check, Product
 from irlos_pipe.product.run_table import compare_runs, leaves
+from irlos_pipe.product.runfolder import RunFolder, is_standing
 
 
 def write(folder: Path, made: list[Product], **recipe: object) -> Path:
@@ -92,3 +99,99 @@ def test_what_was_asked_for_and_what_was_concluded_stand_beside_the_numbers(pair
 def test_the_error_of_a_number_is_found_and_is_no_number_of_its_own(tree, path, error):
     found = {name: leaf for name, leaf in leaves(tree) if not math.isnan(leaf.error)}
     assert found[path].error == error and not any("sigma" in key or "error" in key for key in map(str, found))
+
+
+# Checks and numbers of a run as a table; truth is qc.json and results.json.
+
+
+@pytest.fixture
+def folder(tmp_path):
+    made = made_run.products("ingest", "calibrate")
+    made[1].checks.append(Check("chi2, of the mean", 3.5, "", None, 2.0, "too large; look"))
+    folder = made_run.write_run(tmp_path / "run", made)
+    checks = [{"stage": one.stage, **check.as_dict()} for one in made for check in one.checks]
+    (folder / "qc.json").write_text(json.dumps({"checks": checks}))
+    return folder
+
+
+def test_csv_and_sqlite_hold_every_check_and_every_number(folder, tmp_path):
+    for name in ("t.csv", "t.sqlite"):
+        result = invoke("export", str(folder), "--output", str(tmp_path / name))
+        assert result.exit_code == 0, result.stderr
+    rows = list(csv.DictReader((tmp_path / "t.csv").open()))
+    checks = json.loads((folder / "qc.json").read_text())["checks"]
+    assert [row["name"] for row in rows if row["kind"] == "check"] == [check["name"] for check in checks]
+    assert next(row for row in rows if row["message"] == "too large; look")["passed"] == "0"
+    numbers = {(row["stage"], row["name"]): (float(row["value"]), row["unit"]) for row in rows
+               if row["kind"] == "number"}  # fmt: skip
+    assert numbers["calibrate", "zernike_nm.4"] == (made_run.NCPA_NM["4"], "nm")
+    assert numbers["ingest", "inputs.0.frames"][0] > 0
+    with sqlite3.connect(tmp_path / "t.sqlite") as connection:
+        assert connection.execute("SELECT count(*) FROM checks").fetchone()[0] == len(checks)
+        assert connection.execute("SELECT count(*) FROM numbers").fetchone()[0] == len(numbers)
+        query = "SELECT name, high FROM checks WHERE NOT passed"
+        assert connection.execute(query).fetchall()[-1] == ("chi2, of the mean", 2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (("--output", "x.txt"), 2, "use .csv or .sqlite"),
+        (("--array", "noll", "--output", "x.csv"), 2, "is a folder"),
+    ],
+)
+def test_mistakes_are_reported(folder, options, code, message):
+    result = invoke("export", str(folder), *options)
+    assert result.exit_code == code and message in result.stderr
+
+
+def test_a_folder_that_is_no_run_is_bad_data(tmp_path):
+    assert invoke("export", str(tmp_path), "--output", str(tmp_path / "x.csv")).exit_code == 3
+
+
+# The stamp of a run holds as long as nothing is touched that its products depend on.
+
+
+@pytest.fixture
+def run(bench) -> RunFolder:
+    bench.run()
+    run = RunFolder(bench.output)
+    assert is_standing(run)
+    return run
+
+
+def later(path) -> None:
+    os.utime(path, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns + 1))
+
+
+def test_a_status_without_changes_does_not_make_a_plan(bench, run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "irlos_pipe.pipeline.plan", None)  # importing it fails
+    lines = invoke("status", str(bench.output)).stdout.splitlines()
+    assert [line.split()[0] for line in lines[1:]] == ["01_ingest.h5", "02_calibrate.h5", "03_lift.h5"]
+    assert all("up to date" in line for line in lines[1:])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda bench: later(bench.data / "a.dat"),
+        lambda bench: (bench.data / "c.dat").write_bytes(b"1"),
+        lambda bench: (bench.data / "b.dat").unlink(),
+        lambda bench: later(bench.output / "recipe.resolved.yaml"),
+        lambda bench: (bench.output / "02_calibrate.h5").unlink(),
+        lambda bench: later(bench.output / "03_lift.h5"),
+        lambda bench: shutil.move(bench.data, bench.folder / "elsewhere"),
+    ],
+)
+def test_whatever_is_touched_breaks_the_stamp(bench, run, change):
+    change(bench)
+    assert not is_standing(run)
+
+
+def test_a_run_of_a_part_and_a_link_to_a_folder_leave_no_stamp(bench):
+    bench.run("--to", "calibrate")
+    assert not is_standing(RunFolder(bench.output))
+    (bench.folder / "other").mkdir()
+    (bench.data / "link").symlink_to(bench.folder / "other")
+    bench.run()
+    assert not is_standing(RunFolder(bench.output))

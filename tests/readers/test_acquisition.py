@@ -1,20 +1,27 @@
 """Side-cars, and which source wins; reads and seeing as they are told. Truth: arithmetic."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy import units as u
+from astropy.io import fits
+from astropy.modeling.models import BlackBody
+from conftest import invoke
 from helpers.sparta_files import sidecar, write_muse, write_sidecar
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.acquisition import photons, resolve, spectrum_of
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
+from irlos_pipe.readers.sidecar import AcquisitionKeys, DetectorKeys, read_sidecar
+from irlos_pipe.readers.sidecar_template import proposals, sidecar_template
 
 IRLOS = load_instrument("irlos")
 SCALED = replace(IRLOS, seeing_scales=IRLOS.seeing_scales | {"mass_dimm": SeeingScale(0.75, 0.02)})
@@ -229,3 +236,128 @@ def test_the_header_of_muse_has_the_monitors_seeing_and_its_table_that_of_sparta
     assert (monitor.header["seeing_arcsec"], monitor.header["seeing_scale"]) == (0.7, "mass_dimm")
     assert (sparta.header["seeing_arcsec"], sparta.header["seeing_scale"]) == (pytest.approx(0.5), "sparta")
     assert "seeing_scale" not in neither.header
+
+
+# A proposed side-car holds every key, and can be read; values follow who writes the keywords.
+
+
+FILLED = {
+    "role:": "role: psf",
+    "spectrum:": "spectrum: [{wavelength_nm: 1600}]",
+    "diversity:": "diversity: {source: none, zernike: {}}",
+}
+
+
+@pytest.fixture
+def cube(tmp_path):
+    path = tmp_path / "star.fits"
+    header = fits.Header({"OBJECT": "HD 1", "EXPTIME": 0.5, "RDNOISE": -1.0})
+    header["GAIN"] = (2.0, "[e-/ADU]")
+    fits.PrimaryHDU(np.random.default_rng(0).poisson(50.0, (3, 16, 16)), header).writeto(path)
+    return path
+
+
+def test_the_template_is_valid_once_the_three_keys_are_filled_in(cube):
+    text = sidecar_template(cube, load_instrument("irlos"))
+    lines = [FILLED.get(line.partition(" ")[0], line) for line in text.splitlines()]
+    cube.with_suffix(".yaml").write_text("\n".join(lines))
+    keys = read_sidecar(cube.with_suffix(".yaml"))
+    assert (keys.role, keys.target, keys.exposure_s) == ("psf", "HD 1", 0.5)
+    assert keys.detector == DetectorKeys(e_per_adu=2.0)  # a read noise of -1 is none
+    free = text.replace("# ", "")
+    assert [
+        key for key in [*AcquisitionKeys.model_fields, *DetectorKeys.model_fields] if key not in free
+    ] == []
+
+
+def test_the_command_writes_beside_the_file_and_replaces_nothing(cube):
+    assert invoke("sidecar", str(cube)).stdout == f"{cube.with_suffix('.yaml')}\n"
+    again = invoke("sidecar", str(cube))
+    assert again.exit_code == 2 and "exists" in again.stderr
+    assert invoke("sidecar", str(cube), "--output", "-").stdout == cube.with_suffix(".yaml").read_text()
+
+
+def test_a_run_that_is_only_planned_and_a_validation_tell_all_that_side_cars_lack(cube, tmp_path):
+    other = fits.getdata(cube)
+    fits.writeto(tmp_path / "other.fits", other)
+    (tmp_path / "other.yaml").write_text("rle: psf\nmag_j: 99\ndiversity: {zernike: {1: 3}}\n")
+    invoke("sidecar", str(cube))
+    options = ("diagnose", "--input", f"cube={tmp_path}")
+    for result in (
+        invoke("validate", *options),
+        invoke("run", *options, "--output", str(tmp_path.parent / "out"), "--dry-run"),
+    ):
+        lines = result.stderr.splitlines()
+        assert result.exit_code == 3 and len(lines) == 4
+        assert [f"other.yaml:{number}:" in line for number, line in enumerate(lines[:3], 1)] == [True] * 3
+        assert "star.yaml: keys 'role', 'spectrum', 'diversity' missing" in lines[3]
+
+
+ESO = {"HIERARCH ESO DET DIT": 0.2, "EXPTIME": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("cards", "planes", "key", "value", "sure"),
+    [
+        ({"GAIN": 139, "EGAIN": 0.34}, 1, "detector.e_per_adu", 0.34, True),
+        ({"GAIN": 139}, 1, "detector.e_per_adu", 139, False),
+        ({"GAIN": (2.0, "[e-/ADU] gain")}, 1, "detector.e_per_adu", 2.0, True),
+        ({"GAIN": (2.0, "electrons per DN")}, 1, "detector.e_per_adu", 2.0, True),
+        ({"GAIN": (2.0, "[ADU/e-]")}, 1, "detector.e_per_adu", 2.0, False),
+        ({"ITIME": 0.1, "COADDS": 20}, 1, "exposure_s", 2.0, True),
+        ({"ITIME": 0.1, "COADDS": 20}, 1, "detector.read_s", 0.1, True),
+        ({"EXPTIME": 2.0, "COADDEXP": 0.1, "COADDS": 20}, 1, "exposure_s", 2.0, True),
+        ({"EXPTIME": 2.0, "COADDS": 20}, 1, "exposure_s", 2.0, True),
+        (ESO | {"HIERARCH ESO DET NDIT": 5}, 5, "exposure_s", 0.2, True),
+        (ESO | {"HIERARCH ESO DET NDIT": 4}, 5, "exposure_s", 0.2, True),
+        (ESO | {"HIERARCH ESO DET NDIT": 5}, 1, "detector.coadds", 5, False),
+        (ESO | {"HIERARCH ESO DET NDIT": 5}, 1, "exposure_s", 1.0, False),
+    ],
+)
+def test_a_proposal_has_the_meaning_of_its_author_or_is_doubtful(cards, planes, key, value, sure):
+    header = fits.Header()
+    for name, content in cards.items():
+        header[name] = content
+    proposed = proposals(header, planes)[key]
+    assert proposed.value == pytest.approx(value) and (proposed.doubt == "") is sure
+
+
+# Spectrum from filter and star. Truth: integrals over the curve, and Planck's law by astropy.
+
+
+J_AND_H = [(1150, 0), (1157, 0.8), (1273, 0.8), (1280, 0), (1530, 0), (1541, 0.9), (1709, 0.9), (1720, 0)]
+
+
+def test_photons_are_those_of_planck_s_law():
+    nm = np.array([1000.0, 1600.0, 2300.0])
+    radiance = BlackBody(4000 * u.K, scale=1 * u.W / u.m**2 / u.um / u.sr)(nm * u.nm).value * nm
+    assert photons(nm, 4000) / photons(nm, 4000)[0] == pytest.approx(radiance / radiance[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("kelvin", [3500.0, 9600.0])
+def test_three_points_per_band_have_its_photons_and_mean_wavelength(kelvin):
+    points = np.array(spectrum_of(J_AND_H, kelvin, "here"))
+    fine = np.linspace(1150, 1720, 100_001)
+    weight = np.interp(fine, *np.array(J_AND_H, float).T) * photons(fine, kelvin)
+    for low, high, own in ((1150, 1280, slice(0, 3)), (1530, 1720, slice(3, 6))):
+        band = (fine > low) & (fine < high)
+        assert points[own, 1].sum() == pytest.approx(weight[band].sum() / weight.sum(), rel=2e-3)
+        mean = np.average(fine[band], weights=weight[band])
+        assert np.average(points[own, 0], weights=points[own, 1]) == pytest.approx(mean, abs=0.2)
+    assert len(points) == 6 and points[:, 1].sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("curve", "message"),
+    [
+        (
+            J_AND_H[:-1],
+            "does not cover the band: at its longest wavelength, 1709 nm, the filter still transmits 0.9",
+        ),
+        (J_AND_H[1:], "does not cover the band: at its shortest wavelength, 1157 nm"),
+        (J_AND_H[::-1], "wavelengths should rise"),
+    ],
+)
+def test_a_curve_that_is_none_is_refused(curve, message):
+    with pytest.raises(InputDataError, match=message):
+        spectrum_of(curve, 5000.0, "here")

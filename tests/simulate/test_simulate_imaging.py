@@ -4,18 +4,38 @@ Truth: HCIPy on a pupil grid three to six times finer (independent code, `refere
 pattern integrated over pixels by scipy; HCIPy's Zernikes; symmetry and energy.
 """
 
+from __future__ import annotations
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
+from astropy.io import fits
+from helpers.optics_cases import settings, vector
 from helpers.reference_psf import hcipy, reference
 from helpers.simulated_scenes import MAS_RAD, NCPA_NM, image, scene, tilt_nm_rms, worst
 from scipy.integrate import dblquad
 from scipy.special import j1
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Placement, Polygon, Samples
+from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
+from irlos_pipe.effects.declaration import Conditions
+from irlos_pipe.files.yaml import yaml_text
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.lenslets import LensletArray, apart, side_by_side
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
+from irlos_pipe.optics.structure_function import ResidualBand
+from irlos_pipe.simulate.aperture import passed
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import expose, exposures
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
+from irlos_pipe.simulate.recordings.run import simulate
+from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 from irlos_pipe.simulate.scene import Sampling
 from irlos_pipe.simulate.telescope import zernike
 
@@ -109,3 +129,152 @@ def test_the_truth_leaves_out_diversity_and_introduced_defocus():
         assert all(np.isclose(found[noll], NCPA_NM.get(noll, 0.0), atol=1e-6) for noll in found)
     assert np.allclose(exposed.zernike_nm, exposed.zernike_nm[0])
     assert worst(exposed.mean_e[0], exposed.mean_e[1]) > 0.1
+
+
+# Simulated recordings of 2x2 modes: their files, and their images beside those of the model.
+# Simulator and model share no optics, but the idea of what a lenslet array does: a sharp quarter of the pupil
+# each, a common wavefront, no light between the field stops.
+
+
+MODES_NM = {2: 30.0, 3: -20.0, 4: 90.0, 5: 25.0, 6: -40.0, 8: 30.0}
+RECORDING = {
+    "role": "psf",
+    "mode": "20x20_SmallScale_500Hz_HighGain",
+    "mag_j": 9,
+    "bands": [{"centre_nm": 1600, "half_width_nm": 0}],
+    "frames": 2,
+    "exposure_s": 0.002,
+    "window": [20, 20],
+    "start": "2020-07-14T03:21:10",
+    "ncpa": {"zernike_nm": MODES_NM},
+    "sampling": {"pupil_samples": 96},
+}
+
+
+def spec(tmp_path, **changes):
+    path = tmp_path / "spec.yaml"
+    path.write_text(yaml_text({"simulation": "s", "recordings": {"one": RECORDING | changes}}))
+    return load_spec(path)
+
+
+@pytest.mark.slow
+def test_simulated_images_are_those_of_the_model(tmp_path):
+    tilts = {"x_mas": [3.0, 0.0, 0.0, 0.0], "y_mas": [0.0, -2.0, 0.0, 0.0], "flux": [0.2, 0.0, 0.0, 0.0]}
+    scene = plan_recordings(spec(tmp_path, lenslet_images=tilts))[0].scene
+    image = expose(scene).mean_e[0] / scene.photons
+    assert scene.pixel_scale_mas == 60.0  # the mode in 2020
+    settings = PsfSettings(scene.geometry, (20, 20), 60.0, ((1600.0, 1.0),), KnownWavefront(), 96, lenslets=2)
+    model = LensletArray(settings.for_broad_images(), tuple(MODES_NM), dtype=torch.float64)
+    modes = torch.tensor([[*MODES_NM.values()]] * 3, dtype=torch.float64)
+    modes[1, 0] += 3.0e-3 / 206265 * 8 * 1e9 / 4  # an angle θ is a tilt of θ D/4
+    modes[2, 1] -= 2.0e-3 / 206265 * 8 * 1e9 / 4
+    still, right, down = (apart(one) for one in model.images(modes))
+    parts = [1.2 * right[0], down[1], still[2], still[3]]
+    share = _light(scene.geometry)
+    expected = side_by_side(parts).numpy() / (1 + 0.2 * share)
+    assert np.abs(image - expected).max() < 1e-3 * expected.max()
+
+
+def _light(geometry) -> float:
+    """Share of the lower left quarter of the pupil, by counting points."""
+    u = (np.arange(800) - 399.5) / 100
+    clear = passed(geometry, u[None, :], u[:, None])
+    return clear[:400, :400].sum() / clear.sum()
+
+
+@pytest.mark.slow
+def test_a_raw_file_has_quadrants_with_borders_and_perhaps_no_side_car(tmp_path):
+    simulate(spec(tmp_path, side_car=False), tmp_path / "out")
+    (path,) = (tmp_path / "out" / "data" / "one").iterdir()
+    assert path.name == "MUSE.2020-07-14T03:21:10.000.fits"
+    with fits.open(path) as hdus:
+        cube = hdus["SPARTA_TT_CUBE"].data
+        assert hdus[0].header["ESO AOS MAIN MODES IRLOS"] == RECORDING["mode"]
+    apart = cube.reshape(2, 2, 12, 2, 12)
+    inside = apart[:, :, 1:-1, :, 1:-1]
+    assert inside.min() > 100 and cube.sum(dtype=int) == inside.sum(dtype=int)
+
+
+# Simulated images of pupils of other shapes against the model that is fitted to them (independent code).
+
+
+SIX_VANES = tuple(
+    Vane((0.0, 0.0), (4.2 * np.cos(a), 4.2 * np.sin(a)), 0.03) for a in np.deg2rad(np.arange(0, 360, 60))
+)
+SEGMENTED = PupilGeometry(8.0, 1.8, SIX_VANES, (Hexagons(1.1, 0.02, 3, (0, 22)),))
+TRIANGLE = Polygon(((-2.5, -2.0), (3.0, -1.5), (0.5, 3.2)))
+SHIFTED = placed(
+    PupilGeometry(8.0, 1.0, SIX_VANES[:3], (TRIANGLE,), (Circle(0.5).placed(Placement(shift_m=(1.0, 0.2))),)),
+    Placement.of(30.0, "y", (0.2, -0.1)),
+)
+U = grid_centres(200, 0.041)
+MAP = PupilGeometry(
+    8.2, aperture=(AmplitudeMap(Samples.of(area_weighted_pupil(replace(SHIFTED, diameter_m=8.2), U)), 0.041),)
+)
+
+
+def modelled(geometry: PupilGeometry, effect: str = "", pixel_scale_mas=9.7, **public) -> np.ndarray:
+    nolls = tuple(NCPA_NM)
+    case = settings(48, geometry=geometry, pixel_scale_mas=pixel_scale_mas).for_broad_images()
+    model = PsfModel(case, nolls, dtype=torch.float64)
+    effects = []
+    if effect:
+        kind = CATALOGUE[effect]
+        conditions = Conditions(model.settings, ResidualBand(1 / 8, 2.5, 25.0), None, 0.5, nolls[-1])
+        made = kind.under(conditions, **kind.options_for(**public))
+        effects = [FixedEffect(made, made.values_of(**public))]
+    optics = EffectSet(effects, model.grids)()
+    return model.images(vector(NCPA_NM, nolls), optics)[0].numpy()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        pytest.param(SEGMENTED, id="segmented", marks=pytest.mark.long),
+        pytest.param(SHIFTED, id="polygon"),
+        pytest.param(MAP, id="map", marks=pytest.mark.long),
+    ],
+)
+def test_simulated_images_are_those_of_the_model_of_pupil_shapes(geometry):
+    truth = modelled(geometry)
+    assert np.abs(image(geometry=geometry) - truth).max() < 1e-4 * truth.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "public"),
+    [
+        pytest.param(
+            "low_wind_effect",
+            {k: [30.0, -50.0, 80.0, -20.0, 10.0, -60.0] for k in ("piston_nm", "tip_nm")},
+            id="petals",
+        ),
+        pytest.param(
+            "segment_piston",
+            {"piston_nm": np.random.default_rng(1).normal(0, 80, 35).tolist()},
+            id="segments",
+        ),
+        pytest.param(
+            "pupil_misregistration",
+            {"dx_m": 0.11, "dy_m": -0.07, "rotation_deg": 7.0},
+            id="stop",
+            marks=pytest.mark.long,
+        ),
+    ],
+)
+def test_effects_of_pupil_parts_are_those_of_the_model(effect, public):
+    if effect == "low_wind_effect":
+        public = {**public, "tilt_nm": [0.0] * 6}
+    truth = modelled(SEGMENTED, effect, **public)
+    found = image(geometry=SEGMENTED, effects={effect: public})
+    assert np.abs(found - truth).max() < 2e-4 * truth.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pharo", pytest.param("nirc2_narrow", marks=pytest.mark.long), "bench"])
+def test_the_pupils_of_profiles_are_simulated_as_they_are_modelled(name):
+    instrument = load_instrument(name)
+    scale = {"pixel_scale_mas": instrument.defaults["pixel_scale_mas"]}
+    truth = modelled(instrument.pupil, **scale)
+    assert np.abs(image(geometry=instrument.pupil, **scale) - truth).max() < 1e-4 * truth.max()

@@ -1,14 +1,23 @@
 """Stages `calibrate` with ``each`` and `derotator` on cubes made with the pipeline's own model. Truth: what
 was put in, and the estimate of a cube reduced alone."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from helpers import series_bench as bench
+from helpers.sparta_files import TWO_BY_TWO, quadrants, write_muse
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.lenslets import LensletArray, apart
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages import derotator as derotator
+from irlos_pipe.stages import modes as modes
 from irlos_pipe.stages.calibrate import stage as calibrate
 from irlos_pipe.stages.derotator import PartRow
 
@@ -104,3 +113,115 @@ def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
     output, _ = bench.run_stage(derotator, products, turn_per_degree=2.0)
     assert error_nm(output.results.parts["rotating"], bench.ROTATING_NM) < 2
+
+
+# Stage `modes` on cubes made with the pipeline's own model. Truth: the modes put in, and arithmetic.
+
+
+MODES_STAGE_ANGLES = (0.0, 50.0, 120.0)
+NUMBERS = (6, 10, 15, 21)
+MODES_STAGE_EACH = {"input": "cube", "each": True, "highest_noll": 21, "prior_scale": None}
+
+
+@pytest.fixture(scope="module")
+def products() -> dict:
+    """Three cubes with different wavefronts of 12 modes, 20 modes estimated."""
+    recordings = [
+        bench.recording(f"at_{angle:.0f}", angle, seed) for seed, angle in enumerate(MODES_STAGE_ANGLES)
+    ]
+    found = {"ingest": bench.ingest_product(recordings)}
+    return found | {"calibrate": bench.run_stage(calibrate, found, **MODES_STAGE_EACH)[1]}
+
+
+@pytest.fixture(scope="module")
+def output(products):
+    return bench.run_stage(modes, products, numbers=NUMBERS, cubes=2)[0]
+
+
+@pytest.mark.slow
+def test_the_scatter_is_the_rms_over_the_cubes(output):
+    noll, std = (output.arrays[name].value for name in ("noll", "std_nm"))
+    for mode in bench.NOLLS:
+        true = np.sqrt(np.mean([bench.static_nm(angle)[mode] ** 2 for angle in MODES_STAGE_ANGLES]))
+        assert std[list(noll).index(mode)] == pytest.approx(true, abs=1.0)
+    assert output.results.draws == 3
+
+
+@pytest.mark.slow
+def test_modes_that_were_not_put_in_are_noise(output):
+    noll, std, noise = (output.arrays[name].value for name in ("noll", "std_nm", "noise_nm"))
+    absent = noll > 15
+    assert np.sqrt(np.mean((std / noise)[absent] ** 2)) == pytest.approx(1, abs=0.5)
+
+
+@pytest.mark.slow
+def test_unseen_frames_recommend_the_number_put_in(output):
+    numbers = output.results.numbers
+    assert numbers.recommended == 15
+    place = NUMBERS.index(15)
+    assert numbers.change_nm[place] == 0
+    assert numbers.change_nm[0] > 20 * numbers.halves_nm[place]
+    assert numbers.cubes == 2
+    assert output.arrays["numbers/misfit"].value.shape[:2] == (2, len(NUMBERS))
+
+
+@pytest.mark.parametrize("numbers", [(15,), (21, 15), (15, 15), (3, 15), (15, 300)])
+def test_numbers_rise_and_are_those_of_modes(numbers):
+    with pytest.raises(ValueError, match="at least two rising numbers"):
+        modes.Config(numbers=numbers)
+
+
+# A raw file of a 2x2 mode through ingest, calibrate and lift.
+# Truth: the wavefront in the images of the light path itself, with Poisson noise; they share its assumptions.
+
+
+TRUE_NM = {2: 15.0, 3: -10.0, 4: 70.0, 5: 25.0, 6: -30.0}
+FRAMES, FLUX_E, E_PER_ADU = 10, 1e5, 9.8 / 68
+SIDE_CAR = "spectrum: [{wavelength_nm: 1600}]\nmag_j: 9\nexposure_s: 0.1\nframe_rate_hz: 10\n"
+RECIPE = """\
+recipe: small
+inputs: {{cube: "{path}", ramp: "{path}"}}
+stages: [{stages}]
+model: {{effects: [tip_tilt_jitter], pupil_samples: 64}}
+{calibrate}
+lift: {{input: cube, start: zero, compare: false}}
+"""
+
+
+def raw_file(folder):
+    settings = PsfSettings(
+        load_instrument("irlos").pupil, (36, 36), 78.0, ((1600.0, 1.0),), KnownWavefront(), 64, lenslets=2
+    )
+    model = LensletArray(settings.for_broad_images(), tuple(TRUE_NM), dtype=torch.float64)
+    mean_e = FLUX_E * model.images(torch.tensor([[*TRUE_NM.values()]], dtype=torch.float64))
+    rng = np.random.default_rng(5)
+    noisy = rng.poisson(mean_e.clamp_min(0).repeat(FRAMES, 1, 1).numpy()) + rng.normal(0, 1, (FRAMES, 36, 36))
+    adu = torch.as_tensor(np.rint(noisy / E_PER_ADU + 200))
+    path = write_muse(folder / "m.fits", quadrants([part.numpy() for part in apart(adu)]), TWO_BY_TWO)
+    (folder / "m.yaml").write_text(SIDE_CAR)
+    return path
+
+
+def run(folder, stages: str, *settings: str) -> dict:
+    calibrate = "calibrate: {input: cube, highest_noll: 6}" if "calibrate" in stages else ""
+    text = RECIPE.format(path=raw_file(folder), stages=stages, calibrate=calibrate)
+    (folder / "r.yaml").write_text(text)
+    run_recipe(load_recipe(folder / "r.yaml", settings), folder / "out")
+    return json.loads((folder / "out" / "results.json").read_text())["stages"]
+
+
+@pytest.mark.slow
+def test_a_raw_file_gives_its_low_orders_what_it_determines_and_the_focus_of_every_frame(tmp_path):
+    stages = run(tmp_path, "ingest, calibrate, lift")
+    calibrate, lift = stages["calibrate"], stages["lift"]
+    for noll, truth_nm in TRUE_NM.items():
+        error_nm = calibrate["zernike_nm"][str(noll)] - truth_nm
+        assert abs(error_nm) < 4 * calibrate["sigma_nm"][str(noll)] + 0.5
+    lenslets = calibrate["lenslets"]
+    assert {4, 5, 6} <= set(lenslets["determined"]) and lenslets["combinations"] >= 5
+    assert lenslets["information"] == sorted(lenslets["information"], reverse=True)
+    assert lenslets["centroids_nm"]["4"] == pytest.approx(TRUE_NM[4], rel=0.25)
+    assert 0 < lenslets["bound_nm"]["4"] < 3
+    assert len(lift["points"]) == FRAMES and lift["summary"]["slope"] is None
+    errors_nm = np.array([point["zernike_nm"]["4"] for point in lift["points"]])  # beyond the calibrated
+    assert np.abs(errors_nm).max() < 6 * np.median([point["sigma_photon_nm"] for point in lift["points"]])

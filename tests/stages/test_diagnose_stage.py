@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
+from click.testing import CliRunner
 from helpers.diagnose_cases import CASE, CONDITIONS, cube, diagnosis_of, with_companion
+from helpers.made_run import recording
+from helpers.simulation_specs import simulated
+from pydantic import ValidationError
 
+from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
@@ -17,6 +25,8 @@ from irlos_pipe.stages.diagnose.output import (
     recipe_entry,
 )
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
+from irlos_pipe.stages.diagnose.stage import Config
+from irlos_pipe.stages.diagnose.work import moments_of
 from irlos_pipe.stages.model.recording_settings import pooled_frames
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
@@ -97,3 +107,118 @@ def test_only_a_diagnosis_that_leaves_nothing_passes(verdict, grade, unexplained
     (check,) = checks_of(results)
     assert check.passed is passed
     assert check.message.endswith("What is left.") and verdict in check.message
+
+
+# A wavefront of another run as a start: the key `begin_near` of a recipe.
+
+
+CALIBRATED = {"calibrate": {"zernike_nm": {"4": 1.0}, "all_zernike_nm": {"4": 1.5, "40": 2.0}}}
+DIAGNOSED = {"diagnose": {"zernike_nm": {"before": {"5": 3.0}, "after": {"5": 4.0}}}}
+
+
+def written(folder, stages):
+    (folder / "results.json").write_text(json.dumps({"stages": stages}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stages", "taken"),
+    [
+        (CALIBRATED, {4: 1.5, 40: 2.0}),
+        (DIAGNOSED, {5: 4.0}),
+        (CALIBRATED | DIAGNOSED, {5: 4.0}),
+    ],
+)
+def test_a_run_gives_what_it_found(tmp_path, stages, taken):
+    folder = written(tmp_path, stages)
+    assert Config(begin_near=str(folder)).begin_near == taken
+    assert Config(begin_near=str(folder / "results.json")).begin_near == taken
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("nowhere", "nowhere: No such file"),
+        ({1: 5.0}, "greater than or equal to 2"),
+        ({4: 1e5}, "less than or equal to 5000"),
+    ],
+)
+def test_what_is_no_wavefront_is_refused(value, said):
+    with pytest.raises(ValidationError, match=said):
+        Config(begin_near=value)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"stages": {"ingest": {}}}'])
+def test_a_run_without_a_wavefront_is_refused(tmp_path, content):
+    (tmp_path / "results.json").write_text(content)
+    with pytest.raises(ValidationError, match=r"results\.json: .*; give a"):
+        Config(begin_near=str(tmp_path))
+
+
+# Which recordings are of one star and night, and how results and report say what they share.
+
+
+HOUR_S = 3600.0
+
+
+def taken(target: str, hours: float):
+    one = recording("cube", "cube", 2)
+    acquisition = replace(one.acquisition, target=target)
+    return replace(one, acquisition=acquisition, start_unix_s=one.start_unix_s + hours * HOUR_S)
+
+
+@pytest.mark.parametrize(
+    ("targets", "hours", "expected"),
+    [
+        ("AAB", (0, 1, 2), [0, 0, 1]),  # another star
+        ("ABA", (0, 1, 2), [0, 1, 0]),  # the first star again, the same night
+        ("AAA", (0, 8, 24), [0, 0, 1]),  # another night
+        ("AAA", (0, 8, 16), [0, 0, 0]),  # 16 h, but never 12 between two
+        ("AA", (0, float("nan")), [0, 0]),  # times not known: the targets tell
+    ],
+)
+def test_stars_and_nights_follow_from_targets_and_times(targets, hours, expected):
+    recordings = [taken(target, hour) for target, hour in zip(targets, hours, strict=True)]
+    assert moments_of(recordings) == expected
+
+
+# A mirror whose segments are out of step, from raw files to the verdict.
+# Truth: the simulator's images of the pupil of Keck, which shares no optics with the model, with pistons
+# drawn here, photon and detector noise, and no sky.
+
+
+PISTON_NM = 20.0 * np.random.default_rng(11).standard_normal(36)
+CUBE = {
+    "role": "ncpa_calibration",
+    "mag_j": 8.0,
+    "frames": 40,
+    "exposure_s": 0.1,
+    "bands": "narrow_h",
+    "effects": {"segment_piston": {"piston_nm": PISTON_NM.tolist()}},
+}
+SPEC = {
+    "simulation": "segments",
+    "instrument": "nirc2_narrow",
+    "seed": 3,
+    "ncpa": {"total_nm": 80, "modes": 30},
+    "detector": {"e_per_adu": 4.0, "read_noise_e": 60.0},
+    "diversity": {"source": "lens", "zernike": {6: -170.0}},
+    "recordings": {"cube": CUBE},
+}
+
+
+@pytest.mark.long
+def test_segments_out_of_step_are_named_with_their_pistons_and_nothing_else_is(tmp_path):
+    simulated(tmp_path / "sky", SPEC)
+    run = tmp_path / "run"
+    told = ["--set", "instrument=nirc2_narrow", "--input", f"cube={tmp_path / 'sky' / 'data' / 'cube'}"]
+    ran = CliRunner().invoke(cli, ["run", "recipes/diagnose_bench.yaml", *told, "--output", str(run)])
+    assert ran.exit_code == 0, ran.output
+    found = json.loads((run / "results.json").read_text())["stages"]["diagnose"]
+    assert (found["verdict"], found["grade"]) == ("effect", "complete")
+    (step,) = found["steps"]
+    assert step["effect"] == "segment_piston"
+    error = np.array(step["parameters"]["piston_nm"]) - (PISTON_NM - PISTON_NM.mean())
+    pulls = (error - error.mean()) / step["sigma"]["piston_nm"]  # piston of all does nothing
+    # Tip, tilt and the lowest modes of the segments are those of the NCPAs, which have a prior.
+    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.5

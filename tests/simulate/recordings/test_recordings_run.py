@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import hashlib
+import tracemalloc
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
+from astropy.io import fits
 from filelock import FileLock
-from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of
+from helpers.simulation_specs import CUBE, RAMP, planned, simulated, spec_of, truth
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.find import read_recordings, recording_files
+from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.simulate.effects import EFFECTS
+from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.recordings import run as making
+from irlos_pipe.simulate.recordings.files import Planned, write_files
 
 NIGHT = {"cube": CUBE, "ramp": RAMP}
 HIDDEN = {"companion": {"flux_ratio": 0.1, "sep_mas": 90, "pa_deg": 0}}
@@ -104,3 +115,174 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
     (tmp_path / "out").mkdir()
     with FileLock(tmp_path / "out" / ".lock"), pytest.raises(Locked):
         simulated(tmp_path / "out", spec_of({"cube": CUBE}))
+
+
+# Every effect of the catalogue, switched on in a spec, reaches the frames and the truth, not the side-car.
+# Expected: the same recording without the effect, of the same seed. How large an effect is, the tests of
+# the simulator check.
+
+
+SIZES = {
+    "tip_tilt_jitter": {"sigma_mas": 8},
+    "vibration": {"sigma_mas": 8, "angle_deg": 70, "frequency_hz": 48.3, "shape": "gaussian"},
+    "seeing_halo": {"wfe_nm": 90},
+    "uneven_residual": {"edge": 0.4},
+    "atmospheric_dispersion": {"mas_per_um": 300, "angle_deg": 45},
+    "spectrum": {"wavelength_nm": 1630, "slope": 0.5},
+    "plate_scale": {"fraction": 0.02},
+    "anamorphism": {"fraction": 0.02, "angle_deg": 30},
+    "diversity_error": {"nm": 20},
+    "pupil_misregistration": {"dx_m": 0.1, "rotation_deg": 2.0},
+    "pupil_geometry": {"obscuration_m": 1.3},
+    "amplitude_aberration": {"zernike": {4: 0.1}},
+    "pupil_spot": {"opacity": 0.9, "x_m": 2.0, "y_m": -1.0, "radius_m": 0.6},
+    "low_wind_effect": {"piston_nm": [70, -70, 50, -30]},
+    "segment_piston": {"piston_nm": [50, -40, 30, -20]},
+    "high_order_ncpa": {"zernike_nm": {60: 40}},
+    "phase_bump": {"nm": 150, "x_m": 1.5, "y_m": -1.0, "width_m": 0.8},
+    "ncpa_drift": {"zernike_nm": {4: 80}},
+    "chromatic_ncpa": {"zernike_nm_per_um": {7: 400}, "reference_nm": 1500},
+    "filter_ncpa": {"zernike_nm": {7: 40}},
+    "companion": {"flux_ratio": 0.05, "sep_mas": 60, "pa_deg": 30},
+    "ghost": {"flux_ratio": 0.05, "sep_mas": 60, "pa_deg": 30, "defocus_nm": 50},
+    "interpixel_crosstalk": {"fraction": 0.05},
+    "detector_nonlinearity": {"fraction_at_peak": 0.05},
+    "background_gradient": {"e_per_pixel": 5.0, "angle_deg": 30},
+    "correlated_noise": {"e_rms": 100.0},
+    "bad_pixels": [[3, 4], [15, 7]],
+    "focus_stage_hysteresis": {"nm": 40},
+    "focus_stage_offset": {"nm": 40},
+    "focus_stage_scale": {"fraction": 0.2},
+    "high_aperture": {"sine": 0.85},
+}
+FINE = {"pupil_samples": 64, "points_per_band": 3}
+BRIGHT = {"mag_j": 6.0, "detector": {"e_per_adu": 5.0, "read_noise_e": 2.0}}
+ONE = CUBE | BRIGHT | {"introduced_nm": 150.0, "sampling": FINE}
+
+
+def recording(folder, effects: dict) -> tuple[np.ndarray, dict, dict]:
+    """Mean image [ADU], side-car and truth of a recording without sky."""
+    simulated(folder, spec_of({"one": ONE | {"effects": effects}}))
+    data = folder / "data" / "one"
+    table = fits.getdata(data / "one.fits", "IRPixelFrame")
+    image = table["Pixels"].reshape(-1, 24, 24).mean(axis=0)
+    return image, yaml.safe_load((data / "acquisition.yaml").read_text()), truth(folder, "one")
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return recording(tmp_path_factory.mktemp("plain") / "out", {})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_changes_the_frames_and_is_told_in_the_truth_alone(tmp_path, plain, name):
+    image, side_car, told = recording(tmp_path / "out", {name: SIZES[name]})
+    noise_adu = np.sqrt(2 * ((plain[0] - 200) * 5 + 4) / 3) / 5
+    assert np.abs((image - plain[0]) / noise_adu).max() > 8
+    assert side_car == plain[1]
+    assert list(told["hidden"]) == [name] and plain[2]["hidden"] == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["diversity_error", "focus_stage_offset", "high_order_ncpa", "phase_bump"])
+def test_errors_of_the_wavefront_are_part_of_the_true_one(tmp_path, plain, name):
+    told = recording(tmp_path / "out", {name: SIZES[name]})[2]
+    modes = set(told["mean_zernike_nm"])
+    changed = {
+        noll for noll in modes if abs(told["mean_zernike_nm"][noll] - plain[2]["mean_zernike_nm"][noll]) > 1
+    }
+    # Modes beyond Noll 31 are in the wavefront, but are none of those that the file lists.
+    own = {"diversity_error": {"6"}, "focus_stage_offset": {"4"}, "high_order_ncpa": set()}
+    only = own.get(name, modes)
+    assert changed <= only and bool(changed) == bool(only)
+    stated = {noll for noll, value in told["ncpa_nm"].items() if value != plain[2]["ncpa_nm"].get(noll, 0.0)}
+    assert stated == {"diversity_error": {"6"}, "high_order_ncpa": {"60"}}.get(name, set())
+
+
+# Files of simulated recordings, read back with the readers of ingest, astropy and PyYAML.
+# Truth: the frames handed to the writer, and the definition of the layouts in FITS.
+
+
+def night(folder: Path, **recording) -> Planned:
+    return planned(folder, {"night": CUBE | recording}, sky={"seeing_arcsec": 0.7})["night"]
+
+
+def frames_of(one: Planned, frames: int | None = None):
+    """Raw frames that use the whole range of the converter, one by one."""
+    rng = np.random.default_rng(0)
+    for _ in range(frames or one.scene.frames):
+        yield rng.integers(0, 65536, one.scene.window).astype(np.uint16)
+
+
+def write(one: Planned, folder: Path) -> Path:
+    """Write a recording of random frames; returns its folder."""
+    folder.mkdir()
+    readout = Readout.of(one.scene, np.zeros(one.scene.window))
+    write_files(one, folder, readout, frames_of(one), np.random.default_rng(1))
+    return folder
+
+
+@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
+def test_the_files_are_valid_and_ingest_reads_the_frames_back(tmp_path, layout):
+    one = night(tmp_path, layout=layout, window=[24, 30], frames=5)
+    files = recording_files([write(one, tmp_path / "night")])
+    for path in (tmp_path / "night").glob("*.fits"):
+        assert path.stat().st_size % 2880 == 0
+        with fits.open(path) as hdus:
+            hdus.verify("exception")
+    (raw,) = read_recordings(files[0], load_instrument("irlos"))
+    assert raw.layout == {"recorder": "sparta_recorder", "muse_raw": "muse_raw"}[layout]
+    assert np.array_equal(raw.adu, list(frames_of(one)))
+    assert raw.start_unix_s == one.scene.start_unix_s
+
+
+def test_counters_and_times_of_the_recorder_run_with_the_loop(tmp_path):
+    one = night(tmp_path, frames=25, exposure_s=0.05, frame_rate_hz=10)
+    table = fits.getdata(write(one, tmp_path / "night") / "night.fits", "IRPixelFrame")
+    assert np.array_equal(np.diff(table["FrameCounter"]), [20] * 24)  # 200 Hz loop
+    times = table["Seconds"] - one.scene.start_unix_s + table["USeconds"] * 1e-6
+    assert times == pytest.approx(np.arange(25) * 0.1)
+    assert table["USeconds"].max() < 1_000_000
+    (raw,) = read_recordings(tmp_path / "night" / "night.fits", load_instrument("irlos"))
+    assert raw.unix_s == pytest.approx(one.scene.start_unix_s + np.arange(25) * 0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
+def test_the_side_car_tells_everything_that_ingest_needs(tmp_path, layout):
+    one = night(tmp_path, layout=layout, introduced_nm=[0, 10, 20], detector={"excess_noise_factor": 1.25})
+    files = recording_files([write(one, tmp_path / "night")])
+    (raw,) = read_recordings(files[0], load_instrument("irlos"))
+    known = resolve(raw, AcquisitionKeys(), load_instrument("irlos"))
+    told = known.acquisition
+    assert known.warnings == () or all("header" in line for line in known.warnings)
+    assert known.introduced_defocus_nm.tolist() == [0, 10, 20]
+    assert (told.role, told.mag_j, told.exposure_s, told.seeing_arcsec) == ("ncpa_calibration", 9.0, 0.1, 0.7)
+    assert told.detector.e_per_adu == 0.5 and told.detector.excess_noise_factor == 1.25
+    assert told.diversity == {6: -170.0} and told.pixel_scale_mas == 9.7
+
+
+def test_a_muse_file_has_the_header_and_tables_of_the_instrument(tmp_path):
+    one = night(tmp_path, layout="muse_raw", derotator_angle_deg=33.0, target="HD 1")
+    (path,) = write(one, tmp_path / "night").glob("*.fits")
+    assert path.name == "MUSE.2024-02-11T02:20:00.000.fits" and path.with_suffix(".yaml").is_file()
+    with fits.open(path) as hdus:
+        header = hdus[0].header
+        assert hdus["SPARTA_TT_CUBE"].data.shape == (3, 24, 24)
+        assert hdus["SPARTA_ATM_DATA"].data["LGS3_SEEING"] == pytest.approx([0.7, 0.7])
+    assert header["ESO AOS MAIN MODES IRLOS"] == "64x64_FullPupil_200Hz_HighGain"
+    assert (header["OBJECT"], header["ESO INS DROT START"], header["ESO SEQ NGS MAG"]) == ("HD 1", 33.0, 9.0)
+
+
+@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
+def test_writing_needs_memory_for_a_few_frames_only(tmp_path, layout):
+    def peak_bytes(frames: int) -> int:
+        one = night(tmp_path, layout=layout, window=[64, 64], frames=frames)
+        tracemalloc.start()
+        write(one, tmp_path / f"{frames}")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    few, many = peak_bytes(20), peak_bytes(500)
+    assert many < few + 0.1 * 480 * 64 * 64 * 2

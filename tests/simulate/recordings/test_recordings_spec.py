@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.paths import RECIPES
-from helpers.simulation_specs import CUBE, RAMP, planned, spec_of, written
+from helpers.simulation_specs import CUBE, RAMP, planned, simulated, spec_of, truth, written
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
+from irlos_pipe.simulate.recordings.run import SimulationFolder
 from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
 EXAMPLES = sorted((RECIPES / "simulations").glob("*.yaml"))
@@ -134,3 +137,112 @@ def test_the_resolved_spec_makes_the_same_recordings(tmp_path):
     path = tmp_path / "resolved.yaml"
     path.write_text(spec.resolved_yaml())
     assert jsonable(plan_recordings(load_spec(path))) == jsonable(plan_recordings(spec))
+
+
+# The recordings of a series: order, travel of the focus stage, angles, seeds. Expectations are by hand.
+
+
+FIVE = [-200, -100, 0, 100, 200]
+
+
+def reached_nm(folder: Path, effects: dict, **ramp) -> list[float]:
+    """Defocus that a ramp of five offsets reaches, in the order of the offsets."""
+    recordings = {"ramp": RAMP | {"offsets_nm": FIVE, "effects": effects} | ramp}
+    return [one.scene.introduced_nm for one in planned(folder, recordings).values()]
+
+
+def test_a_ramp_makes_one_recording_per_offset_and_its_times_tell_the_order(tmp_path):
+    ramp = planned(tmp_path, {"ramp": RAMP | {"offsets_nm": FIVE, "order": "ping_pong"}})
+    assert list(ramp) == [f"ramp/offset_0{index}" for index in range(5)]
+    assert [one.commanded_nm for one in ramp.values()] == FIVE
+    by_time = sorted(ramp.values(), key=lambda one: one.scene.start_unix_s)
+    assert [one.commanded_nm for one in by_time] == [-200, 200, -100, 100, 0]
+    starts = np.array([one.scene.start_unix_s for one in by_time])
+    counters = np.array([one.scene.first_counter for one in by_time])
+    assert np.all(np.diff(starts) >= 2) and np.array_equal(np.diff(counters), np.diff(starts) * 200)
+
+
+def test_hysteresis_biases_each_offset_by_the_direction_it_was_reached_from(tmp_path):
+    hysteresis = {"focus_stage_hysteresis": {"nm": 20}}
+    # From rest at 0: -200 (down), 200 (up), -100 (down), 100 (up), 0 (down).
+    assert reached_nm(tmp_path, hysteresis, order="ping_pong") == [-220, -120, -20, 120, 220]
+    assert reached_nm(tmp_path, hysteresis) == [-220, -80, 20, 120, 220]
+
+
+def test_a_stage_that_moves_between_frames_is_told_frame_by_frame(tmp_path):
+    cube = CUBE | {"introduced_nm": [0, 50, 0], "effects": {"focus_stage_hysteresis": {"nm": 5}}}
+    one = planned(tmp_path, {"steps": cube})["steps"]
+    assert one.commanded_nm == (0, 50, 0) and one.scene.introduced_nm == (0, 55, -5)
+
+
+def test_effects_of_the_stage_are_told_as_hidden_and_act_once(tmp_path):
+    effects = {"focus_stage_offset": {"nm": 30}, "plate_scale": {"fraction": 0.01}}
+    one = planned(tmp_path, {"ramp": RAMP | {"effects": effects}})["ramp/offset_01"]
+    assert one.hidden == effects and one.scene.introduced_nm == 30
+    assert one.scene.effects == {"plate_scale": {"fraction": 0.01}}
+
+
+def test_a_derotator_series_has_one_recording_per_angle(tmp_path):
+    series = {"turns": CUBE | {"role": "derotator", "angles_deg": [0, 23, 180]}}
+    turns = planned(tmp_path, series, ncpa={"zernike_nm": {5: 10}}, rotating={"zernike_nm": {6: 20}})
+    assert [(name, one.scene.derotator_angle_deg) for name, one in turns.items()] == [
+        ("turns/angle_00", 0), ("turns/angle_01", 23), ("turns/angle_02", 180)]  # fmt: skip
+    assert all(one.scene.rotating_nm == {6: 20} and one.scene.ncpa_nm == {5: 10} for one in turns.values())
+
+
+def test_recordings_share_the_ncpas_and_nothing_else_that_is_random(tmp_path):
+    recordings = {"a": CUBE, "ramp": RAMP, "b": CUBE}
+    scenes = [one.scene for one in planned(tmp_path, recordings, ncpa={"total_nm": 142}).values()]
+    assert all(scene.ncpa_nm == scenes[0].ncpa_nm for scene in scenes)
+    assert np.linalg.norm(list(scenes[0].ncpa_nm.values())) == pytest.approx(142)
+    assert sorted(scenes[0].ncpa_nm) == list(range(2, 52))
+    assert len({scene.seed for scene in scenes}) == len(scenes)
+    other = planned(tmp_path, recordings, ncpa={"total_nm": 142}, seed=6)["a"].scene
+    assert other.ncpa_nm != scenes[0].ncpa_nm
+
+
+# The truth of simulated recordings. Expected: the coefficients put in, and Zernikes turned by hand.
+
+
+@pytest.mark.slow
+def test_the_truth_is_the_wavefront_that_was_put_in(tmp_path):
+    ncpa = {4: 30.0, 7: -20.0, 31: 10.0}
+    effects = {
+        "focus_stage_offset": {"nm": 25},
+        "companion": {"flux_ratio": 0.1, "sep_mas": 90, "pa_deg": 0},
+    }
+    ramp = RAMP | {"effects": effects, "sampling": {"pupil_samples": 96}}
+    simulated(tmp_path / "out", spec_of({"ramp": ramp}, ncpa={"zernike_nm": ncpa}))
+    told = truth(tmp_path / "out", "ramp__offset_02")
+    assert told["hidden"].keys() == effects.keys() and told["introduced_defocus_nm"] == 200
+    assert {int(noll): nm for noll, nm in told["ncpa_nm"].items()} == ncpa
+    mean = {int(noll): nm for noll, nm in told["mean_zernike_nm"].items()}
+    expected = dict.fromkeys(range(2, 32), 0.0) | ncpa | {4: 30.0 + 200 + 25}
+    assert mean == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_truth_of_a_derotator_series_turns_with_the_angle(tmp_path):
+    series = {"turns": CUBE | {"role": "derotator", "angles_deg": [0, 45]}}
+    fixed, turning = {"zernike_nm": {4: 10.0}}, {"zernike_nm": {6: 30.0}}
+    simulated(tmp_path / "out", spec_of(series, ncpa=fixed, rotating=turning))
+    # cos 2(theta - 45 deg) = sin 2 theta: vertical astigmatism, Noll 6, becomes oblique, Noll 5.
+    expected = ({6: 30.0, 4: 10.0}, {5: 30.0, 4: 10.0})
+    for index, zernike_nm in enumerate(expected):
+        found = truth(tmp_path / "out", f"turns__angle_0{index}")
+        for key in ("ncpa_nm", "mean_zernike_nm"):
+            values = {int(noll): nm for noll, nm in found[key].items() if abs(nm) > 1e-6}
+            assert values == pytest.approx(zernike_nm)
+
+
+def test_a_truth_that_names_a_folder_elsewhere_removes_nothing_there(tmp_path):
+    target = SimulationFolder(tmp_path / "sim")
+    (tmp_path / "sim" / "truth").mkdir(parents=True)
+    (tmp_path / "sim" / "data" / "mine").mkdir(parents=True)
+    (tmp_path / "precious").mkdir()
+    for name, told in (("x", "../../precious"), ("y", "mine"), ("z", ".")):
+        forged = {"simulation": {"recording": {"name": told}}}
+        (tmp_path / "sim" / "truth" / f"{name}.json").write_text(json.dumps(forged))
+        target.remove(name)
+    assert (tmp_path / "precious").is_dir()
+    assert list((tmp_path / "sim" / "data").iterdir()) == []
+    assert list((tmp_path / "sim" / "truth").iterdir()) == []

@@ -1,10 +1,16 @@
-"""Images through 2x2 lenslets. Truth: the Fourier integral written out, and finite differences."""
+"""The transform from pupil to focal plane in real arithmetic.
+
+Truth: the complex Fourier sum of the same samples, written out with NumPy (analysis).
+"""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from numpy.polynomial import chebyshev
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_sizes
 from irlos_pipe.effects import CATALOGUE, EffectSet
@@ -12,9 +18,71 @@ from irlos_pipe.effects.motion import TipTiltJitter
 from irlos_pipe.effects.redrawn_pupil import PupilSizes
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.focus_table import ShiftMatrices
+from irlos_pipe.optics.fourier_matrices import FocalGrid, MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.lenslets import LensletArray
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.optics.pupil import grid_centres
 from irlos_pipe.simulate.aperture import passed
+
+STEP_M, FRAMES = 0.25, 2
+
+
+def fields(samples: int) -> np.ndarray:
+    real, imag = np.random.default_rng(samples).standard_normal((2, FRAMES, samples, samples))
+    return real + 1j * imag
+
+
+def as_real(field: np.ndarray) -> torch.Tensor:
+    return mirrored(torch.as_tensor(np.stack([field.real, field.imag], axis=1)))
+
+
+def as_complex(amplitude: torch.Tensor) -> np.ndarray:
+    return torch.complex(*amplitude.unbind(-3)).numpy()
+
+
+class Case:
+    """A transform, and the complex matrix of the same grids."""
+
+    def __init__(self, samples: int, focal: int, degree: int):
+        self.u_m = grid_centres(samples, STEP_M)
+        grid = FocalGrid(focal, samples * STEP_M, 2 * focal, samples * STEP_M)
+        self.polynomials = chebyshev.chebvander(self.u_m / self.u_m[-1], degree).T
+        self.dft = MatrixDft(self.u_m, grid, self.polynomials, torch.zeros((), dtype=torch.float64))
+        self.matrix = np.exp(-2j * np.pi * np.outer(grid.frequency_per_m, self.u_m)) * STEP_M
+
+
+@pytest.fixture(params=[(24, 12, 5), (14, 20, 4), (16, 9, 0)], ids=str)
+def case(request) -> Case:
+    return Case(*request.param)
+
+
+def test_the_amplitude_is_the_fourier_sum(case):
+    field = fields(len(case.u_m))
+    truth = case.matrix @ field @ case.matrix.T
+    ours = as_complex(case.dft.amplitude(as_real(field)))
+    assert ours == pytest.approx(truth, abs=1e-12 * abs(truth).max())
+
+
+def test_the_adjoint_is_the_transpose(case):
+    """``<A E, V> = <E, Aᵀ V>`` for any field and any amplitude."""
+    field = as_real(fields(len(case.u_m)))
+    amplitude = case.dft.amplitude(field)
+    other = torch.as_tensor(np.random.default_rng(2).standard_normal(amplitude.shape))
+    assert (case.dft.adjoint(other) * field).sum().item() == pytest.approx((amplitude * other).sum().item())
+
+
+def test_products_are_the_fourier_sums_of_the_field_times_polynomials(case):
+    field = fields(len(case.u_m))
+    found = np.concatenate([as_complex(part) for part in case.dft.products(as_real(field))])
+    for (a, b), ours in zip(products_up_to(len(case.polynomials) - 1), found, strict=True):
+        weighted = field * case.polynomials[b][:, None] * case.polynomials[a]
+        truth = (-1j) ** (a % 2 + b % 2) * (case.matrix @ weighted @ case.matrix.T)
+        assert ours == pytest.approx(truth, abs=1e-12 * abs(truth).max()), (a, b)
+
+
+# Images through 2x2 lenslets. Truth: the Fourier integral written out, and finite differences.
+
 
 UT4 = load_instrument("irlos").pupil
 MAS_RAD = np.pi / 180 / 3600e3
@@ -119,3 +187,40 @@ def test_a_pupil_that_an_effect_redraws_is_that_of_its_drawing():
 def test_an_odd_window_has_no_lenslets():
     with pytest.raises(ValueError, match="15x12 px has no four equal quarters"):
         LensletArray(replace(settings(), window=(15, 12)), NOLLS)
+
+
+# Band-limited shifts. Truth: functions known in closed form whose spectrum ends where it is said to.
+
+
+BAND, BEYOND = 0.32, 16
+LIKE = torch.empty(0, dtype=torch.float64)
+
+
+def profile(x: np.ndarray) -> np.ndarray:
+    """``sinc⁴``, whose spectrum is a convolution of four boxes and ends at `BAND` exactly."""
+    return np.sinc(BAND / 2 * x) ** 4
+
+
+def slope(x: np.ndarray) -> np.ndarray:
+    """Its derivative, by central differences in steps far below a pixel."""
+    return (profile(x + 1e-5) - profile(x - 1e-5)) / 2e-5
+
+
+def along(pixels: int, centre: float) -> np.ndarray:
+    """Distances of the pixels of a window from `centre`, which counts from the window's middle."""
+    return np.arange(pixels) - (pixels - 1) / 2 - centre
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.45), (-3.7, 5.2), (6.9, -6.9)])
+@pytest.mark.parametrize("window", [(24, 24), (20, 33)])
+def test_an_image_and_its_slopes_are_moved_to_where_they_belong(window, shift):
+    rows, columns = window
+    wide = np.outer(profile(along(rows + 2 * BEYOND, 0.4)), profile(along(columns + 2 * BEYOND, -1.3)))
+    matrices = ShiftMatrices(window, BEYOND, BAND, 1.0, LIKE)
+    along_y, along_x = (m[0].numpy() for m in matrices(torch.tensor([shift], dtype=torch.float64)))
+    moved = along_y @ wide[::-1, ::-1] @ along_x.T
+    y, x = along(rows, 0.4 + shift[1]), along(columns, -1.3 + shift[0])
+    truth = np.outer(profile(y), profile(x))
+    assert np.abs(moved[:rows, :columns] - truth).max() < 1e-5
+    assert np.abs(moved[rows:, :columns] + np.outer(slope(y), profile(x))).max() < 1e-5
+    assert np.abs(moved[:rows, columns:] + np.outer(profile(y), slope(x))).max() < 1e-5
