@@ -4,7 +4,7 @@ errors against Monte Carlo; the variance for equal errors against the textbook f
 import numpy as np
 import pytest
 
-from irlos_pipe.estimate.derotator import Series, split_series, try_both_senses
+from irlos_pipe.estimate.derotator import Series, consistency, split_series, try_both_senses, usable_modes
 from irlos_pipe.optics.zernike import zernike_basis
 
 NOLLS = tuple(range(4, 29))
@@ -97,3 +97,19 @@ def test_the_sense_of_rotation_is_found(parts, sense):
     found = try_both_senses(make(parts, sense=sense))
     assert found.best.sense == sense
     assert found.delta_chi2 > 1000
+
+
+def test_the_angles_agree_when_turned_back_without_the_fixed_part(parts):
+    series = make(parts)
+    found = consistency(series, split_series(series, 1))
+    assert found.without_fixed_nm < 1e-8
+    assert found.measured_nm > 50
+    assert found.expected_nm == pytest.approx(np.sqrt(2 * len(NOLLS)))
+    turning_only = make((parts[0], np.zeros(len(NOLLS))))
+    assert consistency(turning_only, split_series(turning_only, 1)).turned_back_nm < 1e-8
+
+
+def test_pointing_and_incomplete_pairs_are_left_out():
+    kept = usable_modes(range(2, 31), highest_noll=27)
+    assert np.arange(2, 31)[~kept].tolist() == [2, 3, 27, 28, 29, 30]
+    assert usable_modes(range(2, 31))[2:].all()

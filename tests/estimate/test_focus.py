@@ -171,3 +171,8 @@ def test_images_read_out_in_another_orientation_are_named_and_those_of_a_halo_ar
     found = [square.measurement(image) for image in blurred]
     assert min(one.misfit for one in found) > 0.1
     assert not any("mirrored" in one.reasons for one in found)
+
+
+def test_another_window_is_refused(focus):
+    with pytest.raises(ValueError, match=r"\(40, 40\).*\(48, 40\)"):
+        focus.measure(np.zeros((40, 40)))

@@ -166,3 +166,11 @@ def test_a_link_is_not_followed(tmp_path, records):
     (output / "focus.jsonl").symlink_to("elsewhere")
     with pytest.raises(InputDataError, match="cannot be opened"):
         Journal(output)
+
+
+@pytest.mark.parametrize("content", ["something else\n", '{"a": 1}\n', "no end of line"])
+def test_another_file_is_refused_and_left_alone(tmp_path, content):
+    (tmp_path / "focus.jsonl").write_text(content)
+    with pytest.raises(InputDataError, match="not the record"):
+        Journal(tmp_path)
+    assert (tmp_path / "focus.jsonl").read_text() == content

@@ -173,3 +173,14 @@ def test_what_is_no_address_is_a_bad_request_without_a_word(page, capfd, request
         client.sendall(request_line + b"\r\n")
         assert client.recv(1000).split()[1] == b"400"
     assert capfd.readouterr().err == ""
+
+
+def test_the_socket_of_a_living_loop_is_not_taken_away(tmp_path):
+    first = Publisher(tmp_path / "s")
+    with pytest.raises(ConfigurationError, match="another loop listens there"):
+        Publisher(tmp_path / "s")
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(tmp_path / "s"))
+        first.send("one\n")
+        assert client.recv(10) == b"one\n"
+    first.close()

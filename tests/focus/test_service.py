@@ -285,3 +285,27 @@ def test_a_loop_whose_offsets_nothing_answers_stops_and_says_so(tmp_path):
 def test_old_frames_command_nothing_where_that_is_asked_for(tmp_path, arrivals, shadow, reasons):
     served(tmp_path, list(arrivals), replace(SETTINGS, stale_frames_s=900.0, shadow=shadow))
     assert lines(tmp_path)[0][0]["reasons"] == reasons
+
+
+def test_frames_exposed_otherwise_are_told(tmp_path):
+    found, source = made.calibration(), made.Listed([])
+    source.acquisition = replace(found.acquisition, exposure_s=4.0)
+    found = replace(found, acquisition=replace(found.acquisition, exposure_s=1.0))
+    said = made.served(tmp_path, source, SETTINGS, found)
+    assert "frames exposed otherwise than the calibration says: exposure_s 4, not 1" in said
+
+
+def test_a_wild_counter_is_an_event_and_no_number_of_missing_reads(tmp_path):
+    wild = [[replace(made.read(2 + number, 30.0, reads=2), counter=2**62 + number)] for number in range(2)]
+    served(tmp_path, [*reads(0, 2), *wild])
+    records, events = lines(tmp_path)
+    assert records[1]["reads_missing"] == 0
+    assert f"the counter of the recorder went on to {2**62}" in events
+
+
+def test_a_read_of_the_future_is_named_and_those_after_it_are_measured(tmp_path):
+    wild = [dated(10**5 + number, 3600.0) for number in range(2)]
+    served(tmp_path, [*reads(0, 2), *wild, *reads(2, 8)])
+    records, events = lines(tmp_path)
+    assert [(one["exposure"], one["valid"]) for one in records] == [(n, True) for n in range(4)]
+    assert sum("dated 3600 s ahead of the clock of the loop; not used" in event for event in events) == 2

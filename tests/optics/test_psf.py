@@ -1,6 +1,6 @@
 """The forward model against an independent, converged calculation.
 
-Truth: HCIPy on a pupil grid eight times finer than the default (tests/helpers/reference_psf.py), the Airy pattern
+Truth: HCIPy on a pupil grid eight times finer (tests/helpers/reference_psf.py), the Airy pattern
 (analysis), and the shift theorem (analysis).
 """
 

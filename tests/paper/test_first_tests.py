@@ -6,10 +6,13 @@ focus stage moves.
 
 import numpy as np
 import pytest
+import torch
 from helpers.experiment_stage import drawn, run_on, sample, tables_of
 
+from irlos_pipe.estimate.lift import LiftResult
+from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.paper import first_tests
-from irlos_pipe.paper.first_tests import TARGETS, Target, stage_error, variants_of
+from irlos_pipe.paper.first_tests import TARGETS, Target, stage_error, variants_of, wrong_minima
 from irlos_pipe.simulate.effects import effects_of
 from irlos_pipe.simulate.effects.wavefront import reached_nm
 
@@ -52,3 +55,21 @@ def test_the_error_of_the_stage_is_found_from_the_commanded_defocus(target):
     true_nm, found_nm, sigma_nm = stage_error(target, commanded, 1.02 * reached - 7 + noise).values()
     assert true_nm in (30, 40)
     assert abs(found_nm - 1.02 * true_nm) < 4 * sigma_nm < 16
+
+
+def result(defocus, chi2, converged) -> LiftResult:
+    count = len(defocus)
+    values = torch.zeros(count, 3, dtype=torch.float64)
+    values[:, 2] = torch.tensor(defocus)
+    status = ["converged" if one else "stalled" for one in converged]
+    solution = Solution(values, torch.zeros(count, 3, 3), status, torch.ones(count), torch.zeros(count))
+    rest = (torch.zeros(count), torch.tensor(chi2))
+    return LiftResult((2, 3, 4), values, torch.zeros(count, 3, 3), solution, *rest)
+
+
+def test_a_minimum_is_wrong_when_another_start_found_a_better_one_elsewhere():
+    zero = result([100.0, -80.0, 10.0, 0.0], [1.0, 9.0, 1.0, 0.5], [True, True, True, False])
+    scan = result([102.0, 250.0, 10.0, 90.0], [1.0, 1.0, 1.0, 1.0], [True, True, True, True])
+    wrong = wrong_minima({"zero": zero, "scan": scan})
+    assert wrong["zero"].tolist() == [False, True, False, True]
+    assert wrong["scan"].tolist() == [False, False, False, False]

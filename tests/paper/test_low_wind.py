@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import sample
+from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
 
 from irlos_pipe.paper import low_wind
 from irlos_pipe.paper.common.calibrations import ObservedCube
@@ -52,3 +52,21 @@ def test_petals_in_the_model_take_them_out_of_the_wavefront():
     without, with_petals, *_ = low_wind.rows(STAR)
     assert without["folded_nm"] > 4 * with_petals["folded_nm"]
     assert with_petals["chi2_nu"] < without["chi2_nu"]
+
+
+NUMBERS = ("largest_difference_nm", "introduced_nm", "pupil_nm", "folded_nm", "modes_nm", "chi2_nu")
+
+
+@pytest.mark.parametrize(("left_nm", "kept"), [(5.0, True), (12.0, False)])
+def test_the_worst_cube_with_petals_in_the_model_is_judged(monkeypatch, left_nm, kept):
+    def rows(star):
+        for recording in ("narrow H, 0.1 s", "J+H, 0.1 s"):
+            for model, judged_nm in (("without", 99.0), ("with", left_nm - star.seed[-1])):
+                of = {"recording": recording, "size_nm": 200.0, "model": model, "judged_nm": judged_nm}
+                yield of | dict.fromkeys(NUMBERS, 7.0)
+
+    output = run_on(monkeypatch, low_wind, rows, samples=2)
+    assert (not missed(output)) is kept and len(output.checks) == 2
+    assert tables_of(output)["rows"].query("model == 'with'").worst_nm.tolist() == [left_nm] * 2
+    *_, table = drawn(output, low_wind).blocks
+    assert list(table.marks) == ["", "good" if kept else "bad"] * 2

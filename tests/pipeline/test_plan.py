@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from helpers.running import STAGES, reasons, results, run
 
-from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
 from irlos_pipe.pipeline import Selection, plan_run
 from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.recipe import load_recipe
@@ -138,3 +138,27 @@ def test_the_resolved_recipe_runs_again_and_is_up_to_date(bench):
     run(bench, "calibrate.method=dip_global")
     resolved = load_recipe(bench.output / "recipe.resolved.yaml")
     assert {step.reason for step in plan_run(resolved, bench.output, Selection())[1]} == {"up to date"}
+
+
+def test_a_product_of_another_stage_in_its_place_is_made_again(bench):
+    run(bench)
+    (bench.output / "01_ingest.h5").replace(bench.output / "03_lift.h5")
+    assert reasons(bench) == {
+        "ingest": "no product yet",
+        "calibrate": "up to date",
+        "lift": "product unreadable",
+    }
+    assert run(bench)[1] == ["ingest", "lift"]
+
+
+def test_a_missing_further_file_is_made_again(bench):
+    run(bench)
+    (bench.output / "table.csv").unlink()
+    assert reasons(bench)["calibrate"] == "table.csv is missing"
+    assert run(bench)[1] == ["calibrate"] and (bench.output / "table.csv").is_file()
+
+
+def test_an_empty_input_is_nothing_to_process(bench):
+    (bench.folder / "empty").mkdir()
+    with pytest.raises(NothingToDo, match="input 'cube': no recordings under"):
+        run(bench, inputs=[f"cube={bench.folder / 'empty'}"])

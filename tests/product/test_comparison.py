@@ -195,3 +195,12 @@ def test_a_run_of_a_part_and_a_link_to_a_folder_leave_no_stamp(bench):
     (bench.data / "link").symlink_to(bench.folder / "other")
     bench.run()
     assert not is_standing(RunFolder(bench.output))
+
+
+def test_the_command_prints_the_most_significant_first_and_all_on_demand(pair):
+    short = invoke("compare", *map(str, pair)).stdout
+    lines = [line for line in short.splitlines() if line.split()[-1:] == ["σ"]]
+    sigmas = [abs(float(line.split()[-2])) for line in lines if line.split()[-2][0] in "+-"]
+    assert sigmas == sorted(sigmas, reverse=True) and sigmas[0] == 1.4  # 4 over sqrt(8)
+    assert "seed  0 → 1" in short and "passed → failed" in short
+    assert len(invoke("compare", *map(str, pair), "--all").stdout) >= len(short)

@@ -361,3 +361,8 @@ def test_three_points_per_band_have_its_photons_and_mean_wavelength(kelvin):
 def test_a_curve_that_is_none_is_refused(curve, message):
     with pytest.raises(InputDataError, match=message):
         spectrum_of(curve, 5000.0, "here")
+
+
+def test_reads_make_the_exposure_where_none_is_told(tmp_path):
+    told = acquisition(tmp_path, exposure_s=None, detector={"read_s": 0.004, "coadds": 250})
+    assert told.exposure_s == pytest.approx(1.0)

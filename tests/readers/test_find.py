@@ -420,3 +420,16 @@ def test_a_recording_that_is_gone_or_unfinished_is_told_by_its_side_car(ramp, tm
     assert run.exit_code == 5 and beside in run.stdout
     plan = invoke("night", str(ramp), "--output", str(tmp_path / "tree"), "--dry-run")
     assert beside in plan.stdout and "offset_0" in plan.stdout
+
+
+@pytest.mark.parametrize("shape", [(40,), (2, 3, 12, 12), (3, 2, 12)])
+def test_axes_that_are_no_cube_are_refused(tmp_path, shape):
+    fits.writeto(tmp_path / "c.fits", np.zeros(shape, np.float32))
+    with pytest.raises(InputDataError, match=r"c\.fits: HDU 0 \(PRIMARY\): axes"):
+        read_recordings(tmp_path / "c.fits", IRLOS)
+
+
+def test_a_file_with_two_pixel_tables_is_refused(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE, pixel_table(CUBE))
+    with pytest.raises(InputDataError, match="2 tables IRPixelFrame"):
+        read_recordings(path, IRLOS)

@@ -18,7 +18,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.muse_raw import without_borders
-from irlos_pipe.readers.times import frames_missing
+from irlos_pipe.readers.times import frames_missing, relative_times
 
 IRLOS = load_instrument("irlos")
 
@@ -299,3 +299,21 @@ def test_a_calibration_image_of_another_size_is_refused(tmp_path, cube):
 def test_a_map_of_dead_pixels_upside_down_is_refused(tmp_path, cube):
     with pytest.raises(InputDataError, match="marks 54 of 54 pixels as dead"):
         read(write_recorder(tmp_path / "rec", cube, maps={"DEAD": np.ones((6, 9))}))
+
+
+def test_frames_without_a_time_are_placed_by_their_counter():
+    times = relative_times(np.array([10.0, np.nan, 10.4]), np.array([0, 20, 80]), frame_rate_hz=1.0)
+    assert times == pytest.approx([0.0, 0.1, 0.4])
+
+
+def test_a_table_without_rows_is_refused(tmp_path, cube):
+    with pytest.raises(InputDataError, match="no frames"):
+        read(write_recorder(tmp_path / "rec", cube[:0]))
+
+
+def test_weights_that_leave_a_small_window_are_no_bad_pixels(tmp_path, cube):
+    weight = np.zeros((6, 9))
+    weight[2:4, 3:6] = 1
+    raw = read(write_recorder(tmp_path / "rec", cube, maps={"WEIGHT": weight}))
+    assert raw.calibration.bad is None
+    assert any("centroiding window" in note for note in raw.notes)

@@ -244,3 +244,12 @@ def test_few_bytes_that_unpack_to_many_are_refused_while_they_are_unpacked(tmp_p
     fits.writeto(tmp_path / "whole.fits", np.zeros((200, 64, 64)))
     (tmp_path / "a.fits").write_bytes(pack((tmp_path / "whole.fits").read_bytes()))
     assert "that unpack to more than 2097152" in refusal(tmp_path / "a.fits")
+
+
+def test_random_groups_are_named(tmp_path):
+    groups = fits.GroupData(
+        np.zeros((3, 1, 1, 4), np.float32), bitpix=-32, parnames=["U"], pardata=[np.zeros(3)]
+    )
+    fits.GroupsHDU(groups).writeto(tmp_path / "a.fits")
+    with pytest.raises(InputDataError, match="random groups"):
+        read_recordings(tmp_path / "a.fits", IRLOS)

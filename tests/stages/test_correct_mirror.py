@@ -86,3 +86,8 @@ def test_a_table_that_is_none_is_refused_in_one_line(folder, tmp_path, shape, me
         fits.PrimaryHDU(np.ones(shape)).writeto(tmp_path / "bad.fits")
     result = corrected(folder, tmp_path / "bad.fits")
     assert result.exit_code == 3 and message in result.stderr
+
+
+def test_a_file_that_is_not_there_is_a_wrong_setting(folder, tmp_path):
+    result = corrected(folder, tmp_path / "none.fits")
+    assert result.exit_code == 2 and "none.fits" in result.stderr and "give a FITS cube" in result.stderr

@@ -225,3 +225,8 @@ def test_a_raw_file_gives_its_low_orders_what_it_determines_and_the_focus_of_eve
     assert len(lift["points"]) == FRAMES and lift["summary"]["slope"] is None
     errors_nm = np.array([point["zernike_nm"]["4"] for point in lift["points"]])  # beyond the calibrated
     assert np.abs(errors_nm).max() < 6 * np.median([point["sigma_photon_nm"] for point in lift["points"]])
+
+
+def test_methods_are_not_compared_cube_by_cube():
+    with pytest.raises(ValueError, match="leave it out with 'each: true'"):
+        calibrate.Config(each=True, compare=("dip_avg",))

@@ -3,7 +3,8 @@
 import logging
 
 import pytest
-from helpers.sparta_files import counts, star, write_recorder
+from astropy.io import fits
+from helpers.sparta_files import counts, star, write_recorder, write_sidecar
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
@@ -51,3 +52,15 @@ def test_a_recording_that_does_not_fit_into_the_memory_is_refused_before_it_is_c
     monkeypatch.setattr("irlos_pipe.files.processes.available_bytes", lambda: 1e5)
     with pytest.raises(InputDataError, match=r"3 frames of 12x12 px: needs about 0\.0 GB of memory"):
         ingest(source, Config(), IRLOS)
+
+
+@pytest.mark.parametrize("copy", ["copy.fits", "copy.fits.gz"])
+def test_a_copy_of_a_recording_is_left_out_and_named(tmp_path, caplog, copy):
+    for name in ("cube.fits", copy):
+        fits.writeto(tmp_path / name, CUBE)
+    write_sidecar(tmp_path / "acquisition.yaml")
+    sources, failures = read(tmp_path)
+    assert len(sources) == 1 and not failures
+    assert [record.levelname for record in caplog.records if "a copy of" in record.getMessage()] == [
+        "WARNING"
+    ]

@@ -410,3 +410,15 @@ def test_what_cannot_be_summed_is_refused_in_one_line(exposure_s, frames, messag
     with pytest.raises(InputDataError, match=message) as error:
         accumulated(source(ADU[:frames]), exposure_s)
     assert "\n" not in str(error.value)
+
+
+def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
+    pattern = np.random.default_rng(7).normal(100, 10, IMAGE.shape)
+    noise = np.random.default_rng(8).normal(0, 2, (50, *IMAGE.shape))
+    write_recorder(tmp_path / "dark", (pattern + noise).astype(np.float32), keys={"role": "dark"})
+    write_recorder(tmp_path / "rec", (counts(IMAGE, pedestal_adu=0) + pattern).astype(np.float32))
+    output = run(tmp_path)
+    assert [row["role"] for row in output.results.as_json()["inputs"]] == ["ncpa_calibration", "dark"]
+    background = output.arrays["recordings/cube/rec/background_adu"].value
+    assert background == pytest.approx(pattern, abs=1.5)
+    assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2

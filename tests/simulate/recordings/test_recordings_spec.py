@@ -12,6 +12,7 @@ from helpers.simulation_specs import CUBE, RAMP, planned, simulated, spec_of, tr
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.recordings.run import SimulationFolder
 from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
@@ -246,3 +247,33 @@ def test_a_truth_that_names_a_folder_elsewhere_removes_nothing_there(tmp_path):
     assert (tmp_path / "precious").is_dir()
     assert list((tmp_path / "sim" / "data").iterdir()) == []
     assert list((tmp_path / "sim" / "truth").iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", "a__b", ".hidden", "ä"])
+def test_a_recording_name_that_makes_no_folder_is_refused(tmp_path, name):
+    assert "becomes the name of a folder" in refusal(tmp_path, spec_of({name: CUBE}))[0]
+
+
+def test_a_tail_of_fine_modes_is_added_to_the_draw_and_leaves_it_as_it_is(tmp_path):
+    """149 normal numbers: their RMS is known to 6 %."""
+    drawn = {"total_nm": 100.0, "modes": 50}
+    with_tail = drawn | {"tail_nm": 2.0, "tail_nolls": [52, 200]}
+    plain, fine = (
+        planned(tmp_path, {"one": CUBE | {"ncpa": ncpa}})["one"].scene.ncpa_nm for ncpa in (drawn, with_tail)
+    )
+    tail = [fine[noll] for noll in range(52, 201)]
+    assert {noll: fine[noll] for noll in plain} == plain and len(fine) == 199
+    assert (sum(value**2 for value in tail) / 149) ** 0.5 == pytest.approx(2.0, rel=0.2)
+
+
+def test_a_pupil_may_differ_from_the_profile_in_its_hole(tmp_path):
+    one = planned(tmp_path, {"one": CUBE}, pupil={"obscuration_m": 1.2})["one"]
+    nominal = load_instrument("irlos").pupil
+    assert one.scene.geometry.obscuration_m == 1.2
+    assert one.scene.geometry.vanes == nominal.vanes and nominal.obscuration_m != 1.2
+
+
+def test_bands_of_ones_own_share_the_photons(tmp_path):
+    bands = [{"centre_nm": nm, "half_width_nm": 50, "share": share} for nm, share in ((1200, 1), (1600, 3))]
+    scene = planned(tmp_path, {"one": CUBE | {"bands": bands}})["one"].scene
+    assert [band.share for band in scene.bands] == [0.25, 0.75]
