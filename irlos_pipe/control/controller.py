@@ -23,8 +23,6 @@ SETTLING, OUTSIDE = "settling", "outside"
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """Constants of the controller."""
-
     gain: float = 0.4  # per exposure
     leak: float = 0.0  # per exposure
     delay: int = 1  # whole exposures between the end of one and the offset that follows, see `Integrator`
@@ -58,8 +56,6 @@ class ControllerSettings:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """All that the controller remembers."""
-
     offset_nm: float = 0.0  # commanded last [nm RMS]
     mode: str = BOOTSTRAP
     settling: int = 0  # exposures still to pass until the last jump shows
@@ -68,8 +64,6 @@ class ControllerState:
 
 @dataclass(frozen=True)
 class Decision:
-    """What the controller made of an exposure."""
-
     state: ControllerState  # with the offset to command
     commanded: bool  # whether the measurement changed the offset; else it is held
     clipped: bool = False  # whether the offset stands at its limit

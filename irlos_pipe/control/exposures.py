@@ -46,8 +46,6 @@ class Repeats:
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """One read of the detector."""
-
     counter: int  # of the recorder
     unix_s: float  # since 1970; NaN if not known
     image_e: np.ndarray  # (rows, columns), photo-electrons, dark and background subtracted
@@ -56,8 +54,6 @@ class Read:
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Reads added up."""
-
     index: int  # counter over the counts of an exposure
     image_e: np.ndarray  # (rows, columns), float64; empty where the reads have different windows
     reads: int  # in it
@@ -84,8 +80,6 @@ class _Tally:
 
 @dataclass
 class Accumulator:
-    """Adds up reads."""
-
     reads: int  # of an exposure
     step: int = 1  # of the counter from one read to the next
     last_index: int | None = None  # of the last exposure that is done: reads of earlier ones are late, too

@@ -262,7 +262,6 @@ class FixedEffect(Effect):
         return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
 
     def _of_other(self, base: Effect) -> FixedEffect:
-        """Another effect with the same parameters held."""
         return FixedEffect(base, self.values, [self.base.parameters[i].name for i in self.free])
 
     @property
@@ -311,7 +310,6 @@ def label_of(name: str, before: int) -> str:
 
 
 def kind_of(label: str) -> str:
-    """Name of the effect with this `label`."""
     return _label_parts(label)[0]
 
 

@@ -35,7 +35,6 @@ def shipped_folder(kind: Kind) -> Path:
 
 
 def shipped_names(kind: Kind) -> list[str]:
-    """Return the names of the YAML files of a `kind`."""
     return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
 
 

@@ -51,7 +51,6 @@ class ValidationErrors:
         self._found = [str(error).split(": ", 1) for error in rejected]
 
     def add(self, key: KeyPath, message: str) -> None:
-        """Note a `message` about the value at `key`."""
         entry = [self._origins.where(key), message]
         if entry not in self._found:
             self._found.append(entry)
@@ -132,7 +131,6 @@ def _meaning(keys: Keys, loc: KeyPath) -> str:
 
 
 def _keys_at(form: Any, loc: KeyPath) -> Keys:
-    """Return the keys at `loc` of a section of the `form`."""
     keys = _keys(form)
     for part in loc:
         if str(part) in keys:  # list indices and tags of unions stay within the section found so far

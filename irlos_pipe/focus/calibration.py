@@ -169,8 +169,6 @@ _Frames = tuple[Recording, np.ndarray, NoiseModel, Iterable[np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a loop measures with."""
-
     sensor: Focus
     name: str  # of the run, with a part of the checksum of all that its calibration depends on
     instrument: Instrument

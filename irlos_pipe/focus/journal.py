@@ -33,8 +33,6 @@ FAILED, FROZEN, OLD = "failed", "frozen", "old"
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """One exposure."""
-
     sequence: int  # from 1, over all starts of the loop
     exposure: int
     counter: int  # of the first read
@@ -68,7 +66,6 @@ class Record:
     recorded_unix_s: float = math.nan  # by the clock of the loop
 
     def line(self) -> str:
-        """Return the record as one line of JSON."""
         return _line(asdict(self))
 
     @property
@@ -221,7 +218,6 @@ class Journal:
         return found[::-1]
 
     def add(self, record: Record) -> str:
-        """Append a `record`; return its line."""
         return self._append(record.line())
 
     def event(self, text: str) -> str:
@@ -241,7 +237,6 @@ class Journal:
         return told
 
     def close(self) -> None:
-        """Write what can be written and close the files."""
         self.flush()
         self._database.fill()
         self._database.release()

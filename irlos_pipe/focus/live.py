@@ -96,7 +96,6 @@ class LivePage:
         return f'{head[:-1]}, "lines": [{lines}]}}'
 
     def close(self) -> None:
-        """Stop listening."""
         self._server.shutdown()
         self._server.server_close()
 
@@ -118,7 +117,6 @@ class _Server(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def process_request_thread(self, request, client_address) -> None:
-        """Answer a connection."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -138,7 +136,6 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*arguments)
 
     def do_GET(self) -> None:
-        """Answer a request."""
         try:
             url = urlsplit(self.path)
             query = parse_qs(url.query)
@@ -216,7 +213,6 @@ class Publisher:
         self._inode = os.stat(path).st_ino
 
     def send(self, line: str) -> None:
-        """Send a `line` to all clients."""
         self._accept()
         content = line.encode()
         for client in list(self._clients):
@@ -229,7 +225,6 @@ class Publisher:
                 client.close()
 
     def close(self) -> None:
-        """Close all connections and remove the socket."""
         for one in (*self._clients, self._server):
             one.close()
         with suppress(OSError):

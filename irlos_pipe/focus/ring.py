@@ -46,12 +46,10 @@ class _Shape(NamedTuple):
 
     @property
     def stride(self) -> int:
-        """Bytes of a slot."""
         return NUMBER.size + BODY.size + 4 * self.rows * self.columns
 
     @property
     def size(self) -> int:
-        """Bytes of the file."""
         return HEAD_BYTES + self.slots * self.stride
 
     def at(self, number: int) -> int:
@@ -87,7 +85,6 @@ class RingWriter:
         return int(NUMBER.unpack_from(self._map, WRITTEN_AT)[0])
 
     def close(self) -> None:
-        """Unmap the file."""
         self._map.close()
 
     def write(self, read: Read, *, damaged: bool = False) -> None:

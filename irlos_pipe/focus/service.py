@@ -45,8 +45,6 @@ NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How a loop runs."""
-
     controller: ControllerSettings = field(default_factory=ControllerSettings)
     reads: int = 1  # added up to an exposure
     counter_step: int = 1  # of the recorder's counter, from one read to the next
@@ -338,7 +336,6 @@ class _Running:
             self.finish()
 
     def note_calibration(self, calibration: Calibration) -> None:
-        """Say what has to be said of a calibration."""
         if calibration.notice:
             self.note(f"calibration {calibration.name}: {calibration.notice}")
 
@@ -419,7 +416,6 @@ class _Running:
             self.publisher.send(line)
 
     def look_around(self) -> None:
-        """Disk, clock and calibration."""
         self.journal.flush()
         self.faults.look()
         if told := self.journal.news():
@@ -448,7 +444,6 @@ class _Running:
         self.note(f"stopped{self.unused()}")
 
     def note(self, text: str) -> None:
-        """Record and report something that happened."""
         self.show(self.journal.event(text))
         self.report(text)
 

@@ -272,7 +272,6 @@ def _packed(field: torch.Tensor) -> torch.Tensor:
 
 
 def _unpacked(packed: torch.Tensor) -> torch.Tensor:
-    """Transpose of `_packed` as a real linear map."""
     (even_even, even_odd), (odd_even, odd_odd) = _quadrants(packed)
     same, opposite = even_even - odd_odd, even_even + odd_odd
     across, along = _turned(even_odd + odd_even), _turned(odd_even - even_odd)
@@ -280,7 +279,6 @@ def _unpacked(packed: torch.Tensor) -> torch.Tensor:
 
 
 def _turned(field: torch.Tensor) -> torch.Tensor:
-    """The field times -i."""
     return torch.stack([field[:, 1], -field[:, 0]], dim=1)
 
 
@@ -290,5 +288,4 @@ def _quadrants(array: torch.Tensor) -> list[tuple[torch.Tensor, ...]]:
 
 
 def _joined(pp: torch.Tensor, pn: torch.Tensor, np_: torch.Tensor, nn: torch.Tensor) -> torch.Tensor:
-    """Maps made of their `_quadrants`."""
     return torch.cat([torch.cat([pp, pn], dim=-1), torch.cat([np_, nn], dim=-1)], dim=-2)

@@ -25,8 +25,6 @@ DARK_BEYOND = 12  # samples outside the rim: the filter's ringing has died out, 
 
 @dataclass(frozen=True)
 class PupilGrid:
-    """Samples of the pupil."""
-
     geometry: PupilGeometry
     samples: int  # across the diameter
     u_m: np.ndarray  # (n,): coordinates along either axis [m]
@@ -80,7 +78,6 @@ class PupilGrid:
         return np.where(self.lit, band_limited_pupil(self.geometry, self.samples)[1], 0) * self.light
 
     def modes(self, nolls: Sequence[int]) -> np.ndarray:
-        """Return the Zernike polynomials, (modes, n, n)."""
         return _modes(self.geometry, self.samples, tuple(nolls))
 
     @property
@@ -94,8 +91,6 @@ class PupilGrid:
 
 
 class Sampling(NamedTuple):
-    """Colours and pixels."""
-
     wavelengths_m: torch.Tensor  # (wavelengths,)
     weights: torch.Tensor  # (wavelengths,): of the photons; their sum is 1
     pixel_scale_mas: torch.Tensor  # scalar: geometric mean of the scales along two orthogonal axes

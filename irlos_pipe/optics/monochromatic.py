@@ -57,7 +57,6 @@ class FocalPlane:
 
     @property
     def widest(self) -> FocalGrid:
-        """The grid with most samples."""
         return max(self.grids, key=lambda grid: grid.samples)
 
     def to_pixels(self, index: int, sampling: Sampling | None, *, filtered: bool) -> Matrices:
@@ -232,7 +231,6 @@ class Colour(NamedTuple):
 
 
 def _single(factor: torch.Tensor) -> torch.Tensor:
-    """An OTF factor in single precision."""
     return factor.to(torch.complex64 if factor.is_complex() else torch.float32)
 
 

@@ -182,7 +182,6 @@ class PsfModel:
         return (coefficients @ self.basis).unflatten(1, self.amplitude.shape) + self.known_nm
 
     def _colour(self, index: int, optics: Optics) -> Colour:
-        """The light path at one wavelength."""
         plane, sampling = self.focal_plane, optics.sampling
         wavelength_m = float(self.wavelengths_m[index]) if sampling is None else sampling.wavelengths_m[index]
         transfer = self._transfer(optics.transfer, index)
@@ -232,7 +231,6 @@ class PsfModel:
         return [_Path(*light, index) for light in lights for index in range(len(self.weights))]
 
     def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
-        """Weighted images at one wavelength."""
         colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
         field = colour.field(opd)
         amplitude, *turned = amplitudes_of(colour, dft, field)

@@ -25,8 +25,6 @@ CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by 
 
 @dataclass(frozen=True)
 class Division:
-    """Parts of a pupil."""
-
     index: Index  # number of the part at, or nearest to, points; arrays that broadcast
     count: int
     shared: Shares | None = None  # see `shares`; without it a cell belongs to the part at its middle

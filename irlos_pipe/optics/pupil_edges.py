@@ -89,8 +89,6 @@ class DrawnEdges:
 
 
 class PupilEdges(DrawnEdges):
-    """Edges of a plain pupil."""
-
     @cached_property
     def _fine(self) -> np.ndarray:
         """Coordinates along either axis of the fine cells [m]."""
@@ -159,7 +157,6 @@ class PupilEdges(DrawnEdges):
 
     @cached_property
     def _vanes(self) -> list[_Cells]:
-        """The two edges of every vane."""
         return [self._vane_edges(vane) for vane in self.geometry.vanes]
 
     def _vane_edges(self, vane: Vane) -> _Cells:

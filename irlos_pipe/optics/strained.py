@@ -89,7 +89,6 @@ class Strained(NamedTuple):
 
     @property
     def single(self) -> Strained:
-        """The same in single precision."""
         waves = (self.to_rows, self.to_columns, self.along_lines, self.along_columns)
         rows, columns, along_lines, along_columns = (one.to(torch.complex64) for one in waves)
         real = self.footprint.float(), self.counts.float()
@@ -213,6 +212,5 @@ class Pixels:
 
 
 def _sinc_slope(x: torch.Tensor) -> torch.Tensor:
-    """Derivative of ``sin(πx) / (πx)``."""
     safe = torch.where(x == 0, torch.ones_like(x), x)
     return torch.where(x == 0, torch.zeros_like(x), (torch.cos(np.pi * x) - torch.sinc(x)) / safe)

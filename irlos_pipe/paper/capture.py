@@ -41,8 +41,6 @@ DRAWN = {"elongation": "start_nm", "scan": "start_nm", "zero": "defocus_nm", "de
 
 
 class Sizes(ex.StageConfig):
-    """Sizes and conditions of the experiment."""
-
     ramps: int = Field(30, ge=1, le=10000, description="sets of NCPAs")
     h_ramps: int = Field(10, ge=0, le=10000, description="further sets, known exactly, in H alone")
     frames: int = Field(50, ge=1, le=1000, description="frames with each set of NCPAs")

@@ -29,8 +29,6 @@ LOOKS = {"before": (ORANGE, "--"), PAPER_CHOICE: (GREEN, "-."), DEFAULT: (BLUE, 
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(4, ge=1, le=1000, description="stars at each seeing; the first is drawn")
     seeings_arcsec: tuple[float, ...] = Field((0.35, 1.0), description="seeings on SPARTA's scale")
     frames: int = Field(300, ge=10, le=10000, description="frames of the cube that is calibrated")

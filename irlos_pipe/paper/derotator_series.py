@@ -64,8 +64,6 @@ PARTS = {"rotating": "turns with the derotator", "fixed": "does not turn"}
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     angles_deg: tuple[float, ...] = Field(
         (0, 23, 46, 69, 92, 115, 138, 161, 180), min_length=2, description="derotator angles"
     )

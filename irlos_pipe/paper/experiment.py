@@ -176,7 +176,6 @@ class Experiment:
         return self.checks(results.frames())
 
     def section(self, run: RunData) -> Section:
-        """Return the section of the report of a run."""
         tables = run.results(self.Results).frames()
         shown = [listing.table(tables) for listing in self.listings if len(tables.get(listing.of, ()))]
         blocks = [*self.figures(Drawn(run, self.NAME, tables)), *shown]
@@ -189,7 +188,6 @@ def _is_scalar(value: Any) -> bool:
 
 
 def _row_arrays(rows: Frame) -> dict[str, Quantity]:
-    """Return the columns of numbers and of texts."""
     return {
         f"rows/{name}": Quantity(_array(column), UNITS.get(name.rpartition("_")[2], ""), "of every row")
         for name, column in rows.items()

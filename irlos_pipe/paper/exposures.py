@@ -17,8 +17,6 @@ STEADY = 1.5  # largest over smallest error of the default between exposures: it
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(3, ge=1, le=1000, description="cubes at each seeing")
     seeings_arcsec: tuple[float, ...] = Field((0.35, 1.0), min_length=1, description="on SPARTA's scale")
     shortest_s: float = Field(0.02, gt=0, le=10, description="shortest exposure [s]")
@@ -98,7 +96,6 @@ LISTING = ex.Listing("methods", "Exposures",
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error against exposure."""
     caption = "Medians over the cubes, by the seeing [arcsec]. All exposures are sums of the same short ones."
     return [ex.lines(
         "exposures", "Error against exposure", caption, drawn.tables["methods"], "exposure_s", "modes_nm",

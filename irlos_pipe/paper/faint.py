@@ -42,8 +42,6 @@ COLOURS = {"none": ORANGE, "published": GREEN, "default": BLUE}
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(2, ge=1, le=1000, description="sets of NCPAs, pooled in every curve")
     reach_nm: float = Field(170.0, gt=0, le=600, description="the ramp goes from minus to plus this [nm RMS]")
     offsets: int = Field(7, ge=2, le=200, description="positions of the ramp, one frame each")

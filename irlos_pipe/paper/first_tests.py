@@ -100,8 +100,6 @@ def variants_of(target: Target) -> dict[str, LiftVariant]:
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(3, ge=1, le=1000, description="sets of NCPAs per target; the first is drawn")
     offsets: tuple[int, int] = Field((10, 8), description="positions of the ramps of the two targets")
     frames_per_offset: tuple[int, int] = Field((10, 20), description="of the first ramp of each target")

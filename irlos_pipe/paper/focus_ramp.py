@@ -44,8 +44,6 @@ COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW, INK)
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(8, ge=1, le=1000, description="sets of NCPAs; the ramp of the first is drawn")
     reach_nm: float = Field(300.0, gt=0, le=600, description="the ramp goes from minus to plus this [nm RMS]")
     offsets: int = Field(13, ge=3, le=200, description="positions of the ramp")
@@ -66,7 +64,6 @@ class Sizes(ex.StageConfig):
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
-    """One set of NCPAs each."""
     return ex.each(ctx, ctx.config.samples, "ramp {index}")
 
 

@@ -32,8 +32,6 @@ ASKED_NM = 10.0  # requirement on a calibration that has the petals in its model
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(2, ge=1, le=1000, description="sets of NCPAs and patterns of petals")
     sizes_nm: tuple[float, ...] = Field(
         (0.0, 100.0, 200.0, 400.0), min_length=1, description="pistons [nm RMS over the petals]"

@@ -35,8 +35,6 @@ STANDARD_ERRORS = 3.0
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(20, ge=1, le=1000, description="cubes at each of `seeings_arcsec`")
     samples_of_parts: int = Field(
         6, ge=0, le=1000, description="of these, cubes with parts of the default changed"

@@ -112,7 +112,6 @@ class Bench:
         }
 
     def left(self, mirror: Mirror) -> dict[str, float]:
-        """Return what a mirror leaves of the wavefront."""
         return self.of(self.opd_nm + mirror.opd_nm(self.telescope))
 
     def strehl(self, mirror: Mirror) -> float:
@@ -171,8 +170,6 @@ STATE = (*LEFT, "strehl", "seen_nm")
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(3, ge=1, le=1000, description="sets of NCPAs")
     biases_nm: tuple[float, ...] = Field(
         (0.0, 200.0, -200.0), min_length=1, description="defocus; 0 is a star that was refocused [nm RMS]"
@@ -232,7 +229,6 @@ def rows(star: ex.Sample) -> ex.Rows:
 
 
 def scene_of(star: ex.Sample) -> Scene:
-    """Return the cube before any correction."""
     cube = star.cube(star.sizes.seeing_arcsec, star.sizes.frames, star.sizes.mag_j)
     ncpa_nm = {**cube.ncpa_nm, DEFOCUS: star["bias_nm"]}
     return replace(

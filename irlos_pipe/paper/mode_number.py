@@ -33,8 +33,6 @@ METHODS = {
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     cubes: int = Field(4, ge=1, le=1000, description="cubes, each with its own NCPAs of 50 modes")
     frames: int = Field(200, ge=32, le=10000, description="frames of a cube")
     published_frames: int = Field(
@@ -58,7 +56,6 @@ class Sizes(ex.StageConfig):
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
-    """One cube each."""
     read = Read.of(ctx.instrument, ctx.config.noise, "mode_number")
     return ex.each(ctx, ctx.config.cubes, "cube {index}", read=read)
 

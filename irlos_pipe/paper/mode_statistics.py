@@ -30,8 +30,6 @@ NAMES = {TRUTH: TRUTH} | {method: METHOD_NAMES[method] for method in (DEFAULT, P
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     cubes: int = Field(20, ge=2, le=1000, description="cubes, each with its own NCPAs of 50 modes")
     frames: int = Field(100, ge=10, le=10000, description="frames of a cube")
     published_frames: int = Field(
@@ -45,7 +43,6 @@ class Sizes(ex.StageConfig):
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
-    """One cube each."""
     return ex.each(ctx, ctx.config.cubes, "cube {index}")
 
 
@@ -162,7 +159,6 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Standard deviation against Noll index."""
     noll, points = drawn.array("noll"), {}
     for name, text in NAMES.items():
         std_nm, law_nm = drawn.array(f"{name}/std_nm"), drawn.array(f"{name}/law_nm")

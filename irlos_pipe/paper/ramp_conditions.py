@@ -190,8 +190,6 @@ NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # exposure and star of the paper's s
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(3, ge=1, le=1000, description="sets of NCPAs")
     conditions: tuple[str, ...] = Field(
         tuple(CONDITIONS), min_length=1, description="what the light of the ramps has"
@@ -379,7 +377,6 @@ LISTINGS = [
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
-    """Error of every ramp."""
     rows = drawn.rows()
     rows["named"] = (
         rows.condition.map(lambda key: CONDITIONS[key].label)

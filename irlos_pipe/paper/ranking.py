@@ -23,8 +23,6 @@ OWN = "own modes"
 
 
 class Sizes(ex.StageConfig):
-    """Sizes of the experiment."""
-
     samples: int = Field(20, ge=1, le=1000, description="cubes at each seeing, without a tail")
     samples_of_tails: int = Field(6, ge=0, le=1000, description="cubes at each seeing with each tail")
     samples_of_parts: int = Field(6, ge=0, le=1000, description="of those without, tried with fewer frames")

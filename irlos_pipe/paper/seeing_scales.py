@@ -141,7 +141,6 @@ LISTING = ex.Listing("conditions", "The paper's conditions",
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
-    """The draws."""
     names = ("monitor_arcsec", "sparta_arcsec")
     return {f"draws/{name}": ex.Quantity(rows[name].iloc[0], "arcsec", "drawn seeing") for name in names}
 

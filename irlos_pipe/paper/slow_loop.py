@@ -66,8 +66,6 @@ class Layer(ex.StageConfig):
 
 
 class Sizes(ex.StageConfig):
-    """Sizes and conditions of the experiment."""
-
     skies: int = Field(4, ge=1, le=1000, description="sets of NCPAs, each with its sky and its calibration")
     drifts: int = Field(1, ge=1, le=1000, description="drifts of the sodium layer on each sky")
     frames: int = Field(120, ge=10, le=100000, description="frames of 1 s per drift")

@@ -174,7 +174,6 @@ def write_aot(product: Product, name: str, path: Path, *, replace: bool = False)
 
 
 def _prefix(product: Product, name: str) -> str:
-    """Where the arrays of a recording lie."""
     known = sorted({array.rpartition("/")[0] for array in product.arrays if array.endswith("/raw_adu")})
     if not known:
         raise ConfigurationError(

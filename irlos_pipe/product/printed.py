@@ -34,7 +34,6 @@ class Printed(ResultsPart):
         return jsonable(self.model_dump(by_alias=True))
 
     def text(self) -> str:
-        """Return the JSON as it is printed."""
         return json_text(self.as_json()).rstrip()
 
 

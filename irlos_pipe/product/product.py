@@ -60,13 +60,11 @@ class Quantity:
 
     @property
     def described(self) -> tuple[str, str, str]:
-        """Shape, unit and description, in words."""
         shape = "×".join(map(str, np.shape(self.value))) or "scalar"
         unit = f"{self.unit} ± error" if self.error is not None else self.unit
         return shape, unit.strip(), self.description
 
     def __repr__(self) -> str:
-        """Return shape, unit and description."""
         shape, unit, description = self.described
         return f"<Quantity {' '.join(filter(None, [shape, unit]))}: {description}>"
 
@@ -108,8 +106,6 @@ class Check:
 
 @dataclass(frozen=True)
 class Product:
-    """What one stage leaves behind."""
-
     stage: str
     arrays: Mapping[str, Quantity]  # names may contain ``/``, which makes HDF5 groups
     results: dict[str, Any]  # the stage's section of results.json
@@ -120,11 +116,9 @@ class Product:
 
     @property
     def summary(self) -> list[str]:
-        """What came out, in lines for people."""
         return list(self.provenance.get("summary", ()))
 
     def __getitem__(self, name: str) -> Quantity:
-        """Return the array called `name`."""
         return self.arrays[name]
 
     def table(self, *names: str) -> QTable:
@@ -197,7 +191,6 @@ def name_in(arrays: Arrays, name: str) -> str | None:
 
 
 def _of_first_length(arrays: Mapping[str, Quantity]) -> list[str]:
-    """The arrays of one dimension that have the length of the first."""
     flat = [name for name, one in arrays.items() if np.ndim(one.value) == 1]
     return [name for name in flat if len(arrays[name].value) == len(arrays[flat[0]].value)]
 

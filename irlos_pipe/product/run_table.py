@@ -139,7 +139,6 @@ def compare_runs(first: Path, second: Path) -> Comparison:
 
 
 def _pairs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[ValuePair]:
-    """What differs between two mappings, nested to any depth."""
     return [
         ValuePair(name=".".join(path), first=before, second=after)
         for path, (before, after) in changed_values(first, second).items()
@@ -159,7 +158,6 @@ def _stated(run: RunFolder) -> dict[str, Any]:
 
 
 def _files(run: RunFolder) -> dict[str, str]:
-    """Checksums of the files that went in, by label."""
     made = [provenance_of(read_product(path, arrays=False)) for path in list(run.products().values())[:1]]
     return {file.label: file.sha256 for one in made for file in one.inputs}
 
@@ -180,7 +178,6 @@ def _checks(run: RunFolder) -> dict[str, str]:
 
 
 def _numbers(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[NumberPair]:
-    """All numbers that both runs have."""
     for path, one in first.items():
         other = second.get(path)
         if other is not None and _is_number(one.value) and _is_number(other.value):
@@ -221,7 +218,6 @@ def _modes(numbers: Iterable[NumberPair]) -> Iterator[ModesPair]:
 
 
 def _words(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[ValuePair]:
-    """What is no number, and differs."""
     for path, one in first.items():
         other = second.get(path)
         both = other is not None and _is_number(one.value) and _is_number(other.value)

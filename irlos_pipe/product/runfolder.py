@@ -45,8 +45,6 @@ class _Named:
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Names of the files in the folder of a run."""
-
     path: Path
 
     results = _Named("results.json")  # of all stages, for scripts
@@ -253,7 +251,6 @@ def _stamp(run: RunFolder) -> dict[str, str]:
 
 @cache
 def _package_stamp() -> str:
-    """Stamp of every file of the package."""
     return _digest(_below(Path(irlos_pipe.__file__).parent))
 
 

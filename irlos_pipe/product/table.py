@@ -201,8 +201,6 @@ def _limits(check: Check) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of numbers."""
-
     name: str  # in CSV, with the unit, for example ``offset_nm``; FITS has it in capitals without
     unit: str
     values: np.ndarray
@@ -212,8 +210,6 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table for other programs."""
-
     name: str  # for FITS
     category: str  # of the product
     columns: Sequence[Column]
@@ -304,7 +300,6 @@ def ascii_text(text: str) -> str:
 
 
 def _set_card(header: fits.Header, card: Card) -> None:
-    """Add a `card` to a `header`."""
     plain = _is_plain(card)
     keyword = card.key if plain else f"HIERARCH {card.key}"
     room = _room(card)

@@ -119,8 +119,6 @@ COADDS, READ_S, READ_NOISE = "detector.coadds", "detector.read_s", "detector.rea
 
 @dataclass(frozen=True)
 class Resolved:
-    """How a recording was taken, from all sources."""
-
     acquisition: Acquisition
     introduced_defocus_nm: np.ndarray  # (frames,) [nm RMS]
     warnings: tuple[str, ...]  # what had to be taken from the header or the instrument profile

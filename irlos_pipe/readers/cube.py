@@ -55,7 +55,6 @@ class _Image:
 
     @cached_property
     def series(self) -> str:
-        """Its name without the number of a frame."""
         numbered = NUMBERED.fullmatch(self.name)
         return numbered[1] if numbered else self.name
 

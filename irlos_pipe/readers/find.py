@@ -151,7 +151,6 @@ def _files_under(path: Path, refused: Refused) -> Iterator[Path]:
 
 
 def _data_files(candidates: list[Path]) -> list[Path]:
-    """Files of a folder with frames, or that should have some."""
     layouts = {path: _layout(path) for path in candidates}
     recorded = recorder.LAYOUT in layouts.values()
     return [path for path, layout in layouts.items() if _is_data(path, layout, recorded)]

@@ -45,8 +45,6 @@ OF_THE_DATA = re.compile(
 
 @dataclass(frozen=True)
 class StoredHdu:
-    """An HDU as it is stored."""
-
     label: str  # ``path: HDU index (NAME)``
     place: int  # where its header begins in the file
     header: bytes  # whole blocks
@@ -55,12 +53,10 @@ class StoredHdu:
 
     @property
     def begin(self) -> int:
-        """Where its data begin in the file."""
         return self.place + len(self.header)
 
     @property
     def behind(self) -> int:
-        """Where the next HDU begins."""
         return self.begin + -(-self.size // BLOCK_BYTES) * BLOCK_BYTES
 
     def cards(self) -> Iterator[tuple[int, bytes]]:
@@ -439,7 +435,6 @@ def _require_fits(stream: BinaryIO, path: Path) -> None:
 
 
 def _without(stream: BinaryIO, cards: Mapping[int, str]) -> BinaryIO:
-    """The same file with blank cards at these places."""
     stream.seek(0)
     content = io.BytesIO(stream.read())
     for place in cards:

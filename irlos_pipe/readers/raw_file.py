@@ -36,8 +36,6 @@ MAX_CARDS = 100  # that a product inherits: a header may repeat a card many time
 
 @dataclass(frozen=True, kw_only=True)
 class RawRecording(RawFrames):
-    """One recording as read from its files."""
-
     name: str  # of the recording, from its file
     path: Path  # the file with the frames
     layout: str  # ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``

@@ -95,7 +95,6 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
 
 
 def _frames(table: fits.BinTableHDU, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return images (frames, rows, columns) and frame counters."""
     counter, width, height, pixels = (
         _required(table, name, where) for name in ("FrameCounter", "WindowSizeX", "WindowSizeY", PIXELS)
     )

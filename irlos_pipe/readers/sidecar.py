@@ -35,7 +35,6 @@ class Known:
 
     @property
     def keywords(self) -> tuple[str, ...]:
-        """All keywords, the one of ESO first."""
         return (self.eso, *self.proposed) if self.eso else self.proposed
 
 

@@ -72,7 +72,6 @@ def _texts(header: fits.Header, *keys: str) -> list[str]:
 
 
 def _unix(stamp: str) -> float:
-    """Seconds since 1970 of a UTC date; NaN of what is none."""
     from astropy.time import Time
 
     try:

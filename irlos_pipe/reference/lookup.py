@@ -42,15 +42,12 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Entry:
-    """A name with its explanation."""
-
     kind: Kind
     name: str  # where it stands, dotted: ``calibrate.method``
     text: str  # what it means, in lines; the first is a summary
 
     @property
     def summary(self) -> str:
-        """The first line of the explanation."""
         return self.text.partition("\n")[0]
 
     def is_called(self, name: str) -> bool:
@@ -61,7 +58,6 @@ class Entry:
 
 
 def all_entries() -> list[Entry]:
-    """Return everything that can be explained."""
     stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
     effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
     return [
@@ -135,7 +131,6 @@ def key_entries() -> Iterator[Entry]:
 
 
 def _fact_entries() -> Iterator[Entry]:
-    """Yield the facts that a profile may state."""
     for name, rule in FACTS.items():
         limits = f"value: {rule.kind}, ≥ {rule.low:g}, ≤ {rule.high:g}"
         lines = [rule.text, f"unit: {rule.unit}", limits, *(["required"] if rule.required else [])]
@@ -165,7 +160,6 @@ def _of_section(section: Schema, known: Schema, above: tuple[str, ...], kind: Ki
 
 
 def _sections(field: Schema, known: Schema) -> Iterator[Schema]:
-    """Yield the sections that a field may hold."""
     if "$ref" in field:
         yield known[field["$ref"].rpartition("/")[2]]
     for one in (field["items"],) if "items" in field else field.get("anyOf", ()):
@@ -173,7 +167,6 @@ def _sections(field: Schema, known: Schema) -> Iterator[Schema]:
 
 
 def _value(field: Schema, known: Schema) -> str:
-    """Return what a field may hold, in words."""
     if "anyOf" in field:
         return " or ".join(dict.fromkeys(_value(one, known) for one in field["anyOf"]))
     if "enum" in field or "const" in field:
@@ -207,7 +200,6 @@ def _check_entries() -> Iterator[Entry]:
 
 
 def _array_entries() -> Iterator[Entry]:
-    """Yield every array of every product."""
     for stage in LIGHT_PATH:
         arrays: Arrays = getattr(STAGES[stage], "ARRAYS", {})
         for name, (unit, axes, text) in arrays.items():
@@ -234,7 +226,6 @@ ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 
 
 def _number_entries() -> Iterator[Entry]:
-    """Yield every key under ``stages`` of results.json."""
     for stage in LIGHT_PATH:
         yield from _numbers(STAGES[stage].Results, (stage,))
 

@@ -26,7 +26,6 @@ EXITS = {
 
 
 def pages() -> dict[str, str]:
-    """Return the pages in Markdown by name."""
     entries = all_entries()
     return {
         "recipes": _recipes(),

@@ -83,7 +83,6 @@ def text_of(schema: dict[str, Any]) -> str:
 
 
 def _name_of(model: type[Printed]) -> str:
-    """The value of the key ``schema``."""
     return str(model.model_fields["format"].default)
 
 

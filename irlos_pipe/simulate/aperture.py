@@ -109,7 +109,6 @@ def _in_aperture(
 
 
 def _in_parts(parts: Sequence[Part], x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Amplitude inside parts that do not overlap."""
     inside = np.zeros(np.broadcast_shapes(x_m.shape, y_m.shape))
     for piece in (piece for part in parts for piece in part.pieces):
         (x0, y0), reach_m = piece.placement.shift_m, piece.radius_m + FINEST_CELL_M
@@ -172,7 +171,6 @@ def _finer(samples: Samples) -> np.ndarray:
 
 
 def _behind(vane: Vane, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Return whether the vane covers the points."""
     (x0, y0), (x1, y1) = vane.start_m, vane.end_m
     length = np.hypot(x1 - x0, y1 - y0)
     cos, sin = (x1 - x0) / length, (y1 - y0) / length

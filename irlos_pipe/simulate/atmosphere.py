@@ -60,7 +60,6 @@ class Sky:
 
     @property
     def wind(self) -> np.ndarray:
-        """Return the wind vector (x, y) [m/s]."""
         angle = np.deg2rad(self.wind_angle_deg)
         return self.wind_m_s * np.array([np.cos(angle), np.sin(angle)])
 

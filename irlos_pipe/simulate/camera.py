@@ -235,7 +235,6 @@ class Imager:
         return self._pixels.integrated(intensity)
 
     def _field(self, opd_nm: np.ndarray, pupil: tuple[float, float]) -> np.ndarray:
-        """Field in the pupil, (times, n, n)."""
         phase = opd_nm * self._real.type(2 * np.pi / pupil[0])
         field = np.empty(phase.shape, self._dtype)
         np.cos(phase, out=field.real)

@@ -133,7 +133,6 @@ class _LightPath:
         self._resting_images: np.ndarray | None = None
 
     def exposed(self, frame: int) -> Exposure:
-        """Expose the next frame, number `frame`."""
         scene, blur = self._scene, STILL
         screens_nm, positions_mas = self._subexposures.next_frame()
         for effect in self._motion:

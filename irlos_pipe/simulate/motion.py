@@ -76,8 +76,6 @@ class MotionSeries:
 
 @dataclass(frozen=True)
 class MotionBlur:
-    """Motion within one frame."""
-
     mean_mas: np.ndarray  # (2,): mean displacement of the image (x, y)
     covariance_mas2: np.ndarray  # (2, 2): of its Gaussian part
     sinusoid_mas: np.ndarray  # (2,): amplitude vector of its sinusoidal part

@@ -132,7 +132,6 @@ class Scene:
 
     @property
     def pupil_samples(self) -> int:
-        """Return the samples across the pupil."""
         usual = MOVING_PUPIL_SAMPLES if self.moves else STATIC_PUPIL_SAMPLES
         return self.sampling.pupil_samples or (
             usual if self.lenslets == 1 else max(usual, LENSLET_SAMPLING * self.needed_samples)

@@ -75,12 +75,10 @@ class Telescope:
 
     @property
     def step_m(self) -> float:
-        """Return the edge of a cell [m]."""
         return float(self.u_m[1] - self.u_m[0])
 
     @property
     def area_m2(self) -> float:
-        """Return the clear area [m²]."""
         return float(self.transmission.sum()) * self.step_m**2
 
     def mode(self, noll: int) -> np.ndarray:

@@ -47,8 +47,6 @@ def frames_per_method(frames: int, published_frames: int) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to calibrate a cube."""
-
     label: str  # what it is, for tables
     options: CalibrationOptions = field(default_factory=CalibrationOptions)  # without the prior
     prior: bool = True  # whether the modes have the prior that the stage `calibrate` gives them
@@ -65,7 +63,6 @@ class Variant:
         return replace(self.options, prior=prior)
 
     def with_modes(self, highest_noll: HighestNoll) -> Variant:
-        """Return the same with other modes."""
         return replace(self, options=replace(self.options, highest_noll=highest_noll))
 
     def closed(self) -> Variant:
@@ -130,7 +127,6 @@ class ObservedCube:
 
     @property
     def effects(self) -> list[Effect]:
-        """Return AO residual and jitter, to be estimated."""
         return model_effects_of(self.scene)
 
     def first(self, count: int) -> ObservedCube:

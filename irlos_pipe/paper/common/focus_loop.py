@@ -107,7 +107,6 @@ class FocusSensor:
         return measured.numpy() - self.zero_nm
 
     def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """Return the Cramér–Rao bound."""
         zero = torch.zeros(1, len(TTF), dtype=torch.float64)
         in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
         return float(cramer_rao_nm(self.model, zero, seen_e / in_window[None], noise)[0, FOCUS])

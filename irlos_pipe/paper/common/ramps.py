@@ -49,8 +49,6 @@ RAMP_STREAM = 1  # child of a sample's seed: residuals of the ramp are not those
 
 @dataclass(frozen=True)
 class LiftVariant:
-    """One way to estimate a ramp."""
-
     name: str
     modes: tuple[int, ...] = TTF  # Noll
     ncpa: str = ""  # calibration method whose NCPAs are known; empty for none
@@ -176,7 +174,6 @@ class ObservedRamp:
         return self.knowledge[variant.ncpa].ncpa_nm
 
     def estimate(self, variant: LiftVariant) -> RampFit:
-        """Estimate all frames by LIFT."""
         model, options = self.model(variant), LiftOptions(loss=variant.loss)
         return fit_ramp(model, self.data, self.start_nm(variant, model), options, self.effects(variant))
 

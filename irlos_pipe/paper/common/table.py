@@ -75,7 +75,6 @@ def spread(name: str, values: Any) -> dict[str, float]:
 
 
 def spreads(rows: Frame, *names: str) -> dict[str, float]:
-    """Return the `spread` of several columns."""
     return {key: one for name in names for key, one in spread(name, rows[name].to_numpy(float)).items()}
 
 
@@ -120,7 +119,6 @@ Number = str | float | Callable[[Record], float]
 def check(
     name: str, value: float, text: str, *, low: float | None = None, high: float | None = None, unit: str = ""
 ) -> Check:
-    """Return a check of one number."""
     return Check(name, float(value), unit, low, high, text)
 
 
@@ -165,7 +163,6 @@ def csv_of_tables(tables: Mapping[str, Iterable[Record]]) -> str:
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file as text."""
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 

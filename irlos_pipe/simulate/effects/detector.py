@@ -16,8 +16,6 @@ Kind = Literal["hot", "dead", "stuck"]
 
 
 class DetectorEffect(SimulatedEffect):
-    """Changes the pixels."""
-
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
         """Return the `pixels` with the effect; `mean_image_e` (rows, columns) is that of one read [e-]."""
         raise NotImplementedError

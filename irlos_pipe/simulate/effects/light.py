@@ -27,7 +27,6 @@ class LightEffect(SimulatedEffect):
         return wavelengths_nm, weights
 
     def rays(self, rays: list[Ray]) -> list[Ray]:
-        """Return the `rays` with the effect."""
         return rays
 
     def pixel_scale_mas(self, assumed_mas: float) -> float:

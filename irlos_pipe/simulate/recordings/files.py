@@ -29,8 +29,6 @@ Defocus = float | tuple[float, ...]  # of all frames, or of every frame [nm RMS]
 
 @dataclass(frozen=True)
 class Planned:
-    """A recording to be made."""
-
     name: str  # calibration, or ramp/offset_03 in a series
     scene: Scene  # what happens; the defocus is what the focus stage reaches
     commanded_nm: Defocus  # introduced defocus as commanded, which the side-car states
@@ -41,7 +39,6 @@ class Planned:
 
     @property
     def size_bytes(self) -> int:
-        """Size of its frames on the disk."""
         each = BYTES_PER_VALUE if self.scene.reads == 1 else BYTES_PER_SUM
         return self.scene.frames * self.scene.window[0] * self.scene.window[1] * each
 
@@ -80,7 +77,6 @@ def write_files(
 
 
 def _write_table(scene: Scene, path: Path, frames_adu: Iterable[np.ndarray]) -> None:
-    """The pixel table of a recorder folder."""
     pixels = int(np.prod(scene.window))
     names = ("FrameCounter", "Seconds", "USeconds", "WindowSizeX", "WindowSizeY")
     columns = [fits.Column(name, "J") for name in names]
@@ -95,7 +91,6 @@ def _write_table(scene: Scene, path: Path, frames_adu: Iterable[np.ndarray]) -> 
 
 
 def _row(scene: Scene, index: int, frame_adu: np.ndarray) -> np.ndarray:
-    """One row of the pixel table as bytes."""
     microseconds = round(index * scene.period_s * 1e6)
     counter = scene.first_counter + index * max(1, round(scene.period_s * LOOP_HZ))
     seconds = scene.start_unix_s + microseconds // 1_000_000

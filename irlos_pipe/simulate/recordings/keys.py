@@ -297,7 +297,6 @@ class RecordingKeys(Shared):
 
     @property
     def lenslets(self) -> int:
-        """Lenslets per side of the pupil."""
         return 2 if self.mode.startswith("20x20_") else 1
 
     @field_validator("start", mode="before")

@@ -181,7 +181,6 @@ def _in_turn(tasks: Sequence[Job], show: Callable[[], None]) -> Iterator[tuple[J
 
 
 def _side_by_side(tasks: Sequence[Job], jobs: int, show: Callable[[], None]) -> Iterator[tuple[Job, Made]]:
-    """Perform the tasks in worker processes."""
     longest_first = sorted(tasks, key=lambda task: -task.planned.scene.frames * task.planned.scene.exposure_s)
     with in_processes(min(jobs, len(tasks)), Job.perform, [(task,) for task in longest_first]) as futures:
         owners: dict[Future, Job] = dict(zip(futures, longest_first, strict=True))
@@ -193,7 +192,6 @@ def _side_by_side(tasks: Sequence[Job], jobs: int, show: Callable[[], None]) -> 
 
 @contextmanager
 def _work_folder(parent: Path) -> Iterator[Path]:
-    """A hidden folder, gone at the end."""
     work = Path(tempfile.mkdtemp(prefix=WORK_PREFIX, dir=parent))
     try:
         yield work
@@ -227,7 +225,6 @@ class SimulationFolder:
         return self.path / "simulation.resolved.yaml"
 
     def data(self, planned: Planned) -> Path:
-        """Folder of a recording; it holds nothing else."""
         return self.path / "data" / planned.name
 
     def truth(self, planned: Planned) -> Path:

@@ -336,7 +336,6 @@ def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Gen
 def _ramp(
     name: str, keys: RecordingKeys, offsets_nm: Sequence[float], hidden: Mapping, rng: np.random.Generator
 ) -> list[_Member]:
-    """One recording per focus offset."""
     order = visiting_order(offsets_nm, keys.order)
     reached = reached_nm([offsets_nm[index] for index in order], effects_of(hidden), rng).tolist()
     places = [order.index(index) for index in range(len(order))]
