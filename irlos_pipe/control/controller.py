@@ -20,6 +20,15 @@ BOOTSTRAP, TRACKING = "bootstrap", "tracking"
 # Why the offset was held although the measurement is valid.
 SETTLING, OUTSIDE = "settling", "outside"
 
+RESPONSES = np.array([1.0, 0.0, -1.0, 2.0])  # as it should be; none; the wrong sign; twice
+WORDS = ("", "not answered", "answered with the wrong sign", "answered twice as much as commanded")
+GAINS = np.array([0.2, 0.5, 0.9])  # of the forecast: as much noise as wander, and more or less of it
+TREND_GAIN = 0.1  # gain of the forecast's slope over that of its level
+DRIFT_NM = 2.0  # per exposure that a disturbance may drift; the focus of a telescope takes minutes for that
+MEMORIES = np.array([40, 200])[:, None, None]  # exposures to average errors over: quick, and for much noise
+FEWEST, LEAST_NM = 4, 5.0  # exposures before a verdict; error of a forecast below which none matters
+DECISIVE = 15.0  # natural logarithm of the odds; in 135 simulated hours of closed loops it stays below 9
+
 
 @dataclass(frozen=True)
 class ControllerSettings:
@@ -106,16 +115,6 @@ def _moved(state: ControllerState, unclipped_nm: float, settings: ControllerSett
     limit = settings.limit_nm
     offset_nm = min(max(unclipped_nm, -limit), limit)
     return Decision(replace(state, offset_nm=offset_nm), True, clipped=offset_nm != unclipped_nm)
-
-
-RESPONSES = np.array([1.0, 0.0, -1.0, 2.0])  # as it should be; none; the wrong sign; twice
-WORDS = ("", "not answered", "answered with the wrong sign", "answered twice as much as commanded")
-GAINS = np.array([0.2, 0.5, 0.9])  # of the forecast: as much noise as wander, and more or less of it
-TREND_GAIN = 0.1  # gain of the forecast's slope over that of its level
-DRIFT_NM = 2.0  # per exposure that a disturbance may drift; the focus of a telescope takes minutes for that
-MEMORIES = np.array([40, 200])[:, None, None]  # exposures to average errors over: quick, and for much noise
-FEWEST, LEAST_NM = 4, 5.0  # exposures before a verdict; error of a forecast below which none matters
-DECISIVE = 15.0  # natural logarithm of the odds; in 135 simulated hours of closed loops it stays below 9
 
 
 class Response:

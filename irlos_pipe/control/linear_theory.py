@@ -15,6 +15,9 @@ from scipy.special import gamma
 
 Lag = TypeVar("Lag", float, np.ndarray)
 
+GRID = 4096  # frequencies up to Nyquist's, in the integral over the spectrum
+ALIASES = 30  # replicas of the spectrum on each side; the mean over a frame damps them by f^-4
+
 
 @dataclass(frozen=True)
 class SodiumLayer:
@@ -80,10 +83,6 @@ class Drift:
         noise = rng.standard_normal(size) + 1j * rng.standard_normal(size)
         increments = np.fft.fft(np.sqrt(spectrum / size) * noise).real[: steps - 1]
         return np.concatenate([[0.0], np.cumsum(increments)])
-
-
-GRID = 4096  # frequencies up to Nyquist's, in the integral over the spectrum
-ALIASES = 30  # replicas of the spectrum on each side; the mean over a frame damps them by f^-4
 
 
 @dataclass(frozen=True)

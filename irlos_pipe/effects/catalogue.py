@@ -79,6 +79,8 @@ CATALOGUE: dict[str, type[Effect]] = {
     )
 }
 
+LINE_LENGTH = 118
+
 
 def in_other_forms(
     name: str, conditions: Conditions, values: Sequence[float] | np.ndarray, *, wider: bool
@@ -114,7 +116,6 @@ Z_k is Noll k.
 | effect | plane | values: unit, limits | most easily mistaken for |
 |---|---|---|---|
 """
-LINE_LENGTH = 118
 
 
 def catalogue_page() -> str:

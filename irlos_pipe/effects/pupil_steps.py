@@ -25,6 +25,11 @@ from irlos_pipe.effects.redrawn_pupil import (
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import Division, amplitudes_of, band_limited_parts, petals_of, segments_of
 
+UT4_PETALS = 4
+PISTONS = {"piston_nm": 1}
+PISTONS_AND_SLOPES = {"piston_nm": 1, "tip_nm": 2, "tilt_nm": 3}
+RMS_OF_PISTON, RMS_OF_SLOPES = "piston_rms_nm", "slopes_rms_nm"
+
 
 class DividedPupil(DrawnEffect):
     """Gives parts of the pupil, as it is drawn, wavefronts of their own."""
@@ -201,12 +206,6 @@ def _before_turning(x_m: np.ndarray, y_m: np.ndarray, turned_deg: float) -> tupl
         return x_m, y_m
     cosine, sine = np.cos(np.deg2rad(turned_deg)), np.sin(np.deg2rad(turned_deg))
     return cosine * x_m + sine * y_m, cosine * y_m - sine * x_m
-
-
-UT4_PETALS = 4
-PISTONS = {"piston_nm": 1}
-PISTONS_AND_SLOPES = {"piston_nm": 1, "tip_nm": 2, "tilt_nm": 3}
-RMS_OF_PISTON, RMS_OF_SLOPES = "piston_rms_nm", "slopes_rms_nm"
 
 
 class PupilSteps(DividedPupil):

@@ -42,6 +42,12 @@ from irlos_pipe.optics.structure_function import (
 VARIANCES = (0, 6)  # places of the two variances among the parameters
 FULL_HALO = 0.1  # share of the expected variance from which the shape of the halo is fitted as well
 
+NODES = 24  # of the quadrature between the two cut-offs
+OFF = 0.2  # σ of the prior, as a fraction of the declared cut-off
+FARTHEST = 2.0  # largest factor from the declared cut-off that a fit may reach, either way
+NOLLS = {"edge": 4, "side_x": 2, "side_y": 3}
+LARGEST = 0.55  # nowhere less variance than none: Noll 4 is -√3 at the centre
+
 
 def in_band_wfe_nm(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float) -> float:
     """Return the residual inside the correction `band` [nm RMS] that the `law` expects at `seeing_arcsec`."""
@@ -270,11 +276,6 @@ class ScaledHalo(OtfEffect):
         return {"wfe_nm": float(np.sqrt(max(values[0], 0.0) * self.halo.expected_nm2))}
 
 
-NODES = 24  # of the quadrature between the two cut-offs
-OFF = 0.2  # σ of the prior, as a fraction of the declared cut-off
-FARTHEST = 2.0  # largest factor from the declared cut-off that a fit may reach, either way
-
-
 class AoCutoff(OtfEffect):
     """The correction of the AO ends at another spatial frequency than told, and the halo begins there.
 
@@ -385,10 +386,6 @@ def _baselines(focal: FocalGrid) -> tuple[np.ndarray, Tensor]:
     within = np.where(lengths <= focal.longest_m, lengths, 0.0)
     different, place = np.unique(np.round(within, 9), return_inverse=True)
     return different, torch.as_tensor(place.reshape(lengths.shape))
-
-
-NOLLS = {"edge": 4, "side_x": 2, "side_y": 3}
-LARGEST = 0.55  # nowhere less variance than none: Noll 4 is -√3 at the centre
 
 
 class UnevenResidual(OtfEffect):

@@ -20,6 +20,14 @@ from irlos_pipe.optics.zernike import noll_to_nm
 HIGH_ORDER_SIGMA_NM = 60.0
 EXTRA_ORDERS = 2  # radial orders beyond the estimated modes, by default
 
+UM = 1e-6
+CHROMATIC_NOLLS = range(4, 67)  # to the tenth order; tip and tilt are `atmospheric_dispersion`
+FILTER_NOLLS = range(5, 67)  # the focus of a lens is that of the star, in recordings of one focus
+SEARCHED = 21  # last mode by which a diagnosis distinguishes it from other effects
+BROAD_NM = 100.0  # from the shortest wavelength to the longest, from which a slope shows
+OF_LAW = 1.0  # prior: a slope per µm, and a filter, of as much as the law of the NCPAs gives
+WITHOUT_LAW_NM = 30.0
+
 
 class ZernikeTable(Effect):
     """One parameter per mode; a base class jointly with that of the plane."""
@@ -248,15 +256,6 @@ class NcpaDrift(ZernikeTable, TimeEffect):
         for row, noll in enumerate(self.nolls):
             where[row, nolls.index(noll)] = 1
         return modes_nm + (when.double() - 0.5)[:, None] * (values @ where)
-
-
-UM = 1e-6
-CHROMATIC_NOLLS = range(4, 67)  # to the tenth order; tip and tilt are `atmospheric_dispersion`
-FILTER_NOLLS = range(5, 67)  # the focus of a lens is that of the star, in recordings of one focus
-SEARCHED = 21  # last mode by which a diagnosis distinguishes it from other effects
-BROAD_NM = 100.0  # from the shortest wavelength to the longest, from which a slope shows
-OF_LAW = 1.0  # prior: a slope per µm, and a filter, of as much as the law of the NCPAs gives
-WITHOUT_LAW_NM = 30.0
 
 
 class _Table(ZernikeTable, OpdMap):

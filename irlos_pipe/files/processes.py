@@ -20,6 +20,9 @@ from irlos_pipe.conventions.errors import IrlosError
 GRACE_S = 30.0  # how much later a process of our own is killed that does not even hear of it
 GB = 1e9
 
+# What the numerical libraries look at when they are loaded.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
 
 class TookTooLong(BaseException):
     """Something took longer than it may; no `except Exception` on the way takes it for its own problem."""
@@ -73,10 +76,6 @@ def available_bytes() -> float:
         return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (OSError, ValueError):
         return float("inf")
-
-
-# What the numerical libraries look at when they are loaded.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @contextmanager

@@ -23,6 +23,8 @@ UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 NO_SECTION = ("model_type", "dataclass_type", "named_tuple_type", "arguments_type")
 MAX_SHOWN = 60  # characters of a section or list in a message
 
+EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
+
 
 @dataclass(frozen=True)
 class Origins:
@@ -161,7 +163,6 @@ def _keys(annotation: Any) -> Keys:
 
 
 Parsed = TypeVar("Parsed")
-EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
 
 
 @dataclass(frozen=True)

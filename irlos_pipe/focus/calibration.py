@@ -49,6 +49,12 @@ WEIGHTED_AS_FOR = (1.0, 0.1, 0.01)  # part of the noise that weights are for: le
 HALO, MOST_HALO = 0.2, 0.5
 USUAL_STRUCTURE, USUAL_BLUR_PX2, USUAL_HALO, USUAL_SHIFT_NM = 0.0024, 0.12, 0.05, 4.0  # where no ramp shows
 
+LOG = logging.getLogger(__name__)
+QC_FAILED = "qc_failed"  # status in results.json
+LOOK_S = 1.0  # between looks at a run folder for another calibration
+PART = 1e-3  # relative difference of spectrum, pixel scale or gain: side-cars are rounded to less
+DIVERSITY_NM = 0.5  # difference of a mode of the diversity from which it is another
+
 
 @dataclass(frozen=True, eq=False)
 class Ordinary:
@@ -156,12 +162,6 @@ class SharedErrors:
         frames = replace(self.frames, instant_nm=math.hypot(growth * self.frames.instant_nm, beside_nm))
         return float(frames.sigma_nm(np.array([growth * photon_nm]), optics_nm)[0])
 
-
-LOG = logging.getLogger(__name__)
-QC_FAILED = "qc_failed"  # status in results.json
-LOOK_S = 1.0  # between looks at a run folder for another calibration
-PART = 1e-3  # relative difference of spectrum, pixel scale or gain: side-cars are rounded to less
-DIVERSITY_NM = 0.5  # difference of a mode of the diversity from which it is another
 
 Spectrum = Sequence[tuple[float, float]]
 _Frames = tuple[Recording, np.ndarray, NoiseModel, Iterable[np.ndarray]]

@@ -30,6 +30,20 @@ SHADOW = "shadow"
 WINDOW, LATE, STALE, INCOMPLETE = "window", "late", "stale_calibration", "incomplete"
 FAILED, FROZEN, OLD = "failed", "frozen", "old"
 
+LINES, DATABASE = "focus.jsonl", "focus.sqlite"
+TABLES = """
+CREATE TABLE IF NOT EXISTS records (
+    sequence INTEGER PRIMARY KEY, unix_s REAL, defocus_nm REAL, sigma_nm REAL, valid INTEGER, offset_nm REAL,
+    mode TEXT, reasons TEXT, latency_ms REAL, calibration TEXT, line TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT NULL);
+"""
+COLUMNS = ["sequence", "unix_s", "defocus_nm", "sigma_nm", "valid", "offset_nm"]
+COMMIT_S = 1.0  # between transactions of the database
+BLOCK_BYTES = 1 << 16  # of the lines that are read at once from the end
+LONGEST_LINE = 1 << 20  # bytes of a line; records have a thousand
+RECENT_BYTES = 1 << 26  # bytes at the end of the file in which recent lines are looked for
+
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
@@ -130,20 +144,7 @@ def _line(content: dict[str, Any]) -> str:
     return json.dumps(jsonable(head | content), allow_nan=False, separators=(",", ":")) + "\n"
 
 
-LINES, DATABASE = "focus.jsonl", "focus.sqlite"
-TABLES = """
-CREATE TABLE IF NOT EXISTS records (
-    sequence INTEGER PRIMARY KEY, unix_s REAL, defocus_nm REAL, sigma_nm REAL, valid INTEGER, offset_nm REAL,
-    mode TEXT, reasons TEXT, latency_ms REAL, calibration TEXT, line TEXT NOT NULL
-);
-CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT NULL);
-"""
-COLUMNS = ["sequence", "unix_s", "defocus_nm", "sigma_nm", "valid", "offset_nm"]
 COLUMNS += ["mode", "reasons", "latency_ms", "calibration", "line"]
-COMMIT_S = 1.0  # between transactions of the database
-BLOCK_BYTES = 1 << 16  # of the lines that are read at once from the end
-LONGEST_LINE = 1 << 20  # bytes of a line; records have a thousand
-RECENT_BYTES = 1 << 26  # bytes at the end of the file in which recent lines are looked for
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,13 @@ from irlos_pipe.product.runfolder import owned_folder, require_free
 OPEN = "open"  # why an offset is held: nothing answers it
 NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
 
+COMMAND = "command"
+POLL_S = 0.25  # longest wait for frames between looks at everything else
+CLOCK_STEP_S = 0.5  # step of the system's clock against the steady one that is reported
+AHEAD_S = 5.0  # ahead of both clocks of the loop, from which a read's time is in the future
+OWN = ("focus.jsonl", COMMAND)
+FAULTS_A_MINUTE, MINUTE_S = 20, 60.0  # faults that are reported each in a minute; further ones are counted
+
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -162,13 +169,6 @@ class FocusLoop:
         self._state = decision.state
         return decision
 
-
-COMMAND = "command"
-POLL_S = 0.25  # longest wait for frames between looks at everything else
-CLOCK_STEP_S = 0.5  # step of the system's clock against the steady one that is reported
-AHEAD_S = 5.0  # ahead of both clocks of the loop, from which a read's time is in the future
-OWN = ("focus.jsonl", COMMAND)
-FAULTS_A_MINUTE, MINUTE_S = 20, 60.0  # faults that are reported each in a minute; further ones are counted
 
 Tell = Callable[[str], None]  # gets lines for people
 

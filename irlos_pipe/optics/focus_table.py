@@ -44,6 +44,13 @@ SMALLEST = 3e-5  # part of Noll 4 below which a companion is left out: 0.02 nm o
 HIGHEST_SINE = 0.98  # beyond it the series converges slowly
 NODES, ORDERS = 200, 40  # of the quadrature, and highest radial order
 
+ATTENUATION_DB = 100.0  # of what the kernel has left beyond its half length
+TRUNCATION = 1e-7  # the largest Bessel function left out
+WELL_SAMPLED = 0.4  # highest frequency of the images [cycles/px] that short kernels can shift
+FIELD_MARGIN_MAS = 50.0  # of the computed field beyond the tabulated pixels
+NODES_AT_ONCE = 6  # images propagated together: few enough for the processor's cache
+OPEN_END = 1.001  # half range of the series over the half range offered: its slope is 0/0 at its very ends
+
 
 @lru_cache(maxsize=16)
 def defocus_series(sine: float) -> dict[int, float]:
@@ -91,9 +98,6 @@ def _radial_parts(sine: float) -> dict[int, float]:
     parts = legendre.legvander(x, ORDERS // 2).T @ (weights / 2 * path)
     orders = range(2, ORDERS + 1, 2)
     return {n * (n + 1) // 2 + 1: float(np.sqrt(n + 1) * parts[n // 2]) for n in orders}
-
-
-ATTENUATION_DB = 100.0  # of what the kernel has left beyond its half length
 
 
 def kernel_half_length(band: float) -> int:
@@ -147,13 +151,6 @@ def _spectrum(frequency: np.ndarray, band: float) -> np.ndarray:
     exact = np.where(frequency <= band, 1.0, np.where(frequency >= 1 - band, 0.0, smooth))
     counts = np.where(frequency > 0, 2.0, 1.0)
     return counts * exact * frequency[1]
-
-
-TRUNCATION = 1e-7  # the largest Bessel function left out
-WELL_SAMPLED = 0.4  # highest frequency of the images [cycles/px] that short kernels can shift
-FIELD_MARGIN_MAS = 50.0  # of the computed field beyond the tabulated pixels
-NODES_AT_ONCE = 6  # images propagated together: few enough for the processor's cache
-OPEN_END = 1.001  # half range of the series over the half range offered: its slope is 0/0 at its very ends
 
 
 @dataclass(frozen=True)

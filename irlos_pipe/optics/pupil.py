@@ -22,6 +22,11 @@ Shares = Callable[[np.ndarray, np.ndarray, float], Iterable[tuple[int, slice, np
 Index = Callable[[np.ndarray, np.ndarray], np.ndarray]  # number of the part at points (x, y) [m]
 CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by what folds back
 
+LABELLED = 1024  # cells across the diameter of the drawing in which connected parts are looked for
+WIDEST_GAP = 0.02  # of the diameter: a vane that ends this close to the rim parts petals all the same
+NARROWEST = 3  # cells: thinner vanes are drawn that wide there
+SMALLEST = 0.01  # of the clear area: what is smaller belongs to the adjacent petal
+
 
 @dataclass(frozen=True)
 class Division:
@@ -309,12 +314,6 @@ def axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
     start, end = np.array(vane.start_m), np.array(vane.end_m)
     length = float(np.hypot(*(end - start)))
     return start, length, (end - start) / length
-
-
-LABELLED = 1024  # cells across the diameter of the drawing in which connected parts are looked for
-WIDEST_GAP = 0.02  # of the diameter: a vane that ends this close to the rim parts petals all the same
-NARROWEST = 3  # cells: thinner vanes are drawn that wide there
-SMALLEST = 0.01  # of the clear area: what is smaller belongs to the adjacent petal
 
 
 class Petals:

@@ -17,6 +17,8 @@ from irlos_pipe.optics.structure_function import ResidualBand, fitting_structure
 
 NODES = 16  # per axis: the squared differences are polynomials of degree 4 in both
 
+COMA = 7, 8  # Noll, along y and along x
+
 
 def coma_between(lengths_m: np.ndarray, diameter_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return moments of ``ψ(x + b) - ψ(x)`` over a clear circle, by the lengths of the baselines, (n,).
@@ -50,9 +52,6 @@ def _coma(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Noll 8 and 7 on the unit disc, (2, ...)."""
     radial = np.sqrt(8) * (3 * (x**2 + y**2) - 2)
     return np.stack([radial * x, radial * y])
-
-
-COMA = 7, 8  # Noll, along y and along x
 
 
 class MeanFactor(NamedTuple):

@@ -39,6 +39,18 @@ WRONG_NM = 50.0
 BOTH, H_ALONE = "J+H", "H"
 DRAWN = {"elongation": "start_nm", "scan": "start_nm", "zero": "defocus_nm", "default": "defocus_nm"}
 
+CELLS = {
+    "start of LIFT": "{start}", "cases within ±600 nm": "{required_cases}", "captured": "{required_captured}",
+    "wrong": "{required_wrong}", "flagged": "{required_flagged}",
+    "largest error among the captured [nm]": "{largest_right_nm:.0f}",
+    "every case captured up to [nm]": "{range_nm:.0f}", "error of the captured [nm RMS]": "{rms_nm:.1f}",
+    "smallest wrong error [nm]": "{smallest_wrong_nm:.0f}",
+}  # fmt: skip
+CAPTION = (
+    "Captured: converged, and within {wrong_limit_nm:.0f} nm of the truth. Wrong: converged elsewhere. "
+    "Flagged: not converged, and says so. Of {all_cases} cases in all"
+)
+
 
 class Sizes(ex.StageConfig):
     ramps: int = Field(30, ge=1, le=10000, description="sets of NCPAs")
@@ -174,17 +186,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     )  # fmt: skip
 
 
-CELLS = {
-    "start of LIFT": "{start}", "cases within ±600 nm": "{required_cases}", "captured": "{required_captured}",
-    "wrong": "{required_wrong}", "flagged": "{required_flagged}",
-    "largest error among the captured [nm]": "{largest_right_nm:.0f}",
-    "every case captured up to [nm]": "{range_nm:.0f}", "error of the captured [nm RMS]": "{rms_nm:.1f}",
-    "smallest wrong error [nm]": "{smallest_wrong_nm:.0f}",
-}  # fmt: skip
-CAPTION = (
-    "Captured: converged, and within {wrong_limit_nm:.0f} nm of the truth. Wrong: converged elsewhere. "
-    "Flagged: not converged, and says so. Of {all_cases} cases in all"
-)
 LISTINGS = [
     ex.Listing("starts", "Starts compared",
         CELLS,

@@ -27,6 +27,15 @@ METHODS = (DEFAULT, PAPER_CHOICE)
 STATES = {"before": "before", PAPER_CHOICE: "DIP global", DEFAULT: "this pipeline", "ideal": "no NCPAs"}
 LOOKS = {"before": (ORANGE, "--"), PAPER_CHOICE: (GREEN, "-."), DEFAULT: (BLUE, "-"), "ideal": (INK, ":")}
 
+LISTING = ex.Listing("stars", "Strehl ratio",
+    {
+        'seeing ["]': "{seeing_arcsec}", "before": "{before:.3f}", "DIP global": f"{{{PAPER_CHOICE}:.3f}}",
+        "this pipeline": f"{{{DEFAULT}:.3f}}", "limit": "{ideal:.3f}", "stars": "{samples}",
+    },
+    caption="Strehl ratio of the averaged star at 1600 nm, Noll 4–30 corrected, limit: no NCPAs; medians.",
+    page="correction_gain",
+)  # fmt: skip
+
 
 class Sizes(ex.StageConfig):
     samples: int = Field(4, ge=1, le=1000, description="stars at each seeing; the first is drawn")
@@ -95,16 +104,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
         lambda row: row[DEFAULT] / row[PAPER_CHOICE],
         f"{{{DEFAULT}:.3f}} and {{{PAPER_CHOICE}:.3f}}", low=1.0,
     )  # fmt: skip
-
-
-LISTING = ex.Listing("stars", "Strehl ratio",
-    {
-        'seeing ["]': "{seeing_arcsec}", "before": "{before:.3f}", "DIP global": f"{{{PAPER_CHOICE}:.3f}}",
-        "this pipeline": f"{{{DEFAULT}:.3f}}", "limit": "{ideal:.3f}", "stars": "{samples}",
-    },
-    caption="Strehl ratio of the averaged star at 1600 nm, Noll 4–30 corrected, limit: no NCPAs; medians.",
-    page="correction_gain",
-)  # fmt: skip
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:

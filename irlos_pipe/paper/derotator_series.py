@@ -40,6 +40,9 @@ LENGTH, WIDTH = 0.546, 0.154  # standard deviations along and across [pupil radi
 DIRECTION_DEG = 42.6  # of the ridge, from +x towards +y
 RADII, AZIMUTHS = 200, 360  # grid of points of equal area
 
+LARGEST_PULL = 1.5  # requirement on the error over the quoted error
+PARTS = {"rotating": "turns with the derotator", "fixed": "does not turn"}
+
 
 def ridge_nm(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the height of the bump at the points `x`, `y` of the unit disc [nm]."""
@@ -57,10 +60,6 @@ def phase_bump_nm(highest_noll: int = 120) -> dict[int, float]:
     basis = zernike_basis(range(1, highest_noll + 1), x, y)
     values = np.linalg.lstsq(basis.T, ridge_nm(x, y), rcond=None)[0]
     return {noll: float(value) for noll, value in enumerate(values, start=1) if noll > 3}
-
-
-LARGEST_PULL = 1.5  # requirement on the error over the quoted error
-PARTS = {"rotating": "turns with the derotator", "fixed": "does not turn"}
 
 
 class Sizes(ex.StageConfig):

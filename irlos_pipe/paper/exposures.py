@@ -15,6 +15,14 @@ from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS
 
 STEADY = 1.5  # largest over smallest error of the default between exposures: it fits the mean image
 
+LISTING = ex.Listing("methods", "Exposures",
+    {'seeing ["]': "{seeing_arcsec}", "method": "{label}"},
+    {"{exposure_s:g} s": "{modes_nm:.1f}"},
+    caption="Δ-WFE in Noll 2–30 [nm RMS], medians over {cubes} cubes of {total_s:.0f} s at each seeing; "
+    "m_J 7.",
+    page="exposures",
+)  # fmt: skip
+
 
 class Sizes(ex.StageConfig):
     samples: int = Field(3, ge=1, le=1000, description="cubes at each seeing")
@@ -84,15 +92,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
         "default's worst over its best exposure, {seeing_arcsec:g} arcsec",
         lambda row: row["max"] / row["min"], "medians from {min:.1f} to {max:.1f} nm", high=STEADY,
     )  # fmt: skip
-
-
-LISTING = ex.Listing("methods", "Exposures",
-    {'seeing ["]': "{seeing_arcsec}", "method": "{label}"},
-    {"{exposure_s:g} s": "{modes_nm:.1f}"},
-    caption="Δ-WFE in Noll 2–30 [nm RMS], medians over {cubes} cubes of {total_s:.0f} s at each seeing; "
-    "m_J 7.",
-    page="exposures",
-)  # fmt: skip
 
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:

@@ -39,6 +39,11 @@ BY_CHANCE = 1e-3  # probability of a larger pull where the quoted errors are rig
 # The paper's variant and this project's, begun from every start, and drawn.
 SHOWN = {"hand_9": "the paper: kernel by hand, nine modes", "default_3": "this pipeline, three modes"}
 
+RAMP_COLUMNS = (
+    "target", "ramp", "variant", "frames", "slope", "rms_nm", "line_rms_nm", "converged", "kernel_mas",
+    "stage_true_nm", "stage_found_nm", "stage_sigma_nm",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Target:
@@ -187,12 +192,6 @@ def wrong_minima(results: Mapping[str, LiftResult]) -> dict[str, np.ndarray]:
     best = torch.where(converged, chi2, torch.inf).argmin(0)
     apart = (defocus - defocus.gather(0, best[None])).abs() > WRONG_NM
     return dict(zip(results, (~converged | apart).numpy(), strict=True))
-
-
-RAMP_COLUMNS = (
-    "target", "ramp", "variant", "frames", "slope", "rms_nm", "line_rms_nm", "converged", "kernel_mas",
-    "stage_true_nm", "stage_found_nm", "stage_sigma_nm",
-)  # fmt: skip
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:

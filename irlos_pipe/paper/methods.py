@@ -33,6 +33,8 @@ SEVERAL_TIMES = 3.0  # factor by which a model with AO residual has to be better
 DRAWN_NM, DRAWN_SCATTER_NM = 142.0, 30.0  # the paper's NCPAs, Sect. 5.4
 STANDARD_ERRORS = 3.0
 
+MODES, PUPIL = "{modes_nm:.1f} ({modes_nm_low:.1f}–{modes_nm_high:.1f})", "{pupil_nm:.1f}"
+
 
 class Sizes(ex.StageConfig):
     samples: int = Field(20, ge=1, le=1000, description="cubes at each of `seeings_arcsec`")
@@ -176,7 +178,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     ]  # fmt: skip
 
 
-MODES, PUPIL = "{modes_nm:.1f} ({modes_nm_low:.1f}–{modes_nm_high:.1f})", "{pupil_nm:.1f}"
 LISTINGS = [
     ex.Listing("methods", "Δ-WFE of every method",
         {"method": "{method}"},

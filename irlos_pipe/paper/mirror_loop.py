@@ -47,6 +47,11 @@ LAST_FITTED = 66
 EXACT, BY_MIRROR = "exact", "mirror"
 LEFT = ("modes_nm", "beyond_nm", "all_nm")  # residual in Noll 4–30, beyond these modes, and in all
 
+IMPROVES = 0.9  # an estimate is applied where it is below this part of the one before
+ASKED_NM = 10.0  # requirement on the default with the declared diversity, in Noll 4–30
+LOOPS = ((DEFAULT, EXACT), (PAPER_CHOICE, EXACT), (DEFAULT, BY_MIRROR))
+STATE = (*LEFT, "strehl", "seen_nm")
+
 
 @dataclass(frozen=True)
 class MirrorErrors:
@@ -161,12 +166,6 @@ def diversity_error_nm(telescope: Telescope, mirror: Mirror, diversity_nm: Mappi
     """Return by how much the diversity that a `mirror` makes differs from the one declared, (n, n) [nm]."""
     made_nm = replace(mirror, offsets_nm=diversity_nm).opd_nm(telescope)
     return made_nm - telescope.opd_nm(diversity_nm)
-
-
-IMPROVES = 0.9  # an estimate is applied where it is below this part of the one before
-ASKED_NM = 10.0  # requirement on the default with the declared diversity, in Noll 4–30
-LOOPS = ((DEFAULT, EXACT), (PAPER_CHOICE, EXACT), (DEFAULT, BY_MIRROR))
-STATE = (*LEFT, "strehl", "seen_nm")
 
 
 class Sizes(ex.StageConfig):

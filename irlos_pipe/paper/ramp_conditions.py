@@ -49,6 +49,10 @@ WAVEFRONT_MODES = 50  # as many as the NCPAs have
 HELD_NM = 1e-3  # width of a prior that fixes a parameter
 ASKED_NM = 4.0
 
+BOTH_FRONTS: dict[str, Any] = {"chromatic_nm": 60.0, "filter_nm": 30.0}
+DISPERSED: dict[str, Any] = {"dispersion_mas_per_um": 100.0, "angle_deg": 45.0}
+NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # exposure and star of the paper's second ramp on sky
+
 
 @dataclass(frozen=True)
 class Way(LiftVariant):
@@ -102,8 +106,6 @@ class Condition:
 
 
 COLOURS, FRONTS, NARROW_WAYS = ("default", "plain"), ("wavefronts", "default"), ("plain", *list(WAYS)[-3:])
-BOTH_FRONTS: dict[str, Any] = {"chromatic_nm": 60.0, "filter_nm": 30.0}
-DISPERSED: dict[str, Any] = {"dispersion_mas_per_um": 100.0, "angle_deg": 45.0}
 CONDITIONS = {
     "clean": Condition("nothing", ("default", "plain", "wavefronts", *list(WAYS)[4:9], *list(WAYS)[-2:])),
     "chromatic_30": Condition("chromatic NCPAs of 30 nm", FRONTS, chromatic_nm=30.0),
@@ -184,9 +186,6 @@ def _of_light(scene: Scene, way: Way) -> list[Effect]:
         return colour
     chromatic, lens = (range(first, way.last_noll + 1) for first in (DEFOCUS, DEFOCUS + 1))
     return [*colour, ChromaticNcpa.under(conditions, chromatic), FilterNcpa.under(conditions, lens)]
-
-
-NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # exposure and star of the paper's second ramp on sky
 
 
 class Sizes(ex.StageConfig):

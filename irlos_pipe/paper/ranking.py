@@ -21,6 +21,8 @@ TAIL_STREAM = 3  # child of the cube's seed that the tail is drawn from
 LAST_TAIL_NOLL = 200
 OWN = "own modes"
 
+RANGE = "{error_nm:.1f} ({error_nm_low:.1f}–{error_nm_high:.1f})"
+
 
 class Sizes(ex.StageConfig):
     samples: int = Field(20, ge=1, le=1000, description="cubes at each seeing, without a tail")
@@ -110,7 +112,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     )  # fmt: skip
 
 
-RANGE = "{error_nm:.1f} ({error_nm_low:.1f}–{error_nm_high:.1f})"
 LISTINGS = [
     ex.Listing("methods", "Modes",
         {"method": "{label}"},

@@ -24,6 +24,16 @@ SIZE_IN = (4.4, 3.2)
 
 Seeing = Annotated[float, Field(gt=0, le=10)]
 
+LISTING = ex.Listing("conditions", "The paper's conditions",
+    {
+        "condition": "{where}", 'SPARTA ["]': "{sparta_arcsec:.2f}", 'monitor ["]': "{monitor_arcsec:.2f}",
+        "better by SPARTA": "{better:.0%} of the time",
+        "AO residual [nm RMS]": "{wfe_nm:.0f} ± {wfe_sigma_nm:.0f}",
+        "if not translated": "{wfe_untranslated_nm:.0f}",
+    },
+    caption="Errors: 1σ of the disagreement between the two, where only the monitor's seeing is known.",
+)  # fmt: skip
+
 
 class Sizes(ex.StageConfig):
     """The relation and the statistics."""
@@ -127,17 +137,6 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
     text = f"{sparta_arcsec:.3f} and {expected_arcsec:.3f} arcsec"
     name, ratio = "SPARTA's median seeing over that of the relation", sparta_arcsec / expected_arcsec
     return [ex.check(name, ratio, text, low=1 - WITHIN, high=1 + WITHIN)]
-
-
-LISTING = ex.Listing("conditions", "The paper's conditions",
-    {
-        "condition": "{where}", 'SPARTA ["]': "{sparta_arcsec:.2f}", 'monitor ["]': "{monitor_arcsec:.2f}",
-        "better by SPARTA": "{better:.0%} of the time",
-        "AO residual [nm RMS]": "{wfe_nm:.0f} ± {wfe_sigma_nm:.0f}",
-        "if not translated": "{wfe_untranslated_nm:.0f}",
-    },
-    caption="Errors: 1σ of the disagreement between the two, where only the monitor's seeing is known.",
-)  # fmt: skip
 
 
 def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:

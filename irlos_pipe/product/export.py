@@ -25,6 +25,16 @@ from irlos_pipe.product.table import Card, Origin, ascii_text, csv_content, fits
 NOLL = "noll"
 MODAL = ("zernike_nm", "modes_nm", "offset_nm")  # arrays with one coefficient per Noll index
 
+ROOT = "recordings"
+ARRAYS = (
+    "raw_adu", "background_adu", "flat", "pixel_mask", "time_s", "frame_counter", "start_unix_s",
+)  # fmt: skip
+SAME_KEYS = (
+    "role", "target", "mag_j", "exposure_s", "frame_rate_hz", "pixel_scale_mas", "seeing_arcsec",
+    "derotator_angle_deg", "parallactic_angle_deg", "altitude_deg", "zenith_angle_deg", "pressure_hpa",
+    "temperature_c", "humidity_percent", "dispersion_corrected", "filter", "pupil_rotation_deg",
+)  # fmt: skip
+
 
 def export_arrays(product: Product, names: Sequence[str], path: Path, *, replace: bool = False) -> None:
     """Write the arrays `names` of a `product` to a ``.fits`` or ``.csv`` file at `path`, with a full header.
@@ -135,17 +145,6 @@ def _as_columns(name: str, unit: str, values: np.ndarray) -> dict[str, np.ndarra
     if values.ndim < 2:
         return {f"{name}{suffix}": np.atleast_1d(values)}
     return {f"{name} {index}{suffix}": values[:, index] for index in range(values.shape[1])}
-
-
-ROOT = "recordings"
-ARRAYS = (
-    "raw_adu", "background_adu", "flat", "pixel_mask", "time_s", "frame_counter", "start_unix_s",
-)  # fmt: skip
-SAME_KEYS = (
-    "role", "target", "mag_j", "exposure_s", "frame_rate_hz", "pixel_scale_mas", "seeing_arcsec",
-    "derotator_angle_deg", "parallactic_angle_deg", "altitude_deg", "zenith_angle_deg", "pressure_hpa",
-    "temperature_c", "humidity_percent", "dispersion_corrected", "filter", "pupil_rotation_deg",
-)  # fmt: skip
 
 
 def write_aot(product: Product, name: str, path: Path, *, replace: bool = False) -> None:

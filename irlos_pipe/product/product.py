@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 # Units as products spell them, where Astropy spells them otherwise.
 SPELLINGS = {"e-": "electron", "e-2": "electron2", "ADU": "adu", "ADU2": "adu2", "px": "pix"}
 
+SHOWN = 12  # arrays that the text of a product names at most
+ANY_OF = re.compile(r"<[^>]*>")
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -67,9 +70,6 @@ class Quantity:
     def __repr__(self) -> str:
         shape, unit, description = self.described
         return f"<Quantity {' '.join(filter(None, [shape, unit]))}: {description}>"
-
-
-SHOWN = 12  # arrays that the text of a product names at most
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,6 @@ class Product:
 
 Arrays = Mapping[str, tuple[str, str, str]]  # unit, axes, meaning
 Checks = Mapping[str, tuple[str, str]]  # meaning, key of the limit
-ANY_OF = re.compile(r"<[^>]*>")
 
 
 def declared(

@@ -29,6 +29,8 @@ ByNoll = dict[int, Number]  # coefficients [nm RMS] by Noll index, which is text
 # lists and tables of numbers.
 EffectValues = dict[str, Any]
 
+LOST = "Lost"  # begins the lines of a summary that say which exposures failed
+
 
 def item(default: Any, meaning: str = "") -> Any:
     """Return the field of a model of results: its value where a file lacks it, and what it means."""
@@ -76,9 +78,6 @@ class Machine(ResultsPart):
 
     host: str = ""
     platform: str = ""
-
-
-LOST = "Lost"  # begins the lines of a summary that say which exposures failed
 
 
 class Provenance(ResultsPart):

@@ -33,6 +33,24 @@ KINDS = ("check", "number")
 UNIT = re.compile(r"(?:^|[._])(nm2|nm|mas_per_um|mas|arcsec|e2|e|adu|deg|px|hz|m|s|mag)(?=$|\.)")
 Row = tuple[Any, ...]
 
+WAVEFRONT = re.compile(r"(.*\.)?zernike_nm\.\d+")
+# Values whose errors stand under another name than NAME_sigma, NAME_sigma_UNIT or NAME_error_UNIT.
+ERRORS = {
+    "zernike_nm": "sigma_nm",
+    "defocus_nm": "sigma_nm",
+    "ncpa_change_nm": "sigma_nm",
+    "parameters": "sigma",
+    "shown": "shown_sigma",
+    "measured": "error",
+}
+CALLED = ("name", "recording", "effect", "method")  # keys that name a row of a list; `frame` adds to them
+OF_THE_MACHINE = {"seconds"}  # keys that differ between any two runs, and are not compared
+LOG = logging.getLogger(__name__)
+LATEST = "latest"
+NUMBER = re.compile(r"\d{3,}")
+DIGITS = 3
+OWN = tuple(f"[0-9][0-9][0-9]*/{name}" for name in (*OF_A_RUN, LOCK_NAME))
+
 
 def write_run_table(folder: Path, path: Path, *, replace: bool = False) -> None:
     """Write every check and every number of the run in `folder` to a ``.csv`` or ``.sqlite`` file at `path`.
@@ -110,7 +128,6 @@ def _sqlite(checks: list[Row], numbers: list[Row]) -> bytes:
 # -- two runs side by side: what was asked for, and what came out ------------------------------------
 
 Place = tuple[str, ...]  # of a value in results.json, the stage first
-WAVEFRONT = re.compile(r"(.*\.)?zernike_nm\.\d+")
 
 
 def compare_runs(first: Path, second: Path) -> Comparison:
@@ -238,18 +255,6 @@ def _only_in(one: Mapping[Place, Leaf], other: Mapping[Place, Leaf]) -> list[str
 
 # -- results as single values with their errors, under names that are the same in another run ----------
 
-# Values whose errors stand under another name than NAME_sigma, NAME_sigma_UNIT or NAME_error_UNIT.
-ERRORS = {
-    "zernike_nm": "sigma_nm",
-    "defocus_nm": "sigma_nm",
-    "ncpa_change_nm": "sigma_nm",
-    "parameters": "sigma",
-    "shown": "shown_sigma",
-    "measured": "error",
-}
-CALLED = ("name", "recording", "effect", "method")  # keys that name a row of a list; `frame` adds to them
-OF_THE_MACHINE = {"seconds"}  # keys that differ between any two runs, and are not compared
-
 
 @dataclass(frozen=True)
 class Leaf:
@@ -327,13 +332,6 @@ def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def _called(row: Mapping[str, Any]) -> str:
     name = next((str(row[key]) for key in CALLED if isinstance(row.get(key), str)), "")
     return f"{name}[{row['frame']}]" if name and "frame" in row else name
-
-
-LOG = logging.getLogger(__name__)
-LATEST = "latest"
-NUMBER = re.compile(r"\d{3,}")
-DIGITS = 3
-OWN = tuple(f"[0-9][0-9][0-9]*/{name}" for name in (*OF_A_RUN, LOCK_NAME))
 
 
 def version_folders(folder: Path) -> list[Path]:

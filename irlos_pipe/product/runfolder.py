@@ -32,6 +32,11 @@ EARLIER = "earlier"
 OF_A_RUN = ("recipe.resolved.yaml",)
 OF_THE_SYSTEM = "lost+found"
 
+NAME = ".standing.json"
+REWRITTEN = ("run.log", "report.html")  # files that may change at any time; nothing depends on them
+SIBLING_OF = "_PIX"  # a folder NAME_PIX is read together with NAME
+MOST_FILES = 20000  # to list; more take longer than a plan
+
 
 class _Named:
     """A file or folder of a run by its name: its path."""
@@ -187,12 +192,6 @@ def owned_folder(path: Path) -> Iterator[RunFolder]:
         yield RunFolder(path)
     finally:
         lock.release()
-
-
-NAME = ".standing.json"
-REWRITTEN = ("run.log", "report.html")  # files that may change at any time; nothing depends on them
-SIBLING_OF = "_PIX"  # a folder NAME_PIX is read together with NAME
-MOST_FILES = 20000  # to list; more take longer than a plan
 
 
 class _CannotTell(Exception):

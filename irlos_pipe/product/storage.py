@@ -41,6 +41,11 @@ METADATA = b"metadata"
 MAX_DEPTH = 20  # of groups in groups
 MAX_COMPRESSION = 1100  # deflate reaches 1032 at most
 
+SCHEMA = "irlos-product"
+SCHEMA_VERSION = 1
+COMPRESS_ABOVE_BYTES = 4096  # smaller arrays are stored as they are
+SUFFIX = ".h5"
+
 
 class Damaged(ValueError):
     """The content of a file does not fit its checksum."""
@@ -123,12 +128,6 @@ def _require_stored(dataset: h5py.Dataset) -> None:
         raise ValueError(f"the data of '{dataset.name}' are in another file")
     if dataset.nbytes > MAX_COMPRESSION * dataset.id.get_storage_size():
         raise ValueError(f"'{dataset.name}' announces {dataset.nbytes} bytes that are not stored")
-
-
-SCHEMA = "irlos-product"
-SCHEMA_VERSION = 1
-COMPRESS_ABOVE_BYTES = 4096  # smaller arrays are stored as they are
-SUFFIX = ".h5"
 
 
 class _Sections(BaseModel):

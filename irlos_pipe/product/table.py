@@ -26,6 +26,14 @@ SHA_DIGITS = 32  # of a checksum, as many as fit into a card
 MAX_FILES, MAX_PARAMETERS = 400, 200  # that a header lists at most
 SIDECAR_SUFFIXES = (".yaml", ".yml")
 
+CARD_LETTERS = 80  # of a card, by the standard of FITS
+MAX_CARDS = 9  # over which one text may be spread
+# Letters of units and comments that FITS, which is ASCII, does not have.
+SPELT = str.maketrans(
+    {"χ": "chi", "ν": "nu", "σ": "sigma", "λ": "lambda", "Σ": "sum", "²": "2", "±": "+-", "→": "->", "–": "-",
+     "−": "-", "µ": "u", "×": "x", "″": " arcsec", "≤": "<=", "≥": ">="}
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Card:
@@ -266,14 +274,6 @@ def _plain_name(column: Column) -> str:
 
 
 # -- FITS files with full headers and checksums --------------------------------------------------------
-
-CARD_LETTERS = 80  # of a card, by the standard of FITS
-MAX_CARDS = 9  # over which one text may be spread
-# Letters of units and comments that FITS, which is ASCII, does not have.
-SPELT = str.maketrans(
-    {"χ": "chi", "ν": "nu", "σ": "sigma", "λ": "lambda", "Σ": "sum", "²": "2", "±": "+-", "→": "->", "–": "-",
-     "−": "-", "µ": "u", "×": "x", "″": " arcsec", "≤": "<=", "≥": ">="}
-)  # fmt: skip
 
 
 def fits_content(hdus: Sequence[fits.hdu.base.ExtensionHDU], cards: Iterable[Card]) -> bytes:

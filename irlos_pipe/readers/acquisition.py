@@ -34,6 +34,13 @@ POINTS_PER_BAND = 3
 COOLEST_K, HOTTEST_K = 1000.0, 50_000.0
 Point = tuple[float, float]
 
+REQUIRED = tuple(key for key, known in KNOWN.items() if known.form)
+REQUIRED_FOR = {"dark": ("role",), "defocus_ramp": (*REQUIRED, "introduced_defocus_nm")}
+HARMLESS = {key: known.otherwise for key, known in KNOWN.items() if known.otherwise is not None}
+ALTITUDE = ("altitude_deg", "airmass")  # two keys for the same quantity
+AIRMASS_TOLERANCE = 0.03  # an exposure begins and ends at another one; sec z is within 1 % above 15°
+COADDS, READ_S, READ_NOISE = "detector.coadds", "detector.read_s", "detector.read_noise_e"
+
 
 def photons(wavelengths_nm: np.ndarray, temperature_k: float) -> np.ndarray:
     """Return photons per wavelength of a black body of `temperature_k` at `wavelengths_nm`, on any scale."""
@@ -107,14 +114,6 @@ def _thirds(wavelengths_nm: np.ndarray, weight: np.ndarray) -> list[Point]:
         )
         for k in np.unique(parts)
     ]
-
-
-REQUIRED = tuple(key for key, known in KNOWN.items() if known.form)
-REQUIRED_FOR = {"dark": ("role",), "defocus_ramp": (*REQUIRED, "introduced_defocus_nm")}
-HARMLESS = {key: known.otherwise for key, known in KNOWN.items() if known.otherwise is not None}
-ALTITUDE = ("altitude_deg", "airmass")  # two keys for the same quantity
-AIRMASS_TOLERANCE = 0.03  # an exposure begins and ends at another one; sec z is within 1 % above 15°
-COADDS, READ_S, READ_NOISE = "detector.coadds", "detector.read_s", "detector.read_noise_e"
 
 
 @dataclass(frozen=True)

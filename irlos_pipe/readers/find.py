@@ -36,6 +36,8 @@ ROLE = re.compile(rf"^role[ \t]*:[ \t]*['\"]?({'|'.join(get_args(Role))})\b".enc
 LOOKED_AT_BYTES = 2**16
 SHOWN_NAMES = 3
 
+DAMAGED, TELEMETRY = "damaged", "telemetry"
+
 
 class Reader(Protocol):
     """What a module that reads one layout offers.
@@ -58,7 +60,6 @@ class Reader(Protocol):
         """
 
 
-DAMAGED, TELEMETRY = "damaged", "telemetry"
 READERS: tuple[Reader, ...] = (aot, recorder, muse_raw, cube)  # the most specific one that fits reads
 
 

@@ -42,6 +42,15 @@ OF_THE_DATA = re.compile(
     r"T(FORM|TYPE|DIM|SCAL|ZERO|NULL|BCOL)\d+|Z(IMAGE|TILE\d+|CMPTYPE|NAME\d+|VAL\d+|QUANTIZ|DITHER0|SCALE|ZERO)"
 )
 
+# Packers, archives and browsers add to a name: cube.fits.fz, cube.fits.bz2, cube.fits (1), cube.fits.1
+FITS_NAME = re.compile(
+    r"(?P<stem>.*)\.(fits?|fts)(\.(fz|gz|bz2|xz|z|zip))*( ?\(\d+\)|\.\d+)?", re.IGNORECASE | re.DOTALL
+)
+FITS_BEGIN = b"SIMPLE"
+MIN_WINDOW_PX = 5
+MAX_WINDOW_PX = 4096
+SHOWN_CARDS = 3
+
 
 @dataclass(frozen=True)
 class StoredHdu:
@@ -257,16 +266,6 @@ def _sum(stream: BinaryIO, hdu: StoredHdu) -> int:
         words = np.frombuffer(piece + bytes(-len(piece) % 4), ">u4")
         total += int(words.sum(dtype=np.uint64))
     return total % (2**32 - 1)
-
-
-# Packers, archives and browsers add to a name: cube.fits.fz, cube.fits.bz2, cube.fits (1), cube.fits.1
-FITS_NAME = re.compile(
-    r"(?P<stem>.*)\.(fits?|fts)(\.(fz|gz|bz2|xz|z|zip))*( ?\(\d+\)|\.\d+)?", re.IGNORECASE | re.DOTALL
-)
-FITS_BEGIN = b"SIMPLE"
-MIN_WINDOW_PX = 5
-MAX_WINDOW_PX = 4096
-SHOWN_CARDS = 3
 
 
 def has_fits_name(path: Path) -> bool:

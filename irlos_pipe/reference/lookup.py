@@ -39,6 +39,18 @@ Kind = Literal[
     "term",
 ]
 
+LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+WORDS = {
+    "number": "number",
+    "integer": "whole number",
+    "string": "text",
+    "boolean": "true or false",
+    "null": "nothing",
+}
+ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
+LINE_LENGTH = 100
+TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -110,14 +122,6 @@ def _table(entries: Sequence[Entry]) -> str:
 # -- keys of recipes, side-cars and profiles ---------------------------------------------------------
 
 Schema = Mapping[str, Any]
-LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
-WORDS = {
-    "number": "number",
-    "integer": "whole number",
-    "string": "text",
-    "boolean": "true or false",
-    "null": "nothing",
-}
 
 
 def key_entries() -> Iterator[Entry]:
@@ -222,7 +226,6 @@ UNITS = {
     "mag": "mag",
     "adu": "ADU",
 }
-ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 
 
 def _number_entries() -> Iterator[Entry]:
@@ -283,8 +286,6 @@ def models_in(annotation: Any) -> Iterator[type]:
 # -- terms of the glossary ---------------------------------------------------------------------------
 
 GLOSSARY = Path(__file__).with_name("glossary.md")
-LINE_LENGTH = 100
-TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 
 
 def _term_entries() -> Iterator[Entry]:

@@ -24,24 +24,6 @@ EXITS = {
     ExitCode.INTERRUPTED: "interrupted; the same command goes on",
 }
 
-
-def pages() -> dict[str, str]:
-    entries = all_entries()
-    return {
-        "recipes": _recipes(),
-        "keys": _by_section("Keys of recipes", _of(entries, "key of a recipe"), _KEYS),
-        "sidecar": _one_table("Keys of side-cars", _of(entries, "key of a side-car"), _SIDECAR),
-        "profile": _profile(entries),
-        "checks": _by_section("Quality checks", _of(entries, "check"), _CHECKS),
-        "products": _by_section("Products and their arrays", _of(entries, "array of a product"), _PRODUCTS),
-        "results": _by_section("results.json", _of(entries, "number"), _RESULTS),
-        "schema": _schema("results.json", _SCHEMA, RESULTS),
-        "schema_commands": _schema("what commands print", _SCHEMA_COMMANDS, COMMANDS),
-        "exit_codes": _exit_codes(),
-        "glossary": GLOSSARY.read_text(encoding="utf-8"),
-    }
-
-
 _KEYS = (
     "Every key with its default, as `irlos explain KEY` tells it. Any of them can be given on the command "
     "line as `--set SECTION.KEY=VALUE`; the command line wins over the recipe, the recipe over its "
@@ -72,6 +54,23 @@ _SCHEMA_COMMANDS = (
     "null, and no key is left out. Also in the package, as `irlos_pipe/reference/commands.schema.json`, and "
     "by `irlos explain --schema commands`."
 )
+
+
+def pages() -> dict[str, str]:
+    entries = all_entries()
+    return {
+        "recipes": _recipes(),
+        "keys": _by_section("Keys of recipes", _of(entries, "key of a recipe"), _KEYS),
+        "sidecar": _one_table("Keys of side-cars", _of(entries, "key of a side-car"), _SIDECAR),
+        "profile": _profile(entries),
+        "checks": _by_section("Quality checks", _of(entries, "check"), _CHECKS),
+        "products": _by_section("Products and their arrays", _of(entries, "array of a product"), _PRODUCTS),
+        "results": _by_section("results.json", _of(entries, "number"), _RESULTS),
+        "schema": _schema("results.json", _SCHEMA, RESULTS),
+        "schema_commands": _schema("what commands print", _SCHEMA_COMMANDS, COMMANDS),
+        "exit_codes": _exit_codes(),
+        "glossary": GLOSSARY.read_text(encoding="utf-8"),
+    }
 
 
 def _schema(what: str, lead: str, file: Path) -> str:

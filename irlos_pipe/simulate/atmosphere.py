@@ -22,6 +22,10 @@ ALIASING_SHARE = 0.6  # part of the in-band variance of the shape `aliasing`; th
 ALIASES = 3  # folded bands on each side of the correction band that are summed
 Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
 
+SCREEN_OVER_PUPIL = 1.6  # edge of the periodic screen over the pupil's
+IN_BAND_LIFETIME_S = 0.010  # the loop renews its residual within a few of its steps
+FITTING_LIFETIME_S = 0.200
+
 
 @dataclass(frozen=True)
 class Sky:
@@ -136,11 +140,6 @@ def aliasing_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) -
                 seen = (fx * gx + fy * gy) / f2 * np.sinc(pitch_m * gx) * np.sinc(pitch_m * gy)
                 total += seen**2 * von_karman_nm2_m2(np.hypot(gx, gy), sky, facility)
     return total / (np.sinc(pitch_m * fx) * np.sinc(pitch_m * fy)) ** 2
-
-
-SCREEN_OVER_PUPIL = 1.6  # edge of the periodic screen over the pupil's
-IN_BAND_LIFETIME_S = 0.010  # the loop renews its residual within a few of its steps
-FITTING_LIFETIME_S = 0.200
 
 
 class ResidualScreens:

@@ -33,6 +33,16 @@ PAD = 4  # samples beyond the diameter on each side, where the low-pass rings
 TAPS = 2 * PAD * FINE
 KAISER_BETA = 5.0  # of the low-pass window: its stop band is at -53 dB
 
+BATCH = 10  # wavefronts imaged together
+SPLINE = 5  # order of the interpolation: errs by less than 1e-5 of the peak below 0.2 cycles per sample
+SPLINE_EDGE_PX = 8  # distance from the end of the image beyond which a spline does not notice it
+STATIC_NODES = 4  # Gauss–Legendre nodes per pixel and axis
+FINEST_CYCLES_PER_PX = 0.4  # highest frequency of an image in whole pixels; above, they are computed in parts
+FINEST_DISTORTED = 0.2  # the same where splines interpolate the image
+REACH_SIGMAS = 4.0
+EDGE_PX = 3  # margin of images in which the discrete transform rings at the border
+MIRROR_PX = 8  # mirrored border beyond the margin, so that opposite edges do not mix
+
 
 @dataclass(frozen=True, eq=False)
 class Pupil(Telescope):
@@ -143,17 +153,6 @@ def _low_pass(samples: int) -> np.ndarray:
         low, high = max(first, 0), min(first + TAPS, FINE * samples)
         matrix[index, low:high] = taps[low - first : high - first]
     return matrix
-
-
-BATCH = 10  # wavefronts imaged together
-SPLINE = 5  # order of the interpolation: errs by less than 1e-5 of the peak below 0.2 cycles per sample
-SPLINE_EDGE_PX = 8  # distance from the end of the image beyond which a spline does not notice it
-STATIC_NODES = 4  # Gauss–Legendre nodes per pixel and axis
-FINEST_CYCLES_PER_PX = 0.4  # highest frequency of an image in whole pixels; above, they are computed in parts
-FINEST_DISTORTED = 0.2  # the same where splines interpolate the image
-REACH_SIGMAS = 4.0
-EDGE_PX = 3  # margin of images in which the discrete transform rings at the border
-MIRROR_PX = 8  # mirrored border beyond the margin, so that opposite edges do not mix
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,8 @@ DRAWS, BOOTSTRAP_SEED = 4000, 0
 TAIL = 0.05  # probability beyond each end of a range of 90 %
 ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
 
+MARKERS = ("o", "s", "^", "D", "v", "P")
+
 
 def frame(rows: Iterable[Record]) -> Frame:
     """Return rows as a frame; None and what a row lacks become NaN."""
@@ -264,9 +266,6 @@ class _Pattern(string.Formatter):
 
 def _missing(value: Any) -> bool:
     return value is None or (isinstance(value, float) and not math.isfinite(value))
-
-
-MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
 def lines(

@@ -31,6 +31,13 @@ from irlos_pipe.stages.base import judged
 
 QUICK_NAME = "quick.yaml"
 
+TABLES = "tables"  # folder of numbers: a file per experiment, and how they were made and judged
+RUNS, CHECKS = "runs.csv", "checks.csv"
+OF_THE_PAPER = (TABLES, "*/recipe.resolved.yaml")
+OWN = "irlos_pipe"
+TITLE = "The experiments of the paper"
+NOTES = {True: "Quick look: samples are small and numbers rough.", False: "Full samples."}
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -85,14 +92,6 @@ def _quick_changes(path: Path, known: Collection[str]) -> Mapping[str, Mapping[s
         if not isinstance(settings, dict):
             raise ConfigurationError(f"{where}: '{name}' should be a section of 'stage.key: value' lines")
     return changes
-
-
-TABLES = "tables"  # folder of numbers: a file per experiment, and how they were made and judged
-RUNS, CHECKS = "runs.csv", "checks.csv"
-OF_THE_PAPER = (TABLES, "*/recipe.resolved.yaml")
-OWN = "irlos_pipe"
-TITLE = "The experiments of the paper"
-NOTES = {True: "Quick look: samples are small and numbers rough.", False: "Full samples."}
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,9 @@ from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling
 
+FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
+LARGEST_NM = 10_000.0
+
 
 class Section(BaseModel):
     """Base of all sections of a spec: unknown keys and values that are not finite are refused."""
@@ -118,8 +121,6 @@ def _type(hint: Any, kind: str, *limits: float | None) -> Any:
 _SECTIONS: dict[str, Any] = {name: (_section(effect) | None, None) for name, effect in EFFECTS.items()}
 EffectKeys = create_model("EffectKeys", __base__=Section, **_SECTIONS)
 
-FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
-LARGEST_NM = 10_000.0
 BandName = Literal["narrow_h", "j", "h", "j_h"]
 Nanometres = Annotated[float, Field(ge=-LARGEST_NM, le=LARGEST_NM)]
 Zernikes = Annotated[dict[int, Nanometres], AfterValidator(require_nolls)]

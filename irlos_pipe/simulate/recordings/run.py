@@ -38,6 +38,11 @@ DETECTOR_STREAM = 1  # child of the scene's seed; the wavefront has its own
 WORK_PREFIX = ".simulating-"
 LOOK_S = 0.3  # interval at which the progress of the worker processes is read
 
+FORCED, UP_TO_DATE = "--force", "up to date"
+MAX_REASONS = 3
+KINDS = ("recording", "scene")  # sections whose name means nothing to a reader
+SATURATION_NOTED = 1e-4  # fraction of values on the end of the converter that is worth a warning
+
 
 @dataclass(frozen=True)
 class Made:
@@ -197,12 +202,6 @@ def _work_folder(parent: Path) -> Iterator[Path]:
         yield work
     finally:
         shutil.rmtree(work, ignore_errors=True)
-
-
-FORCED, UP_TO_DATE = "--force", "up to date"
-MAX_REASONS = 3
-KINDS = ("recording", "scene")  # sections whose name means nothing to a reader
-SATURATION_NOTED = 1e-4  # fraction of values on the end of the converter that is worth a warning
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,11 @@ SAME = (
 # Part of the photons in J+H that a filter passes.
 THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}
 
+FIRST_START_UNIX_S = 1_707_618_000
+SLOT_S = 86_400  # between the starts of two sections of a spec, so that a change of one moves no other
+MOVE_S = 24  # time that focus stage or derotator take between the recordings of a series
+FIRST_COUNTER, COUNTER_WRAP = 1000, 2**30
+
 
 def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys) -> Scene:
     """Return what all recordings of the section `name`, with its `keys`, have in common.
@@ -271,12 +276,6 @@ def _with_shared(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str,
         if None not in (merged[name], shared[name]):
             merged[name] = {**shared[name], **merged[name]}
     return merged
-
-
-FIRST_START_UNIX_S = 1_707_618_000
-SLOT_S = 86_400  # between the starts of two sections of a spec, so that a change of one moves no other
-MOVE_S = 24  # time that focus stage or derotator take between the recordings of a series
-FIRST_COUNTER, COUNTER_WRAP = 1000, 2**30
 
 
 class _Member(NamedTuple):
