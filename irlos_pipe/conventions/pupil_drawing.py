@@ -34,10 +34,7 @@ class Vane:
 class PupilGeometry:
     """The pupil: an aperture, less a central hole, obstructions and vanes.
 
-    Raises
-    ------
-    ValueError
-        If these contradict each other.
+    Raises `ValueError` if these contradict each other.
     """
 
     diameter_m: float  # of the disc that contains it, on which Zernike polynomials have unit RMS

@@ -10,10 +10,7 @@ TOLERANCE = 0.02  # relative error by which whole reads may miss the exposure
 def whole_reads(exposure_s: float, read_s: float) -> int:
     """Return the number of reads of `read_s` that make up an exposure of `exposure_s`.
 
-    Raises
-    ------
-    ConfigurationError
-        When no whole number of reads does.
+    Raises `ConfigurationError` when no whole number of reads does.
     """
     reads = max(1, round(exposure_s / read_s))
     if not adds_up(exposure_s, read_s, reads):

@@ -29,10 +29,7 @@ class Effect(Declared):
     def under(cls, conditions: Conditions, *args: Any, **options: Any) -> Self:
         """The effect with starts and priors for these conditions.
 
-        Raises
-        ------
-        ValueError
-            If it means nothing under them.
+        Raises `ValueError` if it means nothing under them.
         """
         return cls(*args, **options)
 

@@ -173,8 +173,8 @@ def _value(one: Public) -> str:
 def _summary(kind: type[Effect]) -> str:
     """The docstring of an effect up to its first section."""
     text = inspect.cleandoc(kind.__doc__ or "")
-    for section in ("Parameters", "Raises", "Class attributes"):
-        text = text.split(f"\n{section}\n---")[0]
+    for section in ("Parameters\n---", "Parameters: ", "Raises `"):
+        text = text.split(f"\n\n{section}")[0]
     text = text.strip().replace("``", "`")
     return "\n\n".join(_filled(paragraph) for paragraph in text.split("\n\n"))
 

@@ -103,10 +103,7 @@ class Spectrum(SamplingEffect):
 
     All wavelengths are shifted, stretched about the mean, and weighted by ``1 + slope (λ - λ_mean)``.
 
-    Parameters
-    ----------
-    mean_nm : float
-        Weighted mean of the assumed spectrum.
+    Parameters: `mean_nm`, weighted mean of the assumed spectrum.
     """
 
     name = "spectrum"
@@ -179,10 +176,7 @@ class PlateScale(SamplingEffect):
 
     A lens away from its place, or another focal length: every angle that a pixel covers changes alike.
 
-    Parameters
-    ----------
-    told_mas : float
-        The assumed scale.
+    Parameters: `told_mas`, the assumed scale.
     """
 
     name = "plate_scale"

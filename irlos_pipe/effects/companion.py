@@ -89,10 +89,7 @@ class Companion(CopiesOfStar):
     The images of both add, ``(1 + f exp(-2πi b·s/λ)) / (1 + f)`` on the OTF. The total light stays; the
     position means nothing without the companion and is scanned in a search.
 
-    Parameters
-    ----------
-    start : (float, float, float)
-        Flux ratio and position [mas].
+    Parameters: `start`, flux ratio and position [mas].
     """
 
     name = "companion"
@@ -147,12 +144,8 @@ class Ghost(CopiesOfStar):
     ghost has more defocus than the star and is blurred. Every star has it, at the same place and of the
     same share; a companion of the star has its ghost too. The total light stays.
 
-    Parameters
-    ----------
-    start : (float, float, float) or (float, float, float, float, float)
-        Flux ratio and position [mas]; further defocus [nm RMS] and blur [mas], none by default.
-    reach_mas : float
-        Largest distance along either axis.
+    Parameters: `start`, flux ratio and position [mas]; further defocus [nm RMS] and blur [mas], none by
+    default; `reach_mas`, largest distance along either axis.
     """
 
     name = "ghost"

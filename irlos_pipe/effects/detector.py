@@ -51,10 +51,8 @@ class InterpixelCrosstalk(DetectorEffect):
 class DetectorNonlinearity(DetectorEffect):
     """The node's capacitance grows with its charge: ``s (1 - f s / s_peak)``.
 
-    Parameters
-    ----------
-    peak_e : float, optional
-        Signal at which the fraction is stated; by default that of the brightest pixel of each image.
+    Parameters: `peak_e`, signal at which the fraction is stated; by default that of the brightest pixel of
+    each image.
     """
 
     name = "detector_nonlinearity"

@@ -122,10 +122,7 @@ class HighAperture(LensEffect):
     from static spherical aberration, a ramp of focus can: they change with it. An estimate with the parabola
     finds another slope than one and its images do not fit far from focus.
 
-    Parameters
-    ----------
-    numerical_aperture : float
-        NA / n of the beam in which the focus moves.
+    Parameters: `numerical_aperture`, NA / n of the beam in which the focus moves.
     """
 
     name = "high_aperture"

@@ -97,10 +97,7 @@ class ImageModel:
         from factors of all pixels, (images, rows, columns), to the derivatives of the images' sum with these
         factors, (images, modes + 2), float64: modes, flux, background.
 
-        Raises
-        ------
-        ValueError
-            With free effects, or effects of the detector or of time.
+        Raises `ValueError` with free effects, or effects of the detector or of time.
         """
         if not self.can_pull_back:
             raise ValueError("the pullback knows no free effects, nor those of the detector or of time")

@@ -181,10 +181,7 @@ class PupilMisregistration(RedrawnPupil):
     Any shift darkens a crescent at the rim and one at the hole, whichever way it goes: the image is not
     differentiable in (dx, dy) at zero, but it is in (distance ≥ 0, direction).
 
-    Parameters
-    ----------
-    start : (float, float, float)
-        Distance [m], direction and rotation [deg].
+    Parameters: `start`, distance [m], direction and rotation [deg].
     """
 
     name = "pupil_misregistration"
@@ -255,10 +252,7 @@ class PupilSizes(RedrawnPupil):
     telescope's mirror does. The sizes are absolute. Vanes of several widths are all wider in the same
     ratio. The diameter is no parameter: in the image it is the same as the pixel scale, or the wavelength.
 
-    Raises
-    ------
-    ValueError
-        If it has neither a hole nor vanes.
+    Raises `ValueError` if it has neither a hole nor vanes.
     """
 
     name = "pupil_geometry"
@@ -293,10 +287,7 @@ class PupilSizes(RedrawnPupil):
     def values_of(self, obscuration_m: float | None = None, vane_width_m: float | None = None) -> list[float]:
         """See `Effect.values_of`: what is not given is as declared.
 
-        Raises
-        ------
-        ValueError
-            For the size of what the pupil has not.
+        Raises `ValueError` for the size of what the pupil has not.
         """
         sizes = {"obscuration_m": obscuration_m, "vane_width_m": vane_width_m}
         given = {name: size_m for name, size_m in sizes.items() if size_m is not None}

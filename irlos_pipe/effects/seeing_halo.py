@@ -188,10 +188,7 @@ class SeeingHalo(OtfEffect):
     def values_of(self, wfe_nm: float | None = None, scale: float | None = None) -> list[float]:
         """See `Effect.values_of`: the total residual is given, its shape is as expected.
 
-        Raises
-        ------
-        ValueError
-            Unless exactly one of the two is given.
+        Raises `ValueError` unless exactly one of the two is given.
         """
         if wfe_nm is not None and scale is None:
             total_nm2 = wfe_nm**2
@@ -394,10 +391,7 @@ class UnevenResidual(OtfEffect):
     Values are those of Noll 4, 2 and 3 in the variance of the residual inside the correction band, as parts
     of the variance that is expected at the seeing.
 
-    Parameters
-    ----------
-    law : ResidualLaw
-        AO residual against seeing.
+    Parameters: `law`, AO residual against seeing.
     """
 
     name = "uneven_residual"

@@ -95,10 +95,7 @@ class DiversityError(OpdMap):
 
     A lens that is not as calibrated, a mirror that does not reach its command. Not a part of the NCPAs.
 
-    Parameters
-    ----------
-    diversity_nm : mapping of int to float
-        As introduced, Noll: nm RMS.
+    Parameters: `diversity_nm`, as introduced, Noll: nm RMS.
     """
 
     name = "diversity_error"
@@ -219,10 +216,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
     those of the middle of the recording. In the mean image a drift is a blur of second order, whose
     derivative vanishes without it; it is single frames that show it, with its sign.
 
-    Parameters
-    ----------
-    nolls : sequence of int
-        Among the modes that are estimated.
+    Parameters: `nolls`, among the modes that are estimated.
     """
 
     name, table = "ncpa_drift", "zernike_nm"
@@ -244,10 +238,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
     def apply(self, values: Tensor, modes_nm: Tensor, nolls: tuple[int, ...], when: Tensor) -> Tensor:
         """See `TimeEffect.apply`.
 
-        Raises
-        ------
-        ValueError
-            If a mode that drifts is not estimated.
+        Raises `ValueError` if a mode that drifts is not estimated.
         """
         missing = sorted(set(self.nolls) - set(nolls))
         if missing:
@@ -292,12 +283,7 @@ class ChromaticNcpa(_Table):
     The NCPAs are those at the reference wavelength, and each mode changes by its slope per µm from there.
     In a narrow band the slope is a part of the NCPAs.
 
-    Parameters
-    ----------
-    reference_nm : float
-        Wavelength at which it vanishes.
-    law : NcpaLaw, optional
-        Of the prior, per µm.
+    Parameters: `reference_nm`, wavelength at which it vanishes; `law`, of the prior, per µm.
     """
 
     name, table, default = "chromatic_ncpa", "zernike_nm_per_um", CHROMATIC_NOLLS
@@ -341,10 +327,7 @@ class FilterNcpa(_Table):
 
     It acts in recordings through every one of some `elements`: names of filters and of sources of diversity.
 
-    Parameters
-    ----------
-    law : NcpaLaw, optional
-        Of the prior.
+    Parameters: `law`, of the prior.
     """
 
     name, table, default = "filter_ncpa", "zernike_nm", FILTER_NOLLS

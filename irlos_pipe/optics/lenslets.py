@@ -105,10 +105,7 @@ class LensletArray:
     The `settings` are those of the whole pupil, the window that of the four images side by side; `options`
     are those of `PsfModel`.
 
-    Raises
-    ------
-    ValueError
-        If the window cannot be halved.
+    Raises `ValueError` if the window cannot be halved.
     """
 
     def __init__(self, settings: PsfSettings, nolls: Sequence[int], **options: Any):

@@ -75,10 +75,7 @@ class Strained(NamedTuple):
 
         They are complex, of the precision and on the device of `like`.
 
-        Raises
-        ------
-        ValueError
-            If the window is wider than the focal `grid`, which would alias silently.
+        Raises `ValueError` if the window is wider than the focal `grid`, which would alias silently.
         """
         pixels = Pixels(window, sampling, index, grid)
         made = pixels.rows, pixels.columns, pixels.along_lines, pixels.along_columns

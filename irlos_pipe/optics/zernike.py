@@ -19,10 +19,7 @@ def noll_to_nm(noll: int) -> tuple[int, int]:
     Positive m stands for cos(m theta), negative m for sin(|m| theta); even Noll
     indices are cosines.
 
-    Raises
-    ------
-    ValueError
-        If `noll` is below 1.
+    Raises `ValueError` if `noll` is below 1.
     """
     if noll < 1:
         raise ValueError(f"Noll indices start at 1, got {noll}")
