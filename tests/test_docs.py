@@ -90,14 +90,6 @@ def test_every_link_and_every_file_of_the_tree_exists(page):
     assert [name for name in named if not (REPOSITORY / name).exists()] == []
 
 
-def test_the_version_stands_in_the_citation_and_in_the_changelog():
-    version = irlos_pipe.__version__
-    assert f"\nversion: {version}\n" in (REPOSITORY / "CITATION.cff").read_text()
-    assert re.search(
-        rf"^## \[?{re.escape(version)}\b", (REPOSITORY / "CHANGELOG.md").read_text(), re.MULTILINE
-    )
-
-
 def test_the_conda_recipe_has_the_version_and_the_requirements_of_the_package():
     text = (REPOSITORY / "packaging" / "meta.yaml").read_text()
     recipe = yaml.safe_load(

@@ -23,7 +23,6 @@ from benchmarks.diagnose_suite.cases import (
     all_cases,
 )
 from benchmarks.diagnose_suite.judging import (
-    all_named,
     extra_names,
     first_is_wrong,
     is_first,
@@ -35,14 +34,13 @@ from benchmarks.diagnose_suite.judging import (
     true_size_inside,
 )
 from benchmarks.diagnose_suite.making import plan_case
-from benchmarks.diagnose_suite.scoring import score, score_dirty, write_report
+from benchmarks.diagnose_suite.scoring import score, write_report
 from benchmarks.diagnose_suite.working import SUITE
-from benchmarks.harness import chosen, keep, read_lines, worked
+from benchmarks.harness import keep, read_lines, worked
 from irlos_pipe.simulate.effects import effects_of
 from irlos_pipe.simulate.recordings.files import side_car
 
 CASES = all_cases()
-DIRTY = all_cases(dirty=True)
 GHOST = {"flux_ratio": 0.003, "sep_mas": 100.0, "pa_deg": 30.0, "defocus_nm": 100.0}
 AT_GHOST = {"flux_ratio": 0.003, "sep_mas": 110.0, "pa_deg": 31.0}
 APART = {"flux_ratio": 0.01, "sep_mas": 200.0, "pa_deg": 210.0}
@@ -96,11 +94,6 @@ def values(parts, part) -> dict:
 # -- the cases ---------------------------------------------------------------------------------
 
 
-def planned(name, tmp_path):
-    (case,) = chosen(DIRTY if name.startswith("dirty") else CASES, name)
-    return plan_case(case, tmp_path / "spec.yaml")
-
-
 @pytest.mark.parametrize(
     "case", [c for c in CASES if c.kind in (SINGLE, PAIR, RAMP_SINGLE)][::23], ids=lambda c: c.name
 )
@@ -117,19 +110,6 @@ def test_every_hidden_effect_is_a_valid_simulation_and_its_side_car_that_of_none
 
 
 # -- mild errors of everything -----------------------------------------------------------------
-
-
-def test_the_simulated_telescope_has_the_errors_and_the_side_car_those_of_none(tmp_path):
-    plan = planned("dirty.single.sky_narrow.companion.medium", tmp_path)
-    scene = plan.recordings[0].scene
-    assert scene.geometry.obscuration_m == plan.mild.sections["pupil"]["obscuration_m"]
-    assert {"plate_scale", "spectrum", "pupil_misregistration", "ghost", "companion"} == set(scene.effects)
-    assert max(scene.ncpa_nm) == 200 and scene.detector.flat_error_rms == 0.005
-    law = {"shape": scene.sky.shape, "outer_scale_m": scene.facility.outer_scale_m}
-    assert law.items() <= plan.mild.sections["sky"].items()
-    nominal = planned("single.sky_narrow.companion.medium", tmp_path).recordings[0]
-    told, expected = (side_car(one) | {"seeing_arcsec": 0} for one in (plan.recordings[0], nominal))
-    assert told == expected
 
 
 # -- judging -----------------------------------------------------------------------------------
@@ -169,22 +149,6 @@ def test_the_simulated_telescope_has_the_errors_and_the_side_car_those_of_none(t
 def test_a_diagnosis_is_judged_by_what_it_names_and_where(one, true, false):
     assert all(judge(one) for judge in true)
     assert not any(judge(one) for judge in false)
-
-
-@pytest.mark.parametrize(
-    ("names", "both"),
-    [
-        (("vibration", "companion"), True),
-        (("companion", "tip_tilt_jitter|vibration"), True),
-        (("companion|vibration",), False),
-        (("companion",), False),
-    ],
-)
-def test_a_pair_needs_a_name_for_each_of_its_effects_and_a_companion_in_its_place(names, both):
-    assert all_named(outcome("companion vibration", *names, kind=PAIR)) is both
-    for place in (APART, AT_GHOST):
-        beside = dirty("companion vibration", *names, kind=PAIR, known=COMPANION, found=place)
-        assert is_right(beside) is (both and place == APART)
 
 
 @pytest.mark.parametrize(
@@ -258,25 +222,6 @@ def test_the_table_counts_what_was_made_by_hand(tmp_path):
         for rows in score({SUITE.key(one): one for one in outcomes}.values()).values()
         for row in rows
     ]
-
-
-@pytest.mark.slow
-def test_the_table_beside_mild_errors_counts_what_was_made_by_hand(tmp_path):
-    outcomes = [
-        dirty("vibration", "vibration"),
-        dirty("vibration", "plate_scale", "vibration", unexplained=True),
-        dirty("vibration", "phase_bump", unexplained=True),
-        dirty("vibration", verdict="unknown"),
-        dirty("", "phase_bump", kind=CLEAN),
-    ]
-    parts = score_dirty(outcomes)
-    rows = values(parts, "one effect beside mild errors")
-    counts = [rows[what].count for what in ("named", "named first", "wrong first name", "no name")]
-    assert counts == [2, 1, 1, 1] and rows["named"].total == 4
-    grades = [(row.what, row.value.count) for row in parts["one effect beside mild errors, by grade"]]
-    assert grades[4:8] == [("partial", 2), ("  named", 1), ("  named first", 0), ("  wrong first name", 1)]
-    text = write_report(outcomes, {}, tmp_path)
-    assert "single.vibration.phase_bump: partial, gap 4.00% to 2.00%, floor 1.00%: phase_bump" in text
 
 
 # -- from beginning to end ---------------------------------------------------------------------

@@ -5,8 +5,7 @@ Truth: outcomes written down by hand.
 
 import pytest
 
-from benchmarks.misled.cases import CALIBRATION, DIAGNOSIS, HIDDEN, NIGHT, all_cases
-from benchmarks.misled.reducing import diagnosis_errors, mode_errors
+from benchmarks.misled.cases import CALIBRATION, DIAGNOSIS, NIGHT
 from benchmarks.misled.suite import verdict
 
 PASSED = {"kind": CALIBRATION, "family": "x", "right": False, "cause": "", "accused": [], "warned": []}
@@ -38,16 +37,3 @@ FOUND |= {"zernike_nm": {"after": {"4": 10.0}}, "sigma_nm": {"4": 1.0}}
 )
 def test_an_outcome_is_counted_once_as_what_a_user_is_told(change, column):
     assert verdict(PASSED | change) == column
-
-
-def test_an_error_counts_in_quoted_ones_of_the_worst_mode_beyond_tilt():
-    errors = mode_errors({"2": 99.0, "4": 3.0, "5": -1.0}, {"2": 1.0, "4": 2.0, "5": 0.5}, {5: 1.0})
-    assert errors["sigmas"] == 4.0
-
-
-@pytest.mark.parametrize(("stated", "finding"), [(0.1, "too small"), (0.01, "none")])
-def test_nothing_found_is_right_where_less_is_hidden_than_can_be_detected(stated, finding):
-    hidden = HIDDEN["companion 5 %"]
-    case = next(one for one in all_cases(1, 1) if one.kind == DIAGNOSIS and one.taken.hidden == hidden)
-    results = FOUND | {"mdb": {"companion": {"flux_ratio": stated}}}
-    assert diagnosis_errors(case, results, {4: 10.0})["finding"] == finding

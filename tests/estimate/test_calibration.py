@@ -76,25 +76,6 @@ def test_errors_of_one_frame_or_a_few_are_those_of_independent_repetitions(cube,
     assert 0.8 < np.sqrt(np.mean(np.square(pulls))) < 1.2
 
 
-def test_errors_of_one_frame_grow_with_the_misfit_but_not_beyond_the_prior(cube):
-    frames, _ = cube
-    quiet = NoiseModel(0.01, 0.01)  # told a hundredth of the true variance
-    one = frames.images_e[:1]
-    told, wrong = (
-        calibrate(
-            Frames(one, frames.good, noise),
-            cases.settings(),
-            CalibrationOptions(highest_noll=15, prior=cases.PRIOR),
-        )
-        for noise in (frames.noise, quiet)
-    )
-    assert wrong.chi2_nu == pytest.approx(100 * told.chi2_nu, rel=0.05)
-    assert wrong.sigma_nm == pytest.approx(told.sigma_nm, rel=0.1)
-    # weighed by the misfit, it is the fit with the true noise
-    assert wrong.zernike_nm == pytest.approx(told.zernike_nm, abs=0.2 * told.sigma_nm.min())
-    assert np.all(wrong.sigma_nm[2:] < cases.PRIOR.sigma_nm(NOLLS)[2:].numpy())
-
-
 def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
     settings = cases.settings(48)
     model = PsfModel(settings, NOLLS, dtype=torch.float64)

@@ -21,21 +21,17 @@ from helpers.optics_cases import (
 from helpers.reference_psf import reference
 from scipy.ndimage import gaussian_filter
 
-from irlos_pipe.effects import FixedEffect
-from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.correction import ALL, strehl_budget
-from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import (
     axis_ratios,
     calibrate_law,
     diversity_angle_deg,
     fit_gaussians,
 )
-from irlos_pipe.estimate.image_fit import ImageFit, Layout
-from irlos_pipe.estimate.residual import Mirrored, mirrored
+from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -59,14 +55,6 @@ def test_the_ratio_of_a_gaussian_s_axes_is_recovered(first_px, second_px, angle_
     ratio = axis_ratios(image, everything(image), angle_deg)
     assert ratio == pytest.approx([first_px / second_px], rel=1e-3)
     assert fit.values[0, :2].numpy() == pytest.approx([1.3, -2.1], abs=1e-3)
-
-
-def test_a_frame_of_nan_has_no_ratio_and_leaves_the_others_alone():
-    images = gaussian(3.0, 2.0, 0.0).repeat(2, 1, 1)
-    images[0, 3, 3] = float("nan")
-    ratio = axis_ratios(images, everything(images), 0.0)
-    assert np.isnan(ratio[0]) and ratio[1] == pytest.approx(1.5, rel=1e-3)
-    assert fit_gaussians(images, everything(images), 0.0).status[0] == "invalid"
 
 
 @pytest.mark.parametrize(
@@ -229,22 +217,6 @@ def test_a_mirrored_image_shows_the_mirrored_pupil(change, amplitude):
     result = found(change)
     assert result.tells and abs(result.amplitude - amplitude) < 5 * result.sigma + 0.1
     assert result.seen == (amplitude == 1.0)
-
-
-def test_a_parameter_without_effect_changes_nothing():
-    """A stop at no distance has no direction: its derivative is zero, and the normal matrix is singular."""
-    stop = FixedEffect(PupilMisregistration(), [0.0, 0.3, 0.0], free=("distance_m", "direction_rad"))
-    model = ImageModel(PsfModel(cases.settings(), ORIENTATION_NOLLS, dtype=torch.float64), [stop])
-    true, flux = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), ORIENTATION_NOLLS), 3e6
-    image = PsfModel(cases.settings(), ORIENTATION_NOLLS).images(true)[0].double().numpy() * flux
-    images = torch.as_tensor(cases.draw_frames(image, 24, seed=5))
-    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
-    mean, variance = frames.mean_e.flatten(), mean_variance_e2(frames).flatten()
-    layout = Layout(ORIENTATION_NOLLS, model.effects.parameters)
-    problem = ImageFit(model, layout, mean[None, None], variance[None, None])
-    values = torch.cat([true[0], torch.tensor([0.0, 0.3, flux, 0.0], dtype=torch.float64)])[None]
-    result = mirrored(frames, problem, values)
-    assert result is not None and result.tells and abs(result.amplitude) < 5 * result.sigma
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from helpers.optics_cases import J_AND_H, halo_and_jitter, ncpa_nm, settings, ve
 from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
@@ -118,20 +117,6 @@ def test_a_frame_of_nan_is_flagged_and_the_others_are_estimated(model):
 
 
 @pytest.mark.slow
-def test_the_capture_range_exceeds_600_nm_either_way(model):
-    introduced = np.linspace(-600, 600, 25)
-    true = torch.zeros(25, 3, dtype=torch.float64)
-    true[:, 2] = torch.as_tensor(introduced)
-    images = drawn(model, true, cases.photons(12), seed=11)
-    law = calibrate_law(PsfModel(cases.settings(64, TWO_COLOURS), [4]))
-    ratio = axis_ratios(images, cases.everything(images), law.angle_deg)
-    data = RampData(images, cases.everything(images), NOISE, introduced)
-    start = start_from_defocus(model, data, law.defocus_nm(ratio))
-    result = fit_ramp(model, data, start, LiftOptions()).result
-    assert np.abs(result.mode(4)[0].numpy() - introduced).max() < 5
-
-
-@pytest.mark.slow
 def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stands_out(model):
     """All end near the opposite defocus: none fits better than the others, only the scan can decide."""
     true = torch.zeros(4, 3, dtype=torch.float64)
@@ -196,23 +181,6 @@ def test_errors_of_a_robust_loss_hold_and_are_not_smaller_than_those_of_the_like
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1, abs=0.08)
     assert float((result.sigma_nm[:, 2] / bound).median()) > 1.0
     assert float(result.chi2_nu.mean()) == pytest.approx(1, abs=0.02)
-
-
-@pytest.mark.slow
-def test_single_wrong_pixels_hardly_disturb_a_robust_loss(model):
-    images = 60
-    true, flux = random_modes(images, seed=13), cases.photons(13)
-    data = drawn(model, true, flux, seed=14)
-    brightest = data.flatten(1).max(1).values
-    hit = np.random.default_rng(15).integers(12, 52, (images, 2))
-    data[torch.arange(images), hit[:, 0], hit[:, 1]] += 0.5 * brightest
-    found = {
-        loss: estimate(model, data, true[:, 2].numpy(), LiftOptions(loss=loss)).zernike_nm
-        for loss in ("gaussian", "huber", "l1")
-    }
-    rms_nm = {loss: float((zernike_nm - true).square().mean().sqrt()) for loss, zernike_nm in found.items()}
-    assert rms_nm["huber"] < 0.5 * rms_nm["gaussian"]
-    assert rms_nm["l1"] < 0.5 * rms_nm["gaussian"]
 
 
 # -- realisations with the curvature of their frames ---------------------------------------------

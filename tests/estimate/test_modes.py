@@ -13,7 +13,7 @@ from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.mirror_modes import mirror_offsets
 from irlos_pipe.estimate.mode_law import ModeScatter, fit_mode_law, mode_scatter
-from irlos_pipe.estimate.mode_number import BLOCKS_PER_HALF, choose, halves, scan_mode_numbers
+from irlos_pipe.estimate.mode_number import choose, scan_mode_numbers
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
 
@@ -55,13 +55,6 @@ def test_halves_differ_as_their_mean_errs(scan, truth_nm):
     error = np.linalg.norm(scan.mean_nm[2] - true)
     assert 0.5 < scan.halves_nm[2] / error < 2
     assert np.linalg.norm(scan.mean_nm[0] - true) > 10 * error
-
-
-def test_halves_share_no_frame_and_alternate():
-    one, other = halves(16 * BLOCKS_PER_HALF + 3)
-    assert not set(one.ravel()) & set(other.ravel())
-    assert one.shape == other.shape == (BLOCKS_PER_HALF, 8)
-    assert np.all(one[:, 0] < other[:, 0]) and np.all(one[1:, 0] > other[:-1, 0])
 
 
 def test_the_smallest_number_within_the_error_of_the_best_is_chosen():
@@ -114,14 +107,6 @@ def test_parameters_scatter_as_their_errors_say(draws):
     assert np.std(pulls, axis=0) == pytest.approx([1, 1, 1], abs=0.25)
     assert np.abs(np.mean(pulls, axis=0)).max() < 0.35  # a law from few modes is skewed
     assert np.mean(deviances) == pytest.approx(1, abs=0.06)
-
-
-def test_noise_raises_the_plateau_unless_it_is_taken_out():
-    scatter = scatter_of(200, 1)
-    raw = fit_mode_law(scatter, ALL, START, remove_noise=False)
-    clean = fit_mode_law(scatter, ALL, START, remove_noise=True)
-    assert raw.plateau_nm == pytest.approx(np.hypot(C_NM, NOISE_NM), rel=0.03)
-    assert clean.plateau_nm == pytest.approx(C_NM, rel=0.03)
 
 
 def test_the_error_of_a_standard_deviation_is_that_of_chi2():

@@ -14,11 +14,10 @@ from helpers import optics_cases as cases
 from helpers.simulated_scenes import image
 from scipy.special import jnp_zeros
 
-from irlos_pipe.effects import FixedEffect, TipTiltJitter
-from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
-from irlos_pipe.estimate import calibration, open_minima
+from irlos_pipe.estimate import calibration
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
@@ -33,7 +32,7 @@ from irlos_pipe.estimate.open_fit import (
     open_basis,
     visible_order,
 )
-from irlos_pipe.estimate.open_minima import Softening, by_curvature, likelier_minimum
+from irlos_pipe.estimate.open_minima import Softening, likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
@@ -104,14 +103,6 @@ def test_an_open_fit_has_the_equations_of_its_prior_whatever_it_has_kept():
     assert torch.diagonal(change[0])[20:27].numpy() == pytest.approx(precision.numpy(), abs=1e-9)
 
 
-def test_the_cheap_gradient_is_that_of_the_normal_equations():
-    open_fit, _, x = small_problems()
-    value, gradient, _ = open_fit.normal_equations(x, torch.arange(1))
-    cheap_value, cheap = open_fit.cheap_gradient(x, torch.arange(1))
-    assert float(cheap_value) == pytest.approx(float(value), rel=1e-12)
-    assert cheap.numpy() == pytest.approx(gradient.numpy(), rel=1e-6, abs=1e-9 * float(gradient.abs().max()))
-
-
 @pytest.fixture(scope="module")
 def calibrated():
     """Closed and open calibrations of simulated frames with a tail, and their errors in Noll 2-30."""
@@ -146,20 +137,6 @@ def test_the_law_of_the_tail_is_that_of_the_truth(calibrated):
     """Modes of orders 11 to 18 have 3 nm, those of 19 and 20, with Noll 201 and beyond, less and nothing."""
     tail = calibrated[0]["open"].tail
     assert tail.sigma_nm([67, 150]) == pytest.approx([TAIL_NM, TAIL_NM], rel=0.35)
-
-
-def test_joined_colours_keep_light_and_mean_and_lie_less_apart_than_told():
-    """At a distance a from the axis light of the wavelengths λ and μ lies D a (1/λ - 1/μ) apart, in λ/D."""
-    told = cases.settings(64, cases.J_AND_H)
-    reach_m = 8.0 * 32 * cases.SCALE_MAS * cases.MAS_RAD
-    for apart in (0.1, 0.5, 2.0):
-        joined = told.with_fewer_colours(apart)
-        assert sum(weight for _, weight in joined.spectrum) == pytest.approx(sum(w for _, w in told.spectrum))
-        assert joined.mean_nm == pytest.approx(told.mean_nm)
-        neighbours = np.array([nm for nm, _ in joined.spectrum]) * 1e-9
-        moved = [np.abs(reach_m * (1 / neighbours - 1e9 / nm)).min() for nm, _ in told.spectrum]
-        assert max(moved) < apart
-    assert len(told.with_fewer_colours(0.0).spectrum) == len(told.spectrum)
 
 
 def test_a_hastened_fit_has_the_same_images_and_gradient_and_nearly_the_same_hessian():
@@ -282,16 +259,6 @@ def test_softened_weights_are_those_of_the_larger_variance(problem):
         assert own.numpy() == pytest.approx(expected.numpy(), rel=1e-9)
 
 
-@pytest.mark.slow
-def test_shakes_by_the_curvature_follow_the_softened_likelihood(problem):
-    """Draws of unit covariance in its metric have a mean square of the number of modes."""
-    rng, x = np.random.default_rng(3), place()
-    factor = open_minima.SOFTER * float(problem.reduced_chi2(x)[0])
-    hessian = Softening(factor).of(problem).normal_equations(x, FIRST)[2][0, :27, :27]
-    moves = torch.cat([by_curvature(problem, x, rng) - x for _ in range(40)])[:, :27]
-    assert float(((moves @ hessian) * moves).sum(1).mean()) == pytest.approx(27, rel=0.2)
-
-
 # -- the other side of a displaced stop ----------------------------------------------------------
 
 
@@ -340,10 +307,6 @@ def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
 # -- effects that a diagnosis found --------------------------------------------------------------
 
 
-PLACE = [0.01, 90.0, -70.0]  # flux ratio, x and y [mas]
-NAMES = [parameter.name for parameter in Companion().parameters]
-
-
 @pytest.fixture(scope="module")
 def cube_fit() -> CubeFit:
     psf = PsfModel(cases.settings(), NOLLS, dtype=torch.float64)
@@ -351,15 +314,3 @@ def cube_fit() -> CubeFit:
     images = cases.draw_frames(psf.images(modes_nm)[0].double().numpy() * 3e6, 4, seed=5)
     frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
     return CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)
-
-
-def test_releasing_an_effect_changes_no_image(cube_fit):
-    told, jitter = FixedEffect(Companion(), PLACE, NAMES), TipTiltJitter()
-    held = cube_fit.fit([told.expected(), jitter])
-    problem, values = cube_fit.released([told, jitter], held)
-    assert problem.layout.size == held[0].layout.size + len(NAMES)
-    before, after = held[0].predict(held[1].values), problem.predict(values)
-    assert torch.allclose(after, before, rtol=1e-12, atol=1e-9)
-    assert np.allclose(
-        problem.model.effects.split(values[0, problem.layout.effect_values])["companion"], PLACE
-    )

@@ -237,16 +237,6 @@ def test_the_result_does_not_depend_on_the_start(model, start_mas):
     assert abs(far.values - near.values).item() < 0.1 * near.covariance.item() ** 0.5
 
 
-def test_the_residual_can_be_scaled_on_a_ramp(model):
-    halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5)
-    start = [p.start for p in halo.parameters]
-    effects = EffectSet((FixedEffect(halo, start, free=("variance_nm2",)),), model.grids)
-    true = 1.5 * start[0]
-    fit = joint_fit(model, effects, true, seed=80)
-    assert fit.status == "converged"
-    assert abs(fit.values.item() - true) < 4 * fit.covariance.item() ** 0.5
-
-
 def test_a_frame_without_light_tells_nothing_and_stops_nothing(model):
     effects = EffectSet((TipTiltJitter(7.0),), model.grids)
     bright, one_dark = (joint_fit(model, effects, SIGMA_MAS**2, seed=90, dark_frames=n) for n in (0, 1))

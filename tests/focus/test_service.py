@@ -1,8 +1,6 @@
 """The program around the loop. Truth: the reads that were given to it, and the loop by itself."""
 
-import json
 import re
-import socket
 import sqlite3
 import time
 from dataclasses import dataclass, replace
@@ -215,29 +213,6 @@ def test_frames_that_stop_and_come_again_are_told_once_each(tmp_path, two_second
     said = served(tmp_path, [*reads(0, 4), *[[]] * 60, *reads(4, 8)], silent_after_s=50.0)
     assert sum(line.startswith("no frames for 50 s") for line in said) == 1
     assert sum(line.startswith("frames come again after") for line in said) == 1
-
-
-def test_of_many_faults_some_are_told_and_the_rest_counted(tmp_path):
-    served(tmp_path, [*([Fault(f"junk {number}")] for number in range(500)), *reads(0, 2)])
-    records, events = lines(tmp_path)
-    assert [one for one in events if one.startswith("junk")] == [f"junk {number}" for number in range(20)]
-    assert "480 more faults, the last: junk 499" in events
-    assert records[0]["reads_damaged"] == 500
-
-
-def test_the_socket_gets_events_as_well_as_records(tmp_path):
-    client = socket.socket(socket.AF_UNIX)
-
-    class Connected(made.Listed):
-        def poll(self, timeout_s):
-            if len(self.arrivals) == 4:
-                client.connect(str(tmp_path / "s"))
-            return super().poll(timeout_s)
-
-    source = Connected([[], [Fault("frame 5 is damaged")], *reads(0, 2)])
-    made.served(tmp_path / "loop", source, SETTINGS, socket=tmp_path / "s")
-    sent = [json.loads(line) for line in client.recv(100_000).decode().splitlines()]
-    assert [one.get("event", one.get("sequence")) for one in sent] == ["frame 5 is damaged", 1, "stopped"]
 
 
 # -- clocks and pixels that are not those of now, a focus that does not answer -----------------------------

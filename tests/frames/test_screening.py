@@ -86,12 +86,6 @@ def test_noise_and_a_gradient_are_no_star(gradient):
     assert judged(noise.astype(np.float32)) == [screening.NO_STAR] * 20
 
 
-def test_a_star_too_faint_for_single_frames_is_kept_if_their_median_shows_it():
-    cube = frames_e(star(32, 32, flux_e=200), 150, read_noise_e=3.0).astype(np.float32)
-    assert screening.star_peaks(cube).snr.min() < LIMITS.star_snr
-    assert judged(cube) == [""] * 150
-
-
 @pytest.mark.parametrize("factor", [0.5, 1.6])
 def test_a_frame_of_odd_flux_is_rejected(factor):
     cube = images()

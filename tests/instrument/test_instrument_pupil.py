@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 import yaml
 from astropy.io import fits
-from helpers.optics_cases import settings, vector
 from helpers.paths import SHARED
 
 from irlos_pipe.conventions.errors import ConfigurationError
@@ -17,7 +15,6 @@ from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.conventions.pupil_parts import Circle, Hexagons
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
 from irlos_pipe.instrument.profile import FACTS
-from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres, petals_of, segments_of
 
 KECK_MAP = SHARED / "realdata/keck_nirc2/keck_pupil_open2_240px.fits"
@@ -199,22 +196,6 @@ def test_parts_that_meet_or_are_few_and_small_are_accepted(tmp_path, profile, ap
     drawn = loaded(tmp_path, profile, aperture=aperture).pupil
     clear = area_weighted_pupil(drawn, grid_centres(400, 0.02))
     assert clear.max() == pytest.approx(1.0, abs=1e-9) and clear.any()
-
-
-def test_a_shifted_pupil_on_a_larger_disc_has_the_image_of_the_unshifted_one(tmp_path, profile):
-    """A shift of the pupil is a phase in the focal plane, which no detector sees."""
-    changed(profile, pupil_obscuration_m=1.0)
-    vane = [{"start_m": [0, 0], "end_m": [4.2, 0], "width_m": 0.1}]
-    centred = loaded(tmp_path, profile, vanes=vane).pupil
-    changed(profile, pupil_diameter_m=8.2)
-    moved = loaded(tmp_path, profile, vanes=vane, aperture=[circle(8)], shift_m=[0.08, -0.06]).pupil
-    images = [
-        PsfModel(settings(32, diversity={}, geometry=pupil), (4,), dtype=torch.float64)
-        .images(vector({}, (4,)))[0]
-        .numpy()
-        for pupil in (centred, moved)
-    ]
-    assert np.abs(images[1] - images[0]).max() < 2e-4 * images[0].max()
 
 
 def changed(profile, **facts):

@@ -189,19 +189,6 @@ def test_the_pullback_is_the_transpose_of_finite_differences(model, factor, wave
         assert found[frame].numpy() == pytest.approx(numeric.numpy(), abs=1e-6 * float(numeric.abs().max()))
 
 
-def test_a_single_precision_model_takes_factors_in_double(model, wavefronts):
-    """Residuals are summed in float64 whatever the model: its pullback must be that of the double one."""
-    rough = PsfModel(model.settings, PSF_JACOBIAN_NOLLS, dtype=torch.float32)
-    generator = torch.Generator().manual_seed(4)
-    found = []
-    for one in (rough, model):
-        effects = halo_and_jitter(one)
-        images, pullback = one.images_and_pullback(wavefronts, effects(effects.starts))
-        factors = torch.randn(images.shape, dtype=torch.float64, generator=generator.manual_seed(4))
-        found.append(pullback(factors).double().numpy())
-    assert found[0] == pytest.approx(found[1], abs=1e-4 * abs(found[1]).max())
-
-
 def test_derivatives_of_otf_parameters_are_finite_differences(model, wavefronts):
     effects = halo_and_jitter(model)
     values = effects.starts * 1.1 + 0.05

@@ -6,8 +6,6 @@ Truth: the Airy pattern at stretched angles (analysis), HCIPy's image of a pupil
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -19,7 +17,6 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
 from irlos_pipe.effects.colour import Anamorphism, PlateScale, Spectrum
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS = tuple(range(2, 31))
@@ -139,25 +136,6 @@ def test_automatic_differentiation_sees_strain_scale_and_colour(start):
     jacobian = whole.predict_and_jacobian(*at, values)[1][:, 3:-2]
     expected = (jacobian * weights[:, None]).sum((0, 2, 3)).numpy()
     assert moving.grad.numpy() == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
-
-
-def test_a_strained_image_is_tabulated_although_tip_moves_it_along_both_axes():
-    """Truth: the model that is tabulated, with a finer pupil and a wider field, and its derivatives."""
-    case, reach = settings((36, 40), J_AND_H).for_single_frames(), Reach((-400.0, 400.0), 300.0)
-    coarse, fine = (
-        PsfModel(one, (2, 3, 4), dtype=torch.float64)
-        for one in (case, replace(case, pupil_samples=128, margin_mas=400.0, halo_margin_mas=900.0))
-    )
-    optics, exact = (EffectSet([held()], model.grids)() for model in (coarse, fine))
-    assert can_tabulate(coarse, optics, reach)
-    x = torch.tensor([[250.0, -180.0, 200.0], [-290.0, -290.0, -350.0]]).double()
-    images, jacobian = FocusTable(coarse, optics, reach).images_and_jacobian(x)
-    truth, slopes = fine.images_and_jacobian(x, exact)
-    assert images.numpy() == pytest.approx(truth.numpy(), abs=1e-4 * float(truth.max()))
-    same = FocusTable(coarse, optics, reach).images(x)
-    assert same.numpy() == pytest.approx(images.numpy(), rel=1e-9)
-    for mode in range(3):
-        assert (jacobian - slopes)[:, mode].abs().max() < 2e-4 * slopes[:, mode].abs().max()
 
 
 def test_a_window_that_strain_takes_beyond_the_computed_field_is_refused():

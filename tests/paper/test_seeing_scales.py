@@ -9,7 +9,6 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper import seeing_scales
 
-LAW = load_instrument("irlos").facility.residual_law
 MANY = 200_000
 
 
@@ -37,14 +36,6 @@ def test_how_rare_a_condition_is_follows_from_its_law(monkeypatch):
     rows = run(monkeypatch, draws=MANY, simulated_arcsec=(1.0,))["conditions"]
     expected = lognorm(np.hypot(0.35, 0.15), scale=0.56).cdf(1.0)
     assert rows.better[0] == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / MANY))
-
-
-def test_the_error_of_a_translated_residual_is_its_scatter_among_simultaneous_measurements(monkeypatch):
-    """Monte Carlo: among draws in which the monitor sees the same, SPARTA's residual scatters as stated."""
-    stated = run(monkeypatch, on_sky_arcsec=(0.8,))["conditions"].wfe_sigma_nm.iloc[-1]
-    _, alike = draws(median_arcsec=0.8, scatter=1e-9)
-    # to first order in the disagreement, whose square is 2 %
-    assert LAW.wfe_nm(alike).std() == pytest.approx(stated, rel=0.03)
 
 
 def test_the_relation_is_the_profiles_unless_the_recipe_gives_another(monkeypatch):

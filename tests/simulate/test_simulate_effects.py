@@ -194,15 +194,6 @@ def test_low_wind_images_agree_with_hcipy():
     assert worst(image(effects={"low_wind_effect": PETALS}), expected) < 1e-4
 
 
-def test_a_bump_stands_where_it_is_told():
-    bump = {"nm": 150.0, "x_m": 1.5, "y_m": -2.0, "width_m": 0.4}
-    exposed = expose(scene(ncpa_nm={}, effects={"phase_bump": bump}))
-    u_m, opd_nm = exposed.telescope.u_m, exposed.mean_opd_nm
-    row, column = np.unravel_index(opd_nm.argmax(), opd_nm.shape)
-    assert np.allclose([u_m[column], u_m[row]], [1.5, -2.0], atol=0.04)
-    assert np.isclose(opd_nm.sum() * exposed.telescope.step_m**2, 150 * 2 * np.pi * 0.4**2, rtol=1e-3)
-
-
 def test_a_drift_is_linear_over_the_cube_and_its_mean_is_in_the_truth():
     drifting = scene(frames=5, ncpa_nm={}, effects={"ncpa_drift": {"zernike_nm": {5: 40.0, 37: 50.0}}})
     exposed = expose(drifting)
@@ -211,13 +202,6 @@ def test_a_drift_is_linear_over_the_cube_and_its_mean_is_in_the_truth():
     assert np.isclose(exposed.mean_zernike_nm()[5], 20.0)
     last = exposed.mean_e[-1] / drifting.photons
     assert worst(last, image(ncpa_nm={5: 40.0, 37: 50.0})) < 1e-6
-
-
-def test_a_companion_adds_its_light_in_its_place():
-    angle = np.deg2rad(300.0)
-    found = image(effects={"companion": {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}})
-    second = moved(150 * np.cos(angle), 150 * np.sin(angle))
-    assert worst(found, image() + 0.04 * second) < 1e-6
 
 
 def test_a_ghost_is_sharp_unless_it_is_said_to_be_out_of_focus_or_blurred():

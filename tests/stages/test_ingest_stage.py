@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +20,7 @@ from helpers.sparta_files import (
     write_sidecar,
 )
 
-from irlos_pipe.conventions.errors import InputDataError, NothingToDo
-from irlos_pipe.files.json import json_text
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product
@@ -69,33 +67,6 @@ def product_of(output):
 def only_recording(output):
     (recording,) = recordings_from_product(product_of(output))
     return recording
-
-
-def test_the_results_describe_every_recording(tmp_path):
-    write_recorder(
-        tmp_path / "rec",
-        counts(IMAGE),
-        counter=[*range(0, 160, 20), 200, 220, 240, 260],
-        maps={"DARK": np.full(IMAGE.shape, 50)},
-    )
-    output = run(tmp_path)
-    (row,) = output.results.as_json()["inputs"]
-    expected = {
-        "name": "rec",
-        "input": "cube",
-        "role": "ncpa_calibration",
-        "frames": 12,
-        "frames_rejected": 0,
-        "frames_missing": 2,
-        "window": [32, 32],
-        "mag_j": 8.0,
-        "saturated_frames": 0,
-        "bad_pixels": [],
-    }
-    assert {key: row[key] for key in expected} == expected
-    assert row["flux_e"] == pytest.approx(1e6, rel=0.01)
-    assert json.loads(json_text(output.results.as_json()))
-    assert len(output.summary) == 1
 
 
 def test_recordings_survive_the_product_file(tmp_path):
@@ -258,15 +229,6 @@ def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
     assert recording.window == (36, 36) and recording.used.all()
     flux_e = recording.mean_e.reshape(2, 18, 2, 18).sum(axis=(1, 3))
     assert flux_e == pytest.approx(np.full((2, 2), 2e5), rel=0.05)
-
-
-def test_inputs_without_a_star_and_folders_without_recordings_are_refused(tmp_path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(NothingToDo):
-        run(tmp_path / "empty")
-    write_recorder(tmp_path / "dark", counts(IMAGE), keys={"role": "dark"})
-    with pytest.raises(InputDataError, match="input 'cube': only darks"):
-        run(tmp_path / "dark")
 
 
 def test_one_bad_recording_does_not_cost_the_others(tmp_path):

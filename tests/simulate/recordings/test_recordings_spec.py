@@ -176,21 +176,6 @@ def test_a_stage_that_moves_between_frames_is_told_frame_by_frame(tmp_path):
     assert one.commanded_nm == (0, 50, 0) and one.scene.introduced_nm == (0, 55, -5)
 
 
-def test_effects_of_the_stage_are_told_as_hidden_and_act_once(tmp_path):
-    effects = {"focus_stage_offset": {"nm": 30}, "plate_scale": {"fraction": 0.01}}
-    one = planned(tmp_path, {"ramp": RAMP | {"effects": effects}})["ramp/offset_01"]
-    assert one.hidden == effects and one.scene.introduced_nm == 30
-    assert one.scene.effects == {"plate_scale": {"fraction": 0.01}}
-
-
-def test_a_derotator_series_has_one_recording_per_angle(tmp_path):
-    series = {"turns": CUBE | {"role": "derotator", "angles_deg": [0, 23, 180]}}
-    turns = planned(tmp_path, series, ncpa={"zernike_nm": {5: 10}}, rotating={"zernike_nm": {6: 20}})
-    assert [(name, one.scene.derotator_angle_deg) for name, one in turns.items()] == [
-        ("turns/angle_00", 0), ("turns/angle_01", 23), ("turns/angle_02", 180)]  # fmt: skip
-    assert all(one.scene.rotating_nm == {6: 20} and one.scene.ncpa_nm == {5: 10} for one in turns.values())
-
-
 def test_recordings_share_the_ncpas_and_nothing_else_that_is_random(tmp_path):
     recordings = {"a": CUBE, "ramp": RAMP, "b": CUBE}
     scenes = [one.scene for one in planned(tmp_path, recordings, ncpa={"total_nm": 142}).values()]
