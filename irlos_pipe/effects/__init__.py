@@ -8,17 +8,6 @@ from irlos_pipe.effects.motion import TipTiltJitter
 from irlos_pipe.effects.seeing_halo import SeeingHalo
 
 __all__ = [
-    "CATALOGUE",
-    "Calibrated",
-    "Conditions",
-    "Effect",
-    "EffectSet",
-    "FixedEffect",
-    "Parameter",
-    "Public",
-    "SeeingHalo",
-    "TipTiltJitter",
-    "expected",
-    "fixed_optics",
-    "in_other_forms",
-]
+    "CATALOGUE", "Calibrated", "Conditions", "Effect", "EffectSet", "FixedEffect", "Parameter", "Public",
+    "SeeingHalo", "TipTiltJitter", "expected", "fixed_optics", "in_other_forms",
+]  # fmt: skip

@@ -43,41 +43,14 @@ from irlos_pipe.effects.wavefront import (
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect
     for effect in (
-        TipTiltJitter,
-        Vibration,
-        SeeingHalo,
-        UnevenResidual,
-        AoCutoff,
-        AtmosphericDispersion,
-        Spectrum,
-        PlateScale,
-        Anamorphism,
-        DiversityError,
-        PupilMisregistration,
-        PupilSizes,
-        AmplitudeAberration,
-        PupilSpot,
-        LowWindEffect,
-        SegmentPiston,
-        HighOrderNcpa,
-        PhaseBump,
-        NcpaDrift,
-        ChromaticNcpa,
-        FilterNcpa,
-        Companion,
-        Ghost,
-        InterpixelCrosstalk,
-        DetectorNonlinearity,
-        BackgroundGradient,
-        CorrelatedNoise,
-        BadPixels,
-        FocusStageOffset,
-        FocusStageScale,
-        FocusStageHysteresis,
-        HighAperture,
+        TipTiltJitter, Vibration, SeeingHalo, UnevenResidual, AoCutoff, AtmosphericDispersion, Spectrum,
+        PlateScale, Anamorphism, DiversityError, PupilMisregistration, PupilSizes, AmplitudeAberration,
+        PupilSpot, LowWindEffect, SegmentPiston, HighOrderNcpa, PhaseBump, NcpaDrift, ChromaticNcpa,
+        FilterNcpa, Companion, Ghost, InterpixelCrosstalk, DetectorNonlinearity, BackgroundGradient,
+        CorrelatedNoise, BadPixels, FocusStageOffset, FocusStageScale, FocusStageHysteresis, HighAperture,
         LensletImages,
     )
-}
+}  # fmt: skip
 
 LINE_LENGTH = 118
 

@@ -48,12 +48,9 @@ SKY_FOCUS_NM = 5.0  # defocus of the AO residual in a frame of a second, as simu
 REACH_NM, NODES = 240.0, 8  # of the table of frames; a loop whose residual exceeds the reach has diverged
 OVER_THEORY = 1.5
 LABELS = {
-    DEFAULT: "default calibration",
-    PAPER_CHOICE: "NCPAs by DIP global",
-    UNCALIBRATED: "uncalibrated",
-    CENTROIDS: "2x2 mode, centroids",
-    LIFT: "2x2 mode, fit of the four images",
-}
+    DEFAULT: "default calibration", PAPER_CHOICE: "NCPAs by DIP global", UNCALIBRATED: "uncalibrated",
+    CENTROIDS: "2x2 mode, centroids", LIFT: "2x2 mode, fit of the four images",
+}  # fmt: skip
 RECORDED = ("residual_nm", "measured_nm", "true_nm", "due")
 
 

@@ -27,26 +27,15 @@ from irlos_pipe.stages import LIGHT_PATH, STAGES
 from irlos_pipe.stages.model.section import ModelConfig
 
 Kind = Literal[
-    "stage",
-    "key of a recipe",
-    "key of a side-car",
-    "key of a profile",
-    "fact of a profile",
-    "effect",
-    "check",
-    "number",
-    "array of a product",
-    "term",
-]
+    "stage", "key of a recipe", "key of a side-car", "key of a profile", "fact of a profile", "effect",
+    "check", "number", "array of a product", "term",
+]  # fmt: skip
 
 LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 WORDS = {
-    "number": "number",
-    "integer": "whole number",
-    "string": "text",
-    "boolean": "true or false",
+    "number": "number", "integer": "whole number", "string": "text", "boolean": "true or false",
     "null": "nothing",
-}
+}  # fmt: skip
 ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 LINE_LENGTH = 100
 TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
@@ -214,18 +203,9 @@ def _array_entries() -> Iterator[Entry]:
 # -- numbers of results.json -------------------------------------------------------------------------
 
 UNITS = {
-    "nm": "nm",
-    "mas": "mas",
-    "e": "e-",
-    "px": "px",
-    "deg": "deg",
-    "arcsec": "arcsec",
-    "m": "m",
-    "s": "s",
-    "seconds": "s",
-    "mag": "mag",
-    "adu": "ADU",
-}
+    "nm": "nm", "mas": "mas", "e": "e-", "px": "px", "deg": "deg", "arcsec": "arcsec", "m": "m", "s": "s",
+    "seconds": "s", "mag": "mag", "adu": "ADU",
+}  # fmt: skip
 
 
 def _number_entries() -> Iterator[Entry]:

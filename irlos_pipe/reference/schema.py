@@ -25,14 +25,8 @@ from irlos_pipe.reference.lookup import fields_of, models_in, told_of
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 PRINTED: tuple[type[Printed], ...] = (
-    RunStatus,
-    Versions,
-    ShownProduct,
-    ShownRun,
-    Validation,
-    Score,
-    Comparison,
-)
+    RunStatus, Versions, ShownProduct, ShownRun, Validation, Score, Comparison,
+)  # fmt: skip
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 

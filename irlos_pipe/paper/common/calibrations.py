@@ -25,13 +25,9 @@ DEFAULT = DEFAULT_METHOD
 PAPER_CHOICE = "dip_global"
 PUBLISHED = ("lift_avg", "dip_avg", "dip_joint", "lift_slices", PAPER_CHOICE)
 METHOD_NAMES = {
-    DEFAULT: "this pipeline's default",
-    PAPER_CHOICE: "DIP global",
-    "lift_slices": "LIFT slices",
-    "dip_joint": "DIP joint",
-    "lift_avg": "LIFT avg.",
-    "dip_avg": "DIP avg.",
-}
+    DEFAULT: "this pipeline's default", PAPER_CHOICE: "DIP global", "lift_slices": "LIFT slices",
+    "dip_joint": "DIP joint", "lift_avg": "LIFT avg.", "dip_avg": "DIP avg.",
+}  # fmt: skip
 
 
 def frames_per_method(frames: int, published_frames: int) -> dict[str, int]:

@@ -230,17 +230,11 @@ Defocus = Annotated[
 Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf"]
 Side = Annotated[int, Field(ge=8, le=512)]
 Mode = Literal[
-    "64x64_FullPupil_200Hz_HighGain",
-    "64x64_FullPupil_500Hz_HighGain",
-    "20x20_SmallScale_500Hz_HighGain",
-    "20x20_SmallScale_200Hz_HighGain",
-    "20x20_SmallScale_500Hz_LowGain",
-    "20x20_SmallScale_200Hz_LowGain",
-    "20x20_LargeScale_500Hz_HighGain",
-    "20x20_LargeScale_200Hz_HighGain",
-    "20x20_LargeScale_500Hz_LowGain",
+    "64x64_FullPupil_200Hz_HighGain", "64x64_FullPupil_500Hz_HighGain", "20x20_SmallScale_500Hz_HighGain",
+    "20x20_SmallScale_200Hz_HighGain", "20x20_SmallScale_500Hz_LowGain", "20x20_SmallScale_200Hz_LowGain",
+    "20x20_LargeScale_500Hz_HighGain", "20x20_LargeScale_200Hz_HighGain", "20x20_LargeScale_500Hz_LowGain",
     "20x20_LargeScale_200Hz_LowGain",
-]
+]  # fmt: skip
 
 
 class Shared(Section):
