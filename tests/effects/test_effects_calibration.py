@@ -27,6 +27,7 @@ from helpers.reference_psf import reference
 from test_effects_images import petal_of, xy_m
 
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.catalogue import catalogue_page
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
@@ -194,3 +195,11 @@ def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     )
     assert list(result.effect_values["dark_spot"]) == pytest.approx(SPOT.tolist(), rel=0.05)
     assert result.chi2_nu < 1.3
+
+
+MAKE = "python -c 'from irlos_pipe.effects.catalogue import catalogue_page as p; print(p(), end=\"\")'"
+
+
+def test_the_page_lists_what_the_classes_declare():
+    page = (REPOSITORY / "docs" / "effects.md").read_text()
+    assert page == catalogue_page(), f"write it again: {MAKE} > docs/effects.md"
