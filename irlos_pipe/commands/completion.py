@@ -58,7 +58,14 @@ def stages(context: click.Context) -> Iterable[str]:
 @_proposed
 def inputs(context: click.Context) -> Iterable[str]:
     """``NAME=`` for the inputs of the recipe that was typed."""
-    return [f"{name}=" for name in _recipe(context).get("inputs", ())]
+    return [f"{name}=" for name in inputs_of_recipe(_typed(context, "recipe"))]
+
+
+def inputs_of_recipe(recipe: str | None) -> list[str]:
+    """Return the names of the inputs of a `recipe`; none where it cannot be read."""
+    with suppress(IrlosError, OSError):
+        return list(_content(recipe).get("inputs") or ())
+    return []
 
 
 @_proposed
@@ -92,7 +99,11 @@ def _typed(context: click.Context, argument: str) -> str | None:
 
 
 def _recipe(context: click.Context) -> dict:
+    return _content(_typed(context, "recipe"))
+
+
+def _content(recipe: str | None) -> dict:
     from irlos_pipe.files.shipped import RECIPES, named_file
     from irlos_pipe.files.yaml import load_yaml
 
-    return load_yaml(named_file(_typed(context, "recipe") or "full_reduction", RECIPES))[0]
+    return load_yaml(named_file(recipe or "full_reduction", RECIPES))[0]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from irlos_pipe.commands import options
-from irlos_pipe.commands.exits import EXIT_CODES, report_error
+from irlos_pipe.commands.exits import SEE_EXIT_CODES, report_error
 from irlos_pipe.commands.options import Device, argument, command, option, resources_of
 from irlos_pipe.conventions.errors import ExitCode, NothingToDo
 
@@ -22,7 +22,7 @@ DATE = click.DateTime(["%Y-%m-%d"])
 CONFIG = option("--config FILE", "YAML file with recipes, settings and bands (docs/night.md).")
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
 def night(
     folders: tuple[Path, ...] = argument("NIGHT_DIR...", nargs=-1),
     output: Path = option("--output TREE", "Folder for the products of all nights."),
@@ -105,7 +105,7 @@ def night(
     sys.exit(state.exit_code)
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
 def trend(
     tree: Path = argument("TREE"),
     names: tuple[str, ...] = option(

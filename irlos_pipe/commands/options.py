@@ -79,6 +79,22 @@ def _type_of(kind: Any) -> Any:
     return _type_of(inner[0]) if inner else PATH if kind is Path else kind
 
 
+class OfRecipe(click.Command):
+    """A command whose files are options: of one that stands behind RECIPE it says which."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError:
+            values, left, _ = self.make_parser(ctx).parse_args(given)
+            if left:
+                names = completion.inputs_of_recipe(values["recipe"]) or ["NAME"]
+                ways = " or ".join(f"--input {name}={left[0]}" for name in names)
+                ctx.fail(f"'{left[0]}': files are given by the name of their input: {ways}")
+            raise
+
+
 def command(*more: type, **settings: Any) -> Callable[[Callable[..., None]], click.Command]:
     """Make a command of a function; fields of the dataclasses `more` are options, too."""
 

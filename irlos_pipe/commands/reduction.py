@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from irlos_pipe.commands import completion, options
-from irlos_pipe.commands.exits import EXIT_CODES, report_error
-from irlos_pipe.commands.options import Device, at_work, command, inputs_of, option, resources_of
+from irlos_pipe.commands.exits import SEE_EXIT_CODES, report_error
+from irlos_pipe.commands.options import (
+    Device,
+    argument,
+    at_work,
+    command,
+    inputs_of,
+    option,
+    resources_of,
+)
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
 
 if TYPE_CHECKING:
@@ -19,7 +27,7 @@ if TYPE_CHECKING:
     from irlos_pipe.recipe import Recipe
 
 
-@command(epilog=EXIT_CODES)
+@command(cls=options.OfRecipe, epilog=SEE_EXIT_CODES)
 def run(
     recipe: Path = options.RECIPE,
     inputs: tuple[str, ...] = options.INPUTS,
@@ -91,12 +99,61 @@ def run(
         _exit_if_any(_problems(checked, [step.name for step in steps if step.action is Action.RUN]))
         return
     with at_work(verbose, quiet):
-        reduce = run_numbered if numbered else run_recipe
-        outcome = reduce(checked, output, selection, resources_of(device, jobs, quiet))
+        perform = run_numbered if numbered else run_recipe
+        outcome = perform(checked, output, selection, resources_of(device, jobs, quiet))
     _finish(outcome, outcome_text(outcome, as_json) if as_json or not quiet else "")
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
+def reduce(
+    files: tuple[Path, ...] = argument("FILE...", nargs=-1),
+    recipe: str = option(
+        "--recipe NAME", "Recipe to run instead of the usual one for these files.", default=""
+    ),
+    settings: tuple[str, ...] = options.SETTINGS,
+    output: Path | None = option(
+        "--output DIR", "Folder for the products (default: RECORDING-RECIPE in the current folder)."
+    ),
+    dry_run: bool = options.DRY_RUN,
+    jobs: int | None = options.THREADS,
+    device: Device = option(*options.DEVICE, default="auto"),
+    verbose: int = options.VERBOSE,
+    quiet: bool = options.QUIET,
+    as_json: bool = option("--json", "Print results.json (or the plan) instead of the table."),
+) -> None:
+    """Reduce the recordings in FILE, files or folders, with the recipe that their roles ask for.
+
+    Roles, spectrum, diversity and instrument come from headers and side-cars (irlos sidecar FILE writes
+    one). A calibration cube runs ncpa_calibration, a ramp with its calibration defocus_ramp, a series of
+    angles derotator, four images of a 2x2 mode two_by_two; darks are used where they fit. The
+    equivalent irlos run is printed first. What makes several reductions, or none, is refused.
+
+    \b
+    Examples:
+      irlos reduce star.fits --dry-run
+      irlos reduce star.fits
+      irlos reduce ramp calibration.fits --output ramp-1
+      irlos reduce star.fits --recipe diagnose
+    """
+    from irlos_pipe.night.files import job_text, reduction_of
+
+    job = reduction_of(files, output, recipe)
+    task = job.task
+    if not quiet:
+        click.echo(job_text(job), err=not dry_run or as_json)
+    given = {"dry_run": dry_run, "jobs": jobs, "device": device, "verbose": verbose, "quiet": quiet}
+    click.get_current_context().invoke(
+        run,
+        recipe=task.recipe,
+        inputs=task.inputs,
+        settings=(*task.settings, *settings),
+        output=task.folder,
+        as_json=as_json,
+        **given,
+    )
+
+
+@command(epilog=SEE_EXIT_CODES)
 def demo(
     output: Path = option(*options.OUTPUT, default=Path("demo")),
     settings: tuple[str, ...] = options.SETTINGS,
@@ -131,7 +188,7 @@ def demo(
     _finish(outcome, f"\n{score_text(score_run(output, shipped_folder(SAMPLES) / 'truth'))}")
 
 
-@command(epilog=EXIT_CODES)
+@command(cls=options.OfRecipe, epilog=SEE_EXIT_CODES)
 def validate(
     recipe: Path = options.RECIPE,
     inputs: tuple[str, ...] = options.INPUTS,

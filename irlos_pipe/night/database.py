@@ -248,14 +248,14 @@ def opened(tree: Path) -> Iterator[Database]:
 
 
 @contextmanager
-def copied(tree: Path) -> Iterator[Database]:
+def copied(tree: Path | None) -> Iterator[Database]:
     """Give a copy in memory of the database of a tree, empty if there is none; nothing is written."""
     connection = sqlite3.connect(":memory:")
     try:
-        if (tree / NAME).is_file():
+        if tree is not None and (tree / NAME).is_file():
             with opened(tree) as stored:
                 stored.connection.backup(connection)
-        _require_schema(connection, tree / NAME)
+        _require_schema(connection, (tree or Path()) / NAME)
         yield Database(connection)
     finally:
         connection.close()

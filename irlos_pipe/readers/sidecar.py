@@ -208,8 +208,16 @@ class AcquisitionKeys(_Section):
         return given | {f"detector.{key}": value for key, value in inner.items()}
 
 
+class SidecarKeys(AcquisitionKeys):
+    """The keys of the file: a recipe that has some of them under ``ingest`` states its instrument itself."""
+
+    instrument: str | None = _key(
+        "instrument profile: a name, or the path of a YAML file, relative to the side-car", min_length=1
+    )
+
+
 KEYS: dict[str, FieldInfo] = {
-    **{key: field for key, field in AcquisitionKeys.model_fields.items() if key != "detector"},
+    **{key: field for key, field in SidecarKeys.model_fields.items() if key != "detector"},
     **{f"detector.{key}": field for key, field in DetectorKeys.model_fields.items()},
 }
 KNOWN = {key: next(one for one in field.metadata if isinstance(one, Known)) for key, field in KEYS.items()}
@@ -219,7 +227,7 @@ def is_valid(key: str, value: Any) -> bool:
     """Return whether a `key`, dotted if it is of the detector, can have a `value`."""
     section, _, inner = key.rpartition(".")
     try:
-        AcquisitionKeys.model_validate({section: {inner: value}} if section else {key: value})
+        SidecarKeys.model_validate({section: {inner: value}} if section else {key: value})
     except ValidationError:
         return False
     return value is not None and value != ""
@@ -239,7 +247,7 @@ def sidecar_path(data_file: Path) -> Path:
     return own if own.is_file() else data_file.with_name(FOLDER_SIDECAR)
 
 
-def read_sidecar(path: Path) -> AcquisitionKeys:
+def read_sidecar(path: Path) -> SidecarKeys:
     """Read and check a side-car; one that does not exist has no keys.
 
     Raises `InputDataError` with one line ``file:line: problem``, and how many more problems there are.
@@ -259,11 +267,11 @@ def sidecar_problems(path: Path) -> list[str]:
     return []
 
 
-def _read(path: Path) -> AcquisitionKeys:
+def _read(path: Path) -> SidecarKeys:
     if not path.exists():
-        return AcquisitionKeys()
+        return SidecarKeys()
     data, lines = load_yaml(path, InputDataError)
-    return require_valid(data, AcquisitionKeys, Origins(path, lines))
+    return require_valid(data, SidecarKeys, Origins(path, lines))
 
 
 def _one_line(text: str) -> str:

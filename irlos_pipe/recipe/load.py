@@ -7,11 +7,12 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.text import nearest, suggestion
 from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import RECIPES, SAMPLES, are_samples, named_file, shipped_folder
 from irlos_pipe.files.validation import ValidationErrors
@@ -20,6 +21,9 @@ from irlos_pipe.instrument.instrument import Instrument, checked_instrument, loc
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
 from irlos_pipe.stages.model.section import ModelConfig
+
+if TYPE_CHECKING:
+    from irlos_pipe.readers.find import Stated
 
 INPUT_NAME = re.compile(r"[^\W_][\w.+-]*")  # becomes a group in products
 Section = TypeVar("Section", bound=BaseModel)
@@ -42,7 +46,11 @@ class RecipeHead(BaseModel):
 
     recipe: str = Field(min_length=1, description="name of the recipe")
     title: str = Field("", description="one line for people")
-    instrument: str = Field("irlos", description="instrument profile: a name, or the path of a YAML file")
+    instrument: str = Field(
+        "irlos",
+        description="instrument profile: a name, or the path of a YAML file; where a recipe does not state "
+        "it, that of the side-cars",
+    )
     inputs: Annotated[
         dict[str, Annotated[list[str], BeforeValidator(_as_list)]], BeforeValidator(_none_as_empty)
     ] = Field(
@@ -69,12 +77,19 @@ class Recipe:
     title: str
     instrument_name: str  # of the profile, or the absolute path of its file
     instrument: Instrument
+    instrument_by: str  # where it is stated; empty where nobody states it
     inputs: dict[str, tuple[Path, ...]]  # absolute paths by input name
     samples: tuple[str, ...]  # names of the inputs that are sample recordings of the package
     stages: tuple[str, ...]  # names in running order
     model: ModelConfig
     configs: dict[str, StageConfig]  # by stage
     seed: int
+
+    @property
+    def instrument_text(self) -> str:
+        """The instrument profile that was taken, and who states it."""
+        by = self.instrument_by or "nobody states another; key 'instrument' of a side-car does"
+        return f"{self.instrument.name} ({by})"
 
     @property
     def notice(self) -> str:
@@ -129,6 +144,8 @@ def load_recipe(
     ------
     ConfigurationError
         With one line ``where: message`` for everything that is wrong.
+    InputDataError
+        Side-cars state different instruments, or one that cannot be used, and the recipe states none.
     """
     path = named_file(path, RECIPES)
     data, errors = read_overridden(path, _parse_setting, settings, inputs, seed)
@@ -138,8 +155,19 @@ def load_recipe(
     _check_stages(head.stages, errors)
     given = _with_samples(head, errors) if samples else head.inputs
     paths = _check_inputs(given, absolute(path).parent, errors, head.samples, complete)
+    named = "instrument" in head.model_fields_set
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
+    by = errors.origins.where(("instrument",)).removeprefix(f"{path.parent}/") if named else ""
+    stated = _stated_otherwise(paths, instrument_name if named else "")
+    if stated and named:
+        by += f"; side-car {stated[0].sidecar.name} states {stated[0].name}"
+    elif stated:
+        instrument_name, instrument, by = (
+            stated[0].name,
+            stated[0].load(),
+            f"side-car {stated[0].sidecar.name}",
+        )
     assert model is not None and instrument is not None, "what is missing has been reported"
     return Recipe(
         absolute(path),
@@ -147,6 +175,7 @@ def load_recipe(
         head.title,
         instrument_name,
         instrument,
+        by,
         paths,
         tuple(name for name, own in paths.items() if are_samples(own)),
         tuple(head.stages),
@@ -154,6 +183,21 @@ def load_recipe(
         {name: config for name in head.stages if (config := configs[name]) is not None},
         head.seed,
     )
+
+
+def _stated_otherwise(paths: Mapping[str, Sequence[Path]], named: str) -> list[Stated]:
+    """What side-cars state that is not the instrument `named` by the recipe; without that, one at most."""
+    from irlos_pipe.readers.find import stated_instruments
+
+    found = stated_instruments(path for own in paths.values() for path in own)
+    stated = [one for one in found if one.name != named]
+    if len(stated) > 1 and not named:
+        first, second = stated[:2]
+        raise InputDataError(
+            f"{first.sidecar}: instrument = {first.name}, but {second.sidecar} states {second.name}; "
+            "reduce them apart, correct one, or give --set instrument=NAME"
+        )
+    return stated
 
 
 def _parse_setting(text: str) -> Override:
@@ -176,7 +220,7 @@ def _check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead
     known = (*RecipeHead.model_fields, *SECTIONS)
     for key in data:
         if key not in known:
-            errors.add((key,), f"unknown key '{key}'{suggestion(key, known)}")
+            errors.add((key,), f"unknown key '{key}'{_suggested(key, known, data.get('stages'))}")
     own = {key: value for key, value in data.items() if key in RecipeHead.model_fields}
     try:
         return RecipeHead.model_validate(own)
@@ -185,6 +229,20 @@ def _check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead
         wrong = {problem["loc"][0] for problem in error.errors()}
     substitutes = {"recipe": "unnamed", "stages": list(STAGES)[:1]}
     return RecipeHead.model_validate(substitutes | {key: own[key] for key in own.keys() - wrong})
+
+
+def _suggested(key: str, known: Sequence[str], stages: Any) -> str:
+    """Suggest a key that is `known`, or one of a section of the recipe, which was given without it."""
+    listed = [name for name in STAGES if isinstance(stages, list) and name in stages]
+    sections = {"model": ModelConfig, **{name: STAGES[name].Config for name in listed}}
+    whole: dict[str, list[str]] = {}
+    for section, model in sections.items():
+        for inner in model.model_fields:
+            whole.setdefault(inner, []).append(f"{section}.{inner}")
+    close = key if key in whole else nearest(key, [*known, *whole])
+    if close in known or close not in whole:
+        return suggestion(key, known)
+    return "; did you mean " + " or ".join(f"'{one}'" for one in whole[close]) + "?"
 
 
 def _check_section(

@@ -11,6 +11,7 @@ from pydantic_core import core_schema
 
 from irlos_pipe.product.printed import (
     Comparison,
+    FoundRecordings,
     Printed,
     RunStatus,
     Score,
@@ -29,6 +30,7 @@ PRINTED: tuple[type[Printed], ...] = (
     Versions,
     ShownProduct,
     ShownRun,
+    FoundRecordings,
     Validation,
     Score,
     Comparison,

@@ -67,6 +67,7 @@ def ingest_section(run: RunData) -> Section:
     lead = f"{plural(len(rows), 'recording')}, {plural(sum(row.frames for row in rows), 'frame')}."
     blocks = shown(
         Table(("recording", "frames", "reason"), reasons, "Rejected frames"),
+        Text(f"Instrument: {run.instrument}.") if run.instrument else None,
         Text(f"Not in the data, taken from the instrument profile: {listed}.") if listed else None,
     )
     return Section("ingest", "Recordings", lead, [table, *blocks])
@@ -116,7 +117,8 @@ def _check_table(title: str, checks: list[tuple[str, Check]], folded: bool = Fal
 def origin_section(run: RunData) -> Section:
     """Build the section on where the products come from, and the recipe."""
     last = _latest(run)
-    facts = [last.command, f"seed {'' if last.seed is None else last.seed}"]
+    facts = [f"instrument {run.instrument}"] if run.instrument else []
+    facts += [last.command, f"seed {'' if last.seed is None else last.seed}"]
     facts += [f"{last.machine.host} ({last.machine.platform})"]
     facts += [f"{name} {version}" for name, version in last.software.items()]
     stages = Table.of(
