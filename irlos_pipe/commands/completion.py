@@ -58,14 +58,7 @@ def stages(context: click.Context) -> Iterable[str]:
 @_proposed
 def inputs(context: click.Context) -> Iterable[str]:
     """``NAME=`` for the inputs of the recipe that was typed."""
-    return [f"{name}=" for name in inputs_of_recipe(_typed(context, "recipe"))]
-
-
-def inputs_of_recipe(recipe: str | None) -> list[str]:
-    """Return the names of the inputs of a `recipe`; none where it cannot be read."""
-    with suppress(IrlosError, OSError):
-        return list(_content(recipe).get("inputs") or ())
-    return []
+    return [f"{name}=" for name in _recipe(context).get("inputs", ())]
 
 
 @_proposed
@@ -99,10 +92,11 @@ def _typed(context: click.Context, argument: str) -> str | None:
 
 
 def _recipe(context: click.Context) -> dict:
-    return _content(_typed(context, "recipe"))
+    return content_of(_typed(context, "recipe"))
 
 
-def _content(recipe: str | None) -> dict:
+def content_of(recipe: str | None) -> dict:
+    """Return what the file of a `recipe`, a name or a path, holds."""
     from irlos_pipe.files.shipped import RECIPES, named_file
     from irlos_pipe.files.yaml import load_yaml
 

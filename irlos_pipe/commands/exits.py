@@ -80,17 +80,14 @@ def _first_sentence(command: click.Command) -> str:
 
 def _instead_of(name: str) -> str:
     """What to type instead of the name of a recipe, a stage or a file."""
-    from irlos_pipe.files.shipped import RECIPES, shipped_folder, shipped_names
-    from irlos_pipe.files.yaml import load_yaml
+    from irlos_pipe.commands.completion import content_of
+    from irlos_pipe.files.shipped import RECIPES, shipped_names
 
     if os.path.exists(name):
         return f"irlos show {name} says what can be done with it."
-    known = shipped_names(RECIPES)
-    if name in known:
-        return f"It is a recipe: irlos run {name}"
-    stages = {one: load_yaml(shipped_folder(RECIPES) / f"{one}.yaml")[0]["stages"] for one in known}
-    having = sorted((one for one in known if name in stages[one]), key=lambda one: name[:5] not in one)
-    return f"It is a stage of the recipes {', '.join(having)}: irlos run {having[0]}" if having else ""
+    having = [one for one in shipped_names(RECIPES) if name in (one, *content_of(one)["stages"])]
+    having.sort(key=lambda one: name[:5] not in one)
+    return f"A recipe does that: irlos run {having[0]}" if having else ""
 
 
 def _reported(error: BaseException, ctx: click.Context) -> ExitCode:

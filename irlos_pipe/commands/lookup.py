@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -89,10 +90,12 @@ def sidecar(
       irlos sidecar star.fits --instrument cam42.yaml
       irlos sidecar 2023-07-14/2023-07-14.fits --output -
     """
-    from irlos_pipe.instrument.instrument import load_instrument, seen_from
+    from irlos_pipe.instrument.instrument import is_path, load_instrument
     from irlos_pipe.readers.sidecar_template import sidecar_template, write_template
 
-    stated = seen_from(instrument, (output or fits).parent) if instrument else ""
+    stated = instrument or ""
+    if is_path(stated):
+        stated = os.path.relpath(stated, (output or fits).parent)
     text = sidecar_template(fits, load_instrument(instrument or "irlos"), stated)
     if str(output) == "-":
         click.echo(text, nl=False)

@@ -89,9 +89,10 @@ class OfRecipe(click.Command):
         except click.UsageError:
             values, left, _ = self.make_parser(ctx).parse_args(given)
             if left:
-                names = completion.inputs_of_recipe(values["recipe"]) or ["NAME"]
-                ways = " or ".join(f"--input {name}={left[0]}" for name in names)
-                ctx.fail(f"'{left[0]}': files are given by the name of their input: {ways}")
+                ways = [
+                    f"--input {name}={left[0]}" for name in completion.content_of(values["recipe"])["inputs"]
+                ]
+                ctx.fail(f"'{left[0]}': files are given by the name of their input: {' or '.join(ways)}")
             raise
 
 
@@ -166,15 +167,15 @@ def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
     """Return the resources that the options state; all processors without `jobs`.
 
     It is an error at once that there is no ``cuda``; what ``auto`` means is seen when a stage runs. `quiet`
-    shows no progress bars, as when stderr is not a terminal.
+    shows no progress; where stderr is not a terminal, a line twice a minute does.
     """
     from irlos_pipe.pipeline import resources
 
     if device == "cuda":
         resources.resolve_device(device)
-    show_bars = sys.stderr.isatty() and not quiet
+    progress = resources.terminal_progress if sys.stderr.isatty() else resources.line_progress
     return resources.Resources(
         device,
         jobs or resources.available_cpus(),
-        resources.terminal_progress if show_bars else resources.silent_progress,
+        resources.silent_progress if quiet else progress,
     )

@@ -65,18 +65,18 @@ def show(product: Path = argument("PRODUCT.h5|DIR|FITS"), as_json: bool = option
       irlos show demo/03_calibrate.h5 --json
       irlos show star.fits
     """
-    from irlos_pipe.commands.text import product_text, recordings_text, run_text
+    from irlos_pipe.commands.text import product_text, run_text
     from irlos_pipe.product.printed import shown_product, shown_run
     from irlos_pipe.product.runfolder import RunFolder
     from irlos_pipe.readers.fitsfile import has_fits_name
 
     with readable(product):
-        fits = has_fits_name(product) and product.is_file()
-        if fits or (product.is_dir() and not RunFolder(product).recipe.is_file() and any(product.iterdir())):
+        files = product.iterdir() if product.is_dir() else [product]
+        recorded = any(has_fits_name(one) and one.is_file() for one in files)
+        if recorded and not RunFolder(product).recipe.is_file():
             from irlos_pipe.night.files import found_recordings
 
-            recordings = found_recordings(product)
-            click.echo(recordings.text() if as_json else recordings_text(recordings))
+            click.echo(found_recordings(product, as_json))
         elif product.is_dir():
             run = shown_run(product)
             click.echo(run.text() if as_json else run_text(run))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -107,19 +107,11 @@ def run(
 @command(epilog=SEE_EXIT_CODES)
 def reduce(
     files: tuple[Path, ...] = argument("FILE...", nargs=-1),
-    recipe: str = option(
-        "--recipe NAME", "Recipe to run instead of the usual one for these files.", default=""
-    ),
-    settings: tuple[str, ...] = options.SETTINGS,
+    recipe: str | None = option("--recipe NAME", "Recipe instead of the usual one for these files."),
     output: Path | None = option(
         "--output DIR", "Folder for the products (default: RECORDING-RECIPE in the current folder)."
     ),
-    dry_run: bool = options.DRY_RUN,
-    jobs: int | None = options.THREADS,
-    device: Device = option(*options.DEVICE, default="auto"),
-    verbose: int = options.VERBOSE,
-    quiet: bool = options.QUIET,
-    as_json: bool = option("--json", "Print results.json (or the plan) instead of the table."),
+    **given: Any,
 ) -> None:
     """Reduce the recordings in FILE, files or folders, with the recipe that their roles ask for.
 
@@ -131,26 +123,20 @@ def reduce(
     \b
     Examples:
       irlos reduce star.fits --dry-run
-      irlos reduce star.fits
       irlos reduce ramp calibration.fits --output ramp-1
       irlos reduce star.fits --recipe diagnose
     """
     from irlos_pipe.night.files import job_text, reduction_of
 
     job = reduction_of(files, output, recipe)
-    task = job.task
-    if not quiet:
-        click.echo(job_text(job), err=not dry_run or as_json)
-    given = {"dry_run": dry_run, "jobs": jobs, "device": device, "verbose": verbose, "quiet": quiet}
-    click.get_current_context().invoke(
-        run,
-        recipe=task.recipe,
-        inputs=task.inputs,
-        settings=(*task.settings, *settings),
-        output=task.folder,
-        as_json=as_json,
-        **given,
-    )
+    if not given["quiet"]:
+        click.echo(job_text(job), err=not given["dry_run"] or given["as_json"])
+    known = {"recipe": job.task.recipe, "inputs": job.task.inputs, "output": job.task.folder}
+    click.get_current_context().invoke(run, **given, **known)
+
+
+SHARED = ("settings", "force", "dry_run", "jobs", "device", "verbose", "quiet", "as_json")
+reduce.params += [one for one in run.params if one.name in SHARED]
 
 
 @command(epilog=SEE_EXIT_CODES)

@@ -18,7 +18,6 @@ from irlos_pipe.product.printed import (
     ArrayRow,
     CheckRow,
     Comparison,
-    FoundRecordings,
     NumberPair,
     ProductRow,
     RunStatus,
@@ -90,25 +89,6 @@ def run_text(run: ShownRun) -> str:
         rows += [("", "", "", line) for line in more]
     files = f"other files: {', '.join(run.files)}"
     return _printable("\n".join(filter(None, (head, run.notice, aligned(rows), files))))
-
-
-def recordings_text(found: FoundRecordings) -> str:
-    """Return what each of the recordings is, and what to do with it."""
-    parts = []
-    for one in found.recordings:
-        window = "x".join(map(str, one.window))
-        rows = [
-            ("recording", one.file),
-            ("frames", ", ".join(filter(None, (f"{one.frames} of {window} px", one.layout, one.mode)))),
-            ("side-car", one.sidecar or "none"),
-            ("instrument", one.instrument or "irlos, as no side-car states another"),
-            ("role", ", ".join(filter(None, (one.role, one.target)))),
-            ("recipe", one.recipe),
-            ("problem", one.problem),
-            ("next", "; ".join(one.commands)),
-        ]
-        parts.append(aligned([row for row in rows if row[1]]))
-    return _printable("\n\n".join(parts))
 
 
 def run_status(folder: Path) -> RunStatus:

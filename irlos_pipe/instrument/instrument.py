@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
@@ -112,14 +111,6 @@ def located(override: Override) -> Override:
     if override.key != ("instrument",) or not is_path(str(override.value)):
         return override
     return replace(override, value=str(absolute(str(override.value))))
-
-
-def seen_from(name: str, folder: Path) -> str:
-    """Return the `name` of a profile; a path, counted from the current folder, as one from `folder`."""
-    if not is_path(name):
-        return name
-    path = os.path.relpath(absolute(name), absolute(folder))
-    return path if is_path(path) else f"./{path}"
 
 
 def is_path(name: str) -> bool:

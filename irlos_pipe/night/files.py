@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, NothingToDo
-from irlos_pipe.conventions.text import and_more
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, NothingToDo
+from irlos_pipe.conventions.text import aligned, and_more, printable
+from irlos_pipe.files.json import json_text
 from irlos_pipe.files.shipped import RECIPES, named_file
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.night.database import copied
 from irlos_pipe.night.grouping import group_recordings
 from irlos_pipe.night.recordings import Description, LeftOut, discover, utc_time
 from irlos_pipe.night.reduce import Job, jobs_of
-from irlos_pipe.night.settings import NightSettings, load_settings
-from irlos_pipe.product.printed import FoundRecording, FoundRecordings
-from irlos_pipe.readers.find import read_recordings, recording_files, stated_instruments
-from irlos_pipe.readers.sidecar import sidecar_path
+from irlos_pipe.night.settings import load_settings
+from irlos_pipe.readers.find import read_recordings, recording_files
+from irlos_pipe.readers.sidecar import sidecar_path, stated_instrument, stated_instruments
 
-NO_RECIPE = (
-    "{0}: no recipe is meant for a recording of role {1}; choose one with --recipe NAME (irlos recipes)"
-)
 NO_CUBE = "a ramp, and no calibration cube of its configuration among the files ({0}); give one as well"
+NO_RECIPE = "no recipe is meant for a recording of role {0}; choose one with --recipe NAME (irlos recipes)"
+SEVERAL = (
+    "{0} reductions, not one: {1}; give the files of one, or reduce each with irlos night; "
+    "irlos run RECIPE --input NAME=PATH --input NAME=PATH fits several recordings together"
+)
 ANY_TIME = {"series_gap_min": 1440.0, "calibration_nights": 400}  # files are given together on purpose
 
 
-def reduction_of(files: Sequence[Path], output: Path | None = None, recipe: str = "") -> Job:
+def reduction_of(files: Sequence[Path], output: Path | None = None, recipe: str | None = None) -> Job:
     """Return the one reduction that `files` make; products go to `output`, or a folder named after it.
 
     The `recipe`, a name or a path, takes the place of that of ``irlos night``.
@@ -36,105 +38,83 @@ def reduction_of(files: Sequence[Path], output: Path | None = None, recipe: str 
     and `ConfigurationError` when they make several reductions, or none has a recipe.
     """
     settings = load_settings().model_copy(update=ANY_TIME)
-    recordings, left_out = _described(files, settings)
-    if left_out:
-        first, reason = left_out[0].recording.path, left_out[0].reason
-        hint = "" if sidecar_path(first).is_file() else f"; irlos sidecar {first} writes one to fill in"
-        raise InputDataError(f"{reason}{hint}{and_more(left_out)}")
-    groups, others = group_recordings(recordings, settings)
-    if others:
-        first = others[0].recording
-        why = NO_CUBE.format(first.configuration) if first.role == "defocus_ramp" else others[0].reason
-        raise InputDataError(f"{first.path}: {why}")
+    recordings, unusable = _described(files)
+    for one in unusable:
+        path = one.recording.path
+        hint = "" if sidecar_path(path).is_file() else f"; irlos sidecar {path} writes one to fill in"
+        raise InputDataError(f"{one.reason}{hint}{and_more(unusable)}")
+    groups, left_out = group_recordings(recordings, settings)
+    for one in left_out:
+        cube = one.recording.role == "defocus_ramp"
+        why = NO_CUBE.format(one.recording.configuration) if cube else one.reason
+        raise InputDataError(f"{one.recording.path}: {why}")
     serving = {one for group in groups if group.kind == "ramp" for one in group.inputs["calibration"]}
     groups = [one for one in groups if one.kind != "calibration" or one.first not in serving]
     if not groups:
         raise NothingToDo(f"{', '.join(map(str, files))}: no recording of a star, only darks")
     if len(groups) > 1:
         names = ", ".join(f"{one.first.name} ({one.kind})" for one in groups)
-        raise ConfigurationError(
-            f"{len(groups)} reductions, not one: {names}; give the files of one, or reduce each with irlos "
-            "night; irlos run RECIPE --input NAME=PATH --input NAME=PATH fits several recordings together"
-        )
+        raise ConfigurationError(SEVERAL.format(len(groups), names))
     (group,) = groups
     if recipe:
-        chosen = str(named_file(recipe, RECIPES))
-        settings = settings.model_copy(update={"recipes": {**settings.recipes, group.kind: [chosen]}})
-    if not settings.recipes_of(group.kind):
-        raise ConfigurationError(NO_RECIPE.format(group.first.path, group.first.role))
-    job = jobs_of([group], settings, Path())[0]
-    folder = output or Path(f"{group.first.name}-{job.task.recipe.stem}")
-    return replace(job, task=replace(job.task, folder=folder))
+        chosen = {**settings.recipes, group.kind: [str(named_file(recipe, RECIPES))]}
+        settings = settings.model_copy(update={"recipes": chosen})
+    for job in jobs_of([group], settings, Path()):
+        folder = output or Path(f"{group.first.name}-{job.task.recipe.stem}")
+        return replace(job, task=replace(job.task, folder=folder))
+    raise ConfigurationError(f"{group.first.path}: {NO_RECIPE.format(group.first.role)}")
 
 
-def _described(files: Sequence[Path], settings: NightSettings) -> tuple[list[Description], list[LeftOut]]:
+def _described(files: Sequence[Path]) -> tuple[list[Description], list[LeftOut]]:
+    settings = load_settings()
     with copied(None) as database:
-        instrument = load_instrument(settings.instrument)
-        recordings, left_out = discover(files, settings.acquisition, instrument, database)
-    return recordings, left_out
+        return discover(files, settings.acquisition, load_instrument(settings.instrument), database)
 
 
 def job_text(job: Job) -> str:
     """Return what a `job` reduces, and the command that does the same."""
-    members = dict.fromkeys(one for some in job.group.inputs.values() for one in some)
-    lines = [_recording_text(one) for one in members]
+    lines = [_said(one) for one in dict.fromkeys(one for some in job.group.inputs.values() for one in some)]
     lines.append(f"instrument: {job.task.load().instrument_text}")
-    if job.group.choice:
-        lines.append(f"calibration: {job.group.choice}")
-    command = ["irlos", "run", job.task.recipe.stem if _is_shipped(job) else str(job.task.recipe)]
+    lines += [f"calibration: {job.group.choice}"] if job.group.choice else []
+    recipe = job.task.recipe
+    command = ["irlos", "run", recipe.stem if recipe == named_file(recipe.stem, RECIPES) else str(recipe)]
     command += [word for one in job.task.inputs for word in ("--input", one)]
     return "\n".join([*lines, shlex.join([*command, "--output", str(job.task.folder)])])
 
 
-def _is_shipped(job: Job) -> bool:
-    return job.task.recipe == named_file(job.task.recipe.stem, RECIPES)
+def _said(one: Description) -> str:
+    when = one.start_unix_s and f"{one.night} {utc_time(one.start_unix_s)} UTC"
+    frames = f"{one.frames} frames of {one.window[0]}x{one.window[1]} px"
+    return f"{one.path}: {', '.join(filter(None, (one.role, one.target, frames, when, one.configuration)))}"
 
 
-def _recording_text(one: Description) -> str:
-    said = (
-        one.role, one.target, f"{one.frames} frames of {one.window[0]}x{one.window[1]} px",
-        one.start_unix_s and f"{one.night} {utc_time(one.start_unix_s)} UTC", one.configuration,
-    )  # fmt: skip
-    return f"{one.path}: {', '.join(filter(None, said))}"
+def found_recordings(path: Path, as_json: bool) -> str:
+    """Return what the recordings in a file or folder are and what to do with each: a text, or JSON.
 
-
-def found_recordings(path: Path) -> FoundRecordings:
-    """Return what the recordings in a file or folder are, and what can be done with each.
-
-    Raises `InputDataError` when it holds none.
+    Raises `InputDataError` when a file holds none.
     """
-    return FoundRecordings(
-        path=str(path), recordings=[row for file in recording_files([path]) for row in _rows(file)]
-    )
+    rows = [row for file in recording_files([path]) for row in _rows(file)]
+    if as_json:
+        return json_text(
+            {"schema": "irlos-show-recordings", "schema_version": 1, "recordings": rows}
+        ).rstrip()
+    return "\n\n".join(aligned([(key, printable(value)) for key, value in row.items()]) for row in rows)
 
 
-def _rows(file: Path) -> list[FoundRecording]:
-    stated = next(iter(stated_instruments([file])), None)
-    instrument = stated.load() if stated else load_instrument("irlos")
-    sidecar, command = sidecar_path(file), shlex.quote(str(file))
-    recordings, _ = _described([file], load_settings())
-    roles = {one.name: {"role": one.role, "target": one.target} for one in recordings}
-    told = {
-        "sidecar": str(sidecar) if sidecar.is_file() else "",
-        "instrument": instrument.name if stated else "",
-    }
-    try:
-        told["recipe"] = reduction_of([file]).task.recipe.stem
-        commands = [f"irlos reduce {command}"]
-    except (ConfigurationError, InputDataError, NothingToDo) as error:
-        told["problem"] = str(error)
-        missing = not told["sidecar"]
-        commands = [f"irlos sidecar {command} --instrument NAME"] if missing else []
-    return [
-        FoundRecording(
-            file=str(file),
-            layout=raw.layout,
-            mode=raw.mode,
-            frames=raw.frames,
-            window=raw.window,
-            commands=commands,
-            **told,
-            **roles.get(raw.name, {}),
-        )
-        for raw in read_recordings(file, instrument)
-    ]
+def _rows(file: Path) -> Iterator[dict[str, str]]:
+    """What is known of every recording in a file."""
+    stated, command = stated_instruments([file]), f"irlos reduce {shlex.quote(str(file))}"
+    instrument = stated_instrument(stated)[1] if stated else load_instrument("irlos")
+    described = {one.name: one for one in _described([file])[0]}
+    for raw in read_recordings(file, instrument):
+        size = f"{raw.frames} of {raw.window[0]}x{raw.window[1]} px"
+        row = {"recording": str(file), "frames": ", ".join(filter(None, (size, raw.layout, raw.mode)))}
+        row["side-car"] = str(sidecar_path(file)) if sidecar_path(file).is_file() else "none"
+        row["instrument"] = instrument.name if stated else "irlos, as no side-car states another"
+        if one := described.get(raw.name):
+            row["role"] = ", ".join(filter(None, (one.role, one.target)))
+        try:
+            row["next"] = f"{command}, by recipe {reduction_of([file]).task.recipe.stem}"
+        except IrlosError as error:
+            row["problem"] = str(error)
+        yield row

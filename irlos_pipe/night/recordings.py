@@ -23,8 +23,8 @@ from irlos_pipe.files.limits import TookTooLong, time_limit
 from irlos_pipe.instrument.instrument import PARANAL_DEG, Instrument
 from irlos_pipe.night.database import Database
 from irlos_pipe.readers import recorder
-from irlos_pipe.readers.find import files_of, recording_files, stated_instruments
-from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.readers.find import files_of, recording_files
+from irlos_pipe.readers.sidecar import AcquisitionKeys, stated_instrument, stated_instruments
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
@@ -148,10 +148,7 @@ def known_recordings(database: Database) -> list[Description]:
 
 
 def night_of(unix_s: float, longitude_deg: float = PARANAL_DEG) -> str:
-    """Return the night of a time [s since 1970], as the ISO date of its evening.
-
-    It ends at the local noon of a site at `longitude_deg`, counted from Greenwich to the east.
-    """
+    """Return the night of a time [s since 1970]: ISO date of its evening; it ends at a site's local noon."""
     noon_utc = timedelta(hours=12 - longitude_deg / 15)
     return (datetime.fromtimestamp(unix_s, UTC) - noon_utc).date().isoformat()
 
@@ -204,8 +201,8 @@ def _describe(
     known = _stored(database.description(file, stamp))
     if known is not None:
         return known
-    stated = next(iter(stated_instruments([file])), None)
-    instrument = stated.load() if stated else instrument
+    stated = stated_instruments([file])
+    instrument = stated_instrument(stated)[1] if stated else instrument
     sources, failures = read_sources({"night": [file]}, lambda _: keys, instrument, SILENT)
     if failures:
         raise InputDataError(failures[0][1])

@@ -45,7 +45,6 @@ def outcome_text(outcome: Outcome, as_json: bool) -> str:
     if as_json:
         return json_text(outcome.results).rstrip()
     rows = [("NOTICE", outcome.results["notice"])] if "notice" in outcome.results else []
-    rows.append(("profile", outcome.results["instrument"]))
     rows += [(stage, line) for stage, lines in outcome.summary.items() for line in lines]
     rows.append(("QC", quality_line(outcome)))
     rows += [("", _check_text(check)) for check in outcome.quality["checks"] if not check["passed"]]

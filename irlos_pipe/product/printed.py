@@ -145,31 +145,6 @@ class ShownRun(Printed):
     files: list[str] = item([], "What the folder holds besides the products.")
 
 
-class FoundRecording(ResultsPart):
-    """A recording in a file."""
-
-    file: str = ""
-    layout: str = item("", "``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``.")
-    mode: str = item("", "Read-out mode, empty where the layout has none.")
-    frames: int = 0
-    window: tuple[int, ...] = item((), "Rows and columns.")
-    sidecar: str = item("", "Path of the side-car; empty without one.")
-    instrument: str = item("", "Instrument that the side-car states; empty if it does not.")
-    role: str = ""
-    target: str = ""
-    recipe: str = item("", "What ``irlos reduce`` would run; empty if it would refuse.")
-    problem: str = item("", "Why it would refuse.")
-    commands: list[str] = item([], "What to do next.")
-
-
-class FoundRecordings(Printed):
-    """What ``irlos show FILE.fits --json`` prints."""
-
-    format: Literal["irlos-show-recordings"] = Field("irlos-show-recordings", alias="schema")
-    path: str = ""
-    recordings: list[FoundRecording] = []
-
-
 class Validation(Printed):
     """What ``irlos validate RECIPE --json`` prints."""
 

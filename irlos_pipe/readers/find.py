@@ -10,19 +10,17 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Protocol, get_args
 
 from astropy.io import fits
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, NothingToDo
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import printable
-from irlos_pipe.files.overrides import absolute
 from irlos_pipe.files.regular import open_regular
-from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.instrument.instrument import Instrument, is_path, load_instrument
+from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
 from irlos_pipe.readers.fitsfile import file_header, has_fits_name, open_fits, stem
 from irlos_pipe.readers.raw_file import RawRecording, inherited_cards
@@ -92,41 +90,6 @@ def files_of(path: Path) -> list[Path]:
         reader = _reader_of(path)
         own = getattr(reader, "files_of", lambda one: [one])(path)
     return [*own, *filter(Path.is_file, [sidecar_path(path)])]
-
-
-@dataclass(frozen=True)
-class Stated:
-    """The instrument that a side-car states: a name, or the absolute path of a profile."""
-
-    name: str
-    sidecar: Path
-
-    def load(self) -> Instrument:
-        """Return the profile. Raises `InputDataError` if it cannot be used."""
-        try:
-            return load_instrument(self.name)
-        except ConfigurationError as error:
-            raise InputDataError(f"{self.sidecar}: {error}") from None
-
-
-def stated_instruments(paths: Iterable[Path]) -> list[Stated]:
-    """Return the different instruments that the side-cars under the files and folders `paths` state."""
-    found: dict[str, Stated] = {}
-    for sidecar in dict.fromkeys(chain.from_iterable(map(_sidecars_under, paths))):
-        with suppress(ConfigurationError, InputDataError):  # what is wrong with it is said where it is read
-            data = load_yaml(sidecar)[0]
-            name = data.get("instrument") if isinstance(data, dict) else None
-            if isinstance(name, str) and name:
-                name = str(absolute(name, sidecar.parent)) if is_path(name) else name
-                found.setdefault(name, Stated(name, sidecar))
-    return list(found.values())
-
-
-def _sidecars_under(path: Path) -> list[Path]:
-    named = [path]
-    if path.is_dir():
-        named = [file for files, _ in files_by_folder(path, lambda *_: None) for file in files]
-    return [one for one in dict.fromkeys(map(sidecar_path, named)) if one.is_file()]
 
 
 def read_recordings(path: Path, instrument: Instrument) -> list[RawRecording]:

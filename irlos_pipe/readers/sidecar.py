@@ -5,7 +5,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,9 +18,11 @@ from pydantic.fields import FieldInfo
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.text import and_more
+from irlos_pipe.files.overrides import absolute
 from irlos_pipe.files.validation import Origins, require_valid
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.readers.fitsfile import stem
+from irlos_pipe.instrument.instrument import Instrument, is_path, load_instrument
+from irlos_pipe.readers.fitsfile import has_fits_name, stem
 
 FOLDER_SIDECAR = "acquisition.yaml"
 MAX_WAVELENGTH_RATIO = 3.0
@@ -245,6 +251,48 @@ def sidecar_path(data_file: Path) -> Path:
     """
     own = own_sidecar(data_file)
     return own if own.is_file() else data_file.with_name(FOLDER_SIDECAR)
+
+
+def stated_instruments(paths: Iterable[Path]) -> dict[str, Path]:
+    """Return the instruments that side-cars of files or folders `paths` state, each with the first of them.
+
+    A path of a profile is absolute. What is wrong with a side-car is said where it is read.
+    """
+    found: dict[str, Path] = {}
+    for sidecar in dict.fromkeys(chain.from_iterable(map(_sidecars_of, paths))):
+        with suppress(ConfigurationError, InputDataError):
+            if name := load_yaml(sidecar)[0].get("instrument"):
+                found.setdefault(str(absolute(name, sidecar.parent) if is_path(str(name)) else name), sidecar)
+    return found
+
+
+def stated_instrument(stated: Mapping[str, Path]) -> tuple[str, Instrument, str]:
+    """Return the one instrument that side-cars have `stated`: its name or path, itself, and who states it.
+
+    Raises `InputDataError` where they state several, or one that cannot be used.
+    """
+    (name, sidecar), *others = stated.items()
+    for other, at in others:
+        raise InputDataError(
+            f"{sidecar}: instrument = {name}, but {at} states {other}; reduce them apart, correct one, "
+            "or give --set instrument=NAME"
+        )
+    try:
+        return name, load_instrument(name), f"side-car {sidecar.name}"
+    except ConfigurationError as error:
+        raise InputDataError(f"{sidecar}: {error}") from None
+
+
+def _sidecars_of(path: Path) -> Iterator[Path]:
+    """Side-cars of a file, or in a folder and below, each folder once; no data file is opened."""
+    if not path.is_dir():
+        yield from filter(Path.is_file, [sidecar_path(path)])
+    seen: set[str] = set()
+    for folder, below, files in os.walk(path, followlinks=True):
+        seen.add(os.path.realpath(folder))
+        below[:] = [one for one in below if os.path.realpath(Path(folder, one)) not in seen]
+        own = {f"{stem(Path(one))}.yaml" for one in files if has_fits_name(Path(one))} | {FOLDER_SIDECAR}
+        yield from (Path(folder, one) for one in sorted(own.intersection(files)))
 
 
 def read_sidecar(path: Path) -> SidecarKeys:

@@ -6,24 +6,22 @@ import os
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import nearest, suggestion
 from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import RECIPES, SAMPLES, are_samples, named_file, shipped_folder
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml, yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
+from irlos_pipe.readers.sidecar import stated_instrument, stated_instruments
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
 from irlos_pipe.stages.model.section import ModelConfig
-
-if TYPE_CHECKING:
-    from irlos_pipe.readers.find import Stated
 
 INPUT_NAME = re.compile(r"[^\W_][\w.+-]*")  # becomes a group in products
 Section = TypeVar("Section", bound=BaseModel)
@@ -48,8 +46,7 @@ class RecipeHead(BaseModel):
     title: str = Field("", description="one line for people")
     instrument: str = Field(
         "irlos",
-        description="instrument profile: a name, or the path of a YAML file; where a recipe does not state "
-        "it, that of the side-cars",
+        description="instrument profile: a name or the path of a YAML file; without it that of the side-cars",
     )
     inputs: Annotated[
         dict[str, Annotated[list[str], BeforeValidator(_as_list)]], BeforeValidator(_none_as_empty)
@@ -159,15 +156,11 @@ def load_recipe(
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
     by = errors.origins.where(("instrument",)).removeprefix(f"{path.parent}/") if named else ""
-    stated = _stated_otherwise(paths, instrument_name if named else "")
-    if stated and named:
-        by += f"; side-car {stated[0].sidecar.name} states {stated[0].name}"
-    elif stated:
-        instrument_name, instrument, by = (
-            stated[0].name,
-            stated[0].load(),
-            f"side-car {stated[0].sidecar.name}",
-        )
+    stated = stated_instruments(chain.from_iterable(paths.values()))
+    if stated and not named:
+        instrument_name, instrument, by = stated_instrument(stated)
+    for other in stated.keys() - {instrument_name}:
+        by += f"; not {other} as side-car {stated[other].name} states"
     assert model is not None and instrument is not None, "what is missing has been reported"
     return Recipe(
         absolute(path),
@@ -183,21 +176,6 @@ def load_recipe(
         {name: config for name in head.stages if (config := configs[name]) is not None},
         head.seed,
     )
-
-
-def _stated_otherwise(paths: Mapping[str, Sequence[Path]], named: str) -> list[Stated]:
-    """What side-cars state that is not the instrument `named` by the recipe; without that, one at most."""
-    from irlos_pipe.readers.find import stated_instruments
-
-    found = stated_instruments(path for own in paths.values() for path in own)
-    stated = [one for one in found if one.name != named]
-    if len(stated) > 1 and not named:
-        first, second = stated[:2]
-        raise InputDataError(
-            f"{first.sidecar}: instrument = {first.name}, but {second.sidecar} states {second.name}; "
-            "reduce them apart, correct one, or give --set instrument=NAME"
-        )
-    return stated
 
 
 def _parse_setting(text: str) -> Override:
@@ -233,16 +211,10 @@ def _check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead
 
 def _suggested(key: str, known: Sequence[str], stages: Any) -> str:
     """Suggest a key that is `known`, or one of a section of the recipe, which was given without it."""
-    listed = [name for name in STAGES if isinstance(stages, list) and name in stages]
-    sections = {"model": ModelConfig, **{name: STAGES[name].Config for name in listed}}
-    whole: dict[str, list[str]] = {}
-    for section, model in sections.items():
-        for inner in model.model_fields:
-            whole.setdefault(inner, []).append(f"{section}.{inner}")
+    sections = {"model": ModelConfig} | {one: STAGES[one].Config for one in STAGES if one in (stages or ())}
+    whole = {inner: f"{name}.{inner}" for name, one in sections.items() for inner in one.model_fields}
     close = key if key in whole else nearest(key, [*known, *whole])
-    if close in known or close not in whole:
-        return suggestion(key, known)
-    return "; did you mean " + " or ".join(f"'{one}'" for one in whole[close]) + "?"
+    return suggestion(key, known) if close in known or close is None else f"; did you mean '{whole[close]}'?"
 
 
 def _check_section(

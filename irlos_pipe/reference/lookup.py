@@ -89,10 +89,9 @@ def explain(name: str) -> str:
     if not found:
         return _near(wanted, entries)
     merged = _merged(found)
-    if len(merged) <= MOST_IN_FULL:
-        return "\n\n".join(_shown(entry, entries) for entry in merged)
-    terms = [_shown(entry, entries) for entry in merged if entry.kind == "term"]
-    return "\n\n".join([*terms, *_tables(entry for entry in merged if entry.kind != "term")])
+    full = [entry for entry in merged if entry.kind == "term" or len(merged) <= MOST_IN_FULL]
+    others = [entry for entry in merged if entry not in full]
+    return "\n\n".join([*(_shown(entry, entries) for entry in full), *_tables(others)])
 
 
 def _near(wanted: str, entries: Sequence[Entry]) -> str:
@@ -102,21 +101,20 @@ def _near(wanted: str, entries: Sequence[Entry]) -> str:
     near = [entry for entry in entries if word.search(spelt[entry])]
     near = near or [entry for entry in entries if word.search(entry.summary.lower())]
     if len(wanted) >= SHORTEST_WORD and near:
-        tables = "\n\n".join(_tables(_merged(near)))
-        return f"Nothing is called '{wanted}'. It stands in the names, or the explanations, of:\n\n{tables}"
+        return "\n\n".join([f"Nothing is called '{wanted}'. Near it are:", *_tables(_merged(near))])
     known = {part for entry in entries for part in (entry.name, entry.name.rpartition(".")[2])}
-    words = {
-        one for entry in entries for one in re.findall(r"\w{5,}", f"{spelt[entry]} {entry.summary.lower()}")
-    }
-    raise ConfigurationError(f"{wanted}: nothing is called so{suggestion(wanted, sorted(known | words))}")
+    known |= set(
+        re.findall(r"\w{5,}", " ".join([*spelt.values(), *(one.summary.lower() for one in entries)]))
+    )
+    raise ConfigurationError(f"{wanted}: nothing is called so{suggestion(wanted, sorted(known))}")
 
 
-def _merged(found: Sequence[Entry]) -> list[Entry]:
+def _merged(found: Iterable[Entry]) -> list[Entry]:
     """Entries of one kind with one text as one, with all their names."""
-    names: dict[tuple[Kind, str], list[str]] = {}
+    same: dict[tuple[Kind, str], list[str]] = {}
     for entry in found:
-        names.setdefault((entry.kind, entry.text), []).append(entry.name)
-    return [Entry(kind, ", ".join(same), text) for (kind, text), same in names.items()]
+        same.setdefault((entry.kind, entry.text), []).append(entry.name)
+    return [Entry(kind, ", ".join(names), text) for (kind, text), names in same.items()]
 
 
 def _tables(entries: Iterable[Entry]) -> list[str]:

@@ -11,7 +11,6 @@ from pydantic_core import core_schema
 
 from irlos_pipe.product.printed import (
     Comparison,
-    FoundRecordings,
     Printed,
     RunStatus,
     Score,
@@ -30,7 +29,6 @@ PRINTED: tuple[type[Printed], ...] = (
     Versions,
     ShownProduct,
     ShownRun,
-    FoundRecordings,
     Validation,
     Score,
     Comparison,
