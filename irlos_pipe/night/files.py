@@ -83,7 +83,7 @@ def job_text(job: Job) -> str:
 
 
 def _said(one: Description) -> str:
-    when = one.start_unix_s and f"{one.night} {utc_time(one.start_unix_s)} UTC"
+    when = f"{one.night} {utc_time(one.start_unix_s)} UTC" if one.start_unix_s else ""
     frames = f"{one.frames} frames of {one.window[0]}x{one.window[1]} px"
     return f"{one.path}: {', '.join(filter(None, (one.role, one.target, frames, when, one.configuration)))}"
 

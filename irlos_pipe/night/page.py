@@ -115,7 +115,7 @@ def _listed(one: Mapping[str, Any]) -> tuple[str, ...]:
         one["target"] or MISSING,
         NEEDS_A_LOOK if one["status"] == "qc_failed" else one["status"],
         f"{one['passed'] or 0} of {one['checks']}",
-        *(with_error(*one[name], ".3g") if name in one else "" for name in INDEX_NUMBERS),
+        *(with_error(one[name][0], one[name][1], ".3g") if name in one else "" for name in INDEX_NUMBERS),
         one["verdict"] or "",
     )
 

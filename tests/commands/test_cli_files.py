@@ -76,6 +76,12 @@ def test_a_new_side_car_states_the_instrument_as_seen_from_its_folder(tmp_path, 
     assert loaded(cube).instrument.name == "own"
 
 
+def test_a_run_says_which_instrument_it_took(bench):
+    assert "irlos: instrument: irlos (nobody states another" in bench.run().stderr
+    assert json.loads((bench.output / "results.json").read_text())["instrument"] == "irlos"
+    assert "instrument: irlos" in (bench.output / "run.log").read_text()
+
+
 def files(folder, *roles):
     return [str(write(folder / f"{n}.fits", n, role=role)) for n, role in enumerate(roles)]
 
