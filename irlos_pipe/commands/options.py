@@ -89,9 +89,8 @@ class OfRecipe(click.Command):
         except click.UsageError:
             values, left, _ = self.make_parser(ctx).parse_args(given)
             if left:
-                ways = [
-                    f"--input {name}={left[0]}" for name in completion.content_of(values["recipe"])["inputs"]
-                ]
+                names = completion.content_of(values["recipe"]).get("inputs") or ("NAME",)
+                ways = [f"--input {name}={left[0]}" for name in names]
                 ctx.fail(f"'{left[0]}': files are given by the name of their input: {' or '.join(ways)}")
             raise
 

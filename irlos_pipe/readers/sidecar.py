@@ -16,7 +16,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.files.overrides import absolute
 from irlos_pipe.files.validation import Origins, require_valid
@@ -260,9 +260,10 @@ def stated_instruments(paths: Iterable[Path]) -> dict[str, Path]:
     """
     found: dict[str, Path] = {}
     for sidecar in dict.fromkeys(chain.from_iterable(map(_sidecars_of, paths))):
-        with suppress(ConfigurationError, InputDataError):
-            if name := load_yaml(sidecar)[0].get("instrument"):
-                found.setdefault(str(absolute(name, sidecar.parent) if is_path(str(name)) else name), sidecar)
+        with suppress(IrlosError, OSError):
+            name = load_yaml(sidecar)[0].get("instrument")
+            if isinstance(name, str) and name:
+                found.setdefault(str(absolute(name, sidecar.parent)) if is_path(name) else name, sidecar)
     return found
 
 

@@ -159,8 +159,8 @@ def load_recipe(
     stated = stated_instruments(chain.from_iterable(paths.values()))
     if stated and not named:
         instrument_name, instrument, by = stated_instrument(stated)
-    for other in stated.keys() - {instrument_name}:
-        by += f"; not {other} as side-car {stated[other].name} states"
+    others = [one for one in stated if one != instrument_name]
+    by += "".join(f"; not {other} as side-car {stated[other].name} states" for other in others)
     assert model is not None and instrument is not None, "what is missing has been reported"
     return Recipe(
         absolute(path),
@@ -211,7 +211,8 @@ def _check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead
 
 def _suggested(key: str, known: Sequence[str], stages: Any) -> str:
     """Suggest a key that is `known`, or one of a section of the recipe, which was given without it."""
-    sections = {"model": ModelConfig} | {one: STAGES[one].Config for one in STAGES if one in (stages or ())}
+    listed = [one for one in STAGES if isinstance(stages, list) and one in stages]
+    sections = {"model": ModelConfig} | {one: STAGES[one].Config for one in listed}
     whole = {inner: f"{name}.{inner}" for name, one in sections.items() for inner in one.model_fields}
     close = key if key in whole else nearest(key, [*known, *whole])
     return suggestion(key, known) if close in known or close is None else f"; did you mean '{whole[close]}'?"

@@ -53,7 +53,7 @@ def test_the_side_car_states_the_instrument_and_the_command_line_wins(tmp_path, 
     again = tmp_path / "resolved.yaml"
     again.write_text(won.resolved_yaml())
     assert load_recipe(again).instrument.name == "bench"  # a run can be repeated
-    (tmp_path / "data" / "a.yaml").write_text("no: side-car\n")
+    (tmp_path / "data" / "a.yaml").write_text("instrument: [bench/a.yaml]\n")  # ingest says what is wrong
     assert loaded(path).instrument_text.startswith("irlos (nobody states another")
 
 
