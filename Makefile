@@ -83,7 +83,7 @@ lint: env-test ## check formatting, style and types
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-focus-demo: env-test ## close the focus loop on a simulated telescope for two minutes (ARGS="--speed 0 --no-browser")
+focus-demo: env ## close the focus loop on a simulated telescope for two minutes (ARGS="--speed 0 --no-browser")
 	$(BIN)/python -m benchmarks.focus_loop.demo --output $(RUNS)/focus-demo $(ARGS)
 
 docs: $(VENV)/.env-docs ## build the documentation site in docs/_build/html; warnings are errors

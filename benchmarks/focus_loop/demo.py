@@ -16,6 +16,7 @@ from benchmarks.focus_loop.telescope import Night
 
 RECORDINGS = ["--set", "recordings.calibration.frames=100", "--set", "recordings.ramp.frames=2"]
 OPTIONS = ["--page-port", "0", "--despite-qc"]  # QC may fail: the calibration has only 100 frames
+EXPOSURES_A_LINE = 30  # where there is no terminal
 SETTLED = 20  # exposures after the loop has closed that do not count
 
 
@@ -33,7 +34,7 @@ def main(output: Path, exposures: int, speed: float, mag_j: float, start_nm: flo
     calibration = calibrated(output)
     night = Night(mag_j=mag_j, exposures=exposures, start_nm=start_nm)
     trial = Trial(new_folder(output), calibration, night, options=OPTIONS, speed=speed)
-    opened = not browser
+    opened, lines = not browser, [0]
 
     def report(reached: int) -> None:
         nonlocal opened
@@ -41,7 +42,11 @@ def main(output: Path, exposures: int, speed: float, mag_j: float, start_nm: flo
             opened = True
             print(f"\rpage: {url}", flush=True)
             webbrowser.open(url)
-        print(f"\rexposure {reached}/{exposures}", end="", flush=True)
+        if sys.stdout.isatty():
+            print(f"\rexposure {reached}/{exposures}", end="", flush=True)
+        elif reached >= lines[-1] + EXPOSURES_A_LINE:
+            lines.append(reached)
+            print(f"exposure {reached}/{exposures}", flush=True)
 
     print(f"telescope and loop start in {trial.folder}", flush=True)
     trial.run(report)

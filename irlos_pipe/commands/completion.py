@@ -92,7 +92,12 @@ def _typed(context: click.Context, argument: str) -> str | None:
 
 
 def _recipe(context: click.Context) -> dict:
+    return content_of(_typed(context, "recipe"))
+
+
+def content_of(recipe: str | None) -> dict:
+    """Return what the file of a `recipe`, a name or a path, holds."""
     from irlos_pipe.files.shipped import RECIPES, named_file
     from irlos_pipe.files.yaml import load_yaml
 
-    return load_yaml(named_file(_typed(context, "recipe") or "full_reduction", RECIPES))[0]
+    return load_yaml(named_file(recipe or "full_reduction", RECIPES))[0]

@@ -10,39 +10,52 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import click
 
-from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosError, UnexpectedError
+from irlos_pipe.conventions.errors import (
+    EXIT_MEANINGS,
+    ConfigurationError,
+    ExitCode,
+    IrlosError,
+    UnexpectedError,
+)
 from irlos_pipe.conventions.text import printable
 
 NO_OUTPUT = {errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG}
 AGAIN_S = 0.01  # until a dropped signal comes again: longer than objects take to be deleted
 ASKED, SIGNALS = "irlos.pdb", "irlos.signals"  # keys of what a call knows
 
-EXIT_CODES = """\b
-Exit codes:
-  0    done, or already up to date
-  1    unexpected error (the message names the file with the traceback), or no space to write
-  2    usage or configuration
-  3    bad input data
-  4    a QC check failed (products are written)
-  5    partial: some exposures failed (products are written)
-  64   nothing to process
-  75   the output folder is in use by another run
-  130  interrupted
-"""
+EXIT_CODES = "\b\nExit codes:\n" + "\n".join(f"  {code:<5}{text}" for code, text in EXIT_MEANINGS.items())
+SEE_EXIT_CODES = "Exit codes: irlos --help lists them."
 
 
 class IrlosGroup(click.Group):
     """A group that reports every error in one line per problem and exits with the code of the error."""
 
+    tasks: Mapping[str, Sequence[click.Command]] = {}  # the commands by what they are for
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the commands in the order in which they are used."""
         return list(self.commands)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands of each task with the first sentence of their help, whole."""
+        width = max(map(len, self.commands))
+        for task, commands in self.tasks.items():
+            with formatter.section(task):
+                formatter.write_dl([(f"{one.name:{width}}", _first_sentence(one)) for one in commands])
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; of a recipe, a stage or a file that stands in its place say how it is used."""
+        if args[0] not in self.commands and (hint := _instead_of(args[0])):
+            ctx.fail(f"No such command '{args[0]}'. {hint}")
+        return super().resolve_command(ctx, args)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         mend_streams()
@@ -58,6 +71,23 @@ class IrlosGroup(click.Group):
                 # A library may take the interrupt for a fault of what it was doing.
                 interrupted = isinstance(error, KeyboardInterrupt) or ctx.meta[SIGNALS]
                 ctx.exit(_reported(KeyboardInterrupt() if interrupted else error, ctx))
+
+
+def _first_sentence(command: click.Command) -> str:
+    text = " ".join((command.help or "").partition("\n\n")[0].split())
+    return text.partition(". ")[0].rstrip(".") + "."
+
+
+def _instead_of(name: str) -> str:
+    """What to type instead of the name of a recipe, a stage or a file."""
+    from irlos_pipe.commands.completion import content_of
+    from irlos_pipe.files.shipped import RECIPES, shipped_names
+
+    if os.path.exists(name):
+        return f"irlos show {name} says what can be done with it."
+    having = [one for one in shipped_names(RECIPES) if name in (one, *content_of(one)["stages"])]
+    having.sort(key=lambda one: name[:5] not in one)
+    return f"A recipe does that: irlos run {having[0]}" if having else ""
 
 
 def _reported(error: BaseException, ctx: click.Context) -> ExitCode:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from irlos_pipe.commands import options
-from irlos_pipe.commands.exits import EXIT_CODES, SIGNALS
+from irlos_pipe.commands.exits import SEE_EXIT_CODES, SIGNALS
 from irlos_pipe.commands.options import FROM_0, FROM_1, argument, command, option
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode
@@ -185,7 +185,7 @@ class FocusOptions:
         return Replay(self.replay, self.input_name, self.speed)
 
 
-@command(FocusOptions, epilog=EXIT_CODES)
+@command(FocusOptions, epilog=SEE_EXIT_CODES)
 def focus(run: Path = argument("RUN"), **given: Any) -> None:
     """Close the slow focus loop with the calibration of the folder RUN.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -68,8 +69,10 @@ def explain(
 @command()
 def sidecar(
     fits: Path = argument("FITS"),
-    instrument: str = option(
-        "--instrument NAME", "Instrument profile: a name, or the path of a YAML file.", default="irlos"
+    instrument: str | None = option(
+        "--instrument NAME",
+        "Instrument profile, which the side-car will state: a name, or the path of a YAML file "
+        "(default: irlos).",
     ),
     output: Path | None = option(
         "--output FILE",
@@ -79,17 +82,21 @@ def sidecar(
 ) -> None:
     """Write a side-car for the recording in FITS, with comments and what the header says, to be filled in.
 
-    A side-car states what the data cannot say: role, spectrum, diversity. irlos validate checks it.
+    A side-car states what the data cannot say: instrument, role, spectrum, diversity. irlos validate
+    checks it, and irlos show FITS says what can be done with the recording.
 
     \b
     Examples:
-      irlos sidecar star.fits
+      irlos sidecar star.fits --instrument cam42.yaml
       irlos sidecar 2023-07-14/2023-07-14.fits --output -
     """
-    from irlos_pipe.instrument.instrument import load_instrument
+    from irlos_pipe.instrument.instrument import is_path, load_instrument
     from irlos_pipe.readers.sidecar_template import sidecar_template, write_template
 
-    text = sidecar_template(fits, load_instrument(instrument))
+    stated = instrument or ""
+    if is_path(stated):
+        stated = os.path.relpath(stated, (output or fits).parent)
+    text = sidecar_template(fits, load_instrument(instrument or "irlos"), stated)
     if str(output) == "-":
         click.echo(text, nl=False)
         return

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import click
 
 import irlos_pipe
@@ -10,7 +12,7 @@ from irlos_pipe.commands.focus import focus
 from irlos_pipe.commands.lookup import explain, recipes, sidecar
 from irlos_pipe.commands.night import night, trend
 from irlos_pipe.commands.products import compare, export, report, score, show, status
-from irlos_pipe.commands.reduction import demo, run, validate
+from irlos_pipe.commands.reduction import demo, reduce, run, validate
 from irlos_pipe.commands.simulated import paper, simulate
 
 
@@ -31,10 +33,14 @@ def cli() -> None:
     """
 
 
-for command in (
-    run, demo, validate, recipes, explain, sidecar, status, show, compare, report, export, score, simulate,
-    paper, night, trend, focus,
-):  # fmt: skip
+IrlosGroup.tasks = {
+    "Reduce recordings": (reduce, run, validate, demo),
+    "Describe recordings, look things up": (sidecar, recipes, explain),
+    "Look at results": (status, show, report, compare, export, score),
+    "Follow nights, close the loop": (night, trend, focus),
+    "Simulate": (simulate, paper),
+}
+for command in chain.from_iterable(IrlosGroup.tasks.values()):
     command.params.append(pdb_option(hidden=True))
     cli.add_command(command)
 cli.params.append(pdb_option(hidden=False))

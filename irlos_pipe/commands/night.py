@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from irlos_pipe.commands import options
-from irlos_pipe.commands.exits import EXIT_CODES, report_error
+from irlos_pipe.commands.exits import SEE_EXIT_CODES, report_error
 from irlos_pipe.commands.options import Device, argument, command, option, resources_of
 from irlos_pipe.conventions.errors import ExitCode, NothingToDo
 
@@ -22,7 +22,7 @@ DATE = click.DateTime(["%Y-%m-%d"])
 CONFIG = option("--config FILE", "YAML file with recipes, settings and bands (docs/night.md).")
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
 def night(
     folders: tuple[Path, ...] = argument("NIGHT_DIR...", nargs=-1),
     output: Path = option("--output TREE", "Folder for the products of all nights."),
@@ -63,7 +63,8 @@ def night(
     others. Products that are up to date are left alone; after a change of model, recipe or settings
     exactly what depends on it is made again, and the old products stay until all new ones are there.
 
-    Nothing is printed when all is well, and one line when somebody should have a look.
+    A terminal shows how far the work is. Elsewhere, as in cron, nothing is printed when all is well, and
+    one line when somebody should have a look.
 
     \b
     Examples:
@@ -75,6 +76,7 @@ def night(
 
     \b
     TREE will hold:
+      index.html                 all nights, with the result of every reduction
       night_<date>.html          what came in, what became of it, the trends
       <date>/<group>/<recipe>/   the run of each: report.html, results.json, products (irlos show)
       trend.sqlite               the numbers of all nights (irlos trend TREE)
@@ -96,7 +98,8 @@ def night(
         with _nothing_to_do_is_silent(verbose, as_json):
             click.echo(plan_text(*plan_night(request), as_json))
         return
-    with _nothing_to_do_is_silent(verbose, as_json), messages(verbose - 1):
+    shown = verbose - 1 if verbose or not sys.stderr.isatty() else 0  # somebody is looking
+    with _nothing_to_do_is_silent(verbose, as_json), messages(shown):
         state = run_night(request, runner)
     if as_json or verbose:
         click.echo(night_json(state, output) if as_json else night_text(state, output))
@@ -105,7 +108,7 @@ def night(
     sys.exit(state.exit_code)
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
 def trend(
     tree: Path = argument("TREE"),
     names: tuple[str, ...] = option(

@@ -79,6 +79,22 @@ def _type_of(kind: Any) -> Any:
     return _type_of(inner[0]) if inner else PATH if kind is Path else kind
 
 
+class OfRecipe(click.Command):
+    """A command whose files are options: of one that stands behind RECIPE it says which."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError:
+            values, left, _ = self.make_parser(ctx).parse_args(given)
+            if left:
+                names = completion.content_of(values["recipe"]).get("inputs") or ("NAME",)
+                ways = [f"--input {name}={left[0]}" for name in names]
+                ctx.fail(f"'{left[0]}': files are given by the name of their input: {' or '.join(ways)}")
+            raise
+
+
 def command(*more: type, **settings: Any) -> Callable[[Callable[..., None]], click.Command]:
     """Make a command of a function; fields of the dataclasses `more` are options, too."""
 
@@ -150,15 +166,15 @@ def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
     """Return the resources that the options state; all processors without `jobs`.
 
     It is an error at once that there is no ``cuda``; what ``auto`` means is seen when a stage runs. `quiet`
-    shows no progress bars, as when stderr is not a terminal.
+    shows no progress; where stderr is not a terminal, a line twice a minute does.
     """
     from irlos_pipe.pipeline import resources
 
     if device == "cuda":
         resources.resolve_device(device)
-    show_bars = sys.stderr.isatty() and not quiet
+    progress = resources.terminal_progress if sys.stderr.isatty() else resources.line_progress
     return resources.Resources(
         device,
         jobs or resources.available_cpus(),
-        resources.terminal_progress if show_bars else resources.silent_progress,
+        resources.silent_progress if quiet else progress,
     )

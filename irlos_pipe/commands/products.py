@@ -50,23 +50,34 @@ def status(folder: Path = argument("DIR"), as_json: bool = options.JSON) -> None
 
 
 @command()
-def show(product: Path = argument("PRODUCT.h5|DIR"), as_json: bool = options.JSON) -> None:
-    """Show what PRODUCT.h5 contains: arrays with units, results, configuration, QC, provenance, log.
+def show(product: Path = argument("PRODUCT.h5|DIR|FITS"), as_json: bool = options.JSON) -> None:
+    """Show what a product, the folder of a run or a recording holds, and what can be done with it.
 
-    The values of arrays are not shown: irlos export copies them. Of DIR, the folder of a run, the
-    products are listed, with what their stages said.
+    Of PRODUCT.h5: arrays with units, results, configuration, QC, provenance, log. The values of arrays
+    are not shown: irlos export copies them. Of DIR, the folder of a run, the products are listed, with
+    what their stages said. Of a recording, FITS, or a folder of recordings: layout, frames, what its
+    side-car states, and the command that reduces it or says what is missing.
 
     \b
     Examples:
       irlos show demo
       irlos show demo/03_calibrate.h5
       irlos show demo/03_calibrate.h5 --json
+      irlos show star.fits
     """
     from irlos_pipe.commands.text import product_text, run_text
     from irlos_pipe.product.printed import shown_product, shown_run
+    from irlos_pipe.product.runfolder import RunFolder
+    from irlos_pipe.readers.fitsfile import has_fits_name
 
     with readable(product):
-        if product.is_dir():
+        files = product.iterdir() if product.is_dir() else [product]
+        recorded = any(has_fits_name(one) and one.is_file() for one in files)
+        if recorded and not RunFolder(product).recipe.is_file():
+            from irlos_pipe.night.files import found_recordings
+
+            click.echo(found_recordings(product, as_json))
+        elif product.is_dir():
             run = shown_run(product)
             click.echo(run.text() if as_json else run_text(run))
         else:

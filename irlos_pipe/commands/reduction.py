@@ -5,13 +5,21 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from irlos_pipe.commands import completion, options
-from irlos_pipe.commands.exits import EXIT_CODES, report_error
-from irlos_pipe.commands.options import Device, at_work, command, inputs_of, option, resources_of
+from irlos_pipe.commands.exits import SEE_EXIT_CODES, report_error
+from irlos_pipe.commands.options import (
+    Device,
+    argument,
+    at_work,
+    command,
+    inputs_of,
+    option,
+    resources_of,
+)
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
 
 if TYPE_CHECKING:
@@ -19,7 +27,7 @@ if TYPE_CHECKING:
     from irlos_pipe.recipe import Recipe
 
 
-@command(epilog=EXIT_CODES)
+@command(cls=options.OfRecipe, epilog=SEE_EXIT_CODES)
 def run(
     recipe: Path = options.RECIPE,
     inputs: tuple[str, ...] = options.INPUTS,
@@ -91,12 +99,47 @@ def run(
         _exit_if_any(_problems(checked, [step.name for step in steps if step.action is Action.RUN]))
         return
     with at_work(verbose, quiet):
-        reduce = run_numbered if numbered else run_recipe
-        outcome = reduce(checked, output, selection, resources_of(device, jobs, quiet))
+        perform = run_numbered if numbered else run_recipe
+        outcome = perform(checked, output, selection, resources_of(device, jobs, quiet))
     _finish(outcome, outcome_text(outcome, as_json) if as_json or not quiet else "")
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
+def reduce(
+    files: tuple[Path, ...] = argument("FILE...", nargs=-1),
+    recipe: str | None = option("--recipe NAME", "Recipe instead of the usual one for these files."),
+    output: Path | None = option(
+        "--output DIR", "Folder for the products (default: RECORDING-RECIPE in the current folder)."
+    ),
+    **given: Any,
+) -> None:
+    """Reduce the recordings in FILE, files or folders, with the recipe that their roles ask for.
+
+    Roles, spectrum, diversity and instrument come from headers and side-cars (irlos sidecar FILE writes
+    one). A calibration cube runs ncpa_calibration, a ramp with its calibration defocus_ramp, a series of
+    angles derotator, four images of a 2x2 mode two_by_two; darks are used where they fit. The
+    equivalent irlos run is printed first. What makes several reductions, or none, is refused.
+
+    \b
+    Examples:
+      irlos reduce star.fits --dry-run
+      irlos reduce ramp calibration.fits --output ramp-1
+      irlos reduce star.fits --recipe diagnose
+    """
+    from irlos_pipe.night.files import job_text, reduction_of
+
+    job = reduction_of(files, output, recipe)
+    if not given["quiet"]:
+        click.echo(job_text(job), err=not given["dry_run"] or given["as_json"])
+    known = {"recipe": job.task.recipe, "inputs": job.task.inputs, "output": job.task.folder}
+    click.get_current_context().invoke(run, **given, **known)
+
+
+SHARED = ("settings", "force", "dry_run", "jobs", "device", "verbose", "quiet", "as_json")
+reduce.params += [one for one in run.params if one.name in SHARED]
+
+
+@command(epilog=SEE_EXIT_CODES)
 def demo(
     output: Path = option(*options.OUTPUT, default=Path("demo")),
     settings: tuple[str, ...] = options.SETTINGS,
@@ -131,7 +174,7 @@ def demo(
     _finish(outcome, f"\n{score_text(score_run(output, shipped_folder(SAMPLES) / 'truth'))}")
 
 
-@command(epilog=EXIT_CODES)
+@command(cls=options.OfRecipe, epilog=SEE_EXIT_CODES)
 def validate(
     recipe: Path = options.RECIPE,
     inputs: tuple[str, ...] = options.INPUTS,

@@ -8,13 +8,13 @@ from pathlib import Path
 import click
 
 from irlos_pipe.commands import completion, options
-from irlos_pipe.commands.exits import EXIT_CODES, report_error
+from irlos_pipe.commands.exits import SEE_EXIT_CODES, report_error
 from irlos_pipe.commands.options import FROM_0, argument, at_work, command, option, resources_of
 
 SPECIFICATIONS = completion.or_files(completion.specifications)
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
 def simulate(
     spec: Path = argument("SPEC", shell_complete=SPECIFICATIONS),
     output: Path = option("--output DIR", "Folder for the recordings and their truth."),
@@ -73,7 +73,7 @@ def simulate(
         click.echo(where_text(checked, output))
 
 
-@command(epilog=EXIT_CODES)
+@command(epilog=SEE_EXIT_CODES)
 def paper(
     output: Path = option("--output DIR", "Folder for the runs of all experiments."),
     quick: bool = option(

@@ -17,6 +17,20 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
+EXIT_MEANINGS = {
+    ExitCode.DONE: "done, or already up to date",
+    ExitCode.UNEXPECTED: "unexpected error (the message names the file with the traceback), "
+    "or no space to write",
+    ExitCode.CONFIGURATION: "usage or configuration",
+    ExitCode.BAD_DATA: "bad input data",
+    ExitCode.QUALITY: "a QC check failed (products are written)",
+    ExitCode.PARTIAL: "partial: some exposures failed (products are written)",
+    ExitCode.NOTHING_TO_DO: "nothing to process",
+    ExitCode.LOCKED: "the output folder is in use by another run",
+    ExitCode.INTERRUPTED: "interrupted; the same command goes on",
+}
+
+
 class IrlosError(Exception):
     """Base of every error that is reported in one line instead of a traceback."""
 

@@ -58,7 +58,7 @@ def in_band_wfe_nm(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float) -
 
 def require_residual(conditions: Conditions) -> None:
     """Raise ValueError where the profile of the instrument states no AO residual: on a bench."""
-    if in_band_wfe_nm(conditions.band, conditions.residual_law, conditions.seeing_arcsec) == 0:
+    if not in_band_wfe_nm(conditions.band, conditions.residual_law, conditions.seeing_arcsec) > 0:
         raise ValueError("by the residual law of the instrument's profile there is no AO residual")
 
 

@@ -49,11 +49,12 @@ class ValidationErrors:
 
     def __init__(self, origins: Origins, rejected: Iterable[ConfigurationError] = ()) -> None:
         """Begin with options that are `rejected`, whose messages name them; values are from `origins`."""
-        self._origins = origins
+        self.origins = origins
         self._found = [str(error).split(": ", 1) for error in rejected]
 
     def add(self, key: KeyPath, message: str) -> None:
-        entry = [self._origins.where(key), message]
+        """Note a `message` about the value at `key`."""
+        entry = [self.origins.where(key), message]
         if entry not in self._found:
             self._found.append(entry)
 

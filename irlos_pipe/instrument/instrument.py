@@ -19,6 +19,7 @@ from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, Seein
 from irlos_pipe.instrument.pupil import drawn, require_usable
 
 PROFILES = Path(__file__).parent
+PARANAL_DEG = -70.4  # longitude, east of Greenwich
 PROFILE_SUFFIXES = (".yaml", ".yml")
 
 
@@ -58,6 +59,12 @@ class Instrument:
         """Every value with unit, source and status, dated where it changed."""
         return self.profile.facts
 
+    @property
+    def longitude_deg(self) -> float:
+        """Of the site, east of Greenwich."""
+        stated = self.facts.get("site_longitude_deg")
+        return float(stated[-1].value) if stated else PARANAL_DEG
+
     def on(self, day: str) -> Instrument:
         """Return the instrument as it was on an ISO date `day` (``2021-03-20``)."""
         return _instrument(self.profile, day, self.folder)
@@ -88,7 +95,7 @@ def checked_instrument(name: str, folder: Path, errors: ValidationErrors) -> tup
     One that cannot be used is noted in `errors`, under ``instrument``. Returns the name, or the absolute
     path, and the instrument.
     """
-    if _is_path(name):
+    if is_path(name):
         name = str(absolute(name, folder))
     try:
         return name, load_instrument(name)
@@ -99,17 +106,18 @@ def checked_instrument(name: str, folder: Path, errors: ValidationErrors) -> tup
 
 def located(override: Override) -> Override:
     """A setting of the command line; the path in ``instrument=PATH`` counts from the current folder."""
-    if override.key != ("instrument",) or not _is_path(str(override.value)):
+    if override.key != ("instrument",) or not is_path(str(override.value)):
         return override
     return replace(override, value=str(absolute(str(override.value))))
 
 
-def _is_path(name: str) -> bool:
+def is_path(name: str) -> bool:
+    """Return whether a profile is stated by its path."""
     return "/" in name or name.endswith(PROFILE_SUFFIXES)
 
 
 def _profile_path(name: str) -> Path:
-    if _is_path(name):
+    if is_path(name):
         return Path(name)
     known = sorted(path.stem for path in PROFILES.glob("*.yaml"))
     if name not in known:
@@ -171,14 +179,18 @@ class _Values:
 
 def _facility(values: _Values, pupil: PupilGeometry) -> Facility:
     lines, sky = values.get("vibration_lines", ()), values.get("sky_mag_per_arcsec2", ())
+    # a bench states none of these: without a residual neither cut-off nor outer scale acts
     return Facility(
         pupil=pupil,
-        photons_per_s_m15=values.number("photons_per_s_m15"),
-        cutoff_per_m=values.number("ao_cutoff_per_m"),
-        outer_scale_m=values.number("outer_scale_m"),
-        residual_law=ResidualLaw(*map(values.number, ("ao_residual_nm_per_arcsec", "ao_residual_floor_nm"))),
+        photons_per_s_m15=float(values.get("photons_per_s_m15", math.nan)),
+        cutoff_per_m=float(values.get("ao_cutoff_per_m", min(20 / pupil.diameter_m, 1000.0))),
+        outer_scale_m=float(values.get("outer_scale_m", 25.0)),
+        residual_law=ResidualLaw(
+            float(values.get("ao_residual_nm_per_arcsec", 0.0)),
+            float(values.get("ao_residual_floor_nm", 0.0)),
+        ),
         ncpa_law=NcpaLaw(*map(values.number, ("ncpa_amplitude_nm", "ncpa_decay", "ncpa_plateau_nm"))),
-        typical_seeing_arcsec=values.number("seeing_arcsec"),
+        typical_seeing_arcsec=float(values.get("seeing_arcsec", math.nan)),
         vibration_lines=tuple(VibrationLine(*map(float, line)) for line in lines),
         numerical_aperture=float(values.get("focus_numerical_aperture", 0.0)),
         sky_mag_per_arcsec2=tuple((float(nm), float(mag)) for nm, mag in sky),

@@ -40,15 +40,20 @@ FACTS: dict[str, FactRule] = {
     "pupil_vanes_m": FactRule("m", "vanes of one width, [[x, y], [x, y]] each", -200, 200, False, "vanes"),
     "pupil_vane_width_m": FactRule("m", "their width", 0, 10, False),
     "focus_numerical_aperture": FactRule("1", "NA / n at which defocus is introduced", 0, 1, False),
-    "photons_per_s_m15": FactRule("1/s", "through aperture and sensor band at m_J = 15", 1e-6, 1e12),
-    "ao_cutoff_per_m": FactRule("1/m", "end of the AO correction, 1/(2 actuator pitch)", 1e-3, 1e6),
-    "outer_scale_m": FactRule("m", "of the turbulence", 1, 1000),
-    "ao_residual_nm_per_arcsec": FactRule("nm/arcsec", "slope of the AO residual against seeing", 0, 1e4),
-    "ao_residual_floor_nm": FactRule("nm", "AO residual at zero seeing", 0, 1e4),
+    "site_longitude_deg": FactRule(
+        "deg", "east of Greenwich; nights end at its noon; Paranal's without it", -360, 360, False
+    ),
+    "photons_per_s_m15": FactRule("1/s", "through aperture and sensor band at m_J = 15", 1e-6, 1e12, False),
+    "ao_cutoff_per_m": FactRule("1/m", "end of the AO correction, 1/(2 actuator pitch)", 1e-3, 1e6, False),
+    "outer_scale_m": FactRule("m", "of the turbulence", 1, 1000, False),
+    "ao_residual_nm_per_arcsec": FactRule(
+        "nm/arcsec", "slope of the AO residual against seeing", 0, 1e4, False
+    ),
+    "ao_residual_floor_nm": FactRule("nm", "AO residual at zero seeing", 0, 1e4, False),
     "ncpa_amplitude_nm": FactRule("nm", "std of Noll i+2 = amplitude exp(-decay i) + plateau", 0, 1e4),
     "ncpa_decay": FactRule("1", "see ncpa_amplitude_nm", 0, 100),
     "ncpa_plateau_nm": FactRule("nm", "see ncpa_amplitude_nm", 0, 1e4),
-    "seeing_arcsec": FactRule("arcsec", "where none was measured", 0.01, 10),
+    "seeing_arcsec": FactRule("arcsec", "where none was measured", 0.01, 10, False),
     "vibration_lines": FactRule(
         "Hz, 1, 1", "[Hz, share of the variance along x, along y]", 0, 1e5, False, "lines"
     ),
@@ -57,6 +62,10 @@ FACTS: dict[str, FactRule] = {
     ),
     "amplifier_e_per_adu": FactRule("e-/ADU", "gain behind the avalanche, for `modes`", 1e-9, 1e6, False),
 }
+# Facts of adaptive optics and seeing, which belong together and ask for the photons; a bench has none.
+OF_A_SKY = (
+    "ao_cutoff_per_m", "outer_scale_m", "ao_residual_nm_per_arcsec", "ao_residual_floor_nm", "seeing_arcsec",
+)  # fmt: skip
 # Facts that defaults, modes and seeing scales choose among; any other name must be used by one of them.
 FAMILIES = (
     r"(site|pixel_scale|apd_gain|read_noise|read_exposure|dark_current|excess_noise|recorder|seeing_ratio|"
@@ -236,6 +245,8 @@ class Profile(Section):
     def _require_facts(self) -> None:
         """Check names, units, dates and values of the facts."""
         needed = [name for name, rule in FACTS.items() if rule.required]
+        if any(name in self.facts for name in OF_A_SKY):
+            needed += [*OF_A_SKY, "photons_per_s_m15"]
         for name in [*needed, *(["amplifier_e_per_adu"] if self.modes else [])]:
             if name not in self.facts:
                 text = FACTS[name].text
@@ -300,7 +311,7 @@ def _require_value(name: str, rule: FactRule, value: Any) -> None:
 def _require_correction(facts: Mapping[str, Sequence[Fact]]) -> None:
     """A cut-off below 1/D corrects nothing; one beyond a thousand actuators is a mistake of units."""
     for diameter in facts["pupil_diameter_m"]:
-        for cutoff in facts["ao_cutoff_per_m"]:
+        for cutoff in facts.get("ao_cutoff_per_m", ()):
             cycles = cutoff.value * diameter.value
             if not 1 < cycles <= MOST_CYCLES:
                 raise ValueError(

@@ -66,6 +66,7 @@ CREATE INDEX IF NOT EXISTS checks_by_run ON checks (run);
 FORGET_KEYS = "UPDATE runs SET key = ''"
 # A row that a run can have; others were made by somebody else, and are left out.
 SOUND = "date(night) = night AND run LIKE '%/%/%' AND coalesce(start_unix_s, 0) BETWEEN 0 AND 4102444800"
+A_NUMBER = "typeof(value) = 'real' AND typeof(sigma) IN ('real', 'null')"  # others are not ours
 LOCKED_S = 30.0  # how long another program may hold the file
 # For a night without times: local midnight of Paranal, which comes after that of its date.
 MIDNIGHT = "CAST(strftime('%s', night, '+1 day', '+282 minutes') AS REAL)"
@@ -196,10 +197,23 @@ class Database:
         rows = self.connection.execute(
             f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
             " configuration, value, sigma FROM numbers JOIN runs USING (run)"
-            f" WHERE {SOUND} AND typeof(value) = 'real' AND typeof(sigma) IN ('real', 'null')"
+            f" WHERE {SOUND} AND {A_NUMBER}"
             " AND status != 'qc_failed' ORDER BY 3, run, name"
         )
         return [Point(*row) for row in rows]
+
+    def reductions(self) -> list[dict[str, Any]]:
+        """Return what there is of every run, its numbers by their names, the latest first."""
+        head = ("run", "night", "target", "status", "verdict", "passed", "checks")
+        rows = self.connection.execute(
+            "SELECT run, night, target, status, verdict, sum(passed), count(passed) FROM runs"
+            f" LEFT JOIN checks USING (run) WHERE {SOUND} GROUP BY run ORDER BY night DESC, start_unix_s, run"
+        )
+        found = {row[0]: dict(zip(head, row, strict=True)) for row in rows}
+        numbers = self.connection.execute("SELECT run, name, value, sigma FROM numbers WHERE " + A_NUMBER)
+        for run, name, *value in numbers:
+            found.get(run, {})[name] = value
+        return list(found.values())
 
     def verdicts(self) -> list[Verdict]:
         """Return the verdicts of `diagnose` in order of time."""
@@ -248,14 +262,14 @@ def opened(tree: Path) -> Iterator[Database]:
 
 
 @contextmanager
-def copied(tree: Path) -> Iterator[Database]:
+def copied(tree: Path | None) -> Iterator[Database]:
     """Give a copy in memory of the database of a tree, empty if there is none; nothing is written."""
     connection = sqlite3.connect(":memory:")
     try:
-        if (tree / NAME).is_file():
+        if tree is not None and (tree / NAME).is_file():
             with opened(tree) as stored:
                 stored.connection.backup(connection)
-        _require_schema(connection, tree / NAME)
+        _require_schema(connection, (tree or Path()) / NAME)
         yield Database(connection)
     finally:
         connection.close()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
-from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.atomic import write_bytes, write_if_changed
 from irlos_pipe.night.recordings import Description, utc_time
 from irlos_pipe.night.reduce import UNCHANGED, Job, Reduced
 from irlos_pipe.night.state import Night, page_path
@@ -19,7 +20,7 @@ from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text, rendered
 from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
 
-TEMPLATE = "night.html.j2"
+TEMPLATE, INDEX_TEMPLATE, INDEX = "night.html.j2", "index.html.j2", "index.html"
 FINISHED = '<meta name="irlos-night" content="finished">'
 RUNNING, STOPPED, NEEDS_A_LOOK = "not finished", "stopped", "needs a look"
 # (label, name of the number, pattern, unit)
@@ -53,6 +54,11 @@ MAX_VERDICT_ROWS, MAX_VERDICTS = 30, 4  # rows of the table, and numbers at the 
 FEW_ROWS = 12  # rows above which a table is folded
 REDUCTION_COLUMNS = ("group", "recipe", "target", "result", "what was done", "why", "report")
 VERDICT_COLUMNS = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
+INDEX_NUMBERS = ("chi2_nu", "ncpa_nm", "defocus_bias_nm")
+INDEX_COLUMNS = (
+    "night", "reduction", "target", "result", "checks passed", "χ²/ν", "NCPAs [nm]", "defocus bias [nm]",
+    "diagnosis",
+)  # fmt: skip
 RECORDING_COLUMNS = (
     "recording", "role", "begin (UTC)", "target", "frames", "window [px]", "exposure", "configuration",
 )  # fmt: skip
@@ -83,6 +89,35 @@ def write_page(tree: Path, night: Night, trend: Trend | None, running: bool = Fa
         sections=list(filter(None, sections)),
     )
     write_bytes(page_path(tree, night.date), page.encode("utf-8", "backslashreplace"))
+
+
+def write_index(tree: Path, reductions: Iterable[Mapping[str, Any]]) -> None:
+    """Write the list of all nights of a `tree`, of its pages and `reductions`, the latest first."""
+    by_night: dict[str, list[Mapping[str, Any]]] = {
+        page.stem.removeprefix("night_"): [] for page in tree.glob("night_*.html")
+    }
+    for one in reductions:
+        by_night.setdefault(one["night"], []).append(one)
+    rows, marks = [], []
+    for date, members in sorted(by_night.items(), reverse=True):
+        for one in members or [{}]:
+            link = Markup('<a href="night_{0}.html">{0}</a>').format(date)
+            rows.append((link, *(_listed(one) if one else ["no reduction", *[""] * 7])))
+            marks.append({"": "", "ok": "good"}.get(one.get("status", ""), "bad"))
+    table = Table(INDEX_COLUMNS, rows, plural(len(by_night), "night"), marks=marks)
+    page = rendered(INDEX_TEMPLATE, sections=[Section("nights", "Nights", "", [table])])
+    write_if_changed(tree / INDEX, page.encode("utf-8", "backslashreplace"))
+
+
+def _listed(one: Mapping[str, Any]) -> tuple[str, ...]:
+    return (
+        Markup('<a href="{}/report.html">{}</a>').format(one["run"], one["run"].partition("/")[2]),
+        one["target"] or MISSING,
+        NEEDS_A_LOOK if one["status"] == "qc_failed" else one["status"],
+        f"{one['passed'] or 0} of {one['checks']}",
+        *(with_error(one[name][0], one[name][1], ".3g") if name in one else "" for name in INDEX_NUMBERS),
+        one["verdict"] or "",
+    )
 
 
 def is_finished(tree: Path, date: str) -> bool:

@@ -20,15 +20,13 @@ from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.json import canonical_json, json_text
 from irlos_pipe.files.processes import TookTooLong, time_limit
-from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.instrument.instrument import PARANAL_DEG, Instrument
 from irlos_pipe.night.database import Database
 from irlos_pipe.readers import recorder
 from irlos_pipe.readers.find import files_of, recording_files
-from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.readers.sidecar import AcquisitionKeys, stated_instrument, stated_instruments
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
-# A night is named after its evening. It ends at local noon of Paranal (70.4 degrees west).
-NOON_UTC = timedelta(hours=12 + 70.4 / 15)
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
 DESCRIPTION_VERSION = 3  # version of what a description holds; files with an earlier one are read again
 UNPRINTABLE = "{!r}: the name holds characters that cannot be shown; rename it"
@@ -117,15 +115,15 @@ def discover(
             problems.append((file, str(error)))
         except Exception as error:  # a damaged file must not keep the others from being read
             problems.append((file, f"{file}: unexpected {type(error).__name__}: {error}"))
-    unusable = [_unusable(path, problem, found) for path, problem in problems]
+    unusable = [_unusable(path, problem, found, instrument) for path, problem in problems]
     copies = {id(one.recording): one for one in _copies(found)}
     return [one for one in found if id(one) not in copies], [*unusable, *copies.values()]
 
 
-def _unusable(path: Path, problem: str, found: Sequence[Description]) -> LeftOut:
+def _unusable(path: Path, problem: str, found: Sequence[Description], instrument: Instrument) -> LeftOut:
     """Filed under the date in its path, else the night of the nearest recording, else that of the file."""
     nearest = max(found, key=lambda one: common_depth(one.path, path), default=None)
-    night = date_in_path(path) or (nearest.night if nearest else _night_of_file(path))
+    night = date_in_path(path) or (nearest.night if nearest else _night_of_file(path, instrument))
     return LeftOut(Description(path, path.name, "", night), problem, alarming=True, found_as="unusable")
 
 
@@ -149,9 +147,10 @@ def known_recordings(database: Database) -> list[Description]:
     return list(filter(None, stored))
 
 
-def night_of(unix_s: float) -> str:
-    """Return the night of a time [s since 1970], as the ISO date of its evening."""
-    return (datetime.fromtimestamp(unix_s, UTC) - NOON_UTC).date().isoformat()
+def night_of(unix_s: float, longitude_deg: float = PARANAL_DEG) -> str:
+    """Return the night of a time [s since 1970]: ISO date of its evening; it ends at a site's local noon."""
+    noon_utc = timedelta(hours=12 - longitude_deg / 15)
+    return (datetime.fromtimestamp(unix_s, UTC) - noon_utc).date().isoformat()
 
 
 def utc_time(unix_s: float | None, pattern: str = "%H:%M:%S") -> str:
@@ -202,10 +201,12 @@ def _describe(
     known = _stored(database.description(file, stamp))
     if known is not None:
         return known
+    stated = stated_instruments([file])
+    instrument = stated_instrument(stated)[1] if stated else instrument
     sources, failures = read_sources({"night": [file]}, lambda _: keys, instrument, SILENT)
     if failures:
         raise InputDataError(failures[0][1])
-    description = _described(file, sources[0], single)
+    description = _described(file, sources[0], single, instrument, instrument.name if stated else "")
     database.add_description(file, stamp, json_text(asdict(description), None))
     return description
 
@@ -220,19 +221,21 @@ def _stored(content: Any) -> Description | None:
     return found
 
 
-def _described(file: Path, source: Source, single: bool) -> Description:
+def _described(file: Path, source: Source, single: bool, instrument: Instrument, stated: str) -> Description:
     raw, acquisition = source.raw, source.resolved.acquisition
     start = raw.start_unix_s if np.isfinite(raw.start_unix_s) else None
     diversity = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(acquisition.diversity.items()))
     scale = f"{acquisition.pixel_scale_mas:g} mas per pixel"
-    optics = (raw.mode, scale, acquisition.diversity_source, diversity)
+    optics = (stated, raw.mode, scale, acquisition.diversity_source, diversity)
     # of shape and values: the same whatever file the frames lie in
     frames = f"{raw.adu.shape} {raw.adu.dtype.kind}{raw.adu.dtype.itemsize}".encode() + raw.adu.tobytes()
     return Description(
         path=file.parent if raw.layout == recorder.LAYOUT and single else file,
         name=raw.name,
         role=acquisition.role,
-        night=_night_of_file(file) if start is None else night_of(start),
+        night=_night_of_file(file, instrument)
+        if start is None
+        else night_of(start, instrument.longitude_deg),
         night_by="" if start is not None else BY_PATH if date_in_path(file) else BY_FILE,
         start_unix_s=start,
         mode=raw.mode,
@@ -248,9 +251,9 @@ def _described(file: Path, source: Source, single: bool) -> Description:
     )
 
 
-def _night_of_file(path: Path) -> str:
+def _night_of_file(path: Path, instrument: Instrument) -> str:
     """The date in the path, else the night when the file was written."""
-    return date_in_path(path) or night_of(path.stat().st_mtime)
+    return date_in_path(path) or night_of(path.stat().st_mtime, instrument.longitude_deg)
 
 
 def _stamp(file: Path, keys: AcquisitionKeys, single: bool) -> str:

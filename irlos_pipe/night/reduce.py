@@ -17,7 +17,7 @@ from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.published_run import PublishedRun
 from irlos_pipe.night.settings import NightSettings
 from irlos_pipe.pipeline import Resources, Selection, Step, plan_run, run_recipe
-from irlos_pipe.product.results import ResultsPart, read_run_results
+from irlos_pipe.product.results import read_run_results
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import Recipe, load_recipe
 
@@ -188,27 +188,13 @@ def _reduce(task: Task, last: str | None) -> Reduced:
     return replace(reduced, reasons=reasons, problem=outcome.report_error)
 
 
-class _Check(ResultsPart):
-    """What is read of a check of qc.json."""
-
-    stage: str
-    message: str
-    passed: bool
-
-
-class _Quality(ResultsPart):
-    """What is read of qc.json."""
-
-    checks: list[_Check]
-
-
 def _outcome(task: Task, run: RunFolder, action: str) -> Reduced:
     """Read status and failed checks from the files of a run."""
     try:
         status = read_run_results(run.results).status
-        checks = _Quality.model_validate_json(run.quality.read_bytes()).checks
-    except (OSError, ValueError, InputDataError) as error:
+        checks = json.loads(run.quality.read_bytes())["checks"]
+        failed = tuple(f"{one['stage']}: {one['message']}" for one in checks if not one["passed"])
+    except (OSError, ValueError, TypeError, LookupError, InputDataError) as error:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise InputDataError(f"{run.path}: cannot be read ({reason}); remove it and run again") from error
-    failed = tuple(f"{check.stage}: {check.message}" for check in checks if not check.passed)
     return Reduced(task.name, task.folder, action, status, failed, log=run.log)

@@ -14,7 +14,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.night.database import NAME, Database, copied, opened
 from irlos_pipe.night.grouping import Group, group_recordings
 from irlos_pipe.night.numbers import read_measurements
-from irlos_pipe.night.page import is_finished, write_page
+from irlos_pipe.night.page import is_finished, write_index, write_page
 from irlos_pipe.night.recordings import LeftOut, date_in_path, discover, known_recordings, night_of
 from irlos_pipe.night.reduce import (
     Job,
@@ -34,6 +34,7 @@ from irlos_pipe.night.trend import make_trend
 from irlos_pipe.pipeline import Step
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
 from irlos_pipe.product.runfolder import owned_folder, require_free, require_outside_inputs
+from irlos_pipe.report.text import plural
 
 LOG_NAME = "night.log"
 RAMP = "defocus_ramp"
@@ -69,6 +70,8 @@ def run_night(request: Request, runner: Runner) -> RunState:
         with _errors_on_pages(request, state):
             with opened(request.tree) as database:
                 _find(request, state, database)
+            recordings = sum(len(night.recordings) for night in state.nights.values())
+            RUN.info("%s of %s", plural(recordings, "recording"), plural(len(state.nights), "night"))
             _work_on(request, state, runner, lambda job: job.group.kind != "ramp")
             _choose_calibrations(request, state)
             _work_on(request, state, runner, lambda job: job.group.kind == "ramp")
@@ -179,6 +182,8 @@ def _work_on(request: Request, state: RunState, runner: Runner, requested: Calla
         if tasks := [job.task for job in night.unfinished if requested(job)]:
             write_page(request.tree, night, None, running=True)
             todo += tasks
+    if jobs:
+        RUN.info("%s, %d of them up to date", plural(len(jobs), "reduction"), len(jobs) - len(todo))
     for number, reduced in enumerate(runner(reduce_group, todo) if todo else (), 1):
         why = "; ".join(reduced.reasons) or reduced.problem
         what = reduced.action + (f": {why}" if why else f" in {reduced.seconds:.1f} s")
@@ -214,6 +219,7 @@ def _write_pages(request: Request, state: RunState) -> None:
     """Find the numbers that left their band, and write the pages of nights that changed."""
     with opened(request.tree) as database:
         trend = make_trend(database.points(), database.verdicts(), request.settings.band)
+        reductions = database.reductions()
     for date, night in state.nights.items():
         night.alarms = trend.alarms(date)
     if request.acknowledge:
@@ -221,6 +227,7 @@ def _write_pages(request: Request, state: RunState) -> None:
     for date, night in state.nights.items():
         if _needs_page(request, night):
             write_page(request.tree, night, trend.until(date))
+    write_index(request.tree, reductions)
 
 
 def _needs_page(request: Request, night: Night) -> bool:

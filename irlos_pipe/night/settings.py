@@ -72,7 +72,7 @@ class BandSettings(_Section):
 class NightSettings(_Section):
     """The file given with ``--config``; every key is optional."""
 
-    instrument: str = Field(default="irlos", description="instrument profile for reading the recordings")
+    instrument: str = Field(default="irlos", description="profile of recordings whose side-cars state none")
     acquisition: AcquisitionKeys = Field(
         default=AcquisitionKeys(), description="side-car keys that override the side-cars"
     )

@@ -138,9 +138,10 @@ def _numbers_text(owner: Owner, members: Sequence[Series], trend: Trend, everyth
     rows = [_row(one, night) for one in shown]
     lines = [f"{owner[0]}, last night {night}" + (f" ({owner[1]})" if owner[1] else "")]
     lines += [aligned([COLUMNS, *rows])] if rows else []
-    if hidden := len(members) - len(shown):
-        modes = sum(is_mode(one.name) for one in members)
-        lines.append(f"{hidden} of {modes} modes are as expected (--all lists them)")
+    hidden, modes = [one for one in members if one not in shown], sum(is_mode(one.name) for one in members)
+    judged = sum(one.last.band is not None for one in hidden)
+    said = ((judged, "are as expected"), (len(hidden) - judged, "have too few nights to expect a value"))
+    lines += [f"{count} of {modes} modes {what} (--all lists them)" for count, what in said if count]
     own = [one for one in trend.wavefronts if (one[0].recipe, one[0].configuration) == owner]
     lines += [f"all modes: {test}{'' if test.holds else '  ALARM'}" for _, test in own[-1:]]
     return "\n".join(lines)

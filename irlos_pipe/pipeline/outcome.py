@@ -46,6 +46,7 @@ def assess(recipe: Recipe, products: Mapping[str, Product], error: str = "") -> 
         recipe=recipe.name,
         status=status,
         **({"notice": recipe.notice, "samples": list(recipe.samples)} if recipe.samples else {}),
+        instrument=recipe.instrument.name,
         stages={name: product.results for name, product in products.items()},
         **({"error": error} if error else {}),
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,6 +16,30 @@ from tqdm import tqdm
 from irlos_pipe.conventions.errors import ConfigurationError
 
 silent_progress = partial(tqdm, disable=True)
+LINE_S = 30.0  # between two lines of progress where there is no terminal
+
+
+class _WholeLines:
+    """Takes a progress bar where there is no terminal: what it draws in place becomes a line of its own."""
+
+    def write(self, text: str) -> None:
+        if text := text.strip():
+            with suppress(OSError, ValueError):  # nobody listens any more
+                print(f"irlos: {text}", file=sys.stderr, flush=True)
+
+    def flush(self) -> None:
+        pass
+
+
+line_progress = partial(
+    tqdm,
+    file=_WholeLines(),
+    leave=False,
+    delay=LINE_S,
+    mininterval=LINE_S,
+    maxinterval=LINE_S,
+    bar_format="{desc}: {n_fmt} of {total_fmt}, {elapsed} so far, {remaining} to go",
+)
 terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
 
 

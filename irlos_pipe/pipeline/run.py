@@ -70,6 +70,8 @@ def run_recipe(
     with owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
         steps = with_repairs(make_plan(recipe, folder, files, selection))
         TRACE.info("command: %s", command_line())
+        if any(step.action is Action.RUN for step in steps):
+            RUN.info("instrument: %s", recipe.instrument_text)
         if recipe.notice:
             RUN.warning(recipe.notice)
         remember(files, folder)

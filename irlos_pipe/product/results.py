@@ -124,6 +124,7 @@ class RunResults(ResultsPart):
         "were sample recordings of the package.",
     )
     samples: list[str] = []
+    instrument: str = item("", "Name of the instrument profile that was taken.")
     stages: dict[str, dict[str, Any]] = item(
         {}, "Sections of the finished stages by name; `of` returns one as its model."
     )

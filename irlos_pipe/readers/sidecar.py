@@ -5,18 +5,23 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.conventions.text import and_more
-from irlos_pipe.files.validation import Origins, require_valid
+from irlos_pipe.files.validation import Origins, absolute, require_valid
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.readers.fitsfile import stem
+from irlos_pipe.instrument.instrument import Instrument, is_path, load_instrument
+from irlos_pipe.readers.fitsfile import has_fits_name, stem
 
 FOLDER_SIDECAR = "acquisition.yaml"
 MAX_WAVELENGTH_RATIO = 3.0
@@ -207,8 +212,16 @@ class AcquisitionKeys(_Section):
         return given | {f"detector.{key}": value for key, value in inner.items()}
 
 
+class SidecarKeys(AcquisitionKeys):
+    """The keys of the file: a recipe that has some of them under ``ingest`` states its instrument itself."""
+
+    instrument: str | None = _key(
+        "instrument profile: a name, or the path of a YAML file, relative to the side-car", min_length=1
+    )
+
+
 KEYS: dict[str, FieldInfo] = {
-    **{key: field for key, field in AcquisitionKeys.model_fields.items() if key != "detector"},
+    **{key: field for key, field in SidecarKeys.model_fields.items() if key != "detector"},
     **{f"detector.{key}": field for key, field in DetectorKeys.model_fields.items()},
 }
 KNOWN = {key: next(one for one in field.metadata if isinstance(one, Known)) for key, field in KEYS.items()}
@@ -218,7 +231,7 @@ def is_valid(key: str, value: Any) -> bool:
     """Return whether a `key`, dotted if it is of the detector, can have a `value`."""
     section, _, inner = key.rpartition(".")
     try:
-        AcquisitionKeys.model_validate({section: {inner: value}} if section else {key: value})
+        SidecarKeys.model_validate({section: {inner: value}} if section else {key: value})
     except ValidationError:
         return False
     return value is not None and value != ""
@@ -238,7 +251,50 @@ def sidecar_path(data_file: Path) -> Path:
     return own if own.is_file() else data_file.with_name(FOLDER_SIDECAR)
 
 
-def read_sidecar(path: Path) -> AcquisitionKeys:
+def stated_instruments(paths: Iterable[Path]) -> dict[str, Path]:
+    """Return the instruments that side-cars of files or folders `paths` state, each with the first of them.
+
+    A path of a profile is absolute. What is wrong with a side-car is said where it is read.
+    """
+    found: dict[str, Path] = {}
+    for sidecar in dict.fromkeys(chain.from_iterable(map(_sidecars_of, paths))):
+        with suppress(IrlosError, OSError):
+            name = load_yaml(sidecar)[0].get("instrument")
+            if isinstance(name, str) and name:
+                found.setdefault(str(absolute(name, sidecar.parent)) if is_path(name) else name, sidecar)
+    return found
+
+
+def stated_instrument(stated: Mapping[str, Path]) -> tuple[str, Instrument, str]:
+    """Return the one instrument that side-cars have `stated`: its name or path, itself, and who states it.
+
+    Raises `InputDataError` where they state several, or one that cannot be used.
+    """
+    (name, sidecar), *others = stated.items()
+    for other, at in others:
+        raise InputDataError(
+            f"{sidecar}: instrument = {name}, but {at} states {other}; reduce them apart, correct one, "
+            "or give --set instrument=NAME"
+        )
+    try:
+        return name, load_instrument(name), f"side-car {sidecar.name}"
+    except ConfigurationError as error:
+        raise InputDataError(f"{sidecar}: {error}") from None
+
+
+def _sidecars_of(path: Path) -> Iterator[Path]:
+    """Side-cars of a file, or in a folder and below, each folder once; no data file is opened."""
+    if not path.is_dir():
+        yield from filter(Path.is_file, [sidecar_path(path)])
+    seen: set[str] = set()
+    for folder, below, files in os.walk(path, followlinks=True):
+        seen.add(os.path.realpath(folder))
+        below[:] = [one for one in below if os.path.realpath(Path(folder, one)) not in seen]
+        own = {f"{stem(Path(one))}.yaml" for one in files if has_fits_name(Path(one))} | {FOLDER_SIDECAR}
+        yield from (Path(folder, one) for one in sorted(own.intersection(files)))
+
+
+def read_sidecar(path: Path) -> SidecarKeys:
     """Read and check a side-car; one that does not exist has no keys.
 
     Raises `InputDataError` with one line ``file:line: problem``, and how many more problems there are.
@@ -258,11 +314,11 @@ def sidecar_problems(path: Path) -> list[str]:
     return []
 
 
-def _read(path: Path) -> AcquisitionKeys:
+def _read(path: Path) -> SidecarKeys:
     if not path.exists():
-        return AcquisitionKeys()
+        return SidecarKeys()
     data, lines = load_yaml(path, InputDataError)
-    return require_valid(data, AcquisitionKeys, Origins(path, lines))
+    return require_valid(data, SidecarKeys, Origins(path, lines))
 
 
 def _one_line(text: str) -> str:

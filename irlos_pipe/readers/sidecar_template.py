@@ -92,8 +92,10 @@ def _first(header: fits.Header, names: tuple[str, ...]) -> tuple[str, float | No
     return next(found, ("", None))
 
 
-def sidecar_template(path: Path, instrument: Instrument) -> str:
+def sidecar_template(path: Path, instrument: Instrument, stated: str = "") -> str:
     """Return a commented side-car for the recording at `path`; the `instrument` has defaults.
+
+    The side-car states it under the name, or the path from there, that is `stated`.
 
     Raises `InputDataError` when there is no recording in the file.
     """
@@ -103,6 +105,7 @@ def sidecar_template(path: Path, instrument: Instrument) -> str:
         candidates = proposals(file_header(hdus), first.frames)
     candidates |= {key: Proposal(value, PROFILE) for key, value in first.of_mode.items()}
     candidates |= {key: Proposal(value, HEADER) for key, value in first.header.items()}
+    candidates["instrument"] = Proposal(stated or "irlos", "--instrument" if stated else PROFILE)
     lines = _lines(candidates, instrument.defaults)
     remarks = "".join(f"# {line}\n" for line in first.warnings)
     return HEAD.format(name=path.name) + remarks + "\n".join(lines) + "\n"
@@ -130,6 +133,7 @@ def _lines(candidates: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> li
     inner = [line for key, line in lines.items() if "." in key]
     proposed = any(not line.startswith("#") for line in inner)
     own = [line for key, line in lines.items() if "." not in key]
+    own.insert(0, own.pop())  # the instrument
     return [*own, "detector:" if proposed else "# detector:", *inner]
 
 

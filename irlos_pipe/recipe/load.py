@@ -6,16 +6,18 @@ import os
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.conventions.text import nearest, suggestion
 from irlos_pipe.files.shipped import RECIPES, SAMPLES, are_samples, named_file, shipped_folder
 from irlos_pipe.files.validation import Override, ValidationErrors, absolute, parse_setting, read_overridden
 from irlos_pipe.files.yaml import load_yaml, yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
+from irlos_pipe.readers.sidecar import stated_instrument, stated_instruments
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
 from irlos_pipe.stages.model.section import ModelConfig
@@ -41,7 +43,10 @@ class RecipeHead(BaseModel):
 
     recipe: str = Field(min_length=1, description="name of the recipe")
     title: str = Field("", description="one line for people")
-    instrument: str = Field("irlos", description="instrument profile: a name, or the path of a YAML file")
+    instrument: str = Field(
+        "irlos",
+        description="instrument profile: a name or the path of a YAML file; without it that of the side-cars",
+    )
     inputs: Annotated[
         dict[str, Annotated[list[str], BeforeValidator(_as_list)]], BeforeValidator(_none_as_empty)
     ] = Field(
@@ -68,12 +73,19 @@ class Recipe:
     title: str
     instrument_name: str  # of the profile, or the absolute path of its file
     instrument: Instrument
+    instrument_by: str  # where it is stated; empty where nobody states it
     inputs: dict[str, tuple[Path, ...]]  # absolute paths by input name
     samples: tuple[str, ...]  # names of the inputs that are sample recordings of the package
     stages: tuple[str, ...]  # names in running order
     model: ModelConfig
     configs: dict[str, StageConfig]  # by stage
     seed: int
+
+    @property
+    def instrument_text(self) -> str:
+        """The instrument profile that was taken, and who states it."""
+        by = self.instrument_by or "nobody states another; key 'instrument' of a side-car does"
+        return f"{self.instrument.name} ({by})"
 
     @property
     def notice(self) -> str:
@@ -128,6 +140,8 @@ def load_recipe(
     ------
     ConfigurationError
         With one line ``where: message`` for everything that is wrong.
+    InputDataError
+        Side-cars state different instruments, or one that cannot be used, and the recipe states none.
     """
     path = named_file(path, RECIPES)
     data, errors = read_overridden(path, _parse_setting, settings, inputs, seed)
@@ -137,8 +151,15 @@ def load_recipe(
     _check_stages(head.stages, errors)
     given = _with_samples(head, errors) if samples else head.inputs
     paths = _check_inputs(given, absolute(path).parent, errors, head.samples, complete)
+    named = "instrument" in head.model_fields_set
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
+    by = errors.origins.where(("instrument",)).removeprefix(f"{path.parent}/") if named else ""
+    stated = stated_instruments(chain.from_iterable(paths.values()))
+    if stated and not named:
+        instrument_name, instrument, by = stated_instrument(stated)
+    others = [one for one in stated if one != instrument_name]
+    by += "".join(f"; not {other} as side-car {stated[other].name} states" for other in others)
     assert model is not None and instrument is not None, "what is missing has been reported"
     return Recipe(
         absolute(path),
@@ -146,6 +167,7 @@ def load_recipe(
         head.title,
         instrument_name,
         instrument,
+        by,
         paths,
         tuple(name for name, own in paths.items() if are_samples(own)),
         tuple(head.stages),
@@ -175,7 +197,7 @@ def _check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead
     known = (*RecipeHead.model_fields, *SECTIONS)
     for key in data:
         if key not in known:
-            errors.add((key,), f"unknown key '{key}'{suggestion(key, known)}")
+            errors.add((key,), f"unknown key '{key}'{_suggested(key, known, data.get('stages'))}")
     own = {key: value for key, value in data.items() if key in RecipeHead.model_fields}
     try:
         return RecipeHead.model_validate(own)
@@ -184,6 +206,15 @@ def _check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead
         wrong = {problem["loc"][0] for problem in error.errors()}
     substitutes = {"recipe": "unnamed", "stages": list(STAGES)[:1]}
     return RecipeHead.model_validate(substitutes | {key: own[key] for key in own.keys() - wrong})
+
+
+def _suggested(key: str, known: Sequence[str], stages: Any) -> str:
+    """Suggest a key that is `known`, or one of a section of the recipe, which was given without it."""
+    listed = [one for one in STAGES if isinstance(stages, list) and one in stages]
+    sections = {"model": ModelConfig} | {one: STAGES[one].Config for one in listed}
+    whole = {inner: f"{name}.{inner}" for name, one in sections.items() for inner in one.model_fields}
+    close = key if key in whole else nearest(key, [*known, *whole])
+    return suggestion(key, known) if close in known or close is None else f"; did you mean '{whole[close]}'?"
 
 
 def _check_section(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import groupby
 from pathlib import Path
@@ -21,7 +21,7 @@ from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import FACTS, Profile
 from irlos_pipe.product.product import Arrays, Checks
 from irlos_pipe.product.results import DITTO, ResultsPart
-from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.readers.sidecar import SidecarKeys
 from irlos_pipe.recipe.load import RecipeHead
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 from irlos_pipe.stages.model.section import ModelConfig
@@ -39,6 +39,10 @@ WORDS = {
 ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 LINE_LENGTH = 100
 TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
+
+
+MOST_IN_FULL = 4  # entries of one name that are shown in full
+SHORTEST_WORD = 3  # letters of a word that is searched in explanations
 
 
 @dataclass(frozen=True)
@@ -82,15 +86,44 @@ def explain(name: str) -> str:
     wanted = name.strip().removeprefix("stages.")
     found = [entry for entry in entries if entry.is_called(wanted)]
     if not found:
-        known = {part for entry in entries for part in (entry.name, entry.name.rpartition(".")[2])}
-        raise ConfigurationError(f"{name}: nothing is called so{suggestion(wanted, sorted(known))}")
-    return "\n\n".join(_shown(entry, entries) for entry in found)
+        return _near(wanted, entries)
+    merged = _merged(found)
+    full = [entry for entry in merged if entry.kind == "term" or len(merged) <= MOST_IN_FULL]
+    others = [entry for entry in merged if entry not in full]
+    return "\n\n".join([*(_shown(entry, entries) for entry in full), *_tables(others)])
+
+
+def _near(wanted: str, entries: Sequence[Entry]) -> str:
+    """The names that hold a word that is no name, else those whose explanation holds it."""
+    word = re.compile(rf"\b{re.escape(wanted.lower().replace('_', ' '))}")
+    spelt = {entry: re.sub(r"[._/]", " ", entry.name.lower()) for entry in entries}
+    near = [entry for entry in entries if word.search(spelt[entry])]
+    near = near or [entry for entry in entries if word.search(entry.summary.lower())]
+    if len(wanted) >= SHORTEST_WORD and near:
+        return "\n\n".join([f"Nothing is called '{wanted}'. Near it are:", *_tables(_merged(near))])
+    known = {part for entry in entries for part in (entry.name, entry.name.rpartition(".")[2])}
+    known |= set(
+        re.findall(r"\w{5,}", " ".join([*spelt.values(), *(one.summary.lower() for one in entries)]))
+    )
+    raise ConfigurationError(f"{wanted}: nothing is called so{suggestion(wanted, sorted(known))}")
+
+
+def _merged(found: Iterable[Entry]) -> list[Entry]:
+    """Entries of one kind with one text as one, with all their names."""
+    same: dict[tuple[Kind, str], list[str]] = {}
+    for entry in found:
+        same.setdefault((entry.kind, entry.text), []).append(entry.name)
+    return [Entry(kind, ", ".join(names), text) for (kind, text), names in same.items()]
+
+
+def _tables(entries: Iterable[Entry]) -> list[str]:
+    return [_table(list(group)) for _, group in groupby(entries, key=lambda one: one.kind)]
 
 
 def overview() -> str:
     """Return the names of all stages, effects and checks, with their summaries."""
     entries = [one for one in all_entries() if one.kind in ("stage", "effect", "check")]
-    return "\n\n".join(_table(list(group)) for _, group in groupby(entries, key=lambda one: one.kind))
+    return "\n\n".join(_tables(entries))
 
 
 def _shown(entry: Entry, entries: Sequence[Entry]) -> str:
@@ -119,7 +152,7 @@ def key_entries() -> Iterator[Entry]:
     yield from _keys(ModelConfig, ("model",), "key of a recipe")
     for stage in LIGHT_PATH:
         yield from _keys(STAGES[stage].Config, (stage,), "key of a recipe")
-    yield from _keys(AcquisitionKeys, ("acquisition",), "key of a side-car")
+    yield from _keys(SidecarKeys, ("acquisition",), "key of a side-car")
     yield from _keys(Profile, ("profile",), "key of a profile")
 
 
@@ -217,7 +250,7 @@ def _numbers(model: type, above: tuple[str, ...]) -> Iterator[Entry]:
     told = told_of(model)
     for key, annotation in fields_of(model).items():
         unit = UNITS.get(key.rpartition("_")[2], "")
-        lines = [told.get(key) or _of_the_part(annotation)]
+        lines = [ELSEWHERE.sub("", told.get(key) or _of_the_part(annotation))]
         lines += [f"unit: {unit}"] if unit else []
         name = (*above, key)
         yield Entry("number", ".".join(name), "\n".join([*lines, "in results.json under stages"]))
@@ -229,8 +262,7 @@ def _numbers(model: type, above: tuple[str, ...]) -> Iterator[Entry]:
 def _of_the_part(annotation: Any) -> str:
     """What a field holds, by the first line of the model in it; empty without one."""
     model = next(models_in(annotation), None)
-    text = "" if model is None else inspect.cleandoc(model.__doc__ or "").partition("\n")[0]
-    return ELSEWHERE.sub("", text)
+    return "" if model is None else inspect.cleandoc(model.__doc__ or "").partition("\n")[0]
 
 
 def fields_of(model: type[Any]) -> dict[str, Any]:

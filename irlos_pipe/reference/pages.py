@@ -5,24 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from irlos_pipe.conventions.errors import ExitCode
+from irlos_pipe.conventions.errors import EXIT_MEANINGS
 from irlos_pipe.files.shipped import RECIPES, SIMULATIONS, shipped_folder, shipped_names
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.reference import COMMANDS, RESULTS
 from irlos_pipe.reference.lookup import GLOSSARY, Entry, all_entries
 from irlos_pipe.stages import LIGHT_PATH
-
-EXITS = {
-    ExitCode.DONE: "done, or already up to date",
-    ExitCode.UNEXPECTED: "an unexpected error, or no space to write; the message names the log",
-    ExitCode.CONFIGURATION: "a command, option, recipe or setting that cannot be used",
-    ExitCode.BAD_DATA: "input data that cannot be read or make no sense",
-    ExitCode.QUALITY: "a limit of the quality control failed; products are written",
-    ExitCode.PARTIAL: "some exposures failed; products of the others are written",
-    ExitCode.NOTHING_TO_DO: "nothing to process",
-    ExitCode.LOCKED: "another run uses the output folder",
-    ExitCode.INTERRUPTED: "interrupted; the same command goes on",
-}
 
 _KEYS = (
     "Every key with its default, as `irlos explain KEY` tells it. Any of them can be given on the command "
@@ -138,5 +126,5 @@ def _recipes() -> str:
 
 
 def _exit_codes() -> str:
-    rows = [f"| {code.value} | {text} |" for code, text in EXITS.items()]
+    rows = [f"| {code.value} | {text} |" for code, text in EXIT_MEANINGS.items()]
     return "\n".join(["# Exit codes", "", "| code | meaning |", "|---|---|", *rows, ""])

@@ -41,6 +41,7 @@ class RunData:
     # By stage name, in the order of the recipe; their arrays are read when they are asked for.
     products: dict[str, Product]
     recordings: list[Overview]  # what ingest left, without frames; empty without ingest
+    instrument: str = ""  # as in results.json
 
     def results(self, kind: type[Results]) -> Results:
         """Return the results of a stage as the model `kind`; all defaults without that stage."""
@@ -132,4 +133,5 @@ def read_run(folder: Path) -> RunData:
         results.notice,
         products,
         overviews_from_product(products["ingest"]) if "ingest" in products else [],
+        results.instrument,
     )

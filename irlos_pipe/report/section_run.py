@@ -65,6 +65,10 @@ def ingest_section(run: RunData) -> Section:
     assumed = Counter(key for row in rows for key, source in row.sources.items() if source == PROFILE)
     listed = ", ".join(f"{key} ({plural(count, 'recording')})" for key, count in sorted(assumed.items()))
     lead = f"{plural(len(rows), 'recording')}, {plural(sum(row.frames for row in rows), 'frame')}."
+    stated = all("instrument" in row.sources for row in rows)
+    lead += f" Instrument {run.instrument}{'' if stated else ', which no side-car states'}." * bool(
+        run.instrument
+    )
     blocks = shown(
         Table(("recording", "frames", "reason"), reasons, "Rejected frames"),
         Text(f"Not in the data, taken from the instrument profile: {listed}.") if listed else None,
@@ -116,7 +120,8 @@ def _check_table(title: str, checks: list[tuple[str, Check]], folded: bool = Fal
 def origin_section(run: RunData) -> Section:
     """Build the section on where the products come from, and the recipe."""
     last = _latest(run)
-    facts = [last.command, f"seed {'' if last.seed is None else last.seed}"]
+    facts = [f"instrument {run.instrument}"] if run.instrument else []
+    facts += [last.command, f"seed {'' if last.seed is None else last.seed}"]
     facts += [f"{last.machine.host} ({last.machine.platform})"]
     facts += [f"{name} {version}" for name, version in last.software.items()]
     stages = Table.of(

@@ -13,7 +13,7 @@ from irlos_pipe.commands.main import cli
 
 LARGE = ("torch", "matplotlib", "scipy.stats", "scipy.signal")
 # Commands that compute, simulate or draw; all others start without any of the large libraries.
-MAY_LOAD = {"run", "demo", "report", "score", "simulate", "paper", "night", "focus"}
+MAY_LOAD = {"run", "reduce", "demo", "report", "score", "simulate", "paper", "night", "focus"}
 SAMPLE = "data_samples/ramp/offset_00/offset_00.fits"
 QUICK = {
     "validate": ["validate", "full_reduction", "--samples"],

@@ -26,6 +26,8 @@ from irlos_pipe.instrument.profile import (
 )
 from irlos_pipe.instrument.pupil import MapEntry, PupilSection, TurnRule, VaneEntry
 from irlos_pipe.optics.pupil import petals_of, segments_of
+from irlos_pipe.simulate.recordings.run import plan_simulation
+from irlos_pipe.simulate.recordings.spec import load_spec
 
 
 @pytest.fixture
@@ -70,6 +72,23 @@ def test_values_that_changed_follow_the_date():
 def test_a_file_that_is_missing_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"gone\.yaml: cannot be read"):
         load_instrument(tmp_path / "gone.yaml")
+
+
+SKY = ["photons_per_s_m15", "ao_cutoff_per_m", "outer_scale_m", "ao_residual_nm_per_arcsec"]
+SKY += ["ao_residual_floor_nm", "seeing_arcsec"]
+
+
+def test_a_bench_states_no_sky_and_has_no_residual_and_no_magnitudes(tmp_path, profile):
+    for name in SKY:
+        del profile["facts"][name]
+    del profile["defaults"]["seeing_arcsec"]
+    bench = load_instrument(written(tmp_path, profile))
+    assert bench.facility.residual_law.wfe_nm(1.0) == 0
+    with pytest.raises(ConfigurationError, match="states no photons_per_s_m15, which mag_j needs"):
+        plan_simulation(load_spec("bench", [f"instrument={tmp_path}/mine.yaml"]), tmp_path / "sim", False)
+    profile["facts"]["seeing_arcsec"] = {"value": 1.0, "unit": "arcsec", "status": "assumed", "source": "x"}
+    with pytest.raises(ConfigurationError, match="fact 'ao_cutoff_per_m' is missing"):
+        load_instrument(written(tmp_path, profile))
 
 
 GONE = object()

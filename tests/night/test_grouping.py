@@ -140,6 +140,14 @@ def test_a_night_ends_at_noon_of_paranal(utc_h, day):
     assert night_of(EVENING_S + 3600 * utc_h) == f"2024-02-{day}"
 
 
+@pytest.mark.parametrize("longitude_deg", [-155.5, -70.4, 0.0, 149.1])
+def test_a_night_ends_at_noon_of_its_site(longitude_deg):
+    """The mean sun culminates at longitude 0 at 12 h UTC, and 4 minutes earlier per degree to the east."""
+    noon_s = 1707523200 + 3600 * (12 - longitude_deg / 15)  # of 2024-02-10
+    before, after = night_of(noon_s - 60, longitude_deg), night_of(noon_s + 60, longitude_deg)
+    assert (before, after) == ("2024-02-09", "2024-02-10")
+
+
 def test_a_calibration_that_failed_serves_no_ramp_and_the_choice_says_why():
     good, poor, ramp = cube("cal_good", 0), cube("cal_companion", 50), offset("o", 60)
     failed = {cube_key(poor): "failed calibrate: chi2 of the mean image"}

@@ -107,6 +107,8 @@ def test_the_table_shows_what_alarms_the_stability_and_counts_the_rest(tree):
     assert rows["noll_4_nm"][-1] == "ALARM" and "noll_11_nm" not in rows
     assert rows["cube,"][1:4] == ["last", "night", night(19)]
     assert "2 of 3 modes are as expected" in result.stdout and "all modes: 39." in result.stdout
+    first = invoke("trend", str(tree), "--until", night(0)).stdout
+    assert "3 of 3 modes have too few nights" in first and "as expected" not in first
     assert "lag [days]" in result.stdout and "verdict" in result.stdout
     line = "irlos: error: 2 numbers out of band: 2024-02-29/030000_cube/cube: wavefront_nm = "
     assert result.stderr.startswith(line)

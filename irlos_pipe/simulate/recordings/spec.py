@@ -90,6 +90,10 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
         sampling=keys.sampling or Sampling(),
         **{key: getattr(keys, key) for key in SAME},
     )
+    if not math.isfinite(scene.facility.photons_per_s_m15):
+        raise ConfigurationError(
+            f"the profile {instrument.name} states no photons_per_s_m15, which mag_j needs; add the fact"
+        )
     _require_unfolded(scene)
     _require_correction_band(scene)
     return scene
