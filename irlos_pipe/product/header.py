@@ -51,7 +51,9 @@ def header_cards(origin: Origin, facts: Iterable[Card] = ()) -> list[Card]:
     `origin` says where its numbers come from; `facts` are what the stage says of this file: conventions, and
     numbers under ``ESO QC``.
     """
+    failed = ", ".join(check.name for check in origin.checks if not check.passed)
     cards = [
+        Card("IRLOS VERDICT", f"QC FAILED: {failed}" if failed else ""),
         Card("IRLOS NOTICE", origin.notice),
         *_observed(origin.recordings[:1]),
         Card("DATE", origin.provenance.finished.partition("+")[0], "when the numbers were made (UTC)"),

@@ -39,7 +39,12 @@ class Table:
 
 
 def table_content(table: Table, suffix: str, origin: Origin) -> bytes:
-    """Return the file of a `table`, ``.fits`` or ``.csv`` by its `suffix`; its numbers come from `origin`."""
+    """Return the file of a `table`, ``.fits`` or ``.csv`` by its `suffix`; its numbers come from `origin`.
+
+    Where a check failed, the first line says so.
+    """
+    if failed := [check.name for check in origin.checks if not check.passed]:
+        table = replace(table, note=f"QC FAILED, DO NOT APPLY ({', '.join(failed)}). {table.note}")
     cards = header_cards(replace(origin, category=table.category), table.facts)
     if suffix == ".fits":
         return _fits(table, cards)

@@ -131,6 +131,11 @@ class CorrectResults(StageResults):
     sign: str = item("", "What the sign of the offsets means, in words.")
     strehl_before: Number = item(nan, "Strehl ratio predicted without and with the offsets.")
     strehl_after: Number = item(nan, DITTO)
+    strehl_measured: Number = item(
+        nan,
+        "Strehl ratio of the mean image, its diversity included: brightest pixel over the sum of the window, "
+        "divided by the same of the image without aberrations.",
+    )
     strehl_budget: list[StrehlRow] = item(
         [], "What each part of the model costs the image before the correction; the whole model first."
     )
@@ -160,6 +165,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     table = _table(ctx, offsets, prediction)
     before_nm, after_nm = _maps_nm(ctx, nolls, zernike)
     scale_mas = recording.acquisition.pixel_scale_mas or math.nan
+    checks = _checks(ctx, recording, prediction)
     output = StageOutput(
         declared(
             ARRAYS,
@@ -175,15 +181,37 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             wavefront_before=MapSize.of(before_nm),
             wavefront_after=MapSize.of(after_nm),
             resolution_mas=prediction.resolution_px * scale_mas,
+            strehl_measured=_sharpness(arrays["mean_image_e"].value) / _sharpness(prediction.perfect)
+            if "mean_image_e" in arrays
+            else math.nan,
         ),
-        _checks(ctx, recording, prediction),
+        checks,
         files={"correction.csv": table, "correction.fits": table},
         summary=[
-            f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
-            f"predicted, {len(offsets.nolls)} offsets in correction.csv and correction.fits"
+            f"Correction      {_advice(prediction, [*checks, *_earlier_checks(ctx)])}, {len(offsets.nolls)} "
+            "offsets in correction.csv and correction.fits"
         ],
     )
     return output if ctx.config.mirror_modes is None else in_mirror_modes(ctx, output)
+
+
+def _earlier_checks(ctx: StageContext[Config]) -> list[Check]:
+    return [check for product in ctx.products.values() for check in product.checks]
+
+
+def _advice(prediction: Prediction, checks: list[Check]) -> str:
+    """The predicted gain, or why there is none to count on."""
+    if not all(check.passed for check in checks):
+        return "DO NOT APPLY: a check failed"
+    before, after = prediction.strehl_before, prediction.strehl_after
+    if not after > before:
+        return f"no gain predicted (Strehl {before:.3f} → {after:.3f})"
+    return f"Strehl {before:.3f} → {after:.3f} predicted"
+
+
+def _sharpness(image: np.ndarray) -> float:
+    """Brightest pixel over the sum of an `image`."""
+    return float(image.max() / image.sum())
 
 
 def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) -> Table:
@@ -202,6 +230,8 @@ def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) 
         Card("IRLOS GAIN", ctx.config.gain, "part of the aberration corrected"),
         Card("ESO QC NCPA RMS", calibration.wfe_nm, "[nm] NCPAs, Noll 2-30"),
         Card("ESO QC NCPA RMS SIGMA", calibration.wfe_sigma_nm, "[nm]"),
+        Card("ESO QC NCPA HIGHER", calibration.higher_nm, "[nm] NCPAs, Noll 4-30"),
+        Card("ESO QC NCPA HIGHER SIGMA", calibration.higher_sigma_nm, "[nm]"),
         Card("ESO QC CHI2 NU", calibration.chi2_nu, "of the mean image"),
         Card("ESO QC STREHL BEFORE", prediction.strehl_before, "predicted"),
         Card("ESO QC STREHL AFTER", prediction.strehl_after, "predicted with the offsets"),

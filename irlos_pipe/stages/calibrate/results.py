@@ -35,6 +35,7 @@ ARRAYS = {
     "correlation": ("", "mode, mode", "correlation of the reported modes"),
     "left_frequency": ("D/λ", "frequency", "spatial frequency of the residual"),
     "left_power": ("", "frequency", "power of the residual over its standard error"),
+    "left_nominal": ("", "frequency", "the same as a model that lacks nothing would leave it"),
     "effects/<effect>": ("", "parameter", "parameters of the effect, as it declares them"),
     "cubes/<name>/<array>": ("", "", "arrays of one recording, with calibrate.each"),
 }
@@ -89,6 +90,14 @@ class Estimate(ResultsPart):
     sigma_nm: ByNoll = item({}, DITTO)
     wfe_nm: Number = item(nan, "RMS of the reported modes, and the total error expected of them.")
     wfe_sigma_nm: Number = item(nan, DITTO)
+    higher_nm: Number = item(
+        nan,
+        "RMS of the reported modes from Noll 4 on, which leaves out tip and tilt, the position of the star; "
+        "and the total error expected of them.",
+    )
+    higher_sigma_nm: Number = item(nan, DITTO)
+    tip_tilt_nm: Number = item(nan, "RMS of tip and tilt together, and their total error.")
+    tip_tilt_sigma_nm: Number = item(nan, DITTO)
     frames: int = item(0, "Used frames.")
     errors_from: str = item(
         "frames",
@@ -98,7 +107,8 @@ class Estimate(ResultsPart):
     chi2_nu: Number = item(
         nan,
         "Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much "
-        "that varies by chance, see `estimate.calibration_errors`.",
+        "that varies by chance, see `estimate.calibration_errors`. Behind an AO system a complete model "
+        "leaves less than 1: neighbouring pixels share the scatter of speckles, which the modes follow.",
     )
     nominal_chi2_nu: Number = item(nan, DITTO)
     nominal_chi2_nu_sigma: Number = item(nan, DITTO)
@@ -160,7 +170,8 @@ class CauseRow(ResultsPart):
     says: str = item("", "The whole sentence for a person, key included.")
     explains: Number = item(nan, "Part of the misfit that it explains, 0 to 1; NaN where it is no misfit.")
     value: Number = item(
-        nan, "Value that the data want, its standard error and the declared value; NaN where none is a number."
+        nan,
+        "Value that the data want, its standard error and the declared value; NaN where none is a number.",
     )
     sigma: Number = item(nan, DITTO)
     declared: Number = item(nan, DITTO)
