@@ -195,8 +195,8 @@ def nominal_power(
 ) -> np.ndarray | None:
     """Return the power spectrum that a complete model leaves of the mean image; None of too few frames.
 
-    It is that of ``R d_i``, averaged over frames and scaled to the `nominal` χ²; the fit of the `problem` is at
-    `values` (1, parameters). See `image_quality.power_spectrum`.
+    It is that of ``R d_i``, averaged over frames and scaled to the `nominal` χ²; the fit of the `problem` is
+    at `values` (1, parameters). See `image_quality.power_spectrum`.
     """
     if len(frames.images_e) < LEAST_FRAMES:
         return None

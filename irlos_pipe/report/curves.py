@@ -188,7 +188,7 @@ def cuts_figure(name: str, images: Mapping[Look, np.ndarray], step: float, unit:
                     at, np.where(line > 0, line, np.nan), points, color=look.colour, label=label, markersize=4
                 )
             axes.set(ylabel=f"along {'xy'[axis]} [e⁻]")
-            log_y(axes, *images.values())
+            log_y(axes, *images.values(), small=True)
         axes.set_xlabel(f"from the centre of the window [{unit}]")
         canvas.legend(**BESIDE["above"])
 

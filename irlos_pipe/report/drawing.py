@@ -161,16 +161,16 @@ def renamed(drawing: Markup, prefix: str) -> Markup:
     return Markup(REFERENCE.sub(lambda found: f"{prefix}-{found[0]}", text))
 
 
-def log_y(axes: Axes, *values: np.ndarray) -> None:
+def log_y(axes: Axes, *values: np.ndarray, small: bool = False) -> None:
     """Make the y axis of `axes` logarithmic, unless none of the `values` drawn is positive.
 
-    Where they span less than a power of ten, numbers stand at 1, 2 and 5.
+    Where they span less than two powers of ten, one in `small` axes, numbers stand at 1, 2 and 5.
     """
     positive = np.concatenate([np.ravel(value)[np.ravel(value) > 0] for value in values] or [[]])
     if positive.size:
         axes.set_yscale("log")
         axes.yaxis.set_minor_formatter(NullFormatter())
-        if positive.max() < 10 * positive.min():
+        if positive.max() < (10 if small else 100) * positive.min():
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
 

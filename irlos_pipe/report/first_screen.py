@@ -29,12 +29,12 @@ from irlos_pipe.stages.sensitivity import SensitivityResults
 MISFIT = "chi2 of the mean image"
 # The figure to look at when a check fails; without one it is the section of its stage.
 LOOK_AT = {
-    MISFIT: "cal-residual", "noise as told": "cal-quantiles", "converged fits": "cal-time", "window": "cal-images",
-    "motion of the star": "frames-{input}", "frames": "cal-time", "frames of one kind": "cal-time",
-    "orientation": "cal-residual", "twin solution": "cal-ncpa", "predicted Strehl": "correct-budget",
-    "rejected": "frames-{input}", "saturated": "frames-{input}", "missing": "frames-{input}",
-    "centring": "frames-{input}", "flux": "frames-{input}", "scatter about the line": "ramp", "slope": "ramp",
-    "error": "ramp", "converged frames": "ramp", "chi2 of the frames": "ramp-chi2",
+    MISFIT: "cal-residual", "noise as told": "cal-quantiles", "converged fits": "cal-time",
+    "window": "cal-images", "motion of the star": "frames-{input}", "frames": "cal-time",
+    "frames of one kind": "cal-time", "orientation": "cal-residual", "twin solution": "cal-ncpa",
+    "predicted Strehl": "correct-budget", "slope": "ramp", "error": "ramp", "converged frames": "ramp",
+    "scatter about the line": "ramp", "chi2 of the frames": "ramp-chi2",
+    **dict.fromkeys(("rejected", "saturated", "missing", "centring", "flux"), "frames-{input}"),
 }  # fmt: skip
 MODELS: Mapping[str, type[StageResults]] = {
     kind.stage: kind
@@ -74,12 +74,8 @@ def answer(run: RunData) -> str:
     if failed:
         use = "do not apply the correction" if corrected else "do not use the results"
         return f"{failed} of {len(checks)} checks failed: {use}."
-    use = (
-        ". The correction may be applied, provided that what is not tested is as declared"
-        if corrected
-        else ""
-    )
-    return f"All {len(checks)} checks passed{use}." if checks else ""
+    use = " The correction may be applied, if what is not tested is as declared." if corrected else ""
+    return f"All {len(checks)} checks passed.{use}" if checks else ""
 
 
 def failures(run: RunData, places: Mapping[str, str]) -> list[Reason]:
@@ -123,7 +119,9 @@ def advice(run: RunData) -> str:
     """Return what the correction is predicted to do, or why it is not to be applied."""
     before, after = (getattr(run.results(CorrectResults), f"strehl_{when}") for when in ("before", "after"))
     if not applicable(run):
-        return "Do not apply this correction: a check failed, and what is drawn here assumes that the fit is right."
+        return (
+            "Do not apply this correction: a check failed. What is drawn here assumes that the fit is right."
+        )
     change = f"Strehl {number(before, '.3f')} → {number(after, '.3f')}"
     return f"Predicted {change}." if _gains(before, after) else f"No gain is predicted: {change}."
 

@@ -72,7 +72,7 @@ LEFT = Look("residual", BLUE)
 EFFECTS = "Standard errors, from the scatter of the frames where there are enough, grown by the misfit."
 WIDTH_IN, BAR_IN = 4.4, 0.165
 ROWS_PER_TABLE = 10
-HIGHER = "Noll 4 and up [nm RMS]"
+HIGHER = "wavefront [nm]"
 BUDGET = (
     "Predicted with the effects as estimated, without diversity: brightest pixel over that of the image "
     "without aberrations. Small parts multiply; larger ones interfere, and the product is not that of all."
@@ -334,7 +334,7 @@ def _in_time(of: Calibration) -> Figure | None:
                 at, power = scipy.signal.welch(frames[:, mode], rate_hz, nperseg=segment)
                 row[1].plot(at[1:], power[1:], color=BLUE, linewidth=0.9)
                 row[1].set_xscale("log")
-                log_y(row[1], power[1:])
+                log_y(row[1], power[1:], small=True)
                 row[1].set_title("power [nm²/Hz]", loc="left", pad=2)
         for axes, label in zip(
             grid[-1], ("time [s]" if timed else "used frame", "frequency [Hz]"), strict=False

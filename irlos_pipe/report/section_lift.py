@@ -168,21 +168,15 @@ def _twin(of: Ramp) -> Figure | None:
 def _twin_said(twin: Twin) -> str:
     if not np.isfinite(twin.twin_nm):
         return "There is no other minimum: the twin is excluded."
-    where = f"The other minimum, at {twin.twin_nm:+.0f} nm, has Δχ² {_large(twin.delta_chi2)}"
-    fits = where + (f", {_large(twin.evidence)} in units of the misfit" if twin.chi2_nu > 1 else "")
+    size = f"= {twin.delta_chi2:,.0f}" if twin.delta_chi2 < BEYOND_DOUBT else f"> {BEYOND_DOUBT:,}"
+    fits = f"The other minimum, at {twin.twin_nm:+.0f} nm, has Δχ² {size}"
+    if twin.chi2_nu > 1 and twin.evidence < BEYOND_DOUBT:
+        fits += f", {twin.evidence:,.0f} in units of the misfit"
     if twin.evidence >= DECISIVE:
         return f"{fits}: it is excluded."
     if twin.evidence <= -DECISIVE:
         return f"{fits}: it fits better, and the estimate of this frame is wrong."
     return f"{fits}: it is not excluded, and the sign of defocus is open."
-
-
-def _large(value: float) -> str:
-    return (
-        f"= {value:,.0f}"
-        if abs(value) < BEYOND_DOUBT
-        else f"{'>' if value > 0 else '<'} {'' if value > 0 else '-'}{BEYOND_DOUBT:,}"
-    )
 
 
 def _strip(of: Ramp) -> Figure | None:

@@ -107,7 +107,7 @@ def _frames(run: RunData, owner: str) -> Figure | None:
         stack[-1].set_xlabel("time [s]")
 
     caption = "Used frames, each by itself, diversity and introduced defocus included" + (
-        "; Strehl: brightest pixel over the sum of the window, divided by the same of the image without aberrations."
+        "; Strehl: brightest pixel over the sum of the window, divided by that of the perfect image."
         if perfect
         else "."
     )
