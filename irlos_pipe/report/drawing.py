@@ -166,7 +166,8 @@ def log_y(axes: Axes, *values: np.ndarray, small: bool = False) -> None:
 
     Where they span less than two powers of ten, one in `small` axes, numbers stand at 1, 2 and 5.
     """
-    positive = np.concatenate([np.ravel(value)[np.ravel(value) > 0] for value in values] or [[]])
+    drawn = np.concatenate([np.zeros(0), *(np.ravel(value) for value in values)])
+    positive = drawn[drawn > 0]
     if positive.size:
         axes.set_yscale("log")
         axes.yaxis.set_minor_formatter(NullFormatter())

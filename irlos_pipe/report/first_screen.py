@@ -151,7 +151,8 @@ def _titles(block: Block) -> list[str]:
 
 def key_numbers(run: RunData) -> list[KeyNumber]:
     """Return what there is of the numbers at the top of the page."""
-    return [one for one in _key_numbers(run) if not one.value.startswith(MISSING)]
+    known = [one for one in _key_numbers(run) if not one.value.startswith(MISSING)]
+    return [one if one.key == "quality" or _meaning(one.key) else replace(one, key="") for one in known]
 
 
 def _key_numbers(run: RunData) -> Iterator[KeyNumber]:
@@ -248,7 +249,7 @@ def effect_link(label: str) -> str:
 
 def meaning_section(tiles: Sequence[KeyNumber], sections: Sequence[Section]) -> Section | None:
     """Return what the numbers of `tiles` mean, and the effects that tables of the `sections` link to."""
-    labels = {tile.key: tile.label for tile in tiles if tile.key and _meaning(tile.key)}
+    labels = {tile.key: tile.label for tile in tiles if _meaning(tile.key)}
     tables = (block for one in sections for block in walked(one.blocks) if isinstance(block, Table))
     cells = (cell for table in tables for row in table.rows for cell in row if isinstance(cell, Markup))
     linked = [key for cell in cells for key in re.findall(f'href="#{MEANING}([^"]*)"', cell)]

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.report.content import Block, Figure, KeyNumber, Section, Stack, Table, Text, Width, shown
@@ -165,7 +166,7 @@ def verdict_numbers(results: DiagnoseResults) -> Iterator[KeyNumber]:
         return
     words = [VERDICTS.get(results.verdict, results.verdict)]
     words += [results.grade] if results.grade not in ("", results.verdict) else []
-    yield KeyNumber("Diagnosis", ", ".join(words), "", verdict_mark(results))
+    yield KeyNumber("Diagnosis", ", ".join(words), "", verdict_mark(results), "diagnose.verdict")
     yield from (_tile("Missing", step) for step in results.steps)
     if results.nearest:
         yield _tile("Nearest, not named", results.nearest)
@@ -175,24 +176,29 @@ def verdict_numbers(results: DiagnoseResults) -> Iterator[KeyNumber]:
         "noise alone" if results.grade else "noise alone, at most",
     )
     note = f"before → after; {noise} {number(gap.floor, '.4f')}"
-    yield KeyNumber("Gap to unseen data", _change(gap.before, gap.after, ".4f"), note)
+    yield KeyNumber(
+        "Gap to unseen data", _change(gap.before, gap.after, ".4f"), note, key="diagnose.gap.before"
+    )
     after = f"with {results.nearest.effect}, not named" if results.nearest else "after"
     note = f"before → {after}; noise alone gives 1" if results.grade else "of the offsets, before → after"
     before, now = (number(one, ".2f" if abs(one) < MANY else ".0f") for one in (chi2.before, chi2.after))
-    yield KeyNumber("χ²/ν", f"{before} → {now}", note)
+    yield KeyNumber("χ²/ν", f"{before} → {now}", note, key="diagnose.chi2_nu")
     known = [step for step in _steps(results) if is_known(step.held_out_z)]
     if known:
         least = min(known, key=lambda step: step.held_out_z)
         note = f"for the model with {_name(least)}, against the one without; {CLEAR_Z}"
-        yield KeyNumber(f"Unseen {results.held_out}", f"z {least.held_out_z:.1f}", note)
+        z = f"z {least.held_out_z:.1f}"
+        yield KeyNumber(f"Unseen {results.held_out}", z, note, key="diagnose.steps.held_out_z")
     for step in _steps(results)[:1]:
         for other in step.ranking[1:2]:
-            yield KeyNumber("Runner-up", other.name.replace("_", " "), _deficit(step, other))
+            name = other.name.replace("_", " ")
+            yield KeyNumber("Runner-up", name, _deficit(step, other), key="diagnose.steps.ranking")
     if results.rest is not None:
         rest = results.rest
         kind = f"{rest.symmetry}, {rest.time}" if _lacking(results) else "nothing significant"
         light = number(rest.light_fraction, ".2%")
-        yield KeyNumber("Left", light, f"of the light misplaced beyond noise; {kind}")
+        note = f"of the light misplaced beyond noise; {kind}"
+        yield KeyNumber("Left", light, note, key="diagnose.rest.light_fraction")
 
 
 def verdict_table(results: DiagnoseResults) -> Table:
@@ -254,14 +260,15 @@ def _values(step: StepRow) -> list[Row]:
 
 def _tile(label: str, step: StepRow) -> KeyNumber:
     """A tile with a name: its first number, and the others small."""
-    rows, head = _values(step), f"{label}: {_name(step)}"
+    rows, head, kind = _values(step), f"{label}: {_name(step)}", kind_of(step.effect)
     if not rows:
-        return KeyNumber(head, step.phrase or step.effect)
+        return KeyNumber(head, step.phrase or step.effect, key=kind)
     if len(rows) > 1 and all(row.name == rows[0].name for row in rows):  # pixels
-        return KeyNumber(head, plural(len(rows), rows[0].name), "; ".join(row.value for row in rows))
+        note = "; ".join(row.value for row in rows)
+        return KeyNumber(head, plural(len(rows), rows[0].name), note, key=kind)
     others = in_one_line(rows[1 : 1 + NUMBERS_IN_NOTE])
     value = " ".join(filter(None, (rows[0].value, rows[0].unit)))
-    return KeyNumber(head, value, "; ".join(filter(None, [rows[0].name, others])))
+    return KeyNumber(head, value, "; ".join(filter(None, [rows[0].name, others])), key=kind)
 
 
 def _deficit(step: StepRow, other: Ranked) -> str:

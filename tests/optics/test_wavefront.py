@@ -6,7 +6,7 @@ from helpers.optics_cases import UT4
 
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.psf_settings import KnownWavefront
-from irlos_pipe.optics.wavefront import clear_disc, clear_pupil, modes_at, opd_maps_nm
+from irlos_pipe.optics.wavefront import clear_disc, clear_pupil, modes_at, opd_maps_nm, opd_sigma_nm
 
 SAMPLES = 80
 
@@ -20,6 +20,14 @@ def test_a_map_of_defocus_is_the_written_polynomial_where_there_is_light():
     assert maps[1][lit] == pytest.approx(20.0 * np.broadcast_to(centres, lit.shape)[lit])
     assert np.isnan(maps[:, ~lit]).all()
     assert maps[0][lit] == pytest.approx(30.0 * modes_at((4,), lit)[0])
+
+
+def test_the_error_of_a_map_is_the_scatter_of_maps_of_that_covariance():
+    root, lit = np.array([[3.0, 0.0, 0.0], [2.0, 1.0, 0.0], [-1.0, 0.5, 2.0]]), clear_disc(UT4, 20)
+    draws = opd_maps_nm((4, 6, 11), np.random.default_rng(1).normal(size=(4000, 3)) @ root.T, lit)
+    found = opd_sigma_nm((4, 6, 11), root @ root.T, lit)
+    assert found[lit] == pytest.approx(draws.std(axis=0)[lit], rel=0.06)  # 5 standard errors
+    assert np.isnan(found[~lit]).all()
 
 
 def test_the_clear_pupil_is_the_disc_without_the_vanes():
