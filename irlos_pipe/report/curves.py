@@ -180,10 +180,7 @@ def cuts_figure(name: str, images: Mapping[Look, np.ndarray], step: float, unit:
             for look, image in images.items():
                 line = image[place[0]] if axis == 0 else image[:, place[1]]
                 at = (np.arange(len(line)) - (len(line) - 1) / 2) * step
-                points, label = (
-                    "." if look.label == "measured" else "-",
-                    look.label if axis == 0 else None,
-                )
+                points, label = ("." if look.label == "measured" else "-", look.label if axis == 0 else None)
                 axes.plot(
                     at, np.where(line > 0, line, np.nan), points, color=look.colour, label=label, markersize=4
                 )

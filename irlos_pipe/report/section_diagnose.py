@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.diagnosis.records import Alternative, Ranked
@@ -26,7 +25,7 @@ from irlos_pipe.report.curves import (
     quantile_figure,
     star_profile,
 )
-from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, plot, svg
+from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import (
     PERCENTILE,
     SIGNED,
@@ -96,8 +95,7 @@ REST = (
     "Measured − predicted after, on a scale of its own. The ring is as large as the strongest part and "
     "stands about it."
 )
-OF_FRAMES = "Σ|measured − predicted| / Σ measured of data that no fit has seen{}."
-OF_RAMP = (
+RAMP = (
     "Σ|measured − predicted| / Σ measured of frames that no fit has seen. Noise alone is estimated from the "
     "scatter of all frames of an offset, image motion included, which is refitted: it is an upper limit."
 )
@@ -119,14 +117,12 @@ ADDED_PERCENTILE, NOTHING = 99.0, 1e-9  # end of the scale of what is added; siz
 def diagnose_section(run: RunData) -> Section:
     of = run.of(DiagnoseResults)
     results = of.results
-    ramp, gap = of.blocks(_ramp), of.blocks(_gap_figure)
+    ramp = of.blocks(_ramp)
     first = shown(verdict_table(results), _found(results), _candidates(results))
     blocks = [
-        *([*ramp, Stack([*first, *gap])] if ramp else first),
+        *([*ramp, Stack(first)] if ramp else first),
         *of.blocks(_residuals, _leading, _images, _rest, _added_wavefront, _added_amplitude),
-        *([] if ramp else gap),
         *of.blocks(
-            _ranking,
             _profile,
             partial(
                 power_figure, name="dia-power", looks={f"_{key}": one for key, one in BEFORE_AFTER.items()}
@@ -353,32 +349,6 @@ def _candidates(results: DiagnoseResults) -> list[Table]:
     return tables
 
 
-def _ranking(of: Diagnosis) -> Figure | None:
-    """What every candidate for the first name explains, the best on top."""
-    ranking = [row for step in _steps(of.results)[:1] for row in step.ranking]
-    if len(ranking) < FEW:
-        return None
-    rows = np.arange(len(ranking))
-
-    def draw(axes: Axes) -> None:
-        explained = np.clip(np.nan_to_num([row.explained for row in ranking]), 0, 1)
-        axes.barh(rows, explained, 0.7, color=[BLUE, *[ORANGE] * (len(rows) - 1)])
-        axes.grid(axis="y", visible=False)
-
-    return plot(
-        "dia-ranking",
-        draw,
-        ("explained part of the excess", ""),
-        "Candidates for the first name",
-        "Part of the excess over noise that each name explains when fitted.",
-        size_in=(3.9, 0.7 + 0.24 * len(ranking)),
-        yticks=rows,
-        yticklabels=[row.name for row in ranking],
-        ylim=(len(rows) - 0.4, -0.6),
-        xlim=(0, 1),
-    )
-
-
 def separation_table(results: DiagnoseResults) -> Table:
     """Return what would distinguish the names from others that fit as well."""
     rows = [
@@ -598,26 +568,6 @@ def _quantiles(of: Diagnosis) -> Figure | None:
         return None
     residuals = {look: in_sigma(measured - model, sigma) for look, model in models.items()}
     return quantile_figure("dia-quantiles", residuals)
-
-
-def _gap_figure(of: Diagnosis) -> Figure | None:
-    """The gap before and after above that of noise alone, if it is known."""
-    gap = of.results.gap
-    if not is_known(gap.before):
-        return None
-    rows = {"before": (gap.before, ORANGE), "after": (gap.after, BLUE), "noise alone": (gap.floor, FAINT)}
-
-    def draw(axes: Axes) -> None:
-        values, colours = zip(*rows.values(), strict=True)
-        bars = axes.barh(list(rows), values, 0.7, color=colours)
-        axes.bar_label(bars, [number(100 * value, ".2f", "%") for value in values], padding=3, fontsize=8)
-        axes.margins(x=0.2)
-        axes.grid(axis="y", visible=False)
-
-    closed = f"; {number(gap.shrink, '.0%')} of what noise does not explain is closed"
-    caption = OF_FRAMES.format(closed if is_known(gap.shrink) else "") if of.results.grade else OF_RAMP
-    size_in, labels = (3.9, 1.9), ("gap, part of the light", "")
-    return plot("dia-gap", draw, labels, "Gap to unseen data", caption, size_in=size_in, ylim=(2.5, -0.5))
 
 
 def _ramp(of: Diagnosis) -> Figure:

@@ -248,7 +248,7 @@ def prior_section(run: RunData) -> Section:
         f"defocus = {slope} · (σ₁/σ₂ − 1) {offset}, from {number(low, '.0f')} to {number(high, '.0f', 'nm')}"
         + (f"; the law departs {scatter} RMS from the model." if scatter != MISSING else ".")
     )
-    return Section(of.stage, "Elongation prior", lead, of.blocks(_law, _prior))
+    return Section(of.stage, "Elongation prior", lead, of.blocks(_law))
 
 
 def _law(of: Prior) -> Figure:
@@ -264,19 +264,6 @@ def _law(of: Prior) -> Figure:
 
     labels = ("introduced defocus [nm RMS]", "axis ratio σ₁/σ₂")
     return plot("prior-law", draw, labels, "Axis ratio against introduced defocus", LAW, "half", (4.4, 2.9))
-
-
-def _prior(of: Prior) -> Figure:
-    prior_nm, introduced_nm = of["defocus_nm"], of["introduced_nm"]
-
-    def draw(axes: Axes) -> None:
-        axes.plot(introduced_nm, introduced_nm, color=INK, linewidth=0.9, label="1:1")
-        _frames(axes, introduced_nm, prior_nm)
-
-    labels = ("introduced defocus [nm RMS]", "prior of the defocus [nm RMS]")
-    caption = "Defocus from the law; that of the NCPAs is in it."
-    title = "Prior against introduced defocus"
-    return plot("prior-defocus", draw, labels, title, caption, "half", (4.4, 2.9))
 
 
 def _frames(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:

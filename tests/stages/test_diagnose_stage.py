@@ -86,7 +86,7 @@ def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind
     assert [text for question, text in first.items() if question == "missing"] == found
     titles = {getattr(block, "title", "") for block in every(section.blocks)}
     both = {f"{what} {when}" for what in ("Predicted", "Residual") for when in ("before", "after")}
-    assert {"Measured", "Gap to unseen data", "OTF cuts", "Encircled energy"} <= titles
+    assert {"Measured", "Radial profile", "OTF cuts", "Encircled energy"} <= titles
     assert (both if results.steps else {"Predicted", "Residual"}) <= titles
 
 
