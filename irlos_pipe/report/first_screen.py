@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from markupsafe import Markup
 
@@ -21,7 +21,7 @@ from irlos_pipe.report.section_diagnose import verdict_numbers
 from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
 from irlos_pipe.report.text import MISSING, is_known, number, rounded_by_error, with_error
 from irlos_pipe.stages.calibrate.results import CalibrateResults, CauseRow
-from irlos_pipe.stages.correct import CorrectResults
+from irlos_pipe.stages.correct import CorrectResults, checks_behind
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.lift.results import LiftResults
 from irlos_pipe.stages.sensitivity import SensitivityResults
@@ -72,7 +72,9 @@ def answer(run: RunData) -> str:
     checks, corrected = all_checks(run), CorrectResults.stage in run.products
     failed = sum(not check.passed for _, check in checks)
     if failed:
-        use = "do not apply the correction" if corrected else "do not use the results"
+        use = "do not apply the correction" if corrected else "look at them before you use the results"
+        if corrected and applicable(run):
+            use = "none is of the correction, which may be applied"
         return f"{failed} of {len(checks)} checks failed: {use}."
     use = " The correction may be applied, if what is not tested is as declared." if corrected else ""
     return f"All {len(checks)} checks passed.{use}" if checks else ""
@@ -111,17 +113,17 @@ def _link(places: Mapping[str, str], *names: str) -> Markup:
 
 
 def applicable(run: RunData) -> bool:
-    """Return whether all checks passed."""
-    return all(check.passed for _, check in all_checks(run))
+    """Return whether all checks of the correction and what it was made from passed."""
+    product = run.products.get(CorrectResults.stage)
+    checks = checks_behind(run.products.values(), product.config.get("input", "")) if product else []
+    return all(check.passed for check in checks)
 
 
 def advice(run: RunData) -> str:
     """Return what the correction is predicted to do, or why it is not to be applied."""
     before, after = (getattr(run.results(CorrectResults), f"strehl_{when}") for when in ("before", "after"))
     if not applicable(run):
-        return (
-            "Do not apply this correction: a check failed. What is drawn here assumes that the fit is right."
-        )
+        return "Do not apply this correction: a check failed. The predictions assume that the fit is right."
     change = f"Strehl {number(before, '.3f')} → {number(after, '.3f')}"
     return f"Predicted {change}." if _gains(before, after) else f"No gain is predicted: {change}."
 
@@ -163,24 +165,20 @@ def _key_numbers(run: RunData) -> Iterator[KeyNumber]:
     for tile in _calibration(calibration):
         misfits = tile.key == "calibrate.chi2_nu" and any(name.endswith(MISFIT) for name in failed)
         yield replace(tile, mark="bad") if misfits else tile
-    slope, scatter = (
-        with_error(line.slope, line.slope_sigma, ".3f"),
-        number(line.residual_rms_nm, ".1f", "nm"),
-    )
+    slope = with_error(line.slope, line.slope_sigma, ".3f")
     yield KeyNumber("Ramp slope", slope, key="lift.summary.slope")
     yield KeyNumber("Ramp offset", number(line.offset_nm, "+.1f", "nm"), key="lift.summary.offset_nm")
-    note = f"{scatter} about the line"
+    note = f"{number(line.residual_rms_nm, '.1f', 'nm')} about the line"
     yield KeyNumber("Ramp error", number(line.rms_nm, ".1f", "nm RMS"), note, key="lift.summary.rms_nm")
     for curve in sensitivity.curves[:1]:
         limit = f"{limit_text(curve)} mag" if math.isfinite(curve.limit_mag) else "not reached"
         note = "; ".join(filter(None, [f"J, {curve_label(curve)}", noise_text(sensitivity.noise)]))
         yield KeyNumber("Limiting magnitude", limit, note, key="sensitivity.curves.limit_mag")
-    yield from _strehl(run.results(CorrectResults), bool(failed))
+    yield from _strehl(run.results(CorrectResults), not applicable(run))
     yield from _sky(calibration)
     if checks:
-        yield KeyNumber(
-            "Quality control", passed_text(checks), "checks passed", "bad" if failed else "good", "quality"
-        )
+        mark: Literal["good", "bad"] = "bad" if failed else "good"
+        yield KeyNumber("Quality control", passed_text(checks), "checks passed", mark, "quality")
 
 
 def _calibration(results: CalibrateResults) -> Iterator[KeyNumber]:
@@ -203,16 +201,15 @@ def _calibration(results: CalibrateResults) -> Iterator[KeyNumber]:
 
 def _strehl(results: CorrectResults, failed: bool) -> Iterator[KeyNumber]:
     before, after = number(results.strehl_before, ".3f"), number(results.strehl_after, ".3f")
-    note, mark, value = "predicted, before → after correction", "", f"{before} → {after}"
+    mark: Literal["", "bad"] = "bad" if failed else ""
+    note, value = "predicted, before → after correction", f"{before} → {after}"
     if failed and MISSING not in (before, after):
-        note, mark, value = "a check failed", "bad", "do not apply"
+        note, value = "a check failed", "do not apply"
     elif not _gains(results.strehl_before, results.strehl_after):
         note = "no gain predicted by the correction"
     yield KeyNumber("Correction" if failed else "Strehl", value, note, mark, "correct.strehl_after")
-    measured = number(results.strehl_measured, ".3f")
-    yield KeyNumber(
-        "Measured Strehl", measured, "mean image, with its diversity", key="correct.strehl_measured"
-    )
+    measured, note = number(results.strehl_measured, ".3f"), "mean image, with its diversity"
+    yield KeyNumber("Measured Strehl", measured, note, key="correct.strehl_measured")
 
 
 def _sky(results: CalibrateResults) -> Iterator[KeyNumber]:

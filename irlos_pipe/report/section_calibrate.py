@@ -310,35 +310,26 @@ def _in_time(of: Calibration) -> Figure | None:
     largest = np.argsort(-np.abs(np.nan_to_num(adopted)))[:MODES_IN_TIME]
     time_s, rate_hz = frame_times(of.recordings)
     timed = len(time_s) == len(frames) and np.isfinite(rate_hz)
+    x_label = "time [s]" if timed else "used frame"
     spectra = timed and len(frames) >= FEWEST and np.isfinite(frames).all()
 
     def draw(canvas: Canvas) -> None:
-        columns = 2 if spectra else 1
-        grid = canvas.subplots(
-            len(largest), columns, sharex="col", squeeze=False, width_ratios=(3, 2)[:columns]
-        )
+        ratios = (3, 2) if spectra else (1,)
+        grid = canvas.subplots(len(largest), len(ratios), sharex="col", squeeze=False, width_ratios=ratios)
+        at = time_s if timed else np.arange(len(frames))
         for row, mode in zip(grid, largest, strict=True):
-            row[0].plot(
-                time_s if timed else np.arange(len(frames)),
-                frames[:, mode],
-                ".-",
-                color=BLUE,
-                markersize=2,
-                linewidth=0.5,
-            )
+            row[0].plot(at, frames[:, mode], ".-", color=BLUE, markersize=2, linewidth=0.5)
             row[0].axhline(adopted[mode], color=ORANGE, linewidth=1.2)
             row[0].set_title(f"{mode_label(int(nolls[mode]))} [nm]", loc="left", pad=2)
             row[0].locator_params(axis="y", nbins=4)
             if spectra:
                 segment = min(len(frames), SEGMENT)
-                at, power = scipy.signal.welch(frames[:, mode], rate_hz, nperseg=segment)
-                row[1].plot(at[1:], power[1:], color=BLUE, linewidth=0.9)
+                hertz, power = scipy.signal.welch(frames[:, mode], rate_hz, nperseg=segment)
+                row[1].plot(hertz[1:], power[1:], color=BLUE, linewidth=0.9)
                 row[1].set_xscale("log")
                 log_y(row[1], power[1:], small=True)
                 row[1].set_title("power [nm²/Hz]", loc="left", pad=2)
-        for axes, label in zip(
-            grid[-1], ("time [s]" if timed else "used frame", "frequency [Hz]"), strict=False
-        ):
+        for axes, label in zip(grid[-1], (x_label, "frequency [Hz]"), strict=False):
             axes.set_xlabel(label)
 
     caption = "Left: frame by frame; orange: adopted value. Right: power spectrum, by the frame rate."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -20,7 +21,7 @@ from irlos_pipe.files.regular import open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
 from irlos_pipe.product.header import Card
-from irlos_pipe.product.product import Check, declared
+from irlos_pipe.product.product import Check, Product, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
@@ -166,6 +167,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     before_nm, after_nm = _maps_nm(ctx, nolls, zernike)
     scale_mas = recording.acquisition.pixel_scale_mas or math.nan
     checks = _checks(ctx, recording, prediction)
+    before = checks_behind(ctx.products.values(), ctx.config.input)
     output = StageOutput(
         declared(
             ARRAYS,
@@ -188,15 +190,17 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         checks,
         files={"correction.csv": table, "correction.fits": table},
         summary=[
-            f"Correction      {_advice(prediction, [*checks, *_earlier_checks(ctx)])}, {len(offsets.nolls)} "
-            "offsets in correction.csv and correction.fits"
+            f"Correction      {_advice(prediction, [*checks, *before])}, {len(offsets.nolls)} offsets in "
+            "correction.csv and correction.fits"
         ],
     )
     return output if ctx.config.mirror_modes is None else in_mirror_modes(ctx, output)
 
 
-def _earlier_checks(ctx: StageContext[Config]) -> list[Check]:
-    return [check for product in ctx.products.values() for check in product.checks]
+def checks_behind(products: Iterable[Product], used: str) -> list[Check]:
+    """Return the checks of a correction by its `products`; of ingest those of the recipe input `used`."""
+    checks = [(one.stage, check) for one in products if one.stage in (*READS, NAME) for check in one.checks]
+    return [one for stage, one in checks if stage != "ingest" or one.name.startswith(f"ingest/{used}/")]
 
 
 def _advice(prediction: Prediction, checks: list[Check]) -> str:
