@@ -13,7 +13,13 @@ from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.calibration_errors import ErrorsFrom, NominalChi2, effect_errors, errors_of
+from irlos_pipe.estimate.calibration_errors import (
+    ErrorsFrom,
+    NominalChi2,
+    effect_errors,
+    errors_of,
+    nominal_power,
+)
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, Motion, mean_variance_e2
 from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
@@ -85,6 +91,8 @@ class Calibration:
         Of the star from frame to frame, where the frames were `steadied`.
     lacking : Lacking or None
         What would explain the misfit, where χ²/ν is not nominal.
+    left_nominal : ndarray or None
+        What a complete model would leave of `left`, see `calibration_errors.nominal_power`.
     """
 
     options: CalibrationOptions
@@ -114,6 +122,7 @@ class Calibration:
     mirrored: Mirrored | None = None
     motion: Motion | None = None
     lacking: Lacking | None = None
+    left_nominal: np.ndarray | None = None
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -298,6 +307,7 @@ def _result(
         mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
         frames.motion,
         lacks,
+        nominal_power(frames, problem, found.values, nominal),
     )
 
 

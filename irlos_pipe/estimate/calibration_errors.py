@@ -37,8 +37,9 @@ from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.frames.blocks import blocks
+from irlos_pipe.frames.blocks import blocks, sample_frames
 from irlos_pipe.numerics.solution import INVALID, Solution
+from irlos_pipe.optics.image_quality import power_spectrum
 
 ErrorsFrom = Literal["frames", "few_frames", "noise"]
 SIGNIFICANT = 5.0  # standard deviations by which few frames have to scatter beyond noise
@@ -187,6 +188,29 @@ class _Whitened:
         felt = whitened @ self.columns
         moved = felt @ gain[self.place]
         return whitened @ whitened.mT - 2 * moved[:, self.place] @ felt.mT + moved @ data @ moved.mT
+
+
+def nominal_power(
+    frames: Frames, problem: ImageFit, values: torch.Tensor, nominal: NominalChi2
+) -> np.ndarray | None:
+    """Return the power spectrum that a complete model leaves of the mean image; None of too few frames.
+
+    It is that of ``R d_i``, averaged over frames and scaled to the `nominal` χ²; the fit of the `problem` is
+    at `values` (1, parameters). See `image_quality.power_spectrum`.
+    """
+    if len(frames.images_e) < LEAST_FRAMES:
+        return None
+    _, jacobian = problem.predict_and_jacobian(values)
+    one = _Whitened.of(Part(frames, jacobian[0], range(jacobian.shape[1])))
+    precision = torch.diag(problem.prior_precision[0].double().cpu())
+    gain = torch.linalg.pinv(one.columns.mT @ one.columns + precision, hermitian=True)
+    some = frames.images_e[torch.as_tensor(sample_frames(len(frames.images_e)))].flatten(1).double()
+    own = torch.where(one.root > 0, (some - frames.mean_e.flatten()) * one.root, 0.0)
+    left = torch.where(one.root > 0, own - own @ one.columns @ gain @ one.columns.mT, torch.nan).numpy()
+    resolution_px = problem.model.psf.settings.resolution_px
+    spectra = [power_spectrum(each.reshape(frames.good.shape), resolution_px).value for each in left]
+    chi2 = nominal.value * max(one.used - jacobian.shape[1], 1)
+    return np.mean(spectra, axis=0) * chi2 / float(np.nansum(left**2) / len(left))
 
 
 def _of_scatter(products: torch.Tensor) -> tuple[float, float]:

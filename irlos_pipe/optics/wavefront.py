@@ -22,6 +22,16 @@ def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -
     return np.where(lit, np.tensordot(zernike_nm, zernike_basis(nolls, *_disc(len(lit))), 1), np.nan)
 
 
+def opd_sigma_nm(nolls: Sequence[int], covariance_nm2: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Return a map of the standard error [nm] of a wavefront of such a covariance, (modes, modes).
+
+    Its variance at a place is ``zᵀ C z``, z the modes there; see `opd_maps_nm` for the map.
+    """
+    modes, sigma = modes_at(nolls, lit), np.full(lit.shape, np.nan)
+    sigma[lit] = np.sqrt(np.maximum((modes * (covariance_nm2 @ modes)).sum(axis=0), 0.0))
+    return sigma
+
+
 @dataclass(frozen=True)
 class MapSize:
     """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm]."""

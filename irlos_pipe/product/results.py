@@ -9,10 +9,12 @@ default, so that a product of an older version, which lacks a key, can still be 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from math import nan
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -211,3 +213,46 @@ def recorded(provenance: Mapping[str, Any]) -> list[Recorded]:
         return [Recorded.model_validate(entry) for entry in provenance.get("recordings", ())]
     except (TypeError, ValidationError) as error:
         raise InputDataError("provenance: recordings cannot be read; run the recipe again") from error
+
+
+# -- what the numbers mean ---------------------------------------------------------------------------
+
+ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
+
+
+def meaning_of(model: type[Any], key: str) -> str:
+    """Return what a dotted `key` in results of a `model` means, in plain text; empty if nothing says so."""
+    name, _, inner = key.partition(".")
+    found = next(models_in(fields_of(model)[name]), None) if inner else None
+    text = meaning_of(found, inner) if found else told_of(model).get(name, "")
+    return ELSEWHERE.sub("", text).replace("`", "")
+
+
+def fields_of(model: type[Any]) -> dict[str, Any]:
+    """Return the annotations of what a `model` writes, by key: pydantic's, or a dataclass of science."""
+    if issubclass(model, ResultsPart):
+        return {key: field.annotation for key, field in model.model_fields.items()}
+    hints = get_type_hints(model)
+    return {field.name: hints[field.name] for field in fields(model)}
+
+
+def told_of(model: type[Any]) -> dict[str, str]:
+    """Return what the fields of a `model` mean, by name, as far as they say so."""
+    if issubclass(model, ResultsPart):
+        said = {name: field.description for name, field in model.model_fields.items()}
+    else:
+        said = {field.name: field.metadata.get("description") for field in fields(model)}
+    found: dict[str, str] = {}
+    above = ""
+    for name, meaning in said.items():
+        above = above if meaning == DITTO else meaning or ""
+        found |= {name: above} if above else {}
+    return found
+
+
+def models_in(annotation: Any) -> Iterator[type]:
+    """Yield the models that a field with this `annotation` may hold."""
+    if isinstance(annotation, type) and (is_dataclass(annotation) or issubclass(annotation, ResultsPart)):
+        yield annotation
+    for part in get_args(annotation):
+        yield from models_in(part)

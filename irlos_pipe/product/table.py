@@ -63,7 +63,9 @@ def header_cards(origin: Origin, facts: Iterable[Card] = ()) -> list[Card]:
     `origin` says where its numbers come from; `facts` are what the stage says of this file: conventions, and
     numbers under ``ESO QC``.
     """
+    failed = ", ".join(check.name for check in origin.checks if not check.passed)
     cards = [
+        Card("IRLOS VERDICT", f"QC FAILED: {failed}" if failed else ""),
         Card("IRLOS NOTICE", origin.notice),
         *_observed(origin.recordings[:1]),
         Card("DATE", origin.provenance.finished.partition("+")[0], "when the numbers were made (UTC)"),
@@ -226,7 +228,12 @@ class Table:
 
 
 def table_content(table: Table, suffix: str, origin: Origin) -> bytes:
-    """Return the file of a `table`, ``.fits`` or ``.csv`` by its `suffix`; its numbers come from `origin`."""
+    """Return the file of a `table`, ``.fits`` or ``.csv`` by its `suffix`; its numbers come from `origin`.
+
+    Where a check failed, the first line says so.
+    """
+    if failed := [check.name for check in origin.checks if not check.passed]:
+        table = replace(table, note=f"QC FAILED, DO NOT APPLY ({', '.join(failed)}). {table.note}")
     cards = header_cards(replace(origin, category=table.category), table.facts)
     if suffix == ".fits":
         return _fits(table, cards)

@@ -6,10 +6,10 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, get_args, get_type_hints
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
@@ -20,7 +20,7 @@ from irlos_pipe.files.shipped import RECIPES, SIMULATIONS, shipped_folder, shipp
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import FACTS, Profile
 from irlos_pipe.product.product import Arrays, Checks
-from irlos_pipe.product.results import DITTO, ResultsPart
+from irlos_pipe.product.results import ELSEWHERE, fields_of, models_in, told_of
 from irlos_pipe.readers.sidecar import SidecarKeys
 from irlos_pipe.recipe.load import RecipeHead
 from irlos_pipe.stages import LIGHT_PATH, STAGES
@@ -36,7 +36,6 @@ WORDS = {
     "number": "number", "integer": "whole number", "string": "text", "boolean": "true or false",
     "null": "nothing",
 }  # fmt: skip
-ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 LINE_LENGTH = 100
 TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 
@@ -263,36 +262,6 @@ def _of_the_part(annotation: Any) -> str:
     """What a field holds, by the first line of the model in it; empty without one."""
     model = next(models_in(annotation), None)
     return "" if model is None else inspect.cleandoc(model.__doc__ or "").partition("\n")[0]
-
-
-def fields_of(model: type[Any]) -> dict[str, Any]:
-    """Return the annotations of what a `model` writes, by key: pydantic's, or a dataclass of science."""
-    if issubclass(model, ResultsPart):
-        return {key: field.annotation for key, field in model.model_fields.items()}
-    hints = get_type_hints(model)
-    return {field.name: hints[field.name] for field in fields(model)}
-
-
-def told_of(model: type[Any]) -> dict[str, str]:
-    """Return what the fields of a `model` mean, by name, as far as they say so."""
-    if issubclass(model, ResultsPart):
-        said = {name: field.description for name, field in model.model_fields.items()}
-    else:
-        said = {field.name: field.metadata.get("description") for field in fields(model)}
-    found: dict[str, str] = {}
-    above = ""
-    for name, meaning in said.items():
-        above = above if meaning == DITTO else meaning or ""
-        found |= {name: above} if above else {}
-    return found
-
-
-def models_in(annotation: Any) -> Iterator[type]:
-    """Yield the models that a field with this `annotation` may hold."""
-    if isinstance(annotation, type) and (is_dataclass(annotation) or issubclass(annotation, ResultsPart)):
-        yield annotation
-    for part in get_args(annotation):
-        yield from models_in(part)
 
 
 # -- terms of the glossary ---------------------------------------------------------------------------

@@ -19,9 +19,8 @@ from irlos_pipe.product.printed import (
     Validation,
     Versions,
 )
-from irlos_pipe.product.results import ResultsPart, RunResults
+from irlos_pipe.product.results import ResultsPart, RunResults, fields_of, models_in, told_of
 from irlos_pipe.reference import COMMANDS, RESULTS
-from irlos_pipe.reference.lookup import fields_of, models_in, told_of
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 PRINTED: tuple[type[Printed], ...] = (

@@ -13,20 +13,22 @@ from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.product.results import StageResults, provenance_of, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Section, Text, rendered
+from irlos_pipe.report.first_screen import (
+    answer,
+    causes,
+    failures,
+    key_numbers,
+    meaning_section,
+    places_of,
+    warnings,
+)
 from irlos_pipe.report.run_data import RunData, read_run
 from irlos_pipe.report.section_calibrate import calibrate_section, correct_section
 from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.report.section_diagnose import diagnose_section, verdict_mark
 from irlos_pipe.report.section_lift import lift_section, prior_section
 from irlos_pipe.report.section_modes import modes_section
-from irlos_pipe.report.section_run import (
-    finished,
-    ingest_section,
-    key_numbers,
-    origin_section,
-    quality_section,
-    warnings,
-)
+from irlos_pipe.report.section_run import finished, ingest_section, origin_section, quality_section
 from irlos_pipe.report.section_sensitivity import sensitivity_section
 from irlos_pipe.stages import EXPERIMENTS, STAGES
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
@@ -52,7 +54,8 @@ def write_report(run_folder: Path) -> Path:
     the report cannot be written.
     """
     run = read_run(run_folder)
-    verdict = run.results(DiagnoseResults)
+    verdict, tiles, sections = run.results(DiagnoseResults), key_numbers(run), report_sections(run)
+    places = places_of(sections)
     page = rendered(
         "report.html.j2",
         run=run,
@@ -62,10 +65,13 @@ def write_report(run_folder: Path) -> Path:
         finished=finished(run),
         verdict=verdict,
         verdict_mark=verdict_mark(verdict),
-        key_numbers=key_numbers(run),
+        answer=answer(run),
+        failures=failures(run, places),
+        causes=causes(run, places),
+        key_numbers=tiles,
         warnings=warnings(run),
         untested=_untested(run),
-        sections=report_sections(run),
+        sections=list(filter(None, [*sections[:-1], meaning_section(tiles, sections), sections[-1]])),
     )
     path = RunFolder(Path(run_folder)).report
     write_bytes(path, page.encode())

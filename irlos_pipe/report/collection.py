@@ -14,8 +14,9 @@ from irlos_pipe.product.results import Provenance, provenance_of
 from irlos_pipe.report.build import stage_sections
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views, rendered, shown
 from irlos_pipe.report.drawing import renamed
+from irlos_pipe.report.first_screen import meaning_section, warnings
 from irlos_pipe.report.run_data import read_run
-from irlos_pipe.report.section_run import finished, warnings
+from irlos_pipe.report.section_run import finished
 from irlos_pipe.report.text import MISSING, duration, is_known
 
 LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report shows them
@@ -82,7 +83,10 @@ def _own_block(block: Block, name: str) -> Block:
             one: [_own_block(inner, name) for inner in blocks] for one, blocks in block.choices.items()
         }
         return replace(block, name=f"{name}-{block.name}", choices=choices)
-    return replace(block, svg=renamed(block.svg, name)) if isinstance(block, Figure) else block
+    own = f"{name}-{block.name}" if getattr(block, "name", "") else ""
+    if isinstance(block, Figure):
+        return replace(block, svg=renamed(block.svg, name), name=own)
+    return replace(block, name=own) if isinstance(block, Table) else block
 
 
 def _flat(config: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:
@@ -116,13 +120,14 @@ def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapt
         },
         marks=["" if one.status == "ok" else "bad" for one in chapters],
     )
+    all_sections = [section for chapter in chapters for section in chapter.sections]
     page = rendered(
         "collection.html.j2",
         title=title,
         note=note,
         chapters=chapters,
         contents=contents,
-        origin=_origin(chapters),
+        last=list(filter(None, [meaning_section([], all_sections), _origin(chapters)])),
     )
     write_bytes(path, page.encode())
     return path

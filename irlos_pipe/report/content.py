@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeVar
 
@@ -27,6 +27,7 @@ class Figure:
     title: str
     caption: str = ""
     width: Width = "half"
+    name: str = ""  # that of the drawing; links in the page lead to it
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,8 @@ class Table:
     marks: Sequence[str] = ()  # per row ``good``, ``bad`` or nothing; may be empty
     folded: bool = False  # shown by its title only until opened
     prose: bool = False  # whether cells hold sentences, which are broken into lines
+    name: str = ""  # links in the page lead to it
+    anchors: Sequence[str] = ()  # the same per row; may be empty
 
     @classmethod
     def of(
@@ -97,6 +100,16 @@ Block = Figure | Table | Text | Stack | Views
 Blocks = Block | None | Iterable[Block | None]
 
 
+def walked(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield `blocks` and those within them."""
+    for block in blocks:
+        yield block
+        if isinstance(block, Stack):
+            yield from walked(block.blocks)
+        elif isinstance(block, Views):
+            yield from walked(inner for choice in block.choices.values() for inner in choice)
+
+
 def shown(*blocks: Blocks) -> list[Block]:
     """Return `blocks` in one list, without tables that have no rows and what else is nothing."""
     flat = [one for some in blocks for one in (some if isinstance(some, Iterable) else [some])]
@@ -111,6 +124,7 @@ class Section:
     title: str
     lead: str = ""
     blocks: Sequence[Block] = ()
+    bad: bool = False  # whether the lead is a warning
 
 
 @dataclass(frozen=True)
@@ -121,6 +135,7 @@ class KeyNumber:
     value: str
     note: str = ""
     mark: Literal["", "good", "bad"] = ""
+    key: str = ""  # of results.json, or a section of the page: where it is explained
 
 
 def rendered(template: str, **content: Any) -> str:

@@ -10,12 +10,23 @@ import scipy
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import NullFormatter
 
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.report.content import Figure
-from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, log_y, plot, svg
+from irlos_pipe.report.drawing import (
+    BESIDE,
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    ORANGE,
+    SIZE_IN,
+    figure,
+    log_y,
+    plot,
+    svg,
+)
 from irlos_pipe.report.run_data import StageData
 from irlos_pipe.report.text import is_known, number
 
@@ -29,14 +40,14 @@ OTF = (
     "transferred beyond D/λ, the dotted line."
 )
 POWER = (
-    "Azimuthal mean over the residual in σ: white noise gives 1. Light has no structure finer than λ/D, "
-    "which is beyond the dotted line: what is left there comes from the pixels. Fitted parameters take "
-    "power out, and noise that neighbouring pixels share moves it to low frequencies."
+    "Azimuthal mean over the residual in σ: independent noise gives 1. Behind an AO system a complete model "
+    "leaves the dashed curve: the modes take power out, and speckles, which pixels share, put it at low "
+    "frequencies. Light has no structure finer than λ/D, beyond the dotted line: that comes from the pixels."
 )
 QUANTILES = (
-    "Residuals of all pixels in σ, in order of size, against those that Gaussian noise of 1 σ would have, on "
-    "average (the line) and in 95 % of all images (grey): flatter is less than the noise that was told, "
-    "steeper is more, and ends that bend away are single pixels or structure."
+    "Residuals of all pixels in σ, in order of size, against those of independent Gaussian noise of 1 σ "
+    "(line; grey: 95 % of all images). A complete model leaves the dashed slope, the root of its nominal χ². "
+    "Steeper is too much, and ends that bend away are single pixels or structure."
 )
 SERIES = (
     "χ²/ν of every frame in order of time: frames that stand out were recorded in other conditions, or their "
@@ -91,22 +102,22 @@ def energy_figure(
             axes.axvline(resolution_mas, color=INK, linestyle=":", linewidth=0.8, label="λ/D")
 
     labels = ("radius [mas]", "encircled energy [%]")
-    return plot(
-        name, draw, labels, "Encircled energy", caption, legend="lower right", ylim=(0, 101), xlim=(0, None)
-    )
+    return plot(name, draw, labels, "Encircled energy", caption, ylim=(0, 101), xlim=(0, None))
 
 
 def power_figure(of: StageData[Any], name: str, looks: Mapping[str, Look]) -> Figure:
     """Return the power spectrum of the residual; see `otf_figure`."""
     at, curves = of["left_frequency"], of.known({looks[key]: f"left_power{key}" for key in looks})
+    nominal = of.known({"": "left_nominal"})[""] if "left_nominal" in of.arrays else None
 
     def draw(axes: Axes) -> None:
         for look, values in curves.items():
             axes.plot(at, np.where(values > 0, values, np.nan), ".-", color=look.colour, label=look.label)
-        axes.axhline(1.0, color=INK, linestyle="--", linewidth=0.9, label="white noise")
+        axes.axhline(1.0, color=INK, linewidth=0.7, label="independent noise")
+        if nominal is not None:
+            axes.plot(at, nominal, "--", color=GREEN, label="nominal")
         axes.axvline(1.0, color=INK, linestyle=":", linewidth=0.8)
         log_y(axes, *curves.values())
-        axes.yaxis.set_minor_formatter(NullFormatter())
 
     labels = ("spatial frequency [D/λ]", "power [σ²]")
     return plot(name, draw, labels, "Power spectrum of the residual", POWER, xlim=(0, None))
@@ -151,9 +162,34 @@ def profile_plot(
         axes.set(xlabel=f"radius [{units[0]}]", ylabel=units[1])
         axes.set_xlim(left=0)
         log_y(axes, *(values for _, values, *_ in curves.values()))
-        axes.legend()
+        canvas.legend(**BESIDE["above"])
 
     return svg(name, size_in, draw)
+
+
+def cuts_figure(name: str, images: Mapping[Look, np.ndarray], step: float, unit: str) -> Figure:
+    """Return cuts along x and y through the brightest pixel of the last of the `images` (rows, columns) [e-].
+
+    Pixels are `step` wide, in the `unit`; values that are not positive leave gaps.
+    """
+    last = list(images.values())[-1]
+    place = np.unravel_index(np.nanargmax(last), last.shape) if np.isfinite(last).any() else (0, 0)
+
+    def draw(canvas: Canvas) -> None:
+        for axis, axes in enumerate(canvas.subplots(2, sharex=True, sharey=True)):
+            for look, image in images.items():
+                line = image[place[0]] if axis == 0 else image[:, place[1]]
+                at = (np.arange(len(line)) - (len(line) - 1) / 2) * step
+                points, label = ("." if look.label == "measured" else "-", look.label if axis == 0 else None)
+                axes.plot(
+                    at, np.where(line > 0, line, np.nan), points, color=look.colour, label=label, markersize=4
+                )
+            axes.set(ylabel=f"along {'xy'[axis]} [e⁻]")
+            log_y(axes, *images.values(), small=True)
+        axes.set_xlabel(f"from the centre of the window [{unit}]")
+        canvas.legend(**BESIDE["above"])
+
+    return figure(name, SIZE_IN, draw, "Cuts along x and y", "Through the brightest pixel.", "third")
 
 
 # -- how well models fit -----------------------------------------------------------------------
@@ -177,10 +213,13 @@ def quantile_band(count: int) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def quantile_figure(name: str, residuals: Mapping[Look, np.ndarray]) -> Figure | None:
+def quantile_figure(
+    name: str, residuals: Mapping[Look, np.ndarray], nominal: float = np.nan
+) -> Figure | None:
     """Return quantiles of residuals against those of noise; None where too few values are known.
 
-    The `residuals` are in σ, of any shape, NaN where a pixel does not count.
+    The `residuals` are in σ, of any shape, NaN where a pixel does not count; `nominal` is the mean of their
+    squares that a complete model leaves, NaN if not known.
     """
     found = {look: np.sort(values[np.isfinite(values)]) for look, values in residuals.items()}
     known = {look: values for look, values in found.items() if len(values) >= FEWEST}
@@ -192,6 +231,8 @@ def quantile_figure(name: str, residuals: Mapping[Look, np.ndarray]) -> Figure |
         at, chosen, (low, high) = normal_quantiles(count), _drawn(count), quantile_band(count)
         axes.fill_between(at[chosen], low[chosen], high[chosen], color=FAINT, linewidth=0)
         axes.plot(at[[0, -1]], at[[0, -1]], color=INK, linewidth=0.9, label="noise of 1 σ")
+        if nominal > 0:
+            axes.plot(at[[0, -1]], nominal**0.5 * at[[0, -1]], "--", color=GREEN, label="nominal")
         for look, values in known.items():
             own, place = _drawn(len(values)), normal_quantiles(len(values))
             axes.plot(place[own], values[own], ".", color=look.colour, label=look.label)
@@ -208,20 +249,17 @@ def chi2_figure(name: str, chi2_nu: np.ndarray, nominal: float, limit: float) ->
     """
     if not np.any(np.isfinite(chi2_nu)):
         return None
-    caption = SERIES
+    levels = {f"nominal, {number(nominal, '.2f')}": (nominal, GREEN)} | {
+        f"limit of the median, {number(limit, '.2f')}": (limit, ORANGE)
+    }
 
     def draw(axes: Axes) -> None:
         axes.plot(np.arange(len(chi2_nu)), chi2_nu, ".", color=BLUE)
-        if is_known(limit) and is_known(nominal):
-            axes.axhspan(0, limit, color=FAINT, zorder=0)
-        if is_known(nominal):
-            axes.axhline(nominal, color=ORANGE, linestyle="--", linewidth=1.0, label="a right model")
+        for label, (level, colour) in levels.items():
+            if is_known(level):
+                axes.axhline(level, color=colour, linestyle="--", linewidth=1.0, label=label)
 
-    if is_known(nominal):
-        caption += f" A right model would give {number(nominal, '.2f')} (dashed)."
-    if is_known(limit):
-        caption += f" Grey: quality control asks for a median up to {number(limit, '.2f')}."
-    return plot(name, draw, ("frame", "χ²/ν"), "χ² of every frame", caption, ylim=(0, None))
+    return plot(name, draw, ("frame", "χ²/ν"), "χ² of every frame", SERIES, ylim=(0, None))
 
 
 def _drawn(count: int) -> np.ndarray:

@@ -16,6 +16,7 @@ from matplotlib import rcsetup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from irlos_pipe.report.content import Figure, Width
 
@@ -106,6 +107,18 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Canvas], None])
     return Markup(_for_page(text.getvalue(), name))
 
 
+def figure(
+    name: str,
+    size_in: tuple[float, float],
+    draw: Callable[[Canvas], None],
+    title: str,
+    caption: str = "",
+    width: Width = "half",
+) -> Figure:
+    """Return a figure that `draw` fills, to which the page links by its `name`; see `svg`."""
+    return Figure(svg(name, size_in, draw), title, caption, width, name)
+
+
 def plot(
     name: str,
     draw: Callable[[Axes], None],
@@ -114,25 +127,23 @@ def plot(
     caption: str = "",
     width: Width = "third",
     size_in: tuple[float, float] = SIZE_IN,
-    legend: Any = "best",
+    legend: Any = "above",
     **settings: Any,
 ) -> Figure:
     """Return a figure with one pair of axes, which `draw` fills; see `svg` and `Figure`.
 
-    The `labels` are those of x and y; the `legend` has a place in the axes, or is ``above`` or ``below``
-    them; `settings` are what else `Axes.set` takes.
+    The `labels` are those of x and y; the `legend` is ``above`` or ``below`` the axes; `settings` are what
+    else `Axes.set` takes.
     """
 
     def drawn(canvas: Canvas) -> None:
         axes = canvas.subplots()
         draw(axes)
         axes.set(xlabel=labels[0], ylabel=labels[1], **settings)
-        if legend in BESIDE:
+        if axes.get_legend_handles_labels()[1]:
             canvas.legend(**BESIDE[legend])
-        elif axes.get_legend_handles_labels()[1]:
-            axes.legend(loc=legend)
 
-    return Figure(svg(name, size_in, drawn), title, caption, width)
+    return figure(name, size_in, drawn, title, caption, width)
 
 
 @contextmanager
@@ -150,10 +161,19 @@ def renamed(drawing: Markup, prefix: str) -> Markup:
     return Markup(REFERENCE.sub(lambda found: f"{prefix}-{found[0]}", text))
 
 
-def log_y(axes: Axes, *values: np.ndarray) -> None:
-    """Make the y axis of `axes` logarithmic, unless none of the `values` drawn is positive."""
-    if any(np.any(value > 0) for value in values):
+def log_y(axes: Axes, *values: np.ndarray, small: bool = False) -> None:
+    """Make the y axis of `axes` logarithmic, unless none of the `values` drawn is positive.
+
+    Where they span less than two powers of ten, one in `small` axes, numbers stand at 1, 2 and 5.
+    """
+    drawn = np.concatenate([np.zeros(0), *(np.ravel(value) for value in values)])
+    positive = drawn[drawn > 0]
+    if positive.size:
         axes.set_yscale("log")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        if positive.max() < (10 if small else 100) * positive.min():
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
 def _for_page(text: str, name: str) -> str:

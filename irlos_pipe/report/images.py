@@ -22,7 +22,7 @@ from irlos_pipe.report.drawing import FAINT, INK, own_style, svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
-PANEL_IN = (3.7, 2.85)
+PANEL_IN = (4.0, 2.85)
 # Where the image and its colour bar stand in a panel: left, bottom, width, height [inch].
 IMAGE_BOX_IN = (0.65, 0.45, 2.3, 2.3)
 BAR_BOX_IN = (3.03, 0.45, 0.1, 2.3)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -42,6 +42,7 @@ class RunData:
     products: dict[str, Product]
     recordings: list[Overview]  # what ingest left, without frames; empty without ingest
     instrument: str = ""  # as in results.json
+    names: Mapping[str, Sequence[str]] = field(default_factory=dict)  # of the files of the products, by stage
 
     def results(self, kind: type[Results]) -> Results:
         """Return the results of a stage as the model `kind`; all defaults without that stage."""
@@ -108,6 +109,21 @@ class StageData(Generic[Results]):
         return next((one.acquisition.pixel_scale_mas for one in self.recordings), None)
 
 
+def frame_times(recordings: Sequence[Overview]) -> tuple[np.ndarray, float]:
+    """Return the times of the used frames from the first recording on [s], and frames per second.
+
+    Recordings whose time is not known follow one another; the rate is NaN without a clock.
+    """
+    found, begin, rate = [], 0.0, np.nan
+    for one in recordings:
+        step = float(np.median(np.diff(one.time_s))) if len(one.time_s) > 1 else 0.0
+        rate = 1 / step if step > 0 else rate
+        start = one.start_unix_s - recordings[0].start_unix_s
+        found.append(one.time_s[one.used] + (start if np.isfinite(start) else begin))
+        begin = float(np.max(found[-1], initial=begin)) + step
+    return np.concatenate(found or [[]]), rate
+
+
 def _own_product(path: Path, stage: str, results: RunResults) -> Product:
     """Open a product that results.json speaks of; one of another run is refused."""
     product = open_product(path)
@@ -134,4 +150,5 @@ def read_run(folder: Path) -> RunData:
         products,
         overviews_from_product(products["ingest"]) if "ingest" in products else [],
         results.instrument,
+        {stage: [path.name] for stage, path in run.products().items()},
     )

@@ -7,14 +7,22 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import MaxNLocator
 
+from irlos_pipe.conventions.modes import TIP_TILT
+from irlos_pipe.optics.wavefront import opd_sigma_nm
+from irlos_pipe.optics.zernike import noll_to_nm
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text, Views, shown
 from irlos_pipe.report.curves import (
+    FEWEST,
     PREDICTED,
     Look,
+    cuts_figure,
     energy_figure,
     otf_figure,
     power_figure,
@@ -22,8 +30,10 @@ from irlos_pipe.report.curves import (
     quantile_figure,
     star_profile,
 )
-from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, MARKERS, ORANGE, plot, svg
+from irlos_pipe.report.drawing import BLUE, CYCLE, FAINT, GREEN, INK, MARKERS, ORANGE, figure, log_y, plot
+from irlos_pipe.report.first_screen import advice, applicable, effect_link
 from irlos_pipe.report.images import (
+    BRIGHTNESS,
     PANEL_IN,
     image_panel,
     image_views,
@@ -35,7 +45,7 @@ from irlos_pipe.report.images import (
     residual_views,
     symmetric_scale,
 )
-from irlos_pipe.report.run_data import RunData, StageData
+from irlos_pipe.report.run_data import RunData, StageData, frame_times
 from irlos_pipe.report.text import (
     MISSING,
     is_known,
@@ -50,11 +60,19 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 from irlos_pipe.stages.correct import CorrectResults
 
 MODES_IN_TIME = 5  # largest modes that are drawn against time
+SEGMENT = 128  # frames of a segment of which power spectra are averaged
 MAP_PERCENTILE = 97  # end of the scale: the very edge of the pupil would swallow it
+PUPIL_AXES = {
+    "xlabel": "x [pupil radii]",
+    "ylabel": "y [pupil radii]",
+    "xticks": (-1, 0, 1),
+    "yticks": (-1, 0, 1),
+}
 LEFT = Look("residual", BLUE)
 EFFECTS = "Standard errors, from the scatter of the frames where there are enough, grown by the misfit."
 WIDTH_IN, BAR_IN = 4.4, 0.165
 ROWS_PER_TABLE = 10
+HIGHER = "wavefront [nm]"
 BUDGET = (
     "Predicted with the effects as estimated, without diversity: brightest pixel over that of the image "
     "without aberrations. Small parts multiply; larger ones interfere, and the product is not that of all."
@@ -68,11 +86,14 @@ def calibrate_section(run: RunData) -> Section:
     of = run.of(CalibrateResults)
     blocks = of.blocks(
         _images,
-        _maps,
         _profile,
+        _cuts,
         partial(power_figure, name="cal-power", looks={"": LEFT}),
+        _maps,
+        _error_map,
         _quantiles,
         _correlations,
+        _orders,
         _bars,
         _in_time,
         lambda of: Stack(shown(*(table(of.results) for table in (_effects, _cubes, _methods)))),
@@ -97,7 +118,7 @@ def _images(of: Calibration) -> list[Views]:
         "Model": (model, "Same scale."),
     }
     nominal = number(results.nominal_chi2_nu, ".2f")
-    stated = "" if nominal == MISSING else f", where a complete model gives {nominal} with as many parameters"
+    stated = "" if nominal == MISSING else f", nominal for a complete model {nominal}"
     caption = f"Measured − model; χ²/ν {number(results.chi2_nu, '.2f')}{stated}."
     residual = {"Residual": (measured - model, caption)}
     return [
@@ -119,7 +140,12 @@ def _good_pixels(of: Calibration) -> np.ndarray | None:
 
 def _quantiles(of: Calibration) -> Figure | None:
     residual, sigma = of["mean_image_e"] - of["model_image_e"], _sigma(of)
-    return None if sigma is None else quantile_figure("cal-quantiles", {LEFT: in_sigma(residual, sigma)})
+    if sigma is None:
+        return None
+    left, results = in_sigma(residual, sigma), of.results
+    squares = np.nanmean(left**2) if np.isfinite(left).any() else np.nan
+    nominal = squares * results.nominal_chi2_nu / (results.chi2_nu or np.nan)
+    return quantile_figure("cal-quantiles", {LEFT: left}, float(nominal))
 
 
 def _profile(of: Calibration) -> Figure:
@@ -135,7 +161,13 @@ def _profile(of: Calibration) -> Figure:
     if good is not None:
         images = {key: (np.where(good, one[0], np.nan), *one[1:]) for key, one in images.items()}
     drawing = star_profile("cal-profile", images, model, of.pixel_scale_mas)
-    return Figure(drawing, "Radial profile", "About the star's centroid.", "third")
+    return Figure(drawing, "Radial profile", "About the star's centroid.", "third", "cal-profile")
+
+
+def _cuts(of: Calibration) -> Figure:
+    images = {Look("measured", INK): of["mean_image_e"], Look("model", BLUE): of["model_image_e"]}
+    mas = of.pixel_scale_mas
+    return cuts_figure("cal-cuts", images, mas or 1.0, "mas" if mas else "px")
 
 
 def _maps(of: Calibration) -> list[Figure]:
@@ -144,27 +176,41 @@ def _maps(of: Calibration) -> list[Figure]:
     if not all(np.isfinite(opd).any() for opd in maps.values()):
         return []
     limit = max(percentile(MAP_PERCENTILE, opd) for opd in maps.values()) or 1.0
-    sizes = {"before": correct.results.wavefront_before, "after": correct.results.wavefront_after}
     captions = {
-        "before": "Estimated wavefront without tip and tilt",
+        "before": "All estimated modes without tip and tilt",
         "after": "Estimated modes beyond those that are corrected, same scale",
-    }
-    axes = {
-        "xlabel": "x [pupil radii]",
-        "ylabel": "y [pupil radii]",
-        "xticks": (-1, 0, 1),
-        "yticks": (-1, 0, 1),
     }
     return [
         Figure(
-            pupil_map(f"wavefront-{when}", opd, limit, "OPD [nm]", **axes),
-            f"{when.capitalize()} correction: {number(sizes[when].rms_nm, '.0f', 'nm RMS')}, "
-            f"{number(sizes[when].pv_nm, '.0f', 'nm PV')}",
+            pupil_map(f"wavefront-{when}", opd, limit, "OPD [nm]", **PUPIL_AXES),
+            f"Wavefront {when} correction",
             f"{captions[when]}; the scale leaves out the rim. {_orientation(of)}",
             "third",
+            f"wavefront-{when}",
         )
         for when, opd in maps.items()
     ]
+
+
+def _error_map(of: Calibration) -> Figure:
+    """Standard error of the wavefront over the pupil, tip and tilt apart, on the map of the wavefront."""
+    lit = np.isfinite(of.run.of(CorrectResults)["wavefront_before_nm"])
+    nolls, covariance = of["noll"].astype(int), of["covariance_nm2"]
+    own = ~np.isin(nolls, TIP_TILT)
+    sigma = opd_sigma_nm(nolls[own].tolist(), covariance[np.ix_(own, own)], lit)
+    scale = Normalize(0, percentile(MAP_PERCENTILE, sigma) or 1.0)
+    drawing = panel(
+        "wavefront-error",
+        sigma,
+        scale,
+        "1σ of the OPD [nm]",
+        lambda axes: axes.set(facecolor=FAINT, **PUPIL_AXES),
+        BRIGHTNESS,
+        "max",
+        extent=(-1, 1, -1, 1),
+    )
+    caption = "Standard error at every place, tip and tilt apart, by the covariance of all modes."
+    return Figure(drawing, "Error of the wavefront", caption, "third", "wavefront-error")
 
 
 def _orientation(of: Calibration) -> str:
@@ -195,7 +241,28 @@ def _correlations(of: Calibration) -> Figure | None:
         "ticks": (-1, -0.5, 0, 0.5, 1),
     }
     drawing = panel("cal-correlation", correlation, symmetric_scale(1.0), "correlation", draw, **look)
-    return Figure(drawing, "Correlations of the modes", caption, "third")
+    return Figure(drawing, "Correlations of the modes", caption, "third", "cal-correlation")
+
+
+def _orders(of: Calibration) -> Figure:
+    """RMS of all modes of each radial order, and their total error."""
+    nolls, values, sigma = of["noll"].astype(int), of["zernike_nm"], of.error_of("zernike_nm")
+    order = np.array([noll_to_nm(int(noll))[0] for noll in nolls])
+    at = np.unique(order)
+
+    def total(coefficients: np.ndarray) -> np.ndarray:
+        return np.array([np.linalg.norm(coefficients[order == one]) for one in at])
+
+    def draw(axes: Axes) -> None:
+        axes.plot(at, total(values), "o-", color=BLUE, markersize=4, label="estimated")
+        if sigma is not None:
+            axes.plot(at, total(sigma), "--", color=ORANGE, label="standard error")
+        log_y(axes, total(values))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+    caption = "Root of the sum of squares of all modes of an order; order 1: tip and tilt."
+    labels = ("radial order n", "wavefront [nm RMS]")
+    return plot("cal-orders", draw, labels, "Wavefront by radial order", caption)
 
 
 def _bars(of: Calibration) -> Figure | None:
@@ -228,7 +295,7 @@ def _bars(of: Calibration) -> Figure | None:
         f"Bars: {results.method} with 1σ{symbols}.",
         "half",
         (WIDTH_IN, 0.7 + BAR_IN * len(nolls)),
-        legend="below" if results.compare else "best",
+        legend="below",
         yticks=rows,
         yticklabels=[mode_label(noll) for noll in nolls],
         ylim=(len(nolls) - 0.4, -0.6),
@@ -236,28 +303,43 @@ def _bars(of: Calibration) -> Figure | None:
 
 
 def _in_time(of: Calibration) -> Figure | None:
-    """The largest modes frame by frame, one row for each."""
+    """The largest modes against time, one row for each, and the power spectrum of each."""
     frames, nolls, adopted = (of[name] for name in ("frames_nm", "noll", "zernike_nm"))
     if len(frames) < 2:
         return None
     largest = np.argsort(-np.abs(np.nan_to_num(adopted)))[:MODES_IN_TIME]
+    time_s, rate_hz = frame_times(of.recordings)
+    timed = len(time_s) == len(frames) and np.isfinite(rate_hz)
+    x_label = "time [s]" if timed else "used frame"
+    spectra = timed and len(frames) >= FEWEST and np.isfinite(frames).all()
 
     def draw(canvas: Canvas) -> None:
-        stack = canvas.subplots(len(largest), sharex=True, squeeze=False)[:, 0]
-        for axes, mode in zip(stack, largest, strict=True):
-            axes.plot(frames[:, mode], ".-", color=BLUE, markersize=2, linewidth=0.5)
-            axes.axhline(adopted[mode], color=ORANGE, linewidth=1.2)
-            axes.set_title(f"{mode_label(int(nolls[mode]))} [nm]", loc="left", pad=2)
-            axes.locator_params(axis="y", nbins=4)
-        stack[-1].set_xlabel("used frame")
+        ratios = (3, 2) if spectra else (1,)
+        grid = canvas.subplots(len(largest), len(ratios), sharex="col", squeeze=False, width_ratios=ratios)
+        at = time_s if timed else np.arange(len(frames))
+        for row, mode in zip(grid, largest, strict=True):
+            row[0].plot(at, frames[:, mode], ".-", color=BLUE, markersize=2, linewidth=0.5)
+            row[0].axhline(adopted[mode], color=ORANGE, linewidth=1.2)
+            row[0].set_title(f"{mode_label(int(nolls[mode]))} [nm]", loc="left", pad=2)
+            row[0].locator_params(axis="y", nbins=4)
+            if spectra:
+                segment = min(len(frames), SEGMENT)
+                hertz, power = scipy.signal.welch(frames[:, mode], rate_hz, nperseg=segment)
+                row[1].plot(hertz[1:], power[1:], color=BLUE, linewidth=0.9)
+                row[1].set_xscale("log")
+                log_y(row[1], power[1:], small=True)
+                row[1].set_title("power [nm²/Hz]", loc="left", pad=2)
+        for axes, label in zip(grid[-1], (x_label, "frequency [Hz]"), strict=False):
+            axes.set_xlabel(label)
 
-    drawing = svg("cal-time", (WIDTH_IN, 0.5 + 0.85 * len(largest)), draw)
-    return Figure(drawing, "Largest modes frame by frame", "Orange: adopted value.")
+    caption = "Left: frame by frame; orange: adopted value. Right: power spectrum, by the frame rate."
+    title = "Largest modes in time"
+    return figure("cal-time", (1.4 * WIDTH_IN, 0.5 + 0.9 * len(largest)), draw, title, caption)
 
 
 def _effects(results: CalibrateResults) -> Table:
     rows = [
-        ("" if place else effect, *row)
+        ("" if place else effect_link(effect), *row)
         for effect, values in results.effects.items()
         for place, row in enumerate(parameter_rows(values, results.effects_sigma.get(effect)))
     ]
@@ -270,7 +352,7 @@ def _cubes(results: CalibrateResults) -> Table:
         {
             "recording": lambda cube: cube.name,
             "derotator [°]": lambda cube: number(cube.derotator_angle_deg, "g"),
-            "NCPA [nm RMS]": lambda cube: with_error(cube.wfe_nm, cube.wfe_sigma_nm),
+            HIGHER: lambda cube: with_error(cube.higher_nm, cube.higher_sigma_nm),
             "defocus [nm]": lambda cube: number(cube.zernike_nm.get(4), "+.1f"),
             "χ²/ν": lambda cube: number(cube.chi2_nu, ".2f"),
             "frames": lambda cube: number(cube.frames, "d"),
@@ -287,7 +369,7 @@ def _methods(results: CalibrateResults) -> Table | None:
         estimates,
         {
             "method": lambda one: one.method,
-            "NCPA [nm RMS]": lambda one: number(one.wfe_nm),
+            HIGHER: lambda one: number(one.higher_nm),
             "defocus [nm]": lambda one: number(one.zernike_nm.get(4), "+.1f"),
             "χ²/ν": lambda one: number(one.chi2_nu, ".2f"),
             "modes": lambda one: number(one.modes_estimated, "d"),
@@ -305,10 +387,7 @@ def _methods(results: CalibrateResults) -> Table | None:
 def correct_section(run: RunData) -> Section:
     of = run.of(CorrectResults)
     results, files = of.results, ", ".join(provenance_of(run.products[of.stage]).files)
-    lead = (
-        f"Predicted Strehl {number(results.strehl_before, '.3f')} → "
-        f"{number(results.strehl_after, '.3f')}{f'; offsets in {files}' if files else ''}."
-    )
+    lead = f"{advice(run)}{f' Offsets in {files}.' if files else ''}"
     blocks = of.blocks(
         _predicted,
         _predicted_profile,
@@ -318,7 +397,7 @@ def correct_section(run: RunData) -> Section:
         _offsets,
         _mirror,
     )
-    return Section(of.stage, "Correction", lead, blocks)
+    return Section(of.stage, "Correction", lead, blocks, bad=not applicable(run))
 
 
 def _predicted(of: Correction) -> list[Figure]:
@@ -347,13 +426,14 @@ def _budget(of: Correction) -> Table:
     return Table.of(
         enumerate(of.results.strehl_budget),
         {
-            "part of the model": lambda one: one[1].name,
-            "RMS [nm]": lambda one: number(one[1].wfe_nm, ".1f"),
+            "part of the model": lambda one: effect_link(one[1].name),
+            "RMS of its modes [nm]": lambda one: number(one[1].wfe_nm, ".1f"),
             "Strehl with nothing else": lambda one: number(one[1].alone, ".3f"),
             "Strehl without it": lambda one: number(one[1].without, ".3f") if one[0] else MISSING,
         },
         "Strehl budget before correction",
         BUDGET,
+        name="correct-budget",
     )
 
 

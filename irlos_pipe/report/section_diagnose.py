@@ -8,11 +8,11 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.report.content import Block, Figure, KeyNumber, Section, Stack, Table, Text, Width, shown
@@ -25,7 +25,7 @@ from irlos_pipe.report.curves import (
     quantile_figure,
     star_profile,
 )
-from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, plot, svg
+from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import (
     PERCENTILE,
     SIGNED,
@@ -95,8 +95,7 @@ REST = (
     "Measured − predicted after, on a scale of its own. The ring is as large as the strongest part and "
     "stands about it."
 )
-OF_FRAMES = "Σ|measured − predicted| / Σ measured of data that no fit has seen{}."
-OF_RAMP = (
+RAMP = (
     "Σ|measured − predicted| / Σ measured of frames that no fit has seen. Noise alone is estimated from the "
     "scatter of all frames of an offset, image motion included, which is refitted: it is an upper limit."
 )
@@ -118,14 +117,12 @@ ADDED_PERCENTILE, NOTHING = 99.0, 1e-9  # end of the scale of what is added; siz
 def diagnose_section(run: RunData) -> Section:
     of = run.of(DiagnoseResults)
     results = of.results
-    ramp, gap = of.blocks(_ramp), of.blocks(_gap_figure)
+    ramp = of.blocks(_ramp)
     first = shown(verdict_table(results), _found(results), _candidates(results))
     blocks = [
-        *([*ramp, Stack([*first, *gap])] if ramp else first),
+        *([*ramp, Stack(first)] if ramp else first),
         *of.blocks(_residuals, _leading, _images, _rest, _added_wavefront, _added_amplitude),
-        *([] if ramp else gap),
         *of.blocks(
-            _ranking,
             _profile,
             partial(
                 power_figure, name="dia-power", looks={f"_{key}": one for key, one in BEFORE_AFTER.items()}
@@ -165,7 +162,7 @@ def verdict_numbers(results: DiagnoseResults) -> Iterator[KeyNumber]:
         return
     words = [VERDICTS.get(results.verdict, results.verdict)]
     words += [results.grade] if results.grade not in ("", results.verdict) else []
-    yield KeyNumber("Diagnosis", ", ".join(words), "", verdict_mark(results))
+    yield KeyNumber("Diagnosis", ", ".join(words), "", verdict_mark(results), "diagnose.verdict")
     yield from (_tile("Missing", step) for step in results.steps)
     if results.nearest:
         yield _tile("Nearest, not named", results.nearest)
@@ -175,24 +172,29 @@ def verdict_numbers(results: DiagnoseResults) -> Iterator[KeyNumber]:
         "noise alone" if results.grade else "noise alone, at most",
     )
     note = f"before → after; {noise} {number(gap.floor, '.4f')}"
-    yield KeyNumber("Gap to unseen data", _change(gap.before, gap.after, ".4f"), note)
+    yield KeyNumber(
+        "Gap to unseen data", _change(gap.before, gap.after, ".4f"), note, key="diagnose.gap.before"
+    )
     after = f"with {results.nearest.effect}, not named" if results.nearest else "after"
     note = f"before → {after}; noise alone gives 1" if results.grade else "of the offsets, before → after"
     before, now = (number(one, ".2f" if abs(one) < MANY else ".0f") for one in (chi2.before, chi2.after))
-    yield KeyNumber("χ²/ν", f"{before} → {now}", note)
+    yield KeyNumber("χ²/ν", f"{before} → {now}", note, key="diagnose.chi2_nu")
     known = [step for step in _steps(results) if is_known(step.held_out_z)]
     if known:
         least = min(known, key=lambda step: step.held_out_z)
         note = f"for the model with {_name(least)}, against the one without; {CLEAR_Z}"
-        yield KeyNumber(f"Unseen {results.held_out}", f"z {least.held_out_z:.1f}", note)
+        z = f"z {least.held_out_z:.1f}"
+        yield KeyNumber(f"Unseen {results.held_out}", z, note, key="diagnose.steps.held_out_z")
     for step in _steps(results)[:1]:
         for other in step.ranking[1:2]:
-            yield KeyNumber("Runner-up", other.name.replace("_", " "), _deficit(step, other))
+            name = other.name.replace("_", " ")
+            yield KeyNumber("Runner-up", name, _deficit(step, other), key="diagnose.steps.ranking")
     if results.rest is not None:
         rest = results.rest
         kind = f"{rest.symmetry}, {rest.time}" if _lacking(results) else "nothing significant"
         light = number(rest.light_fraction, ".2%")
-        yield KeyNumber("Left", light, f"of the light misplaced beyond noise; {kind}")
+        note = f"of the light misplaced beyond noise; {kind}"
+        yield KeyNumber("Left", light, note, key="diagnose.rest.light_fraction")
 
 
 def verdict_table(results: DiagnoseResults) -> Table:
@@ -254,14 +256,15 @@ def _values(step: StepRow) -> list[Row]:
 
 def _tile(label: str, step: StepRow) -> KeyNumber:
     """A tile with a name: its first number, and the others small."""
-    rows, head = _values(step), f"{label}: {_name(step)}"
+    rows, head, kind = _values(step), f"{label}: {_name(step)}", kind_of(step.effect)
     if not rows:
-        return KeyNumber(head, step.phrase or step.effect)
+        return KeyNumber(head, step.phrase or step.effect, key=kind)
     if len(rows) > 1 and all(row.name == rows[0].name for row in rows):  # pixels
-        return KeyNumber(head, plural(len(rows), rows[0].name), "; ".join(row.value for row in rows))
+        note = "; ".join(row.value for row in rows)
+        return KeyNumber(head, plural(len(rows), rows[0].name), note, key=kind)
     others = in_one_line(rows[1 : 1 + NUMBERS_IN_NOTE])
     value = " ".join(filter(None, (rows[0].value, rows[0].unit)))
-    return KeyNumber(head, value, "; ".join(filter(None, [rows[0].name, others])))
+    return KeyNumber(head, value, "; ".join(filter(None, [rows[0].name, others])), key=kind)
 
 
 def _deficit(step: StepRow, other: Ranked) -> str:
@@ -344,32 +347,6 @@ def _candidates(results: DiagnoseResults) -> list[Table]:
         if len(rows) > 1:
             tables.append(Table(columns, rows, f"Candidates for {_name(step)}"))
     return tables
-
-
-def _ranking(of: Diagnosis) -> Figure | None:
-    """What every candidate for the first name explains, the best on top."""
-    ranking = [row for step in _steps(of.results)[:1] for row in step.ranking]
-    if len(ranking) < FEW:
-        return None
-    rows = np.arange(len(ranking))
-
-    def draw(axes: Axes) -> None:
-        explained = np.clip(np.nan_to_num([row.explained for row in ranking]), 0, 1)
-        axes.barh(rows, explained, 0.7, color=[BLUE, *[ORANGE] * (len(rows) - 1)])
-        axes.grid(axis="y", visible=False)
-
-    return plot(
-        "dia-ranking",
-        draw,
-        ("explained part of the excess", ""),
-        "Candidates for the first name",
-        "Part of the excess over noise that each name explains when fitted.",
-        size_in=(3.9, 0.7 + 0.24 * len(ranking)),
-        yticks=rows,
-        yticklabels=[row.name for row in ranking],
-        ylim=(len(rows) - 0.4, -0.6),
-        xlim=(0, 1),
-    )
 
 
 def separation_table(results: DiagnoseResults) -> Table:
@@ -591,26 +568,6 @@ def _quantiles(of: Diagnosis) -> Figure | None:
         return None
     residuals = {look: in_sigma(measured - model, sigma) for look, model in models.items()}
     return quantile_figure("dia-quantiles", residuals)
-
-
-def _gap_figure(of: Diagnosis) -> Figure | None:
-    """The gap before and after above that of noise alone, if it is known."""
-    gap = of.results.gap
-    if not is_known(gap.before):
-        return None
-    rows = {"before": (gap.before, ORANGE), "after": (gap.after, BLUE), "noise alone": (gap.floor, FAINT)}
-
-    def draw(axes: Axes) -> None:
-        values, colours = zip(*rows.values(), strict=True)
-        bars = axes.barh(list(rows), values, 0.7, color=colours)
-        axes.bar_label(bars, [number(100 * value, ".2f", "%") for value in values], padding=3, fontsize=8)
-        axes.margins(x=0.2)
-        axes.grid(axis="y", visible=False)
-
-    closed = f"; {number(gap.shrink, '.0%')} of what noise does not explain is closed"
-    caption = OF_FRAMES.format(closed if is_known(gap.shrink) else "") if of.results.grade else OF_RAMP
-    size_in, labels = (3.9, 1.9), ("gap, part of the light", "")
-    return plot("dia-gap", draw, labels, "Gap to unseen data", caption, size_in=size_in, ylim=(2.5, -0.5))
 
 
 def _ramp(of: Diagnosis) -> Figure:

@@ -8,14 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.ramp import travel_direction
-from irlos_pipe.report.content import Figure, Section, Stack, Table, shown
+from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown
 from irlos_pipe.report.curves import chi2_figure
-from irlos_pipe.report.drawing import BLUE, FAINT, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
+from irlos_pipe.report.drawing import BESIDE, BLUE, FAINT, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
 from irlos_pipe.report.images import (
     BRIGHTNESS,
     PERCENTILE,
     SIGNED,
     brightness_scale,
+    label_bar,
     percentile,
     symmetric_scale,
 )
@@ -34,6 +35,7 @@ TRAVEL = {
 SPREAD = 0.3  # part of the step between offsets over which its frames are spread
 STRIP_COLUMNS = 9  # offsets in a strip of images
 CELL_IN = 1.5
+BEYOND_DOUBT = 10_000  # Δχ² above which its size says nothing more
 MOST_OFFSETS = 12  # offsets above which their table is folded
 FEW_OFFSETS = 3  # offsets up to which a figure takes half the width
 RAMP = (
@@ -70,7 +72,7 @@ def _ramp(of: Ramp) -> Figure | None:
         return None
     missing = sum(not np.isfinite(point.defocus_nm) for point in points)
     lost = f" {plural(missing, 'frame')} without estimate." if missing else ""
-    return Figure(ramp_plot(points), "Ramp", f"{RAMP}{lost}")
+    return Figure(ramp_plot(points), "Ramp", f"{RAMP}{lost}", name="ramp")
 
 
 def ramp_plot(points: list[Point]) -> Markup:
@@ -96,7 +98,7 @@ def ramp_plot(points: list[Point]) -> Markup:
             if failed.any():
                 axes.plot(x[failed], y[failed], "x", color=INK, markersize=7, label="not converged")
         top.set(ylabel="estimated defocus [nm RMS]")
-        top.legend()
+        canvas.legend(*top.get_legend_handles_labels(), **BESIDE["below"])
         bottom.set(xlabel="introduced defocus [nm RMS]", ylabel="estimated −\nintroduced [nm]")
 
     return svg("ramp", (4.8, 4.8), draw)
@@ -166,8 +168,10 @@ def _twin(of: Ramp) -> Figure | None:
 def _twin_said(twin: Twin) -> str:
     if not np.isfinite(twin.twin_nm):
         return "There is no other minimum: the twin is excluded."
-    where = f"The other minimum, at {twin.twin_nm:+.0f} nm, has Δχ² = {twin.delta_chi2:,.0f}"
-    fits = where + (f", {twin.evidence:,.0f} in units of the misfit" if twin.chi2_nu > 1 else "")
+    size = f"= {twin.delta_chi2:,.0f}" if twin.delta_chi2 < BEYOND_DOUBT else f"> {BEYOND_DOUBT:,}"
+    fits = f"The other minimum, at {twin.twin_nm:+.0f} nm, has Δχ² {size}"
+    if twin.chi2_nu > 1 and twin.evidence < BEYOND_DOUBT:
+        fits += f", {twin.evidence:,.0f} in units of the misfit"
     if twin.evidence >= DECISIVE:
         return f"{fits}: it is excluded."
     if twin.evidence <= -DECISIVE:
@@ -182,38 +186,44 @@ def _strip(of: Ramp) -> Figure | None:
     if len(offsets) == 0:
         return None
     limit = residual_limit(measured, model)
-    caption = (
-        f"Asinh scale to the peak of each offset; residual ±{limit:.1%} of the model's peak "
-        "(red: brighter than the model, blue: fainter)."
-    )
-    drawing = image_strip(offsets, measured, model, limit)
-    return Figure(drawing, "Mean image per offset", caption, "full" if len(offsets) > FEW_OFFSETS else "half")
+    caption = "Every offset over the peak of its model; white bar: {}; residual: measured − model."
+    scale_mas, columns = of.pixel_scale_mas, measured.shape[2]
+    bar_px = 10 if not scale_mas else max(1, round(columns / 4))
+    length = number(bar_px * (scale_mas or 1.0), ".0f", "mas" if scale_mas else "px")
+    drawing = image_strip(offsets, measured, model, limit, bar_px)
+    width: Width = "full" if len(offsets) > FEW_OFFSETS else "half"
+    return Figure(drawing, "Mean image per offset", caption.format(length), width, "ramp-images")
 
 
-def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float) -> Markup:
-    """Draw measured, model and residual (offsets, rows, columns), each column on its own scale.
+def image_strip(
+    offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float, bar_px: int = 0
+) -> Markup:
+    """Draw measured, model and residual (offsets, rows, columns) over the peak of each model.
 
-    The scale of the residual ends at `limit`, in parts of the model's peak.
+    The scale of the residual ends at `limit`; a bar in the first image is `bar_px` long.
     """
     chosen = np.unique(np.linspace(0, len(offsets_nm) - 1, min(STRIP_COLUMNS, len(offsets_nm))).astype(int))
+    peaks = np.max(model[chosen], axis=(1, 2), initial=0.0, where=np.isfinite(model[chosen]))[:, None, None]
+    over = 1 / np.where(peaks > 0, peaks, 1.0)
+    images = {"measured": measured[chosen] * over, "model": model[chosen] * over}
+    rows = {name: (one, brightness_scale(*images.values()), BRIGHTNESS) for name, one in images.items()}
+    rows["residual"] = (images["measured"] - images["model"], symmetric_scale(limit), SIGNED)
 
     def draw(canvas: Canvas) -> None:
         grid = canvas.subplots(3, len(chosen), squeeze=False)
-        for column, index in zip(grid.T, chosen, strict=True):
-            scale = brightness_scale(measured[index], model[index])
-            shown = {
-                "measured": (measured[index], scale, BRIGHTNESS),
-                "model": (model[index], scale, BRIGHTNESS),
-            }
-            residual = _relative_residual(measured[index], model[index])
-            shown["residual"] = (residual, symmetric_scale(limit), SIGNED)
-            for axes, (label, (image, norm, colours)) in zip(column, shown.items(), strict=True):
-                axes.imshow(image, norm=norm, cmap=colours, origin="lower", interpolation="none")
+        for line, (label, (stack, norm, colours)) in zip(grid, rows.items(), strict=True):
+            for axes, image in zip(line, stack, strict=True):
+                shown = axes.imshow(image, norm=norm, cmap=colours, origin="lower", interpolation="none")
                 axes.grid(False)
-                axes.set(xticks=[], yticks=[], ylabel=label if index == chosen[0] else "")
-            column[0].set_title(number(offsets_nm[index], "+.0f", "nm"))
+                axes.set(xticks=[], yticks=[])
+            line[0].set_ylabel(label)
+            bar = canvas.colorbar(shown, ax=line, label="part of the peak", fraction=0.03, pad=0.01)
+            label_bar(bar.ax, norm)
+        for axes, offset in zip(grid[0], offsets_nm[chosen], strict=True):
+            axes.set_title(number(offset, "+.0f", "nm"))
+        grid[0, 0].plot([2, 2 + bar_px], [2, 2], color="white", linewidth=2)
 
-    return svg("ramp-images", (0.3 + CELL_IN * len(chosen), 0.3 + 3 * CELL_IN), draw)
+    return svg("ramp-images", (1.0 + CELL_IN * len(chosen), 0.3 + 3 * CELL_IN), draw)
 
 
 def residual_limit(measured: np.ndarray, model: np.ndarray) -> float:
@@ -238,7 +248,7 @@ def prior_section(run: RunData) -> Section:
         f"defocus = {slope} · (σ₁/σ₂ − 1) {offset}, from {number(low, '.0f')} to {number(high, '.0f', 'nm')}"
         + (f"; the law departs {scatter} RMS from the model." if scatter != MISSING else ".")
     )
-    return Section(of.stage, "Elongation prior", lead, of.blocks(_law, _prior))
+    return Section(of.stage, "Elongation prior", lead, of.blocks(_law))
 
 
 def _law(of: Prior) -> Figure:
@@ -254,19 +264,6 @@ def _law(of: Prior) -> Figure:
 
     labels = ("introduced defocus [nm RMS]", "axis ratio σ₁/σ₂")
     return plot("prior-law", draw, labels, "Axis ratio against introduced defocus", LAW, "half", (4.4, 2.9))
-
-
-def _prior(of: Prior) -> Figure:
-    prior_nm, introduced_nm = of["defocus_nm"], of["introduced_nm"]
-
-    def draw(axes: Axes) -> None:
-        axes.plot(introduced_nm, introduced_nm, color=INK, linewidth=0.9, label="1:1")
-        _frames(axes, introduced_nm, prior_nm)
-
-    labels = ("introduced defocus [nm RMS]", "prior of the defocus [nm RMS]")
-    caption = "Defocus from the law; that of the NCPAs is in it."
-    title = "Prior against introduced defocus"
-    return plot("prior-defocus", draw, labels, title, caption, "half", (4.4, 2.9))
 
 
 def _frames(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:

@@ -1,30 +1,27 @@
-"""Sections on the run: the recordings that went in, quality control, provenance; numbers to see first."""
+"""Sections on the run: the recordings that went in, quality control, provenance."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterator
-from typing import Any, Literal
+from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import EngFormatter
 
 from irlos_pipe.frames.recording import PROFILE
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import Provenance, provenance_of
-from irlos_pipe.report.content import KeyNumber, Section, Table, Text, shown
-from irlos_pipe.report.images import thumbnail
-from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_diagnose import verdict_numbers
-from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
-from irlos_pipe.report.text import MISSING, is_known, number, plural, rounded_by_error, with_error
-from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.report.content import Figure, Section, Table, Text, shown
+from irlos_pipe.report.drawing import BLUE, MANY, ORANGE, figure
+from irlos_pipe.report.first_screen import all_checks, check_value, passed_text
+from irlos_pipe.report.images import MANY_DIGITS, thumbnail
+from irlos_pipe.report.run_data import RunData, frame_times
+from irlos_pipe.report.text import number, plural
 from irlos_pipe.stages.correct import CorrectResults
-from irlos_pipe.stages.diagnose.results import DiagnoseResults
+from irlos_pipe.stages.ingest.recording_arrays import Overview
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
-from irlos_pipe.stages.lift.results import LiftResults
-from irlos_pipe.stages.sensitivity import SensitivityResults
 
 MOST_THUMBNAILS = 60  # images of recordings that are shown
 CHECKSUM_DIGITS = 12  # of a checksum that are shown
@@ -69,11 +66,63 @@ def ingest_section(run: RunData) -> Section:
     lead += f" Instrument {run.instrument}{'' if stated else ', which no side-car states'}." * bool(
         run.instrument
     )
+    owners = dict.fromkeys(one.input for one in run.recordings)
     blocks = shown(
+        [_frames(run, owner) for owner in owners],
         Table(("recording", "frames", "reason"), reasons, "Rejected frames"),
         Text(f"Not in the data, taken from the instrument profile: {listed}.") if listed else None,
     )
     return Section("ingest", "Recordings", lead, [table, *blocks])
+
+
+def _frames(run: RunData, owner: str) -> Figure | None:
+    """Light, width, place of the star and level of every used frame of a recipe input against time."""
+    recordings = [one for one in run.recordings if one.input == owner and one.series]
+    if sum(one.used.sum() for one in recordings) < 2:
+        return None
+    seconds, scales = frame_times(recordings)[0], [one.acquisition.pixel_scale_mas for one in recordings]
+    perfect = _perfect(run, recordings[0])
+
+    def series(name: str, in_mas: bool = False) -> np.ndarray:
+        values = (one.series[name][one.used] for one in recordings)
+        return np.concatenate(
+            [one * (scale or np.nan if in_mas else 1.0) for one, scale in zip(values, scales, strict=True)]
+        )
+
+    rows = {
+        "flux [e⁻]": [series("flux_e")],
+        "FWHM [mas]": [series("fwhm_px", True)],
+        "Strehl ratio" if perfect else "peak / flux": [
+            series("peak_e") / series("flux_e") / (perfect or 1.0)
+        ],
+        "centroid x (blue), y (orange) [mas]": [series(f"{axis}_px", True) for axis in "xy"],
+        "level [e⁻/px]": [series("level_e")],
+    }
+
+    def draw(canvas: Canvas) -> None:
+        stack = canvas.subplots(len(rows), sharex=True)
+        for axes, (title, curves) in zip(stack, rows.items(), strict=True):
+            for values, colour in zip(curves, (BLUE, ORANGE), strict=False):
+                axes.plot(seconds, values, ".", color=colour, markersize=2, rasterized=len(values) > MANY)
+            axes.set_title(title, loc="left", pad=2)
+            axes.locator_params(axis="y", nbins=4)
+            if np.nanmax(np.abs(curves[0]), initial=0.0) >= MANY_DIGITS:
+                axes.yaxis.set_major_formatter(EngFormatter(sep=""))
+        stack[-1].set_xlabel("time [s]")
+
+    caption = "Used frames, each by itself, diversity and introduced defocus included" + (
+        "; Strehl: brightest pixel over the sum of the window, divided by that of the perfect image."
+        if perfect
+        else "."
+    )
+    return figure(f"frames-{owner}", (6.0, 5.2), draw, f"Frames of {owner}", caption)
+
+
+def _perfect(run: RunData, recording: Overview) -> float | None:
+    """Brightest pixel over the sum of the image without aberrations; None where it is not known."""
+    image = run.of(CorrectResults).arrays.get("perfect")
+    known = image is not None and image.value.shape == recording.mean_e.shape
+    return float(image.value.max() / image.value.sum()) if image is not None and known else None
 
 
 # -- quality control ---------------------------------------------------------------------------
@@ -81,7 +130,7 @@ def ingest_section(run: RunData) -> Section:
 
 def quality_section(run: RunData) -> Section | None:
     """Build the section on checks: failed ones first, then those of each stage; None without any check."""
-    checks = _checks(run)
+    checks = all_checks(run)
     if not checks:
         return None
     passed = {stage: [one for one in checks if one[0] == stage and one[1].passed] for stage in run.products}
@@ -92,25 +141,16 @@ def quality_section(run: RunData) -> Section | None:
         _check_table("Passed", few),
         [_check_table(f"{stage}: {len(found)} passed", found, folded=True) for stage, found in many.items()],
     )
-    return Section("quality", "Quality control", f"{_passed(checks)} checks passed", tables)
-
-
-def _checks(run: RunData) -> list[tuple[str, Check]]:
-    return [(stage, check) for stage, product in run.products.items() for check in product.checks]
-
-
-def _passed(checks: list[tuple[str, Check]]) -> str:
-    return f"{sum(check.passed for _, check in checks)} of {len(checks)}"
+    return Section("quality", "Quality control", f"{passed_text(checks)} checks passed", tables)
 
 
 def _check_table(title: str, checks: list[tuple[str, Check]], folded: bool = False) -> Table:
     rows = []
     for stage, check in checks:
-        value = number(check.value, ".4g", "" if check.unit == "1" else check.unit)
-        name = check.name.removeprefix(f"{stage}/")
-        rows.append(("passed" if check.passed else "FAILED", stage, name, value, check.limits, check.message))
+        name, state = check.name.removeprefix(f"{stage}/"), "passed" if check.passed else "FAILED"
+        rows.append((state, stage, name, check_value(check), check.limits, check.message))
     marks = ["good" if check.passed else "bad" for _, check in checks]
-    columns = ("", "stage", "check", "value", "limits", "message")
+    columns = ("result", "stage", "check", "value", "limits", "message")
     return Table(columns, rows, title, marks=marks, folded=folded, prose=True)
 
 
@@ -128,6 +168,7 @@ def origin_section(run: RunData) -> Section:
         [(stage, provenance_of(product)) for stage, product in run.products.items()],
         {
             "stage": lambda one: one[0],
+            "files": lambda one: _file_links([*run.names.get(one[0], ()), *one[1].files]),
             "finished": lambda one: _moment(one[1].finished),
             "time [s]": lambda one: number(one[1].seconds),
             "device": lambda one: one[1].device,
@@ -142,22 +183,13 @@ def origin_section(run: RunData) -> Section:
     return Section("origin", "Provenance", " · ".join(facts), [stages, *shown(files, recipe)])
 
 
+def _file_links(names: Sequence[str]) -> Markup:
+    return Markup(", ").join(Markup('<a href="{0}">{0}</a>').format(name) for name in names)
+
+
 def finished(run: RunData) -> str:
     """Return when the last stage ended, to the minute; empty without products."""
     return _moment(_latest(run).finished)
-
-
-def warnings(run: RunData) -> list[str]:
-    """Return what the stages warned of, each once, and the exposures that failed."""
-    found = []
-    for stage, product in run.products.items():
-        found += [
-            f"{stage}: {line.partition(' ')[2]}"
-            for line in product.log
-            if line.startswith(("WARNING ", "ERROR ", "CRITICAL "))
-        ]
-        found += [f"{stage}: lost: {failure}" for failure in provenance_of(product).failures]
-    return list(dict.fromkeys(found))
 
 
 def _latest(run: RunData) -> Provenance:
@@ -168,63 +200,3 @@ def _latest(run: RunData) -> Provenance:
 
 def _moment(iso_time: str) -> str:
     return f"{iso_time[:16].replace('T', ' ')} UTC" if iso_time else ""
-
-
-# -- numbers to see first ----------------------------------------------------------------------
-
-
-def key_numbers(run: RunData) -> list[KeyNumber]:
-    """Return what there is of the numbers at the top of the page."""
-    return [one for one in _key_numbers(run) if not one.value.startswith(MISSING)]
-
-
-def _key_numbers(run: RunData) -> Iterator[KeyNumber]:
-    yield from verdict_numbers(run.results(DiagnoseResults))
-    calibration, line = run.results(CalibrateResults), run.results(LiftResults).summary
-    sensitivity, correct = run.results(SensitivityResults), run.results(CorrectResults)
-    yield from _calibration(calibration)
-    yield KeyNumber("Ramp slope", with_error(line.slope, line.slope_sigma, ".3f"))
-    yield KeyNumber("Ramp offset", number(line.offset_nm, "+.1f", "nm"))
-    scatter = number(line.residual_rms_nm, ".1f", "nm")
-    yield KeyNumber("Ramp error", number(line.rms_nm, ".1f", "nm RMS"), f"{scatter} about the line")
-    for curve in sensitivity.curves[:1]:
-        limit = f"{limit_text(curve)} mag" if math.isfinite(curve.limit_mag) else "not reached"
-        note = "; ".join(filter(None, [f"J, {curve_label(curve)}", noise_text(sensitivity.noise)]))
-        yield KeyNumber("Limiting magnitude", limit, note)
-    before, after = number(correct.strehl_before, ".3f"), number(correct.strehl_after, ".3f")
-    yield KeyNumber("Strehl", f"{before} → {after}", "predicted, before → after correction")
-    yield from _sky(calibration)
-    checks = _checks(run)
-    if checks:
-        passed = all(check.passed for _, check in checks)
-        mark: Literal["good", "bad"] = "good" if passed else "bad"
-        yield KeyNumber("Quality control", _passed(checks), "checks passed", mark)
-
-
-def _calibration(results: CalibrateResults) -> Iterator[KeyNumber]:
-    sigma_nm = math.hypot(*(sigma for sigma in results.sigma_nm.values() if math.isfinite(sigma)))
-    nolls = sorted(results.zernike_nm)
-    modes = f"Noll {nolls[0]}–{nolls[-1]}" if nolls else ""
-    wfe = with_error(results.wfe_nm, sigma_nm, ".1f", "nm")
-    yield KeyNumber("NCPAs", wfe, f"RMS, {modes}, {results.method}")
-    nominal = with_error(results.nominal_chi2_nu, results.nominal_chi2_nu_sigma, ".2f")
-    expected = f"; {nominal} if nothing is missing" if nominal != MISSING else ""
-    yield KeyNumber("Calibration fit", number(results.chi2_nu, ".2f"), f"χ²/ν of the mean image{expected}")
-
-
-def _sky(results: CalibrateResults) -> Iterator[KeyNumber]:
-    in_band = number(results.effect_number("seeing_halo", "in_band_wfe_nm"), ".0f", "nm")
-    yield KeyNumber("Seeing", number(results.seeing_arcsec, ".2f", "arcsec"), "taken for the calibration")
-    wfe = _estimated(results, "seeing_halo", "wfe_nm", ".0f", "nm RMS")
-    yield KeyNumber("AO residual", wfe, f"estimated; {in_band} within the band")
-    motion = _estimated(results, "tip_tilt_jitter", "sigma_mas", ".1f", "mas RMS")
-    yield KeyNumber("Image motion", motion, "estimated, per axis")
-
-
-def _estimated(results: CalibrateResults, effect: str, parameter: str, pattern: str, unit: str) -> str:
-    """A parameter of an effect that was estimated, with its error where there is one."""
-    value = results.effect_number(effect, parameter)
-    sigma: Any = results.effects_sigma.get(effect, {}).get(parameter)
-    if is_known(value) and isinstance(sigma, float) and is_known(sigma):
-        return f"{rounded_by_error(value, sigma)} {unit}"
-    return number(value, pattern, unit)

@@ -58,14 +58,20 @@ def number(value: float | None, pattern: str = ".1f", unit: str = "") -> str:
     """Format `value` by `pattern` with its `unit`; None, NaN and infinity give a dash."""
     if not is_known(value):
         return MISSING
-    return f"{value:{pattern}}" + (f" {unit}" if unit else "")
+    return f"{value:{_no_minus_zero(pattern)}}" + (f" {unit}" if unit else "")
+
+
+def _no_minus_zero(pattern: str) -> str:
+    """The `pattern` with ``z``, by which what rounds to zero has no sign."""
+    sign = pattern[:1] if pattern[:1] in "+-" else ""
+    return pattern if pattern.endswith("d") or "," in pattern else f"{sign}z{pattern.removeprefix(sign)}"
 
 
 def with_error(value: float | None, error: float | None, pattern: str = ".1f", unit: str = "") -> str:
     """Format `value` ± `error` by `pattern` with its `unit`; the value alone without an error."""
     if not is_known(value) or not is_known(error):
         return number(value, pattern, unit)
-    return f"{value:{pattern}} ± {error:{pattern.lstrip('+')}}" + (f" {unit}" if unit else "")
+    return f"{number(value, pattern)} ± {number(error, pattern.lstrip('+'))}" + (f" {unit}" if unit else "")
 
 
 def rounded_by_error(value: float, error: float | None) -> str:

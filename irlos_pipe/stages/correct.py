@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -18,7 +19,7 @@ from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
-from irlos_pipe.product.product import Check, declared
+from irlos_pipe.product.product import Check, Product, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Card, Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
@@ -129,6 +130,11 @@ class CorrectResults(StageResults):
     sign: str = item("", "What the sign of the offsets means, in words.")
     strehl_before: Number = item(nan, "Strehl ratio predicted without and with the offsets.")
     strehl_after: Number = item(nan, DITTO)
+    strehl_measured: Number = item(
+        nan,
+        "Strehl ratio of the mean image, its diversity included: brightest pixel over the sum of the window, "
+        "divided by the same of the image without aberrations.",
+    )
     strehl_budget: list[StrehlRow] = item(
         [], "What each part of the model costs the image before the correction; the whole model first."
     )
@@ -158,6 +164,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     table = _table(ctx, offsets, prediction)
     before_nm, after_nm = _maps_nm(ctx, nolls, zernike)
     scale_mas = recording.acquisition.pixel_scale_mas or math.nan
+    checks = _checks(ctx, recording, prediction)
+    before = checks_behind(ctx.products.values(), ctx.config.input)
     output = StageOutput(
         declared(
             ARRAYS,
@@ -173,15 +181,39 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             wavefront_before=MapSize.of(before_nm),
             wavefront_after=MapSize.of(after_nm),
             resolution_mas=prediction.resolution_px * scale_mas,
+            strehl_measured=_sharpness(arrays["mean_image_e"].value) / _sharpness(prediction.perfect)
+            if "mean_image_e" in arrays
+            else math.nan,
         ),
-        _checks(ctx, recording, prediction),
+        checks,
         files={"correction.csv": table, "correction.fits": table},
         summary=[
-            f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
-            f"predicted, {len(offsets.nolls)} offsets in correction.csv and correction.fits"
+            f"Correction      {_advice(prediction, [*checks, *before])}, {len(offsets.nolls)} offsets in "
+            "correction.csv and correction.fits"
         ],
     )
     return output if ctx.config.mirror_modes is None else in_mirror_modes(ctx, output)
+
+
+def checks_behind(products: Iterable[Product], used: str) -> list[Check]:
+    """Return the checks of a correction by its `products`; of ingest those of the recipe input `used`."""
+    checks = [(one.stage, check) for one in products if one.stage in (*READS, NAME) for check in one.checks]
+    return [one for stage, one in checks if stage != "ingest" or one.name.startswith(f"ingest/{used}/")]
+
+
+def _advice(prediction: Prediction, checks: list[Check]) -> str:
+    """The predicted gain, or why there is none to count on."""
+    if not all(check.passed for check in checks):
+        return "DO NOT APPLY: a check failed"
+    before, after = prediction.strehl_before, prediction.strehl_after
+    if not after > before:
+        return f"no gain predicted (Strehl {before:.3f} → {after:.3f})"
+    return f"Strehl {before:.3f} → {after:.3f} predicted"
+
+
+def _sharpness(image: np.ndarray) -> float:
+    """Brightest pixel over the sum of an `image`."""
+    return float(image.max() / image.sum())
 
 
 def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) -> Table:
@@ -200,6 +232,8 @@ def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) 
         Card("IRLOS GAIN", ctx.config.gain, "part of the aberration corrected"),
         Card("ESO QC NCPA RMS", calibration.wfe_nm, "[nm] NCPAs, Noll 2-30"),
         Card("ESO QC NCPA RMS SIGMA", calibration.wfe_sigma_nm, "[nm]"),
+        Card("ESO QC NCPA HIGHER", calibration.higher_nm, "[nm] NCPAs, Noll 4-30"),
+        Card("ESO QC NCPA HIGHER SIGMA", calibration.higher_sigma_nm, "[nm]"),
         Card("ESO QC CHI2 NU", calibration.chi2_nu, "of the mean image"),
         Card("ESO QC STREHL BEFORE", prediction.strehl_before, "predicted"),
         Card("ESO QC STREHL AFTER", prediction.strehl_after, "predicted with the offsets"),

@@ -172,6 +172,8 @@ def test_every_check_of_qc_json_stands_in_the_header_of_fits_and_csv(run):
     header = fits.getheader(run / "correction.fits")
     lines = (run / "correction.csv").read_text().splitlines()
     assert header["ESO QC CHECKS"] == len(checks)
+    failed = any(not check["passed"] for check in checks)
+    assert lines[0].startswith("# QC FAILED, DO NOT APPLY") == failed == ("IRLOS VERDICT" in header)
     assert header["ESO QC FAILED"] == sum(not check["passed"] for check in checks)
     for check in checks:
         key = qc_keyword(check["name"])

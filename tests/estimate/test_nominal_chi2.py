@@ -3,14 +3,17 @@
 Truth: Monte Carlo of linear models with noise that pixels share; Gaussian scatter and a vibration.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.estimate.calibration_errors import Part, nominal_chi2, nominal_chi2_of
+from irlos_pipe.estimate.calibration_errors import Part, nominal_chi2, nominal_chi2_of, nominal_power
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.image_quality import power_spectrum
 
 SIDE, COUNT, PARAMETERS = 16, 40, 12
 PIXELS = SIDE * SIDE
@@ -52,6 +55,32 @@ def test_the_frames_tell_mean_and_scatter_of_chi2_about_a_right_model(patterns):
     assert 0.7 < np.std(pulls) < 1.3
     if patterns:
         assert np.mean(found) < 0.9
+
+
+def test_the_frames_tell_the_power_spectrum_about_a_right_model():
+    """Truth: the mean spectrum of what linear fits leave of the means of many cubes."""
+    rng = np.random.default_rng(7)
+    y, x = np.indices((SIDE, SIDE))
+    waves = [np.cos(2 * np.pi * (2 * x + k * y) / SIDE).ravel() for k in range(PARAMETERS)]
+    jacobian = torch.as_tensor(np.array(waves))
+    shared = 6 * np.array([np.sin(2 * np.pi * (2 * x + k * y) / SIDE).ravel() for k in range(4)])
+    problem = SimpleNamespace(
+        predict_and_jacobian=lambda values: (None, jacobian[None]),
+        prior_precision=torch.zeros(1, PARAMETERS),
+        model=SimpleNamespace(psf=SimpleNamespace(settings=SimpleNamespace(resolution_px=2.0))),
+    )
+    found, told = [], []
+    for _ in range(40):
+        frames = _cube(rng, shared)
+        nominal = nominal_chi2(frames, jacobian, torch.zeros(PARAMETERS))
+        told.append(nominal_power(frames, problem, torch.zeros(1, PARAMETERS), nominal))
+        root = mean_variance_e2(frames).flatten() ** -0.5
+        data, columns = (frames.mean_e.flatten() - SKY) * root, (jacobian * root).mT
+        left = data - columns @ torch.linalg.lstsq(columns, data[:, None]).solution[:, 0]
+        found.append(power_spectrum(left.reshape(SIDE, SIDE).numpy(), 2.0).value)
+    error = np.std(found, axis=0) / np.sqrt(40)
+    assert np.all(np.abs(np.mean(told, axis=0) - np.mean(found, axis=0)) < 4 * error)
+    assert np.ptp(np.mean(told, axis=0)) > 0.2  # it is not white
 
 
 def test_images_fitted_together_have_the_chi2_that_their_frames_tell():

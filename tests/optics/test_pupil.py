@@ -24,7 +24,7 @@ from irlos_pipe.optics.pupil import (
     petals_of,
     segments_of,
 )
-from irlos_pipe.optics.wavefront import clear_disc, modes_at, opd_maps_nm
+from irlos_pipe.optics.wavefront import clear_disc, modes_at, opd_maps_nm, opd_sigma_nm
 from irlos_pipe.optics.zernike import noll_to_nm, rotation_matrix, zernike, zernike_basis
 from irlos_pipe.simulate import aperture as simulated
 
@@ -258,3 +258,11 @@ def test_ring_means_of_a_cone_are_its_radii_and_leave_bad_pixels_out():
     radius, mean = ring_means(cone, (10, 12))
     assert mean == pytest.approx(radius) and len(radius) == 10
     assert len(ring_means(cone, (10, 12), reach_px=4)[0]) == 4
+
+
+def test_the_error_of_a_map_is_the_scatter_of_maps_of_that_covariance():
+    root, lit = np.array([[3.0, 0.0, 0.0], [2.0, 1.0, 0.0], [-1.0, 0.5, 2.0]]), clear_disc(UT4, 20)
+    draws = opd_maps_nm((4, 6, 11), np.random.default_rng(1).normal(size=(4000, 3)) @ root.T, lit)
+    found = opd_sigma_nm((4, 6, 11), root @ root.T, lit)
+    assert found[lit] == pytest.approx(draws.std(axis=0)[lit], rel=0.06)  # 5 standard errors
+    assert np.isnan(found[~lit]).all()

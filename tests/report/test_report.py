@@ -35,7 +35,7 @@ class Page(HTMLParser):
         if "id" in values:
             self.identifiers.append(values["id"])
         for name in ("href", "xlink:href", "src"):
-            if name in values:
+            if name in values and (tag != "a" or values[name].startswith("#")):  # other links load nothing
                 (self.references if values[name].startswith("#") else self.loaded).append(values[name])
         if tag in ("section", "details", "div", "figure", "table"):
             self.open.append(tag)
@@ -100,6 +100,7 @@ def test_a_full_run_has_all_sections_results_first(full):
         "sensitivity",
         "ingest",
         "quality",
+        "meaning",
         "origin",
     ]
 
@@ -136,9 +137,9 @@ def test_elements_are_closed_identifiers_unique_and_every_reference_has_its_targ
 @pytest.mark.slow
 def test_the_numbers_to_see_first_are_there_with_their_units(full):
     for shown in (
-        "54.8 ± 4.0 nm", "0.998 ± 0.003", "+1.0 nm", "1.2 nm RMS", "≥ 16.0 mag", "0.631 → 0.742",
-        "0.50 arcsec", "110 nm RMS", "6.9 mas RMS", "HD 1", "2024-02-11 02:20", "dip_avg", "1.2340 ± 0.0030",
-        "13.3", "0123456789ab", "numpy 2.4.6", "derotator_angle_deg", "4 defocus",
+        "50.0 ± 2.8 nm", "22.4 ± 2.8 nm", "0.998 ± 0.003", "+1.0 nm", "1.2 nm RMS", "≥ 16.0 mag",
+        "0.631 → 0.742", "0.50 arcsec", "110 nm RMS", "6.9 mas RMS", "HD 1", "2024-02-11 02:20", "dip_avg",
+        "1.2340 ± 0.0030", "13.3", "0123456789ab", "numpy 2.4.6", "derotator_angle_deg", "4 defocus",
     ):  # fmt: skip
         assert shown in full.text, shown
 
@@ -193,10 +194,48 @@ def test_failed_checks_come_first_and_are_marked(tmp_path):
     ]
     text = report(tmp_path, made, status="qc_failed").text
     row = re.search(r'<tr class="bad">.*?</tr>', text, re.DOTALL)[0]
-    assert re.findall(r"<td>(.*?)</td>", row) == ["FAILED", "ingest", "too wide", "5 px", "≤ 4", "off centre"]
-    assert text.index("too wide") < text.index("<td>fine</td>")
+    assert re.findall(r"<td[^>]*>(.*?)</td>", row) == [
+        "FAILED",
+        "ingest",
+        "too wide",
+        "5 px",
+        "≤ 4",
+        "off centre",
+    ]
+    assert text.index("too wide") < text.index(">fine</td>")
     assert "1 of 2" in text
     assert "needs a look" in text
+
+
+CAUSE = {"says": "pixels of 9.7 mas instead of 10", "explains": 0.97, "figure": "cal-residual"}
+
+
+@pytest.mark.parametrize(("after", "value"), [(0.742, 0.3), (0.742, 9.0), (0.6, 0.3)])
+def test_the_first_screen_says_whether_the_correction_may_be_applied_and_why_not(tmp_path, after, value):
+    """A failed check stands above the numbers with its value, limit, causes and a link to what is there."""
+    made = made_run.products("ingest", "calibrate", "correct")
+    check = Check("chi2 of the mean image", value, "", None, 0.5, "too much")
+    causes = [CAUSE, {"says": "a spectrum about 1650 nm", "figure": "not drawn"}]
+    made[1] = replace(made[1], checks=[check], results=made[1].results | {"causes": causes})
+    made[2].results["strehl_after"] = after
+    page = report(tmp_path, made)
+    head = page.text[: page.text.index('<dl class="numbers">')]
+    tiles = page.text[len(head) : page.text.index("<main>")]
+    if value < 0.5:
+        assert "may be applied" in head and "<h2" not in head
+        assert ("no gain predicted" in tiles) == (after < 0.631)
+        return
+    assert "do not apply" in head and "9 (limit 0.5)" in head and "97% of the misfit" in head
+    assert head.index("too much") < head.index(CAUSE["says"]) < head.index("1650 nm")
+    assert head.count('href="#cal-residual"') == 2 and head.count('href="#calibrate"') == 1
+    assert "do not apply" in tiles and "→" not in tiles
+    assert {link[1:] for link in page.references} <= set(page.identifiers)
+
+
+def test_a_bench_run_shows_no_seeing(tmp_path):
+    product = made_run.calibrate()
+    product.results["effects"] = {"tip_tilt_jitter": {"sigma_mas": 6.9}}
+    assert "arcsec" not in report(tmp_path, [product]).text
 
 
 def test_warnings_and_lost_exposures_are_shown(tmp_path):

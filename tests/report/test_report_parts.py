@@ -46,7 +46,13 @@ def test_what_is_missing_becomes_a_dash(value):
 
 @pytest.mark.parametrize(
     ("value", "error", "expected"),
-    [(1.25, 0.5, "+1.2 ± 0.5 nm"), (1.25, None, "+1.2 nm"), (None, 0.5, MISSING), (NAN, NAN, MISSING)],
+    [
+        (1.25, 0.5, "+1.2 ± 0.5 nm"),
+        (1.25, None, "+1.2 nm"),
+        (-0.04, 0.5, "+0.0 ± 0.5 nm"),  # a zero has no minus
+        (None, 0.5, MISSING),
+        (NAN, NAN, MISSING),
+    ],
 )
 def test_an_error_is_shown_where_there_is_one(value, error, expected):
     assert with_error(value, error, "+.1f", "nm") == expected
@@ -194,7 +200,7 @@ def test_a_strip_shows_no_more_than_fits():
     drawing = image_strip(offsets, images, images, 0.1)
     assert "+0 nm" in drawing
     assert "+29 nm" in drawing
-    assert drawing.count("<image") == 27
+    assert drawing.count("<image") == 27 + 3  # one colour bar for every row
 
 
 def test_the_residual_scale_is_relative_to_the_models_peak():
@@ -280,7 +286,6 @@ def test_masked_pixels_do_not_count_and_a_handful_is_no_plot():
 
 def test_frames_are_drawn_beside_what_a_right_model_gives():
     figure = chi2_figure("c", np.array([1.9, np.nan, 2.4]), 2.2, 4.4)
-    assert "2.20 (dashed)" in figure.caption and "up to 4.40" in figure.caption
-    bare = chi2_figure("c", np.array([1.9]), np.nan, np.nan)
-    assert "right model" not in bare.caption and "Grey" not in bare.caption
+    assert "nominal, 2.20" in figure.svg and "limit of the median, 4.40" in figure.svg
+    assert "nominal" not in chi2_figure("c", np.array([1.9]), np.nan, np.nan).svg
     assert chi2_figure("c", np.full(3, np.nan), 2.2, 4.4) is None

@@ -8,13 +8,12 @@ import pytest
 from helpers.paths import REPOSITORY
 
 from irlos_pipe.commands.main import cli
-from irlos_pipe.conventions.errors import ExitCode
+from irlos_pipe.conventions.errors import EXIT_MEANINGS, ExitCode
 from irlos_pipe.effects.catalogue import CATALOGUE
-from irlos_pipe.reference.pages import EXITS
 
 
 def test_every_exit_code_is_explained():
-    assert set(EXITS) == set(ExitCode)
+    assert set(EXIT_MEANINGS) == set(ExitCode)
 
 
 @pytest.mark.slow

@@ -35,6 +35,7 @@ ARRAYS = {
     "correlation": ("", "mode, mode", "correlation of the reported modes"),
     "left_frequency": ("D/λ", "frequency", "spatial frequency of the residual"),
     "left_power": ("", "frequency", "power of the residual over its standard error"),
+    "left_nominal": ("", "frequency", "the same as a model that lacks nothing would leave it"),
     "effects/<effect>": ("", "parameter", "parameters of the effect, as it declares them"),
     "cubes/<name>/<array>": ("", "", "arrays of one recording, with calibrate.each"),
 }
@@ -89,6 +90,14 @@ class Estimate(ResultsPart):
     sigma_nm: ByNoll = item({}, DITTO)
     wfe_nm: Number = item(nan, "RMS of the reported modes, and the total error expected of them.")
     wfe_sigma_nm: Number = item(nan, DITTO)
+    higher_nm: Number = item(
+        nan,
+        "RMS of the reported modes from Noll 4 on, which leaves out tip and tilt, the position of the star; "
+        "and the total error expected of them.",
+    )
+    higher_sigma_nm: Number = item(nan, DITTO)
+    tip_tilt_nm: Number = item(nan, "RMS of tip and tilt together, and their total error.")
+    tip_tilt_sigma_nm: Number = item(nan, DITTO)
     frames: int = item(0, "Used frames.")
     errors_from: str = item(
         "frames",
@@ -98,7 +107,8 @@ class Estimate(ResultsPart):
     chi2_nu: Number = item(
         nan,
         "Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much "
-        "that varies by chance, see `estimate.calibration_errors`.",
+        "that varies by chance, see `estimate.calibration_errors`. Behind an AO system a complete model "
+        "leaves less than 1: neighbouring pixels share the scatter of speckles, which the modes follow.",
     )
     nominal_chi2_nu: Number = item(nan, DITTO)
     nominal_chi2_nu_sigma: Number = item(nan, DITTO)
@@ -153,6 +163,23 @@ class Lenslets(ResultsPart):
     centroids_sigma_nm: ByNoll = item({}, DITTO)
 
 
+class CauseRow(ResultsPart):
+    """A fact or effect that would explain why a check failed, see `estimate.causes`."""
+
+    name: str = item("", "What it is: a short identifier, such as ``plate_scale`` or ``transposed``.")
+    says: str = item("", "The whole sentence for a person, key included.")
+    explains: Number = item(nan, "Part of the misfit that it explains, 0 to 1; NaN where it is no misfit.")
+    value: Number = item(
+        nan,
+        "Value that the data want, its standard error and the declared value; NaN where none is a number.",
+    )
+    sigma: Number = item(nan, DITTO)
+    declared: Number = item(nan, DITTO)
+    unit: str = item("", "Unit of the three.")
+    key: str = item("", "Key of the side-car or profile to change; empty where none is.")
+    figure: str = item("", "Figure of the report to look at, by its name there, such as ``cal-residual``.")
+
+
 class AngleRow(ResultsPart):
     """A recording and its derotator angle."""
 
@@ -179,6 +206,9 @@ class CalibrateResults(Estimate, StageResults):
     twin: Twin | None = item(None, "None without a twin solution, and for the mean over cubes.")
     compare: list[Estimate] = item([], "Estimates with other methods.")
     cubes: list[CubeRow] = []
+    causes: list[CauseRow] = item(
+        [], "What would explain the checks that failed, most likely first; empty where none did."
+    )
     lenslets: Lenslets | None = item(
         None, "What the images of a 2x2 mode determine; None for other recordings."
     )

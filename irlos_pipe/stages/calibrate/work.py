@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
+from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL, TIP_TILT
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import mean_of, measured, rows_of
@@ -138,6 +138,7 @@ def _calibrated(
 # -- what is reported --------------------------------------------------------------------------------
 
 LABEL_WIDTH = 24  # letters before the numbers in lines for the terminal; the longest effect has 22
+HIGHER = DEFOCUS  # first mode of the wavefront without tip and tilt
 MEAN = ("noll", "zernike_nm", "modes_nm", "covariance_nm2", "effects")  # arrays of the mean over cubes
 
 
@@ -246,12 +247,15 @@ def _reported(nolls: Sequence[int]) -> slice:
     return slice(0, sum(noll <= HIGHEST_REPORTED_NOLL for noll in nolls))
 
 
-def wfe_nm(nolls: Sequence[int], zernike_nm: np.ndarray) -> float:
-    """Return the RMS [nm] of the reported ones of modes `nolls` with coefficients `zernike_nm`, (modes,).
+def wfe_nm(
+    nolls: Sequence[int], zernike_nm: np.ndarray, first: int = 2, last: int = HIGHEST_REPORTED_NOLL
+) -> float:
+    """Return the RMS [nm] of those of modes `nolls` from `first` to `last` with `zernike_nm`, (modes,).
 
     Of standard errors this is the total error to be expected.
     """
-    return float(np.sqrt(np.sum(zernike_nm[_reported(nolls)] ** 2)))
+    own = (np.asarray(nolls) >= first) & (np.asarray(nolls) <= last)
+    return float(np.sqrt(np.sum(zernike_nm[own] ** 2)))
 
 
 def _by_noll(nolls: Sequence[int], values: np.ndarray) -> dict[int, float]:
@@ -268,6 +272,10 @@ def _estimate(result: Calibration) -> dict[str, Any]:
         "sigma_nm": _by_noll(result.nolls, result.sigma_nm),
         "wfe_nm": wfe_nm(result.nolls, result.zernike_nm),
         "wfe_sigma_nm": wfe_nm(result.nolls, result.sigma_nm),
+        "higher_nm": wfe_nm(result.nolls, result.zernike_nm, HIGHER),
+        "higher_sigma_nm": wfe_nm(result.nolls, result.sigma_nm, HIGHER),
+        "tip_tilt_nm": wfe_nm(result.nolls, result.zernike_nm, *TIP_TILT),
+        "tip_tilt_sigma_nm": wfe_nm(result.nolls, result.sigma_nm, *TIP_TILT),
         "frames": len(result.frames_nm),
         "errors_from": result.errors_from,
         "seconds": round(result.seconds, 3),
@@ -302,6 +310,7 @@ def _arrays(
     """The arrays of an estimate, in the group `below`; of those in a group or alone only the ones named."""
     own, left = _reported(result.nolls), result.left
     values: dict[str, Any] = {} if left is None else {"left_frequency": left.at, "left_power": left.value}
+    values |= {} if result.left_nominal is None else {"left_nominal": result.left_nominal}
     values |= {
         "noll": result.nolls,
         "zernike_nm": (result.zernike_nm, result.sigma_nm),
@@ -329,20 +338,28 @@ def _effect_lines(effects: dict[str, dict], sigma: dict[str, dict] | None = None
     ]
 
 
-def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
-    wfe, sigma = wfe_nm(result.nolls, result.zernike_nm), wfe_nm(result.nolls, result.sigma_nm)
+def _ncpa_text(result: Calibration) -> str:
+    """The wavefront, tip and tilt apart, which say where the star stood."""
+    higher, tip_tilt = (
+        f"{wfe_nm(result.nolls, result.zernike_nm, *modes):.1f} ± "
+        f"{wfe_nm(result.nolls, result.sigma_nm, *modes):.1f} nm"
+        for modes in ((HIGHER,), TIP_TILT)
+    )
     last = result.nolls[_reported(result.nolls)][-1]
+    return f"NCPA            {higher} RMS in Noll {HIGHER}–{last}, tip and tilt {tip_tilt}"
+
+
+def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
     few = ["  errors from the noise model and the misfit: too few frames to show their scatter"]
     return [
-        f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
-        f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
+        f"{_ncpa_text(result)} ({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
         f"nominal {result.nominal.value:.2f})",
         *(few if result.errors_from != "frames" else []),
         *([] if result.motion is None else [f"  {motion_line(result.motion)}"]),
         *_tail_lines(result),
         *_effect_lines(result.effects, result.effects_sigma),
         *(
-            f"  beside: {wfe_nm(other.nolls, other.zernike_nm):.1f} nm RMS ({other.options.method}, "
+            f"  beside: {wfe_nm(other.nolls, other.zernike_nm, HIGHER):.1f} nm RMS ({other.options.method}, "
             f"{other.seconds:.1f} s, χ²/ν {other.chi2_nu:.2f})"
             for other in others
         ),
@@ -361,15 +378,13 @@ def _tail_lines(result: Calibration) -> list[str]:
 
 
 def _mean_summary(mean: Calibration, cubes: Sequence[Cube]) -> list[str]:
-    last = mean.nolls[_reported(mean.nolls)][-1]
     return [
-        f"NCPA            {wfe_nm(mean.nolls, mean.zernike_nm):.1f} ± "
-        f"{wfe_nm(mean.nolls, mean.sigma_nm):.1f} nm RMS in Noll 2–{last}: mean of {len(cubes)} "
-        f"{'cube' if len(cubes) == 1 else 'cubes'} ({mean.options.method})",
+        f"{_ncpa_text(mean)}: mean of {len(cubes)} {'cube' if len(cubes) == 1 else 'cubes'} "
+        f"({mean.options.method})",
         *_effect_lines(mean.effects),
         *(
-            f"  {cube.name}: {wfe_nm(mean.nolls, cube.result.zernike_nm):.1f} nm RMS, derotator "
-            f"{cube.acquisition.derotator_angle_deg:g}°, χ²/ν {cube.result.chi2_nu:.2f}"
+            f"  {cube.name}: {wfe_nm(cube.result.nolls, cube.result.zernike_nm, HIGHER):.1f} nm RMS, "
+            f"derotator {cube.acquisition.derotator_angle_deg:g}°, χ²/ν {cube.result.chi2_nu:.2f}"
             for cube in cubes
         ),
         CUBES_IN_SHORT,

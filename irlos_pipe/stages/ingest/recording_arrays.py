@@ -12,6 +12,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.blocks import mean_frame, picked
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.frames.series import DECLARED, frame_series
 from irlos_pipe.product.product import Product, Quantity, declared
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.ingest.results import RECORDING, ROOT, IngestResults
@@ -36,6 +37,9 @@ class Overview:
     good: np.ndarray
     start_unix_s: float
     mean_e: np.ndarray  # mean of the used frames [e-], (rows, columns)
+    used: np.ndarray  # (frames,); `time_s` as well
+    time_s: np.ndarray
+    series: dict[str, np.ndarray]  # see `frames.series`, (frames,) each; empty of an earlier version
 
 
 def prefix_of(recording: Recording) -> str:
@@ -60,7 +64,7 @@ def arrays_of(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict
         "flat": cleaned.background.flat,
         "cosmic_hits": np.stack([hits.frame, hits.row, hits.column], axis=1),
         "screened_e": _screened_e(recording, cleaned, raw),
-    }
+    } | frame_series(recording.images_e, recording.good)
     return arrays_from_recording(recording) | declared(RECORDING, own, below=f"{prefix_of(recording)}/")
 
 
@@ -142,6 +146,13 @@ def _overview(product: Product, owner: str, name: str) -> Overview:
         product.arrays[f"{prefix}/pixel_mask"].value,
         float(product.arrays[f"{prefix}/start_unix_s"].value),
         _recording(product, owner, name).mean_e if mean is None else mean.value,
+        np.asarray(product.arrays[f"{prefix}/used"].value),
+        np.asarray(product.arrays[f"{prefix}/time_s"].value),
+        {
+            key: product.arrays[f"{prefix}/{key}"].value
+            for key in DECLARED
+            if f"{prefix}/{key}" in product.arrays
+        },
     )
 
 

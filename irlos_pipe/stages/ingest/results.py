@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import nan
 from typing import ClassVar
 
+from irlos_pipe.frames.series import DECLARED
 from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, StageResults, item
 
 ROOT = "recordings"
@@ -28,6 +29,7 @@ RECORDING = {
     "cosmic_hits": ("", "hit, 3", "replaced pixels: frame, row, column"),
     "screened_e": ("e-", "pixel", "mean signal of the pixels in bad_pixels_found, as they were recorded"),
     "acquisition": ("", "", "how it was taken, and where each key came from (JSON)"),
+    **DECLARED,
 }
 ARRAYS = {f"{ROOT}/<input>/<name>/{name}": what for name, what in RECORDING.items()}
 CHECKS = {
