@@ -13,7 +13,13 @@ HERE = Path(__file__).parent
 project = "irlos_pipe"
 author = "The irlos_pipe developers"
 version = release = irlos_pipe.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "matplotlib.sphinxext.plot_directive",
+]
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # a test executes the tutorial; the site shows the outcome that is stored in it
@@ -22,8 +28,10 @@ html_theme = "furo"
 html_title = f"irlos_pipe {version}"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-copyright = author
+copyright = f"{author} · version {version} · BSD 3-clause licence"  # the footer of every page
 html_show_sphinx = False
+plot_formats = [("png", 110)]
+plot_html_show_formats = plot_html_show_source_link = False
 smartquotes = False  # options begin with two hyphens
 autodoc_typehints = "none"  # the docstrings state types, shapes and units
 autodoc_member_order = "bysource"
