@@ -31,6 +31,7 @@ html_css_files = ["site.css"]
 copyright = f"{author} · version {version} · BSD 3-clause licence"  # the footer of every page
 html_show_sphinx = False
 plot_formats = [("png", 110)]
+plot_working_directory = str(HERE / "_build")  # the run of the gallery stays there for the next build
 plot_html_show_formats = plot_html_show_source_link = False
 smartquotes = False  # options begin with two hyphens
 autodoc_typehints = "none"  # the docstrings state types, shapes and units
@@ -51,7 +52,8 @@ def commands_page() -> str:
 
 
 def write_reference(_app: object) -> None:
-    """Write the pages that are made from the package."""
+    """Write the pages that are made from the package, and the folder that the gallery runs in."""
+    Path(plot_working_directory).mkdir(exist_ok=True)
     folder = HERE / "reference"
     folder.mkdir(exist_ok=True)
     for name, text in (pages() | {"commands": commands_page()}).items():
