@@ -1,5 +1,6 @@
 """The documentation site; `make docs` builds it with warnings as errors."""
 
+import logging
 from pathlib import Path
 
 import click
@@ -38,6 +39,7 @@ autodoc_typehints = "none"  # the docstrings state types, shapes and units
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+logging.getLogger("irlos_pipe").propagate = False  # a package of furo prints what loggers pass on
 # Files of the tree beside the site are linked as they lie, for readers on a code host.
 suppress_warnings = ["myst.xref_missing"]
 
