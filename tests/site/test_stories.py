@@ -1,5 +1,7 @@
-"""The two stories of the docs are executed from top to bottom, in an empty folder."""
+"""The quick start and the two stories of the docs are executed from top to bottom, in an empty folder."""
 
+import inspect
+import json
 import os
 import re
 import shutil
@@ -7,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib
+import numpy as np
 import pytest
 from helpers.paths import REPOSITORY
 
@@ -40,6 +44,24 @@ def static_error_nm(score: str) -> float:
     """The error of a calibration against the static modes that the simulator drew."""
     (error_nm,) = re.findall(r"long_exposure .* ([0-9.]+) nm RMS +[0-9.]+$", score, re.MULTILINE)
     return float(error_nm)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    "pupil" not in inspect.signature(irlos_pipe.calibrate).parameters, reason="takes no arrays"
+)
+def test_five_minutes_with_one_array_find_the_truth(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("agg")
+    names: dict = {}
+    for _, text in BLOCK.findall((DOCS / "quickstart.md").read_text("utf-8")):
+        exec(compile(text, "quickstart.md", "exec"), names)
+    assert all(check.passed for check in irlos_pipe.open_run(tmp_path / "first").checks)
+    # truth: what the simulator of the sample, which shares no optics with the model, was given
+    sample, table = names["sample"], names["table"][2:29]
+    truth = json.loads((sample.parent / "truth" / f"{sample.name}.json").read_text())["ncpa_nm"]
+    errors_nm = [row["zernike_nm"].value - truth[str(row["noll"])] for row in table]
+    assert np.linalg.norm(errors_nm) < 4
 
 
 @pytest.mark.long
