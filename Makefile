@@ -42,7 +42,7 @@ where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo docs test test-quick test-long lint bench fuzz faults misled clean full calibrate dip-global ramp
-.PHONY: end-to-end focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
+.PHONY: tutorial end-to-end focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -85,6 +85,11 @@ lint: env-test ## check formatting, style and types
 
 focus-demo: env ## close the focus loop on a simulated telescope for two minutes (ARGS="--speed 0 --no-browser")
 	$(BIN)/python -m benchmarks.focus_loop.demo --output $(RUNS)/focus-demo $(ARGS)
+
+tutorial: $(VENV)/.env-docs ## execute the notebook docs/tutorial.ipynb into runs/tutorial.ipynb, about a minute
+	mkdir -p $(RUNS)
+	cp docs/tutorial.ipynb $(RUNS)/tutorial.ipynb
+	$(BIN)/python -m jupyter execute --inplace $(RUNS)/tutorial.ipynb
 
 docs: $(VENV)/.env-docs ## build the documentation site in docs/_build/html; warnings are errors
 	$(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html

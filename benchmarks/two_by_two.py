@@ -282,7 +282,7 @@ def comparison_table(points: Sequence[dict[str, float]]) -> str:
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--files", default=20, show_default=True, help="Files of the archive.")
 @click.option("--realisations", default=60, show_default=True, help="Frames per magnitude.")
-@click.option("--write-docs", is_flag=True, help="Put the tables into docs/two_by_two.md.")
+@click.option("--write-docs", is_flag=True, help="Put the tables into docs/two_by_two_tests.md.")
 def main(folder: Path, files: int, realisations: int, write_docs: bool) -> None:
     """Simulate and reduce an archive in FOLDER, and compare three ways to measure defocus."""
     found = measured_archive(folder, files)
@@ -291,7 +291,7 @@ def main(folder: Path, files: int, realisations: int, write_docs: bool) -> None:
     tables = {"archive": archive_table(found), "comparison": comparison_table(points)}
     click.echo("\n".join(tables.values()))
     if write_docs:
-        put(DOCS / "two_by_two.md", tables)
+        put(DOCS / "two_by_two_tests.md", tables)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The documentation site; `make docs` builds it with warnings as errors."""
 
+import logging
 from pathlib import Path
 
 import click
@@ -13,7 +14,13 @@ HERE = Path(__file__).parent
 project = "irlos_pipe"
 author = "The irlos_pipe developers"
 version = release = irlos_pipe.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "matplotlib.sphinxext.plot_directive",
+]
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # a test executes the tutorial; the site shows the outcome that is stored in it
@@ -22,13 +29,17 @@ html_theme = "furo"
 html_title = f"irlos_pipe {version}"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-copyright = author
+copyright = f"{author} · version {version} · BSD 3-clause licence"  # the footer of every page
 html_show_sphinx = False
+plot_formats = [("png", 110)]
+plot_working_directory = str(HERE / "_build")  # the run of the gallery stays there for the next build
+plot_html_show_formats = plot_html_show_source_link = False
 smartquotes = False  # options begin with two hyphens
 autodoc_typehints = "none"  # the docstrings state types, shapes and units
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+logging.getLogger("irlos_pipe").propagate = False  # a package of furo prints what loggers pass on
 # Files of the tree beside the site are linked as they lie, for readers on a code host.
 suppress_warnings = ["myst.xref_missing"]
 
@@ -43,7 +54,8 @@ def commands_page() -> str:
 
 
 def write_reference(_app: object) -> None:
-    """Write the pages that are made from the package."""
+    """Write the pages that are made from the package, and the folder that the gallery runs in."""
+    Path(plot_working_directory).mkdir(exist_ok=True)
     folder = HERE / "reference"
     folder.mkdir(exist_ok=True)
     for name, text in (pages() | {"commands": commands_page()}).items():

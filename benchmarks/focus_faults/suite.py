@@ -366,7 +366,7 @@ def hours_table(found: Sequence[Outcome]) -> str:
 
 
 def report(outcomes: Sequence[Outcome], broken: Mapping[str, str], output: Path) -> str:
-    """Write ``verdicts.json``, print the whole table, and return what stands in docs/focus.md."""
+    """Write ``verdicts.json``, print the whole table, and return what stands in docs/focus_tests.md."""
     verdicts = [one for one in outcomes if one["kind"] != HOURS]
     of_hours = [one for one in outcomes if one["kind"] == HOURS]
     (output / "verdicts.json").write_text(json.dumps(verdicts, indent=1))
@@ -384,7 +384,7 @@ def key_of(outcome: Outcome) -> tuple:
     return outcome["seed"], outcome["case"]
 
 
-SUITE = Suite(outcome_of, key_of, report, "focus.md", "focus_faults", inside="outcomes")
+SUITE = Suite(outcome_of, key_of, report, "focus_tests.md", "focus_faults", inside="outcomes")
 
 
 @click.command()

@@ -1,5 +1,6 @@
 """The documentation site builds without a warning, and its reference has what the package has."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -20,10 +21,13 @@ def test_every_exit_code_is_explained():
 def test_the_site_builds_without_a_warning(tmp_path):
     pytest.importorskip("furo")
     pytest.importorskip("myst_nb")
+    pytest.importorskip("sphinx_copybutton")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", str(tmp_path / "html")]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     html = {path.stem: path.read_text() for path in Path(tmp_path / "html").rglob("*.html")}
     assert all(f"irlos {name}" in html["commands"] for name in cli.commands)
     assert all(name in html["effects"] for name in CATALOGUE)
+    plots = re.findall(r'<img[^>]*src="([^"]*)"', html["gallery"])  # each its own, drawn by the code above it
+    assert len(plots) == len(set(plots)) > 8
     assert "calibrate(" in html["api"] and "irlos_pipe.Focus" in html["api"]
