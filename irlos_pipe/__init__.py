@@ -21,6 +21,8 @@ HOMES = {
     "calibrate": "api.reducing",
     "lift": "api.reducing",
     "diagnose": "api.reducing",
+    "Reduction": "api.reducing",
+    "noll_nm": "optics.zernike_conventions",
     "read_recordings": "api.recordings",
     "load_instrument": "instrument.instrument",
     "PsfModel": "optics.psf",

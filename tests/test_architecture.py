@@ -58,7 +58,8 @@ MAY_IMPORT = {
         "night", "instrument", "readers", "reference", "control", "estimate", "focus",
     },
     "api": {
-        "conventions", "frames", "instrument", "readers", "product", "stages", "recipe", "pipeline", "report",
+        "conventions", "files", "frames", "instrument", "readers", "product", "stages", "recipe", "pipeline",
+        "report",
     },
     "esorex": {"conventions", "pipeline", "recipe"},
     "__main__": {"commands"},

@@ -6,14 +6,15 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
 
 from irlos_pipe.conventions.text import aligned, suggestion
 from irlos_pipe.pipeline import Resources, Selection, run_recipe
 from irlos_pipe.product.product import Check, Product
 from irlos_pipe.product.results import LOST, RunResults, read_run_results
 from irlos_pipe.product.runfolder import RunFolder, existing_run
-from irlos_pipe.product.storage import open_product
+from irlos_pipe.product.storage import open_product, read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages.model.untested import NOT_TESTED
 
@@ -41,6 +42,10 @@ class Run(Mapping[str, Product]):
             self._opened[stage] = open_product(self._files[stage])
         return self._opened[stage]
 
+    def read(self, stage: str) -> Product:
+        """Return the product of a stage with all arrays in memory."""
+        return read_product(self._files[stage])
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._files)
 
@@ -62,6 +67,15 @@ class Run(Mapping[str, Product]):
         from irlos_pipe.report.figures import figures
 
         return figures(self.path)
+
+    def figure(self, name: str, axes: Axes | None = None) -> FigureBase:
+        """Return one of them, drawn by itself, or on Matplotlib `axes` where it has one pair of axes.
+
+        Raises `ConfigurationError` for an unknown name, and for a figure of several axes on one.
+        """
+        from irlos_pipe.report.figures import figure
+
+        return figure(self.path, name, axes)
 
     def __repr__(self) -> str:
         """Say what was run, and what came out of it."""

@@ -15,6 +15,7 @@ from irlos_pipe.files.validation import Origins, ValidationErrors
 from irlos_pipe.files.yaml import load_yaml, parse_yaml
 
 Parsed = TypeVar("Parsed")
+Given = TypeVar("Given")
 EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
 
 
@@ -37,14 +38,18 @@ def parse_setting(text: str, example: str = EXAMPLE) -> Override:
     if not equals or not all(parts):
         raise ConfigurationError(f"--set {text}: expected {example}")
     where = f"--set {dotted.strip()}"
-    key = tuple(int(part) if part.isdecimal() else part for part in parts)
-    return Override(key, _yaml_value(value, where), where)
+    return Override(key_path(parts), _yaml_value(value, where), where)
+
+
+def key_path(parts: Iterable[str]) -> tuple[str | int, ...]:
+    """Return the `parts` of a dotted key, numbers of list items as such."""
+    return tuple(int(part) if part.isdecimal() else part for part in parts)
 
 
 def read_overridden(
     path: Path,
-    parse: Callable[[str], Override],
-    settings: Iterable[str] = (),
+    parse: Callable[[Given], Override],
+    settings: Iterable[Given] = (),
     inputs: Iterable[str] = (),
     seed: int | None = None,
 ) -> tuple[dict, ValidationErrors]:
@@ -57,8 +62,8 @@ def read_overridden(
     ----------
     parse : callable
         Makes an override of one of the `settings`.
-    settings : iterable of str
-        ``key.key=VALUE``, applied in order; the value is YAML.
+    settings : iterable
+        ``key.key=VALUE`` or what else `parse` takes, applied in order; the value is YAML.
     inputs : iterable of str
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional
@@ -90,7 +95,7 @@ def _declared(given: list[Override], declared: Any, errors: ValidationErrors) ->
 
 
 def _accepted(
-    parse: Callable[[str], Parsed], texts: Iterable[str], rejected: list[ConfigurationError]
+    parse: Callable[[Given], Parsed], texts: Iterable[Given], rejected: list[ConfigurationError]
 ) -> list[Parsed]:
     """Parse what can be parsed and collect the errors about the rest."""
     parsed = []

@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
+from irlos_pipe.files.overrides import Override, absolute, key_path, parse_setting, read_overridden
 from irlos_pipe.files.shipped import RECIPES, SAMPLES, are_samples, named_file, shipped_folder
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml, yaml_text
@@ -99,7 +99,7 @@ class Recipe:
 
 def load_recipe(
     path: str | Path,
-    settings: Iterable[str] = (),
+    settings: Iterable[str] | Mapping[str, Any] = (),
     inputs: Iterable[str] = (),
     seed: int | None = None,
     *,
@@ -112,10 +112,10 @@ def load_recipe(
     ----------
     path : str or Path
         The recipe: a file, or the name of one that comes with the package, such as ``ncpa_calibration``.
-    settings : iterable of str
-        ``stage.key=VALUE``, applied in order; the value is YAML. ``section=PATH`` takes a whole section from
-        a file, as ``model=DIR/model.yaml``; this path, and that of ``instrument=PATH``, count from the
-        current folder.
+    settings : iterable of str, or mapping
+        ``stage.key=VALUE``, applied in order; the value is YAML, in a mapping a Python value.
+        ``section=PATH`` takes a whole section from a file, as ``model=DIR/model.yaml``; this path, and that
+        of ``instrument=PATH``, count from the current folder.
     inputs : iterable of str
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional
@@ -131,13 +131,14 @@ def load_recipe(
         With one line ``where: message`` for everything that is wrong.
     """
     path = named_file(path, RECIPES)
-    data, errors = read_overridden(path, _parse_setting, settings, inputs, seed)
+    given: Iterable[Any] = settings.items() if isinstance(settings, Mapping) else settings
+    data, errors = read_overridden(path, _parse_setting, given, inputs, seed)
     head = _check_head(data, errors)
     model = _check_section(data, "model", ModelConfig, errors)
     configs = _check_stage_sections(data, errors)
     _check_stages(head.stages, errors)
-    given = _with_samples(head, errors) if samples else head.inputs
-    paths = _check_inputs(given, absolute(path).parent, errors, head.samples, complete)
+    sources = _with_samples(head, errors) if samples else head.inputs
+    paths = _check_inputs(sources, absolute(path).parent, errors, head.samples, complete)
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
     assert model is not None and instrument is not None, "what is missing has been reported"
@@ -156,9 +157,12 @@ def load_recipe(
     )
 
 
-def _parse_setting(text: str) -> Override:
-    """A setting; a section given by the path of its file is read."""
-    override = located(parse_setting(text))
+def _parse_setting(given: str | tuple[str, Any]) -> Override:
+    """A setting, as text or as key and value; a section given by the path of its file is read."""
+    if isinstance(given, str):
+        override = located(parse_setting(given))
+    else:
+        override = located(Override(key_path(given[0].split(".")), given[1], f"--set {given[0]}"))
     whole = len(override.key) == 1 and override.key[0] in SECTIONS
     if not whole or not isinstance(override.value, str):
         return override

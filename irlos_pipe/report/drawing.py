@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, cast
 
 import matplotlib
 import numpy as np
@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.report.content import Figure, Width
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
@@ -81,6 +82,7 @@ FONT = re.compile(r"font-family: [^;\"]*")
 
 Keep = Callable[[str, Canvas], None]
 _KEEP: ContextVar[Keep | None] = ContextVar("keep", default=None)
+_ALONE: ContextVar[tuple[str, Axes | None, list[str]] | None] = ContextVar("alone", default=None)
 
 
 @contextmanager
@@ -93,8 +95,47 @@ def kept_by(keep: Keep) -> Iterator[None]:
         _KEEP.reset(token)
 
 
+class OnAxes:
+    """Stands for a figure of one pair of axes that is drawn on the `axes` of somebody else."""
+
+    def __init__(self, axes: Axes) -> None:
+        self.axes = axes
+
+    def subplots(self, *several: int, **_: Any) -> Axes:
+        """Return the axes; `ConfigurationError` where `several` are asked for."""
+        if several:
+            raise ConfigurationError("this figure has several axes; draw it by itself, without 'axes'")
+        return self.axes
+
+    def legend(self, **_: Any) -> None:
+        """Draw the legend inside the axes."""
+        self.axes.legend()
+
+    def colorbar(self, shown: Any, **look: Any) -> Any:
+        """Draw a colour bar where the figure of the axes has room for it."""
+        return self.axes.figure.colorbar(shown, **look)
+
+
+@contextmanager
+def drawn_alone(name: str, axes: Axes | None) -> Iterator[list[str]]:
+    """Draw no figure but one while the block lasts, on `axes` if they are given; yields the names met."""
+    met: list[str] = []
+    token = _ALONE.set((name, axes, met))
+    try:
+        yield met
+    finally:
+        _ALONE.reset(token)
+
+
 def svg(name: str, size_in: tuple[float, float], draw: Callable[[Canvas], None]) -> Markup:
     """Return a figure that `draw` fills as SVG inside a page, where identifiers begin with its `name`."""
+    if alone := _ALONE.get():
+        wanted, axes, met = alone
+        met.append(name)
+        if name == wanted and axes is not None:
+            draw(cast(Canvas, OnAxes(axes)))
+        if name != wanted or axes is not None:
+            return Markup()
     with own_style():
         figure = Canvas(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
         draw(figure)

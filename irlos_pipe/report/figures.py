@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from matplotlib import rc_context
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
 
-from irlos_pipe.conventions.errors import IrlosError
+from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.build import report_sections
-from irlos_pipe.report.drawing import kept_by
+from irlos_pipe.report.drawing import drawn_alone, kept_by
 from irlos_pipe.report.run_data import read_run
 
 Kept = TypeVar("Kept")
@@ -51,6 +53,19 @@ def figures(path: Path | str) -> dict[str, Figure]:
     Raises `InputDataError` when it is not the folder of a run, or a product cannot be read.
     """
     return _drawn(Path(path), lambda figure: figure)
+
+
+def figure(path: Path | str, name: str, axes: Axes | None = None) -> FigureBase:
+    """Return the figure `name` of the report of a finished run, or draw it on `axes` and return theirs.
+
+    Raises `InputDataError` as `figures` does, and `ConfigurationError` where the report has no such figure,
+    or it has several axes.
+    """
+    with drawn_alone(name, axes) as met:
+        drawn = _drawn(Path(path), lambda one: one)
+    if name not in met:
+        raise ConfigurationError(f"no figure '{name}'{suggestion(name, met)}")
+    return next(iter(drawn.values())) if axes is None else axes.figure
 
 
 def _drawn(folder: Path, kept: Callable[[Figure], Kept]) -> dict[str, Kept]:
