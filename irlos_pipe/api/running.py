@@ -14,7 +14,7 @@ from irlos_pipe.pipeline import Resources, Selection, run_recipe
 from irlos_pipe.product.product import Check, Product
 from irlos_pipe.product.results import LOST, RunResults, read_run_results
 from irlos_pipe.product.runfolder import RunFolder, existing_run
-from irlos_pipe.product.storage import open_product, read_product
+from irlos_pipe.product.storage import open_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages.model.untested import NOT_TESTED
 
@@ -31,26 +31,22 @@ class Run(Mapping[str, Product]):
     def __init__(self, path: Path | str) -> None:
         run = existing_run(Path(path))
         self.path = run.path
-        self._files = {file.stem.partition("_")[2]: file for file in run.product_files}
+        self.files = {file.stem.partition("_")[2]: file for file in run.product_files}
         self._opened: dict[str, Product] = {}
 
     def __getitem__(self, stage: str) -> Product:
         """Return the product of a stage; its arrays are read on access."""
-        if stage not in self._files:
-            raise KeyError(f"{self.path}: no product of '{stage}'{suggestion(stage, self._files)}")
+        if stage not in self.files:
+            raise KeyError(f"{self.path}: no product of '{stage}'{suggestion(stage, self.files)}")
         if stage not in self._opened:
-            self._opened[stage] = open_product(self._files[stage])
+            self._opened[stage] = open_product(self.files[stage])
         return self._opened[stage]
 
-    def read(self, stage: str) -> Product:
-        """Return the product of a stage with all arrays in memory."""
-        return read_product(self._files[stage])
-
     def __iter__(self) -> Iterator[str]:
-        return iter(self._files)
+        return iter(self.files)
 
     def __len__(self) -> int:
-        return len(self._files)
+        return len(self.files)
 
     @cached_property
     def results(self) -> RunResults:
@@ -69,9 +65,9 @@ class Run(Mapping[str, Product]):
         return figures(self.path)
 
     def figure(self, name: str, axes: Axes | None = None) -> FigureBase:
-        """Return one of them, drawn by itself, or on Matplotlib `axes` where it has one pair of axes.
+        """Return one of them, drawn by itself or on Matplotlib `axes`.
 
-        Raises `ConfigurationError` for an unknown name, and for a figure of several axes on one.
+        Raises `ConfigurationError` for an unknown name, and for a figure of several axes on `axes`.
         """
         from irlos_pipe.report.figures import figure
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, TIP_TILT
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.effects import Effect, fixed_optics
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.grids import Optics
@@ -72,11 +72,7 @@ class Offsets:
 
 
 def modal_offsets(
-    nolls: Sequence[int],
-    zernike_nm: np.ndarray,
-    sigma_nm: np.ndarray,
-    gain: float,
-    highest_noll: int = HIGHEST_REPORTED_NOLL,
+    nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray, gain: float, highest_noll: int
 ) -> Offsets:
     """Return the offsets, from Noll 2 to `highest_noll`, that cancel a part `gain` of the whole wavefront.
 

@@ -38,12 +38,8 @@ def parse_setting(text: str, example: str = EXAMPLE) -> Override:
     if not equals or not all(parts):
         raise ConfigurationError(f"--set {text}: expected {example}")
     where = f"--set {dotted.strip()}"
-    return Override(key_path(parts), _yaml_value(value, where), where)
-
-
-def key_path(parts: Iterable[str]) -> tuple[str | int, ...]:
-    """Return the `parts` of a dotted key, numbers of list items as such."""
-    return tuple(int(part) if part.isdecimal() else part for part in parts)
+    key = tuple(int(part) if part.isdecimal() else part for part in parts)
+    return Override(key, _yaml_value(value, where), where)
 
 
 def read_overridden(

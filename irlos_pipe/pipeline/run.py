@@ -48,16 +48,11 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
 
 
 def run_recipe(
-    recipe: Recipe,
-    folder: Path,
-    selection: Selection | None = None,
-    resources: Resources | None = None,
-    *,
-    report: bool = True,
+    recipe: Recipe, folder: Path, selection: Selection | None = None, resources: Resources | None = None
 ) -> Outcome:
     """Bring the products of a recipe in `folder` up to date, which is made if it does not exist.
 
-    By default all stages may run, on one thread of the processor, and the `report` is built.
+    By default all stages may run, on one thread of the processor.
 
     Raises `Locked` when another run owns the folder, and `IrlosError` when a stage cannot do its work;
     products of finished stages stay.
@@ -77,19 +72,19 @@ def run_recipe(
         job = Job(recipe, folder, files, steps, resources or Resources())
         with _failure_recorded(job, run):
             job.perform()
-        outcome = _concluded(job, run, report)
+        outcome = _concluded(job, run)
         if all(step.action in (Action.RUN, Action.SKIP) for step in steps):
             remember_standing(run, inputs)
         return outcome
 
 
-def _concluded(job: Job, run: RunFolder, report: bool) -> Outcome:
+def _concluded(job: Job, run: RunFolder) -> Outcome:
     outcome = assess(job.recipe, job.summaries())
     changed = _write_outcome(outcome, run)
     ran = any(step.action is Action.RUN for step in job.steps)
     if changed or ran:
         run.set_figures_aside()
-    if report and (changed or ran or not run.report.is_file()):
+    if job.resources.report and (changed or ran or not run.report.is_file()):
         outcome = replace(outcome, report_error=_report_error(run))
     return replace(outcome, report=run.report if run.report.is_file() else None)
 

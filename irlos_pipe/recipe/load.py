@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.overrides import Override, absolute, key_path, parse_setting, read_overridden
+from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import RECIPES, SAMPLES, are_samples, named_file, shipped_folder
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml, yaml_text
@@ -161,8 +161,8 @@ def _parse_setting(given: str | tuple[str, Any]) -> Override:
     """A setting, as text or as key and value; a section given by the path of its file is read."""
     if isinstance(given, str):
         override = located(parse_setting(given))
-    else:
-        override = located(Override(key_path(given[0].split(".")), given[1], f"--set {given[0]}"))
+    else:  # the key as in text, which has no value yet
+        override = located(replace(parse_setting(f"{given[0]}="), value=given[1]))
     whole = len(override.key) == 1 and override.key[0] in SECTIONS
     if not whole or not isinstance(override.value, str):
         return override

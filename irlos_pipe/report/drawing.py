@@ -82,7 +82,8 @@ FONT = re.compile(r"font-family: [^;\"]*")
 
 Keep = Callable[[str, Canvas], None]
 _KEEP: ContextVar[Keep | None] = ContextVar("keep", default=None)
-_ALONE: ContextVar[tuple[str, Axes | None, list[str]] | None] = ContextVar("alone", default=None)
+# The one figure to be drawn, the axes to draw it on, and the names of all that were met.
+ALONE: ContextVar[tuple[str, Axes | None, list[str]] | None] = ContextVar("alone", default=None)
 
 
 @contextmanager
@@ -99,37 +100,20 @@ class OnAxes:
     """Stands for a figure of one pair of axes that is drawn on the `axes` of somebody else."""
 
     def __init__(self, axes: Axes) -> None:
-        self.axes = axes
+        self.axes, self.colorbar = axes, axes.figure.colorbar
 
     def subplots(self, *several: int, **_: Any) -> Axes:
-        """Return the axes; `ConfigurationError` where `several` are asked for."""
         if several:
             raise ConfigurationError("this figure has several axes; draw it by itself, without 'axes'")
         return self.axes
 
     def legend(self, **_: Any) -> None:
-        """Draw the legend inside the axes."""
         self.axes.legend()
-
-    def colorbar(self, shown: Any, **look: Any) -> Any:
-        """Draw a colour bar where the figure of the axes has room for it."""
-        return self.axes.figure.colorbar(shown, **look)
-
-
-@contextmanager
-def drawn_alone(name: str, axes: Axes | None) -> Iterator[list[str]]:
-    """Draw no figure but one while the block lasts, on `axes` if they are given; yields the names met."""
-    met: list[str] = []
-    token = _ALONE.set((name, axes, met))
-    try:
-        yield met
-    finally:
-        _ALONE.reset(token)
 
 
 def svg(name: str, size_in: tuple[float, float], draw: Callable[[Canvas], None]) -> Markup:
     """Return a figure that `draw` fills as SVG inside a page, where identifiers begin with its `name`."""
-    if alone := _ALONE.get():
+    if alone := ALONE.get():
         wanted, axes, met = alone
         met.append(name)
         if name == wanted and axes is not None:

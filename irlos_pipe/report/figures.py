@@ -16,7 +16,7 @@ from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.build import report_sections
-from irlos_pipe.report.drawing import drawn_alone, kept_by
+from irlos_pipe.report.drawing import ALONE, kept_by
 from irlos_pipe.report.run_data import read_run
 
 Kept = TypeVar("Kept")
@@ -56,13 +56,13 @@ def figures(path: Path | str) -> dict[str, Figure]:
 
 
 def figure(path: Path | str, name: str, axes: Axes | None = None) -> FigureBase:
-    """Return the figure `name` of the report of a finished run, or draw it on `axes` and return theirs.
-
-    Raises `InputDataError` as `figures` does, and `ConfigurationError` where the report has no such figure,
-    or it has several axes.
-    """
-    with drawn_alone(name, axes) as met:
+    """Return one of `figures` by its `name`, or draw it on `axes` and return theirs; see `Run.figure`."""
+    met: list[str] = []
+    token = ALONE.set((name, axes, met))
+    try:
         drawn = _drawn(Path(path), lambda one: one)
+    finally:
+        ALONE.reset(token)
     if name not in met:
         raise ConfigurationError(f"no figure '{name}'{suggestion(name, met)}")
     return next(iter(drawn.values())) if axes is None else axes.figure

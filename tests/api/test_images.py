@@ -10,7 +10,7 @@ from helpers import own_camera
 from helpers.paths import REPOSITORY
 
 import irlos_pipe as irlos
-from irlos_pipe.api.images import prepared
+from irlos_pipe.api.reducing import prepared
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.recipe import load_recipe
 
@@ -27,10 +27,10 @@ CAMERA = {"pixel_scale_mas": 20.0, "wavelength_nm": 1600, "diversity": {6: 150.0
 IMAGES = np.random.default_rng(1).poisson(9.0, (4, 24, 24))  # for what is refused before it is looked at
 
 
-def ncpa_nm(total_nm: float = 100.0, seed: int = 7) -> dict[int, float]:
-    """Noll 4 to 30 of so many nm in all."""
-    values = np.random.default_rng(seed).normal(size=len(NOLLS)) * np.exp(-0.1 * np.arange(len(NOLLS)))
-    return dict(zip(NOLLS, (total_nm * values / np.linalg.norm(values)).tolist(), strict=True))
+def ncpa_nm() -> dict[int, float]:
+    """Noll 4 to 30, 100 nm in all."""
+    values = np.random.default_rng(7).normal(size=len(NOLLS)) * np.exp(-0.1 * np.arange(len(NOLLS)))
+    return dict(zip(NOLLS, (100 * values / np.linalg.norm(values)).tolist(), strict=True))
 
 
 def with_diversity(noll: int, nm: float) -> dict[int, float]:
@@ -38,16 +38,11 @@ def with_diversity(noll: int, nm: float) -> dict[int, float]:
     return ncpa_nm() | {noll: ncpa_nm()[noll] + nm}
 
 
-def error_and_quoted_nm(result: irlos.Reduction) -> tuple[np.ndarray, np.ndarray]:
-    """Difference from the truth, and quoted error, of Noll 4 to 30."""
-    found, sigma = (result.results[key] for key in ("zernike_nm", "sigma_nm"))
-    error_nm = np.array([found[str(noll)] - nm for noll, nm in ncpa_nm().items()])
-    return error_nm, np.array([sigma[str(noll)] for noll in NOLLS])
-
-
 def require_right(result: irlos.Reduction) -> None:
     """The error is what is quoted, as far as one draw of 27 modes says, and small beside 100 nm."""
-    error_nm, quoted_nm = error_and_quoted_nm(result)
+    found, sigma = (result.results[key] for key in ("zernike_nm", "sigma_nm"))
+    error_nm = np.array([found[str(noll)] - nm for noll, nm in ncpa_nm().items()])
+    quoted_nm = np.array([sigma[str(noll)] for noll in NOLLS])
     assert 0.4 < np.sqrt(np.mean((error_nm / quoted_nm) ** 2)) < 1.7
     assert np.linalg.norm(quoted_nm) < 5 and np.linalg.norm(error_nm) < 5
     assert [check.name for check in result.run.checks if not check.passed] == []
@@ -60,7 +55,7 @@ def test_the_example_of_the_docs_finds_the_ncpas_within_their_errors_and_draws_t
     found: dict = {}
     exec(EXAMPLE, found)
     require_right(found["result"])
-    assert len(found["ncpa"]) > 200 and found["figure"].axes
+    assert len(found["ncpa"]) > 100 and found["figure"].axes
     figure, places = plt.subplots(2, 3)
     names = ("modes", "image", "model", "residual", "profile", "wavefront")
     for axes, name in zip(places.flat, names, strict=True):
@@ -77,17 +72,15 @@ def test_the_example_of_the_docs_finds_the_ncpas_within_their_errors_and_draws_t
 @pytest.mark.slow
 def test_planes_and_bands_are_fitted_together_whatever_way_the_pupil_is_given():
     settings = {"highest_noll": 36, "correct": {"highest_noll": 34}}
-    inside, outside = (
-        own_camera.frames(with_diversity(4, nm), 8, seed=int(nm) % 7) for nm in (-200.0, 200.0)
-    )
-    focus = CAMERA | {"diversity": [{4: -200.0}, {4: 200.0}]}
-    result = irlos.calibrate([inside, outside], **focus, **settings)
+    turned, defocused = (own_camera.frames(with_diversity(*one), 8) for one in ((6, 150.0), (4, 200.0)))
+    planes = CAMERA | {"diversity": [{6: 150.0}, {4: 200.0}]}
+    result = irlos.calibrate([turned, defocused], **planes, **settings)
     require_right(result)
     offsets, (noll, nm) = result.run["correct"], (result[key].value for key in ("noll", "zernike_nm"))
     assert offsets["noll"].value.tolist() == list(range(2, 35))
     np.testing.assert_allclose(offsets["offset_nm"].value, -nm[noll <= 34])
     near, far = (
-        own_camera.frames(with_diversity(6, 150.0), 8, nm=(wavelength,)) for wavelength in (1600.0, 2150.0)
+        own_camera.frames(with_diversity(6, 150.0), 8, nm=wavelength) for wavelength in (1600.0, 2150.0)
     )
     bands = CAMERA | {"pupil": own_camera.pupil(), "diameter_m": own_camera.DIAMETER_M}
     require_right(irlos.calibrate(near, {"images": far, "wavelength_nm": 2150}, **bands, **settings))
@@ -125,32 +118,27 @@ def test_a_ramp_in_memory_is_measured_with_its_calibration():
         for number, step in enumerate(steps_nm)
     ]
     fast = {"calibrate": {"highest_noll": 36}, "compare": False}
-    result = irlos.lift(
-        ramp, {"images": images, "target": "lamp"}, introduced_defocus_nm=steps_nm, **CAMERA, **fast
-    )
+    lamp = {"images": np.ma.masked_greater(images, 1e9), "target": "lamp"}
+    result = irlos.lift(ramp, lamp, introduced_defocus_nm=steps_nm, **CAMERA, **fast)
     error_nm = result["defocus_nm"].value - np.repeat(steps_nm, 2)
     assert np.abs(error_nm).max() < 3 and result.results["summary"]["slope"] == pytest.approx(1, abs=0.02)
     assert len(result.plot_ramp().axes) == 2
 
 
 def test_a_list_of_frames_is_one_recording_and_keys_reach_side_cars_and_settings(tmp_path):
-    masked = np.ma.masked_greater(IMAGES, 17)
     given = {
-        "wavelength_nm": {1588: 1, 1612: 2}, "e_per_adu": np.float32(2.5), "pupil": "vlt",
-        "diversity": {np.int64(5): 9}, "pixel_scale_mas": 9.7, "highest_noll": 44, "ingest": {"min_star_snr": 5}, "seeing_arcsec": 0.8,
-    }  # fmt: skip
-    one = prepared("calibrate", {"calibration": list(IMAGES[:, ::2])}, given, tmp_path / "a")
-    assert one.inputs == [f"calibration={tmp_path}/a/calibration.fits"]
-    two = prepared(
-        "diagnose", {"cube": [masked, IMAGES.astype(">u2")]}, given | {"highest_noll": None}, tmp_path / "b"
-    )
-    assert (len(two.inputs), two.recipe, "model.effects" in two.settings) == (2, "diagnose", False)
-    recipe = load_recipe("ncpa_calibration", one.settings, one.inputs)
+        "wavelength_nm": {1588: 1, 1612: 2}, "e_per_adu": np.float32(2.5), "diversity": {np.int64(5): 9},
+        "pupil": "vlt", "highest_noll": 44, "ingest": {"min_star_snr": 5}, "seeing_arcsec": 0.8,
+    } | {"pixel_scale_mas": 9.7}  # fmt: skip
+    star = own_camera.frames({}, 4, 24)[:, 2:]
+    paths, settings, _ = prepared("calibrate", {"calibration": list(star)}, given, tmp_path / "a")
+    assert paths == [f"calibration={tmp_path}/a/calibration.fits"]
+    recipe = load_recipe("ncpa_calibration", settings, paths)
     assert recipe.configs["calibrate"].highest_noll == 44 and recipe.configs["ingest"].min_star_snr == 5
     assert recipe.instrument.pupil == irlos.load_instrument("irlos").pupil
     (recording,) = irlos.read_recordings(tmp_path / "a", recipe.instrument)
     told = recording.acquisition
-    assert recording.images_e.shape == (4, 12, 24) and told.spectrum == ((1588, 1), (1612, 2))
+    assert recording.images_e.shape == (4, 22, 24) and told.spectrum == ((1588, 1), (1612, 2))
     assert (told.diversity, told.detector.e_per_adu, told.seeing_arcsec) == ({5: 9}, 2.5, 0.8)
 
 
@@ -159,38 +147,25 @@ def test_a_list_of_frames_is_one_recording_and_keys_reach_side_cars_and_settings
     [
         (IMAGES * np.nan, {}, "calibration: no pixel has a finite value"),
         (IMAGES[None], {}, r"axes \(1, 4, 24, 24\), expected \(frames, y, x\) or \(y, x\)"),
-        (IMAGES * 1j, {}, "pixels of type complex128, expected real numbers"),
-        ({"images": [[1, 2], [3]]}, {}, "frames of different shapes"),
         (IMAGES * 0, {}, "^calibration: none of the 4 frames can be used"),
         ([], {}, "no images"),
         ({"image": IMAGES}, {}, "unknown key 'image'; did you mean 'images'"),
         (IMAGES, {"pixel_scale_mas": -20}, "pixel_scale_mas = -20: should be greater than 0"),
         (IMAGES, {"pixel_scale_mas": 0.02}, "0.02 is 0.00025 λ/D at 1600 nm and 4.2 m.*check the units"),
-        (IMAGES, {"pixel_scale_mas": None}, "pixel_scale_mas is missing"),
         (IMAGES, {"wavelength_nm": 1.6}, "wavelength_nm = 1.6: should be greater than or equal to 100"),
-        (IMAGES, {"wavelength_nm": [1588, 1612]}, "2 values for 1 array.*{wavelength: weight}"),
         (IMAGES, {"diversity": {"defocus": 100}}, "'defocus': should be a valid integer"),
-        (IMAGES, {"diversity": {1: 100}}, "1 is no Noll index from 2 to 1000"),
-        (IMAGES, {"diversity": None}, "diversity is missing: the aberration introduced on purpose"),
-        (IMAGES, {"pupil": None}, "pupil is missing: 'circle' or an amplitude map with diameter_m"),
+        (IMAGES, {"diversity": None}, "diversity is missing: what was introduced"),
+        (IMAGES, {"pupil": None}, "pupil is missing: 'circle' or an array with diameter_m"),
         (IMAGES, {"pupil": "vtl"}, "unknown pupil 'vtl'; did you mean 'vlt'"),
         (IMAGES, {"pupil": "circle"}, "diameter_m is missing"),
-        (IMAGES, {"pupil": "keck", "diameter_m": 10}, "'keck' has its diameter; leave diameter_m out"),
         (IMAGES, {"pupil": np.ones((20, 30)), "diameter_m": 4.2}, r"^pupil: map: shape \(20, 30\) should be"),
-        (IMAGES, {"pupil": np.ones((30, 30)), "diameter_m": 4.2}, "^pupil: the map reaches 2.871 m"),
         (IMAGES, {"pupil": PUPIL | {"diameter_m": 4200}}, "^pupil: fact 'pupil_diameter_m' = 4200 should be"),
-        (IMAGES, {"pupil": PUPIL | {"vanes": 4}}, "^pupil.vanes = 4: should be a valid list"),
-        (IMAGES, {"pupil": PUPIL | {"vanes": {"angles_deg": "x", "width_m": 1}}}, "angles_deg should be num"),
         (IMAGES, {"pupil": {"diameter": 4.2}}, "unknown key 'diameter'; did you mean 'diameter_m'"),
-        (IMAGES, {"instrument": "bench"}, "give a pupil with its facts, or an instrument, not both"),
-        (IMAGES, {"read_noise": 4}, "unknown keyword 'read_noise'; did you mean 'read_noise_e'"),
         (IMAGES, {"correct": 60}, "correct = 60: should be a section"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_line_without_the_name_of_a_file(images, changed, message):
-    about_images = (
-        (images.get("images") is not None) if isinstance(images, dict) else not (changed or images == [])
-    )
-    with pytest.raises(InputDataError if about_images else ConfigurationError, match=message) as problem:
+    about_keywords = changed or isinstance(images, list) or (isinstance(images, dict) and "image" in images)
+    with pytest.raises(ConfigurationError if about_keywords else InputDataError, match=message) as problem:
         irlos.calibrate(images, **CAMERA | changed)
     assert len(str(problem.value).splitlines()) == 1 and "/tmp" not in str(problem.value)
