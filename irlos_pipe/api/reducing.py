@@ -1,7 +1,6 @@
 """Single results from images in memory or recordings in files.
 
-Images in memory and keywords become what a run takes: recordings with side-cars, a profile, settings. Frames
-are written to a folder, so that there is one way from images to results.
+Images and keywords become recordings with side-cars, profile and settings in a folder: one way to results.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import logging
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
@@ -192,8 +191,7 @@ def _reduced(stage: str, recipe: Where | None, inputs: Mapping[str, Any], given:
         raise
     if output is None:
         finalize(run, rmtree, folder, ignore_errors=True)
-    product = read_product(run.files[stage])
-    return Reduction(**{one.name: getattr(product, one.name) for one in fields(Product)}, run=run)
+    return Reduction(**vars(read_product(run.files[stage])), run=run)
 
 
 @contextmanager
@@ -227,8 +225,7 @@ def prepared(
     paths: list[str] = []
     arrays: dict[str, tuple[np.ndarray, Values]] = {}  # with their side-cars
     for name, several in inputs.items():
-        first = name == next(iter(inputs))
-        keys = {key: value for key, value in acquisition.items() if first or key != DEFOCUS}
+        keys = {k: v for k, v in acquisition.items() if k != DEFOCUS or name == next(iter(inputs))}
         recordings = _recordings(several, keys)
         if not recordings:
             raise ConfigurationError(f"{stage}(): no images; give an array, or the path of a recording")
@@ -264,8 +261,7 @@ def prepared(
         for images, side in arrays.values():
             _require_units(stage, images.shape[1:], side, diameter_m)
     inside = inside and "seeing_arcsec" not in acquisition
-    if inside and stage != "diagnose":
-        settings["model.effects"] = ["tip_tilt_jitter"]
+    settings |= {"model.effects": ["tip_tilt_jitter"]} if inside and stage != "diagnose" else {}
     return paths, settings | asked, f"{stage}_bench" if inside else stage
 
 

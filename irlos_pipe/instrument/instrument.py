@@ -246,8 +246,8 @@ def made_profile(
         section, samples = _drawn(dict(numbers), own)
         own = {"ao_cutoff_per_m": CORRECTED_CYCLES / (own["pupil_diameter_m"] or math.nan)} | own
     known |= {name: {"value": value, "unit": FACTS[name].unit} | ORIGIN for name, value in own.items()}
-    camera = load_yaml(PROFILES / "bench.yaml")[0]
-    made = camera | {"name": "as declared", "title": "", "facts": camera["facts"] | known}
+    made = load_yaml(PROFILES / "bench.yaml")[0]
+    made |= {"name": "as declared", "title": "", "facts": made["facts"] | known}
     return made | ({"pupil": ORIGIN | section} if section else {}), samples
 
 
@@ -266,9 +266,8 @@ def _drawn(numbers: dict[str, Any], facts: dict[str, Any]) -> tuple[dict[str, An
         if isinstance(vanes, Mapping):
             ends_m = 0.525 * diameter_m * np.exp(1j * np.radians(np.ravel(vanes["angles_deg"])))
             ends = [[end.real, end.imag] for end in ends_m.tolist()]
-            numbers["vanes"] = [
-                {"start_m": [0, 0], "end_m": end, "width_m": vanes["width_m"]} for end in ends
-            ]
+            width = {"start_m": [0, 0], "width_m": vanes["width_m"]}
+            numbers["vanes"] = [{"end_m": end} | width for end in ends]
         if "map" in numbers:
             samples = np.asarray(numbers["map"], float)
             step_m = step_m or diameter_m / max(1, *samples.shape, 1)
