@@ -159,7 +159,7 @@ def test_a_list_of_frames_is_one_recording_and_keys_reach_side_cars_and_settings
         (IMAGES, {"pupil": "vtl"}, "unknown pupil 'vtl'; did you mean 'vlt'"),
         (IMAGES, {"pupil": "circle"}, "diameter_m is missing"),
         (IMAGES, {"pupil": np.ones((20, 30)), "diameter_m": 4.2}, r"^pupil: map: shape \(20, 30\) should be"),
-        (IMAGES, {"pupil": PUPIL | {"diameter_m": 4200}}, "^pupil: fact 'pupil_diameter_m' = 4200 should be"),
+        (IMAGES, {"pupil": PUPIL | {"diameter_m": 4200}}, "^pupil: fact 'pupil_diameter_m' = 4200.0 should"),
         (IMAGES, {"pupil": {"diameter": 4.2}}, "unknown key 'diameter'; did you mean 'diameter_m'"),
         (IMAGES, {"correct": 60}, "correct = 60: should be a section"),
     ],
