@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
 
 from irlos_pipe.conventions.text import aligned, suggestion
 from irlos_pipe.pipeline import Resources, Selection, run_recipe
@@ -30,22 +31,22 @@ class Run(Mapping[str, Product]):
     def __init__(self, path: Path | str) -> None:
         run = existing_run(Path(path))
         self.path = run.path
-        self._files = {file.stem.partition("_")[2]: file for file in run.product_files}
+        self.files = {file.stem.partition("_")[2]: file for file in run.product_files}
         self._opened: dict[str, Product] = {}
 
     def __getitem__(self, stage: str) -> Product:
         """Return the product of a stage; its arrays are read on access."""
-        if stage not in self._files:
-            raise KeyError(f"{self.path}: no product of '{stage}'{suggestion(stage, self._files)}")
+        if stage not in self.files:
+            raise KeyError(f"{self.path}: no product of '{stage}'{suggestion(stage, self.files)}")
         if stage not in self._opened:
-            self._opened[stage] = open_product(self._files[stage])
+            self._opened[stage] = open_product(self.files[stage])
         return self._opened[stage]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._files)
+        return iter(self.files)
 
     def __len__(self) -> int:
-        return len(self._files)
+        return len(self.files)
 
     @cached_property
     def results(self) -> RunResults:
@@ -62,6 +63,15 @@ class Run(Mapping[str, Product]):
         from irlos_pipe.report.figures import figures
 
         return figures(self.path)
+
+    def figure(self, name: str, axes: Axes | None = None) -> FigureBase:
+        """Return one of them, drawn by itself or on Matplotlib `axes`.
+
+        Raises `ConfigurationError` for an unknown name, and for a figure of several axes on `axes`.
+        """
+        from irlos_pipe.report.figures import figure
+
+        return figure(self.path, name, axes)
 
     def __repr__(self) -> str:
         """Say what was run, and what came out of it."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.effects import Effect, fixed_optics
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.image_quality import Curve, encircled_energy, ring_means, transfer_cut
@@ -60,8 +60,8 @@ class Offsets:
 
     Attributes
     ----------
-    nolls : ndarray, (29,)
-    value_nm, sigma_nm : ndarray, (29,)
+    nolls : ndarray, (modes,)
+    value_nm, sigma_nm : ndarray, (modes,)
         Offsets and their standard errors [nm RMS].
     """
 
@@ -70,15 +70,18 @@ class Offsets:
     sigma_nm: np.ndarray
 
 
-def modal_offsets(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray, gain: float) -> Offsets:
-    """Return the offsets that cancel a part `gain` of the whole wavefront.
+def modal_offsets(
+    nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray, gain: float, highest_noll: int
+) -> Offsets:
+    """Return the offsets, from Noll 2 to `highest_noll`, that cancel a part `gain` of the whole wavefront.
 
     Its estimates and their standard errors are (modes,) [nm RMS].
     """
     offset_nm = -gain * np.asarray(zernike_nm)
     table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
-    values = np.array([table.get(noll, (0.0, np.inf)) for noll in REPORTED_NOLLS])
-    return Offsets(np.array(REPORTED_NOLLS), values[:, 0], values[:, 1])
+    corrected = np.arange(2, highest_noll + 1)
+    values = np.array([table.get(noll, (0.0, np.inf)) for noll in corrected.tolist()])
+    return Offsets(corrected, values[:, 0], values[:, 1])
 
 
 def seen_and_left_nm(

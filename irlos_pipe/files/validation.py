@@ -164,6 +164,7 @@ def _keys(annotation: Any) -> Keys:
 
 
 Parsed = TypeVar("Parsed")
+Given = TypeVar("Given")
 
 
 @dataclass(frozen=True)
@@ -191,8 +192,8 @@ def parse_setting(text: str, example: str = EXAMPLE) -> Override:
 
 def read_overridden(
     path: Path,
-    parse: Callable[[str], Override],
-    settings: Iterable[str] = (),
+    parse: Callable[[Given], Override],
+    settings: Iterable[Given] = (),
     inputs: Iterable[str] = (),
     seed: int | None = None,
 ) -> tuple[dict, ValidationErrors]:
@@ -205,8 +206,8 @@ def read_overridden(
     ----------
     parse : callable
         Makes an override of one of the `settings`.
-    settings : iterable of str
-        ``key.key=VALUE``, applied in order; the value is YAML.
+    settings : iterable
+        ``key.key=VALUE`` or what else `parse` takes, applied in order; the value is YAML.
     inputs : iterable of str
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional
@@ -238,7 +239,7 @@ def _declared(given: list[Override], declared: Any, errors: ValidationErrors) ->
 
 
 def _accepted(
-    parse: Callable[[str], Parsed], texts: Iterable[str], rejected: list[ConfigurationError]
+    parse: Callable[[Given], Parsed], texts: Iterable[Given], rejected: list[ConfigurationError]
 ) -> list[Parsed]:
     """Parse what can be parsed and collect the errors about the rest."""
     parsed = []

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility, VibrationLine
@@ -15,12 +18,18 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.validation import Origins, Override, ValidationErrors, absolute, require_valid
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry
-from irlos_pipe.instrument.pupil import drawn, require_usable
+from irlos_pipe.instrument.profile import FACTS, Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry
+from irlos_pipe.instrument.pupil import PupilSection, drawn, require_usable
 
 PROFILES = Path(__file__).parent
 PARANAL_DEG = -70.4  # longitude, east of Greenwich
 PROFILE_SUFFIXES = (".yaml", ".yml")
+CIRCLE = "circle"
+TELESCOPES = {"vlt": "irlos", "palomar": "pharo", "keck": "nirc2_narrow"}  # names of pupils: the profile
+CORRECTED_CYCLES = 20.0  # per diameter, of adaptive optics of which nothing is declared: as of the VLT
+ORIGIN = {"status": "adopted", "source": "declared with the images"}
+SIZES = ("diameter_m", "obscuration", "obscuration_m", "vanes", "map", "metres_per_sample")
+MAP_FILE = "pupil_map.fits"
 
 
 @dataclass(frozen=True)
@@ -220,3 +229,61 @@ def _seeing_scale(name: str, entry: SeeingScaleEntry, values: _Values) -> Seeing
 def _mode(name: str, entry: ModeEntry, values: _Values) -> Mode:
     e_per_adu = values.resolve(Ratio(divide=["amplifier_e_per_adu", entry.apd_gain]))
     return Mode(name, entry.lenslets, entry.frame_rate_hz, values.resolve(entry.pixel_scale), e_per_adu)
+
+
+def made_profile(
+    pupil: str | Mapping[str, Any] | np.ndarray, facts: Mapping[str, Any]
+) -> tuple[dict[str, Any], np.ndarray | None]:
+    """Return the content of a profile, and the amplitude map that it expects beside it as `MAP_FILE`.
+
+    `pupil` and `facts` are those of `irlos_pipe.calibrate`, the diameter as ``pupil_diameter_m``. The camera
+    is that of the profile `bench`, the adaptive optics are those of the telescope, or of the VLT.
+
+    Raises `ConfigurationError` for unknown names and keys, and numbers that are missing.
+    """
+    named = isinstance(pupil, str) and pupil != CIRCLE
+    names = {path.stem: path.stem for path in sorted(PROFILES.glob("*.yaml"))} | TELESCOPES
+    if named and pupil not in names:
+        raise ConfigurationError(f"unknown pupil '{pupil}'{suggestion(pupil, [CIRCLE, *names])}")
+    if named and "pupil_diameter_m" in facts:
+        raise ConfigurationError(f"pupil '{pupil}' has its diameter; leave diameter_m out")
+    telescope = load_yaml(PROFILES / f"{names[str(pupil)] if named else 'irlos'}.yaml")[0]
+    known, own = {name: fact for name, fact in telescope["facts"].items() if name in FACTS}, dict(facts)
+    section, samples = telescope.get("pupil"), None
+    if not named:
+        known = {name: fact for name, fact in known.items() if "pupil" not in name}
+        numbers = pupil if isinstance(pupil, Mapping) else {} if isinstance(pupil, str) else {"map": pupil}
+        section, samples = _drawn(dict(numbers), own)
+        own = {"ao_cutoff_per_m": CORRECTED_CYCLES / (own["pupil_diameter_m"] or math.nan)} | own
+    known |= {name: {"value": value, "unit": FACTS[name].unit} | ORIGIN for name, value in own.items()}
+    made = load_yaml(PROFILES / "bench.yaml")[0]
+    made |= {"name": "as declared", "title": "", "facts": made["facts"] | known}
+    return made | ({"pupil": ORIGIN | section} if section else {}), samples
+
+
+def _drawn(numbers: dict[str, Any], facts: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray | None]:
+    """The section `pupil` of a profile, and its map; the sizes go to the `facts`."""
+    allowed = (*SIZES, *(key for key in PupilSection.model_fields if key not in ORIGIN))
+    for key in numbers:
+        if key not in allowed:
+            raise ConfigurationError(f"pupil: unknown key '{key}'{suggestion(key, allowed)}")
+    diameter_m = numbers.pop("diameter_m", facts.get("pupil_diameter_m"))
+    if diameter_m is None:
+        raise ConfigurationError("pupil: diameter_m is missing, the diameter in metres")
+    vanes, step_m, samples = numbers.get("vanes"), numbers.pop("metres_per_sample", None), None
+    try:
+        hole_m = float(numbers.pop("obscuration", 0.0)) * (diameter_m := float(diameter_m))
+        if isinstance(vanes, Mapping):
+            ends_m = 0.525 * diameter_m * np.exp(1j * np.radians(np.ravel(vanes["angles_deg"])))
+            ends = [[end.real, end.imag] for end in ends_m.tolist()]
+            width = {"start_m": [0, 0], "width_m": vanes["width_m"]}
+            numbers["vanes"] = [{"end_m": end} | width for end in ends]
+        if "map" in numbers:
+            samples = np.asarray(numbers["map"], float)
+            step_m = step_m or diameter_m / max(1, *samples.shape, 1)
+            numbers["map"] = {"file": MAP_FILE, "metres_per_sample": step_m}
+    except (KeyError, TypeError, ValueError):
+        known = "numbers of diameter_m and obscuration, vanes {'angles_deg': [...], 'width_m': ...}, an array"
+        raise ConfigurationError(f"pupil: should be {known}") from None
+    facts |= {"pupil_diameter_m": diameter_m, "pupil_obscuration_m": numbers.pop("obscuration_m", hole_m)}
+    return numbers, samples

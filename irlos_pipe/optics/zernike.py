@@ -5,12 +5,20 @@ Reference: R. J. Noll, "Zernike polynomials and atmospheric turbulence", JOSA 66
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import count, islice
-from math import isqrt, sqrt
+from math import isqrt, pi, sqrt
 
 import numpy as np
-from numpy.polynomial import chebyshev
+from numpy.polynomial import Legendre, chebyshev, legendre
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.text import suggestion
+
+FIRST = {"noll": 1, "osa": 0, "ansi": 0, "fringe": 1}  # index of piston
+IN_NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
+IN_WAVES = {"waves": 1.0, "rad": 1 / (2 * pi)}
+HIGHEST = 1000  # Noll index
 
 
 def noll_to_nm(noll: int) -> tuple[int, int]:
@@ -126,3 +134,97 @@ def rotation_matrix(nolls: Sequence[int], angle_deg: float) -> np.ndarray:
         matrix[row, row] = np.cos(m * np.radians(angle_deg))
         matrix[row, place[partner(noll)]] += -np.sin(m * np.radians(angle_deg))
     return matrix
+
+
+def noll_nm(
+    coefficients: Mapping[int, float] | Sequence[float] | np.ndarray,
+    order: str = "noll",
+    *,
+    unit: str = "nm",
+    size: str | None = None,
+    wavelength_nm: float | None = None,
+    obscuration: float = 0.0,
+) -> dict[int, float]:
+    """Return Zernike coefficients of any convention as ``{Noll: nm RMS}``, without piston.
+
+    The polynomials of all conventions are the same but for order and factor, with θ from +x towards +y.
+
+    Parameters
+    ----------
+    coefficients : mapping or sequence
+        By index, or in the order of the convention, beginning with piston.
+    order : {"noll", "osa", "ansi", "fringe"}
+        Index: Noll's, OSA's (ANSI's is the same) or Fringe (University of Arizona).
+    unit : {"nm", "um", "m", "waves", "rad"}
+        Of the optical path difference, which is twice the surface of a mirror; waves and radians are those of
+        `wavelength_nm`.
+    size : {"rms", "peak", "pv"}, optional
+        What a coefficient is: RMS of the mode over the disc; its value at the rim, as of polynomials without
+        a factor; or peak to valley over the disc. By default ``peak`` for Fringe, ``rms`` for others.
+    obscuration : float
+        Hole of annular polynomials, of unit RMS over the annulus, in parts of the diameter. Leave it out for
+        coefficients of disc polynomials, whatever the pupil.
+
+    Raises `ConfigurationError` for unknown conventions and indices, and values that are not numbers.
+    """
+    size = size or ("peak" if order == "fringe" else "rms")
+    for word, words in ((order, FIRST), (size, ("rms", "peak", "pv")), (unit, [*IN_NM, *IN_WAVES])):
+        if word not in words:
+            raise ConfigurationError(f"noll_nm(): unknown {word!r}{suggestion(word, words)}")
+    if unit in IN_WAVES and not (wavelength_nm or 0) > 0:
+        raise ConfigurationError(f"noll_nm(): coefficients in {unit} need wavelength_nm")
+    if not 0 <= obscuration < 1 or (obscuration and size != "rms"):
+        raise ConfigurationError("noll_nm(): obscuration is a part of the diameter below 1, with size 'rms'")
+    in_nm = IN_NM[unit] if unit in IN_NM else IN_WAVES[unit] * float(wavelength_nm or 0)
+    given = coefficients if isinstance(coefficients, Mapping) else dict(enumerate(coefficients, FIRST[order]))
+    found: dict[int, float] = {}
+    for index, value in given.items():
+        noll = _noll(index, order)
+        if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+            raise ConfigurationError(f"noll_nm(): {order} {index}: {value!r} is no number")
+        found[noll] = float(value) * in_nm / _rms_unit(noll, size)
+    found = _on_disc(found, obscuration) if obscuration else found
+    return {noll: found[noll] for noll in sorted(found) if noll > 1}
+
+
+def _noll(index: int, order: str) -> int:
+    """Noll's index of the mode that has an `index` in another `order`."""
+    for noll in range(1, HIGHEST + 1):
+        n, m = noll_to_nm(noll)
+        fringe = (1 + (n + abs(m)) // 2) ** 2 - 2 * abs(m) + (m < 0)
+        if index == {"noll": noll, "fringe": fringe}.get(order, (n * (n + 2) + m) // 2):
+            return noll
+    raise ConfigurationError(
+        f"noll_nm(): {index!r} is no index of order '{order}': {FIRST[order]}, … up to that of Noll {HIGHEST}"
+    )
+
+
+def _rms_unit(noll: int, size: str) -> float:
+    """How large a mode of unit RMS is: its RMS, its value at the rim, or peak to valley."""
+    n, m = noll_to_nm(noll)
+    rim = sqrt((n + 1) * (1 if m == 0 else 2))
+    if size != "pv" or noll == 1:
+        return rim if size == "peak" else 1.0
+    if m:
+        return 2 * rim  # a radial polynomial is largest at the rim
+    radial = Legendre.basis(n // 2)  # of 2ρ² - 1
+    return rim * (1 - float(radial(np.real(radial.deriv().roots())).min(initial=radial(-1))))
+
+
+def _on_disc(annular: Mapping[int, float], hole: float) -> dict[int, float]:
+    """Coefficients on the disc of annular polynomials, those of the disc orthonormalised with rising order.
+
+    Reference: V. N. Mahajan, "Zernike annular polynomials for imaging systems", JOSA 71, 75 (1981).
+    """
+    found: dict[int, float] = {}
+    for m in {noll_to_nm(noll)[1] for noll in annular}:
+        nolls = [noll for noll in range(1, HIGHEST + 1) if noll_to_nm(noll)[1] == m]
+        nolls = nolls[: max(nolls.index(noll) for noll in annular if noll_to_nm(noll)[1] == m) + 1]
+        at, weight = legendre.leggauss(2 * len(nolls) + abs(m))
+        radius = np.sqrt((1 + hole**2 + (1 - hole**2) * at) / 2)
+        angle = pi / 2 / abs(m) if m < 0 else 0.0  # where the mode is largest
+        values = zernike_basis(nolls, radius * np.cos(angle), radius * np.sin(angle))
+        gram = (values * weight) @ values.T / (2 if m == 0 else 4)
+        own = np.array([annular.get(noll, 0.0) for noll in nolls])
+        found |= dict(zip(nolls, np.linalg.solve(np.linalg.cholesky(gram).T, own).tolist(), strict=True))
+    return found

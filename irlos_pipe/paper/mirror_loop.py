@@ -242,7 +242,9 @@ def improves(seen_nm: Sequence[float]) -> bool:
 
 def seen_by(calibration: Calibration) -> dict[int, float]:
     """Return minus the offsets that the stage `correct` makes of a `calibration`, Noll: nm RMS."""
-    offsets = modal_offsets(calibration.nolls, calibration.zernike_nm, calibration.sigma_nm, 1.0)
+    offsets = modal_offsets(
+        calibration.nolls, calibration.zernike_nm, calibration.sigma_nm, 1.0, REPORTED_NOLLS[-1]
+    )
     return dict(zip(offsets.nolls.tolist(), (-offsets.value_nm).tolist(), strict=True))
 
 

@@ -51,6 +51,7 @@ class Resources:
     device: str = "cpu"
     jobs: int = 1  # number of threads or processes
     progress: Callable[..., Any] = silent_progress  # makes progress bars, see `StageContext`
+    report: bool = True  # whether the report is built
 
 
 def available_cpus() -> int:

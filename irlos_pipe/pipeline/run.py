@@ -92,7 +92,7 @@ def _concluded(job: Job, run: RunFolder) -> Outcome:
     ran = any(step.action is Action.RUN for step in job.steps)
     if changed or ran:
         run.set_figures_aside()
-    if changed or ran or not run.report.is_file():
+    if job.resources.report and (changed or ran or not run.report.is_file()):
         outcome = replace(outcome, report_error=_report_error(run))
     return replace(outcome, report=run.report if run.report.is_file() else None)
 

@@ -110,7 +110,7 @@ class Recipe:
 
 def load_recipe(
     path: str | Path,
-    settings: Iterable[str] = (),
+    settings: Iterable[str] | Mapping[str, Any] = (),
     inputs: Iterable[str] = (),
     seed: int | None = None,
     *,
@@ -123,10 +123,10 @@ def load_recipe(
     ----------
     path : str or Path
         The recipe: a file, or the name of one that comes with the package, such as ``ncpa_calibration``.
-    settings : iterable of str
-        ``stage.key=VALUE``, applied in order; the value is YAML. ``section=PATH`` takes a whole section from
-        a file, as ``model=DIR/model.yaml``; this path, and that of ``instrument=PATH``, count from the
-        current folder.
+    settings : iterable of str, or mapping
+        ``stage.key=VALUE``, applied in order; the value is YAML, in a mapping a Python value.
+        ``section=PATH`` takes a whole section from a file, as ``model=DIR/model.yaml``; this path, and that
+        of ``instrument=PATH``, count from the current folder.
     inputs : iterable of str
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional
@@ -144,14 +144,15 @@ def load_recipe(
         Side-cars state different instruments, or one that cannot be used, and the recipe states none.
     """
     path = named_file(path, RECIPES)
-    data, errors = read_overridden(path, _parse_setting, settings, inputs, seed)
+    given: Iterable[Any] = settings.items() if isinstance(settings, Mapping) else settings
+    data, errors = read_overridden(path, _parse_setting, given, inputs, seed)
     head = _check_head(data, errors)
     model = _check_section(data, "model", ModelConfig, errors)
     configs = _check_stage_sections(data, errors)
     _check_stages(head.stages, errors)
-    given = _with_samples(head, errors) if samples else head.inputs
-    paths = _check_inputs(given, absolute(path).parent, errors, head.samples, complete)
     named = "instrument" in head.model_fields_set
+    sources = _with_samples(head, errors) if samples else head.inputs
+    paths = _check_inputs(sources, absolute(path).parent, errors, head.samples, complete)
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
     by = errors.origins.where(("instrument",)).removeprefix(f"{path.parent}/") if named else ""
@@ -177,9 +178,12 @@ def load_recipe(
     )
 
 
-def _parse_setting(text: str) -> Override:
-    """A setting; a section given by the path of its file is read."""
-    override = located(parse_setting(text))
+def _parse_setting(given: str | tuple[str, Any]) -> Override:
+    """A setting, as text or as key and value; a section given by the path of its file is read."""
+    if isinstance(given, str):
+        override = located(parse_setting(given))
+    else:  # the key as in text, which has no value yet
+        override = located(replace(parse_setting(f"{given[0]}="), value=given[1]))
     whole = len(override.key) == 1 and override.key[0] in SECTIONS
     if not whole or not isinstance(override.value, str):
         return override

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, cast
 
 import matplotlib
 import numpy as np
@@ -18,6 +18,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.report.content import Figure, Width
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
@@ -82,6 +83,8 @@ FONT = re.compile(r"font-family: [^;\"]*")
 
 Keep = Callable[[str, Canvas], None]
 _KEEP: ContextVar[Keep | None] = ContextVar("keep", default=None)
+# The one figure to be drawn, the axes to draw it on, and the names of all that were met.
+ALONE: ContextVar[tuple[str, Axes | None, list[str]] | None] = ContextVar("alone", default=None)
 
 
 @contextmanager
@@ -94,8 +97,30 @@ def kept_by(keep: Keep) -> Iterator[None]:
         _KEEP.reset(token)
 
 
+class OnAxes:
+    """Stands for a figure of one pair of axes that is drawn on the `axes` of somebody else."""
+
+    def __init__(self, axes: Axes) -> None:
+        self.axes, self.colorbar = axes, axes.figure.colorbar
+
+    def subplots(self, *several: int, **_: Any) -> Axes:
+        if several:
+            raise ConfigurationError("this figure has several axes; draw it by itself, without 'axes'")
+        return self.axes
+
+    def legend(self, **_: Any) -> None:
+        self.axes.legend()
+
+
 def svg(name: str, size_in: tuple[float, float], draw: Callable[[Canvas], None]) -> Markup:
     """Return a figure that `draw` fills as SVG inside a page, where identifiers begin with its `name`."""
+    if alone := ALONE.get():
+        wanted, axes, met = alone
+        met.append(name)
+        if name == wanted and axes is not None:
+            draw(cast(Canvas, OnAxes(axes)))
+        if name != wanted or axes is not None:
+            return Markup()
     with own_style():
         figure = Canvas(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
         draw(figure)

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from matplotlib import rc_context
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
 
-from irlos_pipe.conventions.errors import IrlosError
+from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.build import report_sections
-from irlos_pipe.report.drawing import kept_by
+from irlos_pipe.report.drawing import ALONE, kept_by
 from irlos_pipe.report.run_data import read_run
 
 Kept = TypeVar("Kept")
@@ -51,6 +53,19 @@ def figures(path: Path | str) -> dict[str, Figure]:
     Raises `InputDataError` when it is not the folder of a run, or a product cannot be read.
     """
     return _drawn(Path(path), lambda figure: figure)
+
+
+def figure(path: Path | str, name: str, axes: Axes | None = None) -> FigureBase:
+    """Return one of `figures` by its `name`, or draw it on `axes` and return theirs; see `Run.figure`."""
+    met: list[str] = []
+    token = ALONE.set((name, axes, met))
+    try:
+        drawn = _drawn(Path(path), lambda one: one)
+    finally:
+        ALONE.reset(token)
+    if name not in met:
+        raise ConfigurationError(f"no figure '{name}'{suggestion(name, met)}")
+    return next(iter(drawn.values())) if axes is None else axes.figure
 
 
 def _drawn(folder: Path, kept: Callable[[Figure], Kept]) -> dict[str, Kept]:

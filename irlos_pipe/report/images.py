@@ -18,7 +18,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import EngFormatter, ScalarFormatter
 
 from irlos_pipe.report.content import Figure, Views, Width
-from irlos_pipe.report.drawing import FAINT, INK, own_style, svg
+from irlos_pipe.report.drawing import FAINT, INK, OnAxes, own_style, svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
@@ -174,8 +174,11 @@ def _short(value: float) -> str:
     return f"{'−' if value < 0 else ''}{'' if factor == 1 else f'{factor}·'}$10^{{{power}}}$"
 
 
-def panel_axes(canvas: Canvas) -> tuple[Axes, Axes]:
+def panel_axes(canvas: Canvas | OnAxes) -> tuple[Axes, Axes]:
     """Add axes for a square image and for a colour bar of the same height."""
+    if isinstance(canvas, OnAxes):
+        canvas.axes.grid(False)
+        return canvas.axes, canvas.axes.inset_axes((1.04, 0, 0.05, 1))
     canvas.set_layout_engine("none")
     width, height = canvas.get_size_inches()
     image, bar = (

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
+from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TIP_TILT
 from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
@@ -93,6 +93,9 @@ class Config(StageConfig):
 
     input: str = Field("calibration", description="recipe input whose configuration the prediction uses")
     gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
+    highest_noll: int = Field(
+        HIGHEST_REPORTED_NOLL, ge=4, le=HIGHEST_NOLL, description="highest Noll mode of the offsets"
+    )
     mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = Field(
         None, description="FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
     )
@@ -158,7 +161,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     arrays = ctx.products["calibrate"].arrays
     nolls = [int(n) for n in arrays["noll"].value]
     zernike, sigma = np.array(arrays["zernike_nm"].value, float), np.array(arrays["zernike_nm"].error, float)
-    offsets = modal_offsets(nolls, zernike, sigma, ctx.config.gain)
+    offsets = modal_offsets(nolls, zernike, sigma, ctx.config.gain, ctx.config.highest_noll)
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     prediction, budget = _predict(ctx, recording, nolls, zernike)
     table = _table(ctx, offsets, prediction)
@@ -277,7 +280,7 @@ def _predict(
     effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
     settings = psf_settings(ctx.instrument, ctx.model, recording)
     fitted_nm = np.array(product.arrays["modes_nm"].value, float)
-    gain = np.where(np.array(nolls) <= HIGHEST_REPORTED_NOLL, ctx.config.gain, 0.0)
+    gain = np.where(np.array(nolls) <= ctx.config.highest_noll, ctx.config.gain, 0.0)
     prediction = predict_correction(
         settings,
         nolls,
@@ -287,14 +290,15 @@ def _predict(
         lambda model: fixed_optics(list(effects.values()), model.grids),
     )
     now_nm, _ = seen_and_left_nm(nolls, fitted_nm, zernike_nm, gain)
-    return prediction, strehl_budget(settings, nolls, _parts(nolls, now_nm), effects)
+    parts = _parts(nolls, now_nm, ctx.config.highest_noll)
+    return prediction, strehl_budget(settings, nolls, parts, effects)
 
 
-def _parts(nolls: list[int], modes_nm: np.ndarray) -> dict[str, np.ndarray]:
+def _parts(nolls: list[int], modes_nm: np.ndarray, highest_noll: int) -> dict[str, np.ndarray]:
     """The modes that are corrected, and those beyond, where there are any."""
-    first = np.array(nolls) <= HIGHEST_REPORTED_NOLL
-    parts = {f"Noll 4–{HIGHEST_REPORTED_NOLL}": np.where(first, modes_nm, 0.0)}
-    beyond = {f"Noll {HIGHEST_REPORTED_NOLL + 1}–{nolls[-1]}": np.where(first, 0.0, modes_nm)}
+    first = np.array(nolls) <= highest_noll
+    parts = {f"Noll 4–{highest_noll}": np.where(first, modes_nm, 0.0)}
+    beyond = {f"Noll {highest_noll + 1}–{nolls[-1]}": np.where(first, 0.0, modes_nm)}
     return parts | ({} if first.all() else beyond)
 
 
@@ -303,7 +307,7 @@ def _maps_nm(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Maps of the wavefront before and after the correction, without tip and tilt."""
     seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike_nm)
-    left = np.where(np.isin(nolls, REPORTED_NOLLS), (1 - ctx.config.gain) * seen, seen)
+    left = np.where(np.array(nolls) <= ctx.config.highest_noll, (1 - ctx.config.gain) * seen, seen)
     lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
     return opd_maps_nm(nolls, seen, lit), opd_maps_nm(nolls, left, lit)
 

@@ -139,18 +139,6 @@ def test_recordings_are_read_and_cleaned():
     assert recording.acquisition.target == "a star" and np.ptp(recording.introduced_defocus_nm) == 0
 
 
-@pytest.mark.slow
-def test_a_calibration_without_a_run_folder_is_that_of_the_recipe(tmp_path):
-    cube = REPOSITORY / "data_samples" / "calibration-sky"
-    settings = {"calibrate.method": "dip_avg", "calibrate.max_iterations": 20}
-    found = irlos_pipe.calibrate(cube, settings=settings)
-    assert found.stage == "calibrate" and found.config["method"] == "dip_avg"
-    lines = [f"{key}={value}" for key, value in settings.items()]
-    recipe = irlos_pipe.load_recipe("ncpa_calibration", lines, [f"calibration={cube}"])
-    done = irlos_pipe.run(recipe, tmp_path / "run", last="calibrate")
-    np.testing.assert_array_equal(done["calibrate"]["zernike_nm"].value, found["zernike_nm"].value)
-
-
 def test_a_wrong_setting_is_told_as_on_the_command_line():
     with pytest.raises(ConfigurationError, match="did you mean 'highest_noll'"):
         irlos_pipe.calibrate(SAMPLE, settings={"calibrate.highest_nol": 66})
