@@ -23,7 +23,7 @@ from irlos_pipe.api.running import Run
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.conventions.units import NM, resolution_px
-from irlos_pipe.files.fits import fits
+from irlos_pipe.files.regular import fits
 from irlos_pipe.files.validation import Origins, require_valid
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.frames.recording import Recording
