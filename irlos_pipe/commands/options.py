@@ -150,15 +150,12 @@ def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
     """Return the resources that the options state; all processors without `jobs`.
 
     It is an error at once that there is no ``cuda``; what ``auto`` means is seen when a stage runs. `quiet`
-    shows no progress bars, as when stderr is not a terminal.
+    shows no progress; where stderr is not a terminal it is logged.
     """
     from irlos_pipe.pipeline import resources
 
     if device == "cuda":
         resources.resolve_device(device)
-    show_bars = sys.stderr.isatty() and not quiet
-    return resources.Resources(
-        device,
-        jobs or resources.available_cpus(),
-        resources.terminal_progress if show_bars else resources.silent_progress,
-    )
+    seen = resources.terminal_progress if sys.stderr.isatty() else resources.LoggedProgress
+    progress = resources.silent_progress if quiet else seen
+    return resources.Resources(device, jobs or resources.available_cpus(), progress)

@@ -22,6 +22,7 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import Alike, AlikeFit, PhotonFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.numerics.solution import Solution, joined, mixed
 
 DEFAULTS = LiftOptions()
@@ -107,12 +108,12 @@ def _in_pieces(model: ImageModel, images_e, good, noise, start_nm, options, repo
     """Fits of any number of images, of which few are worked on at a time."""
     if len(images_e) <= IMAGES_AT_ONCE:
         return _lift(model, images_e, good, noise, start_nm, options, report)
-    return LiftResult.joined(
-        [
-            _lift(model, images_e[some], good, noise, start_nm[some], options.of(some), report)
-            for some in torch.arange(len(images_e)).tensor_split(-(-len(images_e) // IMAGES_AT_ONCE))
-        ]
-    )
+
+    def piece(some: torch.Tensor) -> LiftResult:
+        return _lift(model, images_e[some], good, noise, start_nm[some], options.of(some), report)
+
+    pieces = torch.arange(len(images_e)).tensor_split(-(-len(images_e) // IMAGES_AT_ONCE))
+    return LiftResult.joined(ordered_map(piece, pieces))
 
 
 def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:

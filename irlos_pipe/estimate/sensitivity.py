@@ -15,6 +15,7 @@ from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
+IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
 MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
 
 
@@ -161,30 +162,44 @@ def scan(
     introduced, focus = np.tile(data.introduced_nm, realisations), model.psf.nolls.index(4)
     true = start_nm.clone()
     true[:, focus] = torch.as_tensor(data.introduced_nm)
-    start = start_nm.repeat(realisations, 1)
     frames = torch.arange(len(start_nm)).repeat(realisations)
-    options = LiftOptions(noise="model", alike=None if near_nm is None else alike(model, near_nm, frames))
-    flux, errors = signal_e.double().sum((1, 2)), []
-    bounds: list[float] = []
-    of_one_read: list[float] = []
+    like = None if near_nm is None else alike(model, near_nm, frames)
     faint, one_read = faint or data.noise, one_read or data.noise
-    for index, magnitude in enumerate(magnitudes):
-        factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
-        generator = torch.Generator().manual_seed(seed + 7919 * index)
-        dimmed = torch.cat(
-            [dim(data.images_e, signal_e, factor, data.noise, generator, faint) for _ in range(realisations)]
-        )
-        result = lift(model, dimmed, data.good, faint, start, options)
-        error = np.abs(result.mode(4)[0].numpy() - introduced)
+    factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
+
+    def dimmed(index: int) -> torch.Tensor:
+        generator = torch.Generator().manual_seed(seed + 7919 * int(index))
+        arguments = signal_e, factors[index], data.noise, generator, faint
+        return torch.cat([dim(data.images_e, *arguments) for _ in range(realisations)])
+
+    def errors_nm(group: np.ndarray) -> np.ndarray:
+        """Errors (magnitudes, trials) of some magnitudes; in every piece of the batch there are all of them."""
+        images_e = torch.stack([dimmed(index) for index in group], dim=1).flatten(0, 1)
+        member = torch.arange(len(frames)).repeat_interleave(len(group))
+        options = LiftOptions(noise="model", alike=like and like.of(member))
+        result = lift(model, images_e, data.good, faint, start_nm[frames[member]], options, report=report)
+        error = np.abs(result.mode(4)[0].numpy() - introduced[member])
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
-        errors.append(np.where(failed, np.nan, error))
-        for found, noise in ((bounds, faint), (of_one_read, one_read)):
-            found.append(float(cramer_rao_nm(model, true, flux * factor, noise)[:, focus].median()))
-        if report is not None:
-            report(1)
-    return curve_of(
-        model.psf.nolls, magnitudes, np.array(errors), np.array(bounds), np.array(of_one_read), criterion
-    )
+        return np.where(failed, np.nan, error).reshape(-1, len(group)).T
+
+    groups = np.array_split(np.arange(len(factors)), -(-len(factors) * len(frames) // IMAGES_AT_ONCE))
+    errors = np.concatenate([errors_nm(group) for group in groups if len(group)])
+    crb_nm = _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus].median(-1).values
+    return curve_of(model.psf.nolls, magnitudes, errors, *crb_nm.numpy(), criterion)
+
+
+def _bounds_nm(model, modes_nm, signal_e, factors, noises) -> torch.Tensor:
+    """Bounds (noises, factors, images, parameters) of the light of some images times each of the `factors`."""
+    flux = signal_e.double().sum((1, 2))
+    whole = model.predict_and_jacobian(modes_nm, flux, torch.zeros_like(flux))
+    found = []
+    for factor in factors:
+        if model.effects.at("detector"):  # whose derivatives are not in proportion to the light
+            seen = model.predict_and_jacobian(modes_nm, flux * factor, torch.zeros_like(flux))
+        else:  # those of flux and background in other units
+            seen = whole[0] * factor, whole[1].double() * factor
+        found.append(torch.stack([_bound_nm(*seen, noise) for noise in noises]))
+    return torch.stack(found, dim=1)
 
 
 def curve_of(
@@ -250,8 +265,12 @@ def cramer_rao_nm(
     (images, modes) and `flux_e` (images,) are those of the images, `background_e` is in every pixel.
     """
     flux = flux_e.double()
-    image, columns = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))
-    image, columns = image.flatten(1), columns.double().flatten(2)
-    fisher = (columns / noise.variance_e2(image)[:, None]) @ columns.mT
-    covariance = scaled_inverse(fisher.cpu())
-    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.psf.nolls)]
+    seen = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))
+    return _bound_nm(*seen, noise)[:, : len(model.psf.nolls)]
+
+
+def _bound_nm(image_e: torch.Tensor, columns: torch.Tensor, noise: NoiseModel) -> torch.Tensor:
+    """Bounds of all parameters (images, parameters), from images and derivatives, (..., rows, columns)."""
+    columns = columns.double().flatten(2)
+    fisher = (columns / noise.variance_e2(image_e.flatten(1))[:, None]) @ columns.mT
+    return torch.diagonal(scaled_inverse(fisher.cpu()), dim1=1, dim2=2).sqrt()

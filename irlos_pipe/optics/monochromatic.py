@@ -118,23 +118,33 @@ class Colour(NamedTuple):
         """Weighted pixel flux of the `waves` of a focal intensity."""
         if self.strained is not None:
             return self.strained.image(waves)
-        partial = self.to_rows @ waves
-        return partial.real @ self.to_columns.real.mT - partial.imag @ self.to_columns.imag.mT
+        return torch.view_as_real(self.to_rows @ waves).flatten(-2) @ _parts(self.to_columns).mT
 
-    def adjoint(self, factors: torch.Tensor) -> torch.Tensor:
-        """Return the transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
-        if self.strained is None and self.transfer is None:
-            return self.to_rows.mT @ (factors @ self.to_columns)
+    def adjoint(self, factors: torch.Tensor) -> list[torch.Tensor]:
+        """Return the transpose of `whole_image`: from pixels (..., rows, columns) to focal samples (..., m, m).
+
+        Those of the intensity come first, then those of its changes by the modes of `by_mode`.
+        """
+        if self.strained is None and self.transfer is None and not self.by_mode:
+            return [self.to_rows.mT @ (factors @ self.to_columns)]
         if self.strained is not None:
             waves = self.strained.adjoint(factors)
         else:
-            waves = self.to_rows.mH @ (factors.to(self.to_rows.dtype) @ self.to_columns.conj())
-        counts = torch.as_tensor(half_plane_counts(waves.shape[-1], self.padded)).to(waves)
-        waves = waves / counts  # the real FFT counts them itself
-        if self.transfer is not None:
-            waves = waves * self.transfer.conj()
-        spread = torch.fft.irfft2(waves, s=(self.padded,) * 2, norm="forward")
-        return spread[..., : self.samples, : self.samples]
+            matrix = _parts(self.to_columns)
+            along_x = (factors.to(matrix) @ matrix).unflatten(-1, (-1, 2))
+            waves = self.to_rows.mH @ torch.view_as_complex(along_x)
+        counts = half_plane_counts(waves.shape[-1], self.padded)  # the real FFT counts them itself
+        once = torch.as_tensor(1 / counts).to(waves.real)
+        through = [once if self.transfer is None else self.transfer.conj() * once]
+        through += [one.factor.conj() * once for one in self.by_mode]
+        size = (self.padded,) * 2
+        spread = (torch.fft.irfft2(waves * one, s=size, norm="forward") for one in through)
+        return [one[..., : self.samples, : self.samples] for one in spread]
+
+
+def _parts(matrix: torch.Tensor) -> torch.Tensor:
+    """Real and minus imaginary parts of a complex `matrix` (m, n) by turns, (m, 2 n)."""
+    return torch.view_as_real(matrix.conj().resolve_conj()).flatten(-2)
 
 
 def _single(factor: torch.Tensor) -> torch.Tensor:
@@ -183,6 +193,21 @@ def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
     They are ``i φ_k E`` for a mode of the phase, and ``φ_k E`` for one of the amplitude's logarithm.
     """
     return [one.map * (field if one.of_amplitude else times_i(field)) for one in colour.by_mode]
+
+
+def turned_back(colour: Colour, changes: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Return the transpose of a field followed by its `turned_fields`: the sum of what `changes` of these make.
+
+    All are (frames, 2, n, n); the first of them, that of the field itself, is overwritten.
+    """
+    whole, *others = changes
+    for one, change in zip(colour.by_mode, others, strict=True):
+        if one.of_amplitude:
+            whole.addcmul_(one.map, change)
+        else:
+            whole[:, 0].addcmul_(one.map, change[:, 1])
+            whole[:, 1].addcmul_(one.map, change[:, 0], value=-1)
+    return whole
 
 
 def times_i(field: torch.Tensor) -> torch.Tensor:

@@ -54,12 +54,14 @@ from irlos_pipe.optics.monochromatic import (
     change_of,
     intensity_of,
     resampled,
+    turned_back,
     turned_fields,
 )
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 FAINT = 0.1  # share of the light below which the derivatives of a copy may be rough
+COLOURS_KEPT = 32  # light paths at one wavelength that are kept as they are
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 # Zernike modes of high degree have huge coefficients of either sign in products of polynomials. In float32
 # their derivatives err by 1e-3 at degree 10 (Noll 66), by a tenth at 13, and by many times their size at 20.
@@ -102,6 +104,7 @@ class PsfModel:
         self._set_pupil(self.pupil_grid)
         self._set_products(self.pupil_grid)
         self.focal_plane = self._focal_plane(settings)
+        self._colours: dict[tuple[int, int], tuple[Optics, Colour]] = {}
 
     @property
     def grids(self) -> Grids:
@@ -112,7 +115,7 @@ class PsfModel:
         other.settings = replace(
             self.settings, window=window, margin_mas=margin_mas, halo_margin_mas=halo_margin_mas
         )
-        other.focal_plane = self._focal_plane(other.settings)
+        other.focal_plane, other._colours = self._focal_plane(other.settings), {}
         return other
 
     @property
@@ -181,7 +184,15 @@ class PsfModel:
         return (coefficients @ self.basis).unflatten(1, self.amplitude.shape) + self.known_nm
 
     def _colour(self, index: int, optics: Optics) -> Colour:
-        """The light path at one wavelength."""
+        """The light path at one wavelength, kept for the next call with the same `optics`."""
+        kept = self._colours.get((index, id(optics)))
+        if kept is None or kept[0] is not optics:
+            if len(self._colours) > COLOURS_KEPT:
+                self._colours = {}
+            self._colours[index, id(optics)] = kept = optics, self._made_colour(index, optics)
+        return kept[1]
+
+    def _made_colour(self, index: int, optics: Optics) -> Colour:
         plane, sampling = self.focal_plane, optics.sampling
         wavelength_m = float(self.wavelengths_m[index]) if sampling is None else sampling.wavelengths_m[index]
         transfer = self._transfer(optics.transfer, index)
@@ -358,13 +369,12 @@ class PsfModel:
         scale = 4 * np.pi * NM / float(colour.wavelength_m)
 
         def pullback(factors: torch.Tensor) -> torch.Tensor:
-            through = [colour._replace(transfer=one.factor).adjoint(factors) for one in colour.by_mode]
-            beats = [amplitude * colour.adjoint(factors)[:, None]]
-            beats += [change * one[:, None] for change, one in zip(turned, through, strict=True)]
-            found = by_phase(field, dft.adjoint(reduce(torch.add, beats)))
-            for own, one in zip(turned_fields(colour, field), through, strict=True):
-                found = found + by_phase(own, dft.adjoint(amplitude * one[:, None]))
-            return scale * found.flatten(1)
+            star, *through = (one[:, None] for one in colour.adjoint(factors))
+            beats = amplitude * star
+            for change, one in zip(turned, through, strict=True):
+                beats.addcmul_(change, one)
+            back = dft.adjoint(torch.cat([beats, *(amplitude * one for one in through)])).split(len(field))
+            return scale * by_phase(field, turned_back(colour, back)).flatten(1)
 
         changes = [change_of(amplitude, one) for one in turned]
         return colour.whole_image(intensity_of(amplitude), changes), pullback

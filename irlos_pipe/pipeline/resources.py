@@ -7,15 +7,31 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from io import StringIO
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.pipeline.runlog import RUN
+
+LOG_S = 30  # between two lines of a progress that is logged
 
 silent_progress = partial(tqdm, disable=True)
 terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
+
+
+class LoggedProgress(tqdm):
+    """Progress where there is no terminal: now and then a message with an estimate of what is left."""
+
+    def __init__(self, *arguments: Any, **options: Any):
+        super().__init__(*arguments, mininterval=LOG_S, miniters=1, file=StringIO(), **options)
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> None:
+        if msg is None and 0 < self.n < self.total:
+            left_s = self.format_dict["elapsed"] * (self.total - self.n) / self.n
+            RUN.info("%s: %d of %d, about %.0f s left", self.desc, self.n, self.total, left_s)
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
-    with ctx.progress(total=len(combinations) * len(magnitudes), desc="sensitivity") as bar:
+    estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
+    with ctx.progress(total=estimates, desc="sensitivity") as bar:
         curves = [
             _curve(ctx, ramp, chosen, calibrated, nolls, magnitudes, noises, bar.update)
             for calibrated, nolls in combinations
