@@ -173,7 +173,7 @@ def scan(
         return torch.cat([dim(data.images_e, *arguments) for _ in range(realisations)])
 
     def errors_nm(group: np.ndarray) -> np.ndarray:
-        """Errors (magnitudes, trials) of some magnitudes; in every piece of the batch there are all of them."""
+        """Errors (magnitudes, trials) of some magnitudes, which take turns in the batch."""
         images_e = torch.stack([dimmed(index) for index in group], dim=1).flatten(0, 1)
         member = torch.arange(len(frames)).repeat_interleave(len(group))
         options = LiftOptions(noise="model", alike=like and like.of(member))
@@ -189,7 +189,7 @@ def scan(
 
 
 def _bounds_nm(model, modes_nm, signal_e, factors, noises) -> torch.Tensor:
-    """Bounds (noises, factors, images, parameters) of the light of some images times each of the `factors`."""
+    """Bounds (noises, factors, images, parameters) of images with their light times each of the `factors`."""
     flux = signal_e.double().sum((1, 2))
     whole = model.predict_and_jacobian(modes_nm, flux, torch.zeros_like(flux))
     found = []

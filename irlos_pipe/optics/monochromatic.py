@@ -121,9 +121,9 @@ class Colour(NamedTuple):
         return torch.view_as_real(self.to_rows @ waves).flatten(-2) @ _parts(self.to_columns).mT
 
     def adjoint(self, factors: torch.Tensor) -> list[torch.Tensor]:
-        """Return the transpose of `whole_image`: from pixels (..., rows, columns) to focal samples (..., m, m).
+        """Return the transpose of `whole_image`, from pixels (..., rows, columns) to focal ones (..., m, m).
 
-        Those of the intensity come first, then those of its changes by the modes of `by_mode`.
+        That of the intensity comes first, then those of its changes by the modes of `by_mode`.
         """
         if self.strained is None and self.transfer is None and not self.by_mode:
             return [self.to_rows.mT @ (factors @ self.to_columns)]
@@ -196,7 +196,7 @@ def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
 
 
 def turned_back(colour: Colour, changes: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Return the transpose of a field followed by its `turned_fields`: the sum of what `changes` of these make.
+    """Return what `changes` of a field and of its `turned_fields` make of the field: their transpose.
 
     All are (frames, 2, n, n); the first of them, that of the field itself, is overwritten.
     """

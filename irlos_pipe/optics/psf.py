@@ -61,7 +61,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 FAINT = 0.1  # share of the light below which the derivatives of a copy may be rough
-COLOURS_KEPT = 32  # light paths at one wavelength that are kept as they are
+COLOURS_KEPT = 16  # light paths at one wavelength that are kept as they are
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 # Zernike modes of high degree have huge coefficients of either sign in products of polynomials. In float32
 # their derivatives err by 1e-3 at degree 10 (Noll 66), by a tenth at 13, and by many times their size at 20.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -21,6 +21,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.stage import Mode
 
 if TYPE_CHECKING:
+    from irlos_pipe.estimate.ramp_fit import RampData, RampFit
     from irlos_pipe.estimate.sensitivity import Curve
     from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.lift.input import Ramp
@@ -144,6 +145,10 @@ Results = SensitivityResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Scan every combination of modes and calibration."""
+    import torch
+
+    from irlos_pipe.estimate.sensitivity import Criterion, scan
+    from irlos_pipe.numerics.parallel import ordered_map
     from irlos_pipe.stages.lift.input import read_ramp
 
     ramp = read_ramp(ctx, ctx.config.input)
@@ -165,10 +170,27 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
+    data = ramp.data.of(torch.as_tensor(chosen))
+    # Side by side: a single fit has too few frames to keep many workers busy.
+    fits = ordered_map(lambda one: _bright(ctx, ramp, data, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
         curves = [
-            _curve(ctx, ramp, chosen, calibrated, nolls, magnitudes, noises, bar.update)
-            for calibrated, nolls in combinations
+            scan(
+                fit.model,
+                data,
+                fit.result.model_e,
+                bright,
+                magnitudes,
+                ctx.config.realisations,
+                fit.start_nm,
+                Criterion(ctx.config.limit_nm, ctx.config.limit_failures),
+                ctx.seed,
+                faint=noises.faint,
+                one_read=noises.one_read,
+                near_nm=fit.result.zernike_nm,
+                report=bar.update,
+            )
+            for fit in fits
         ]
     return _output(ctx.config, combinations, curves, noises.row(ramp.acquisition.exposure_s))
 
@@ -189,46 +211,24 @@ def _choose(ramp: Ramp, config: Config) -> np.ndarray:
     return np.array(sorted(chosen))
 
 
-def _curve(
+def _bright(
     ctx: StageContext[Config],
     ramp: Ramp,
+    data: RampData,
     chosen: np.ndarray,
     calibrated: bool,
     nolls: tuple[int, ...],
-    magnitudes: np.ndarray,
-    noises: Noises,
-    report: Callable[[int], None],
-) -> Curve:
-    """One curve; the model of each bright frame gives the noise-free signal and the start."""
+) -> RampFit:
+    """The frames as they are, whose model gives the noise-free signal and the start."""
     from irlos_pipe.estimate.lift_options import LiftOptions
-    from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
-    from irlos_pipe.estimate.sensitivity import Criterion, scan
+    from irlos_pipe.estimate.ramp_fit import fit_ramp
     from irlos_pipe.stages.lift.input import calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
 
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, nolls, ncpa_nm)
-    start = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
-    data = RampData(
-        ramp.data.images_e[chosen], ramp.data.good, ramp.data.noise, ramp.data.introduced_nm[chosen]
-    )
+    start_nm = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
     effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
-    bright = fit_ramp(model, data, start, LiftOptions(), effects)
-    criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
-    return scan(
-        bright.model,
-        data,
-        bright.result.model_e,
-        float(magnitudes[0]),
-        magnitudes,
-        ctx.config.realisations,
-        start,
-        criterion,
-        ctx.seed,
-        faint=noises.faint,
-        one_read=noises.one_read,
-        near_nm=bright.result.zernike_nm,
-        report=report,
-    )
+    return fit_ramp(model, data, start_nm, LiftOptions(), effects)
 
 
 def _output(
