@@ -156,6 +156,6 @@ def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
 
     if device == "cuda":
         resources.resolve_device(device)
-    seen = resources.terminal_progress if sys.stderr.isatty() else resources.LoggedProgress
+    seen = resources.terminal_progress if sys.stderr.isatty() else resources.logged_progress
     progress = resources.silent_progress if quiet else seen
     return resources.Resources(device, jobs or resources.available_cpus(), progress)

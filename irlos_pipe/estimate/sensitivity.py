@@ -159,10 +159,9 @@ def scan(
     report : callable, optional
         See `solve`.
     """
-    introduced, focus = np.tile(data.introduced_nm, realisations), model.psf.nolls.index(4)
-    true = start_nm.clone()
+    focus, true = model.psf.nolls.index(4), start_nm.clone()
     true[:, focus] = torch.as_tensor(data.introduced_nm)
-    frames = torch.arange(len(start_nm)).repeat(realisations)
+    frames = torch.arange(len(start_nm))
     like = None if near_nm is None else alike(model, near_nm, frames)
     faint, one_read = faint or data.noise, one_read or data.noise
     factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
@@ -175,15 +174,15 @@ def scan(
     def errors_nm(group: np.ndarray) -> np.ndarray:
         """Errors (magnitudes, trials) of some magnitudes, which take turns in the batch."""
         images_e = torch.stack([dimmed(index) for index in group], dim=1).flatten(0, 1)
-        member = torch.arange(len(frames)).repeat_interleave(len(group))
-        options = LiftOptions(noise="model", alike=like and like.of(member))
-        result = lift(model, images_e, data.good, faint, start_nm[frames[member]], options, report=report)
-        error = np.abs(result.mode(4)[0].numpy() - introduced[member])
+        frame = frames.repeat(realisations).repeat_interleave(len(group))
+        options = LiftOptions(noise="model", alike=like and like.of(frame))
+        result = lift(model, images_e, data.good, faint, start_nm[frame], options, report=report)
+        error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame.numpy()])
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
         return np.where(failed, np.nan, error).reshape(-1, len(group)).T
 
-    groups = np.array_split(np.arange(len(factors)), -(-len(factors) * len(frames) // IMAGES_AT_ONCE))
-    errors = np.concatenate([errors_nm(group) for group in groups if len(group)])
+    groups = min(len(factors), -(-len(factors) * len(frames) * realisations // IMAGES_AT_ONCE))
+    errors = np.concatenate([errors_nm(one) for one in np.array_split(np.arange(len(factors)), groups)])
     crb_nm = _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus].median(-1).values
     return curve_of(model.psf.nolls, magnitudes, errors, *crb_nm.numpy(), criterion)
 
@@ -194,10 +193,9 @@ def _bounds_nm(model, modes_nm, signal_e, factors, noises) -> torch.Tensor:
     whole = model.predict_and_jacobian(modes_nm, flux, torch.zeros_like(flux))
     found = []
     for factor in factors:
-        if model.effects.at("detector"):  # whose derivatives are not in proportion to the light
+        seen = whole[0] * factor, whole[1].double() * factor  # flux and background in other units
+        if model.effects.at("detector"):  # derivatives are not in proportion to the light
             seen = model.predict_and_jacobian(modes_nm, flux * factor, torch.zeros_like(flux))
-        else:  # those of flux and background in other units
-            seen = whole[0] * factor, whole[1].double() * factor
         found.append(torch.stack([_bound_nm(*seen, noise) for noise in noises]))
     return torch.stack(found, dim=1)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 import torch
 
@@ -56,9 +54,8 @@ class FocalPlane:
         A `sampling` is given where effects change it. Matrices are applied to the real FFT of the focal
         intensity if `filtered`, otherwise to the intensity itself.
         """
-        if sampling is None:
-            return (self._filtered if filtered else self._plain)[index]
-        return (self._filtered_matrices if filtered else self._plain_matrices)(index, sampling)
+        make = self._filtered_matrices if filtered else self._plain_matrices
+        return make(index, sampling or self.sampling)
 
     def pixel_slopes(self, index: int, sampling: Sampling, *, filtered: bool) -> Matrices:
         """Return the derivatives of `to_pixels` by the logarithm of pixel scale over wavelength."""
@@ -69,14 +66,6 @@ class FocalPlane:
         """Return the matrices to pixels of a strained image, at the wavelength `index`."""
         like = self.like.new_empty(0, dtype=COMPLEX[self.like.dtype])
         return Strained.of(self.window, sampling, index, self.grids[index], like)
-
-    @cached_property
-    def _plain(self) -> list[Matrices]:
-        return [self._plain_matrices(index, self.sampling) for index in range(len(self.grids))]
-
-    @cached_property
-    def _filtered(self) -> list[Matrices]:
-        return [self._filtered_matrices(index, self.sampling) for index in range(len(self.grids))]
 
     def _plain_matrices(self, index: int, sampling: Sampling, *, slope: bool = False) -> Matrices:
         sky = sampling.pixel_scale_mas, sampling.wavelengths_m[index], self.grids[index]

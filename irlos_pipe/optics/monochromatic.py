@@ -195,29 +195,21 @@ def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
     return [one.map * (field if one.of_amplitude else times_i(field)) for one in colour.by_mode]
 
 
-def turned_back(colour: Colour, changes: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Return what `changes` of a field and of its `turned_fields` make of the field: their transpose.
-
-    All are (frames, 2, n, n); the first of them, that of the field itself, is overwritten.
-    """
-    whole, *others = changes
-    for one, change in zip(colour.by_mode, others, strict=True):
-        if one.of_amplitude:
-            whole.addcmul_(one.map, change)
-        else:
-            whole[:, 0].addcmul_(one.map, change[:, 1])
-            whole[:, 1].addcmul_(one.map, change[:, 0], value=-1)
-    return whole
-
-
 def times_i(field: torch.Tensor) -> torch.Tensor:
     """Return ``i E`` of a field E, (frames, 2, n, n)."""
     return torch.stack([-field[:, 1], field[:, 0]], dim=1)
 
 
-def by_phase(field: torch.Tensor, change: torch.Tensor) -> torch.Tensor:
-    """Return ``Re(A* i E)``, (frames, n, n), of a `field` E and the adjoint A of what it makes."""
-    return field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]
+def by_phase(colour: Colour, field: torch.Tensor, changes: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Return ``Re(A* i E)``, (frames, n, n), of a `field` E and the adjoint A of what it makes in a `colour`.
+
+    The `changes`, whose first is overwritten, are the adjoints of what it and its `turned_fields` make.
+    """
+    whole, *others = changes
+    for one, change in zip(colour.by_mode, others, strict=True):
+        back, sign = (change, 1) if one.of_amplitude else (times_i(change), -1)
+        whole.addcmul_(one.map, back, value=sign)
+    return field[:, 0] * whole[:, 1] - field[:, 1] * whole[:, 0]
 
 
 def beat_of(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:

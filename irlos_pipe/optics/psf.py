@@ -54,7 +54,6 @@ from irlos_pipe.optics.monochromatic import (
     change_of,
     intensity_of,
     resampled,
-    turned_back,
     turned_fields,
 )
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -134,17 +133,14 @@ class PsfModel:
         return FocalPlane(settings, self._sampling(), self.pupil_grid, self.polynomials, self.amplitude)
 
     def _set_pupil(self, grid: PupilGrid) -> None:
-        self._mode_maps: dict[int, torch.Tensor] = {}
         self.amplitude = self._map(grid.amplitude)
         self.basis = self._map(self._modes(grid, self.nolls)).flatten(1)
         known = self.settings.known.total_nm
         self.known_nm = self._map(np.tensordot(np.array([*known.values()]), self._modes(grid, [*known]), 1))
 
     def _mode_map(self, mode: PupilMode, wavelength_m: float | torch.Tensor) -> torch.Tensor:
-        """Map of a mode of `Optics.by_mode` at a wavelength; that in nm is made once."""
-        if mode.noll not in self._mode_maps:
-            self._mode_maps[mode.noll] = self._map(self.pupil_grid.modes([mode.noll])[0].copy())
-        found = self._mode_maps[mode.noll]
+        """Map of a mode of `Optics.by_mode` at a wavelength."""
+        found = self._map(self.pupil_grid.modes([mode.noll])[0].copy())
         return found if mode.of_amplitude else 2 * np.pi * NM / wavelength_m * found
 
     def _modes(self, grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
@@ -196,25 +192,15 @@ class PsfModel:
         plane, sampling = self.focal_plane, optics.sampling
         wavelength_m = float(self.wavelengths_m[index]) if sampling is None else sampling.wavelengths_m[index]
         transfer = self._transfer(optics.transfer, index)
-        to_rows, to_columns = plane.to_pixels(index, sampling, filtered=transfer is not None)
+        matrices = plane.to_pixels(index, sampling, filtered=transfer is not None)
         pupil, grid = self._pupil(optics.pupil, index), plane.grids[index]
         pupil = self.amplitude if pupil is None else pupil
         strained = plane.strained(index, sampling) if sampling is not None and sampling.strains else None
-        by_mode = [
+        by_mode = tuple(
             ByMode(self._mode_map(mode, wavelength_m), mode.of_amplitude, self._factor(factors, index))
             for mode, factors in optics.by_mode
-        ]
-        return Colour(
-            wavelength_m,
-            pupil,
-            transfer,
-            to_rows,
-            to_columns,
-            grid.padded,
-            grid.samples,
-            strained,
-            tuple(by_mode),
         )
+        return Colour(wavelength_m, pupil, transfer, *matrices, grid.padded, grid.samples, strained, by_mode)
 
     def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
         return None if pupils is None else self._amplitudes(pupils[index])
@@ -244,8 +230,7 @@ class PsfModel:
     def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Weighted images at one wavelength."""
         colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
-        field = colour.field(opd)
-        amplitude, *turned = amplitudes_of(colour, dft, field)
+        amplitude, *turned = amplitudes_of(colour, dft, colour.field(opd))
         changes = [change_of(amplitude, one) for one in turned]
         return colour.whole_image(intensity_of(amplitude), changes)
 
@@ -374,7 +359,7 @@ class PsfModel:
             for change, one in zip(turned, through, strict=True):
                 beats.addcmul_(change, one)
             back = dft.adjoint(torch.cat([beats, *(amplitude * one for one in through)])).split(len(field))
-            return scale * by_phase(field, turned_back(colour, back)).flatten(1)
+            return scale * by_phase(colour, field, back).flatten(1)
 
         changes = [change_of(amplitude, one) for one in turned]
         return colour.whole_image(intensity_of(amplitude), changes), pullback

@@ -16,22 +16,20 @@ from tqdm import tqdm
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.pipeline.runlog import RUN
 
-LOG_S = 30  # between two lines of a progress that is logged
-
 silent_progress = partial(tqdm, disable=True)
 terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
 
 
-class LoggedProgress(tqdm):
+class _Logged(tqdm):
     """Progress where there is no terminal: now and then a message with an estimate of what is left."""
-
-    def __init__(self, *arguments: Any, **options: Any):
-        super().__init__(*arguments, mininterval=LOG_S, miniters=1, file=StringIO(), **options)
 
     def display(self, msg: str | None = None, pos: int | None = None) -> None:
         if msg is None and 0 < self.n < self.total:
             left_s = self.format_dict["elapsed"] * (self.total - self.n) / self.n
             RUN.info("%s: %d of %d, about %.0f s left", self.desc, self.n, self.total, left_s)
+
+
+logged_progress = partial(_Logged, mininterval=30, miniters=1, file=StringIO())
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.files.limits import require_memory
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.product.product import Quantity, declared
@@ -21,7 +22,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.stage import Mode
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.ramp_fit import RampData, RampFit
+    from irlos_pipe.estimate.ramp_fit import RampFit
     from irlos_pipe.estimate.sensitivity import Curve
     from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.lift.input import Ramp
@@ -145,8 +146,6 @@ Results = SensitivityResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Scan every combination of modes and calibration."""
-    import torch
-
     from irlos_pipe.estimate.sensitivity import Criterion, scan
     from irlos_pipe.numerics.parallel import ordered_map
     from irlos_pipe.stages.lift.input import read_ramp
@@ -164,20 +163,19 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"sensitivity.faintest_mag_j {ctx.config.faintest_mag_j} is brighter than the ramp's "
             f"own m_J {bright}: frames can only be dimmed"
         )
-    chosen = _choose(ramp, ctx.config)
+    chosen = torch.as_tensor(_choose(ramp, ctx.config))
     noises = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
-    data = ramp.data.of(torch.as_tensor(chosen))
     # Side by side: a single fit has too few frames to keep many workers busy.
-    fits = ordered_map(lambda one: _bright(ctx, ramp, data, chosen, *one), combinations)
+    fits = ordered_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
         curves = [
             scan(
                 fit.model,
-                data,
+                ramp.data.of(chosen),
                 fit.result.model_e,
                 bright,
                 magnitudes,
@@ -212,12 +210,7 @@ def _choose(ramp: Ramp, config: Config) -> np.ndarray:
 
 
 def _bright(
-    ctx: StageContext[Config],
-    ramp: Ramp,
-    data: RampData,
-    chosen: np.ndarray,
-    calibrated: bool,
-    nolls: tuple[int, ...],
+    ctx: StageContext[Config], ramp: Ramp, chosen: torch.Tensor, calibrated: bool, nolls: tuple[int, ...]
 ) -> RampFit:
     """The frames as they are, whose model gives the noise-free signal and the start."""
     from irlos_pipe.estimate.lift_options import LiftOptions
@@ -228,7 +221,7 @@ def _bright(
     model = ramp_model(ctx, ramp, nolls, ncpa_nm)
     start_nm = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
     effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
-    return fit_ramp(model, data, start_nm, LiftOptions(), effects)
+    return fit_ramp(model, ramp.data.of(chosen), start_nm, LiftOptions(), effects)
 
 
 def _output(
