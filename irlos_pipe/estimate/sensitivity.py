@@ -183,8 +183,10 @@ def scan(
 
     groups = min(len(factors), -(-len(factors) * len(frames) * realisations // IMAGES_AT_ONCE))
     errors = np.concatenate([errors_nm(one) for one in np.array_split(np.arange(len(factors)), groups)])
-    crb_nm = _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus].median(-1).values
-    return curve_of(model.psf.nolls, magnitudes, errors, *crb_nm.numpy(), criterion)
+    bounds = (
+        _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus].median(-1).values.numpy()
+    )
+    return curve_of(model.psf.nolls, magnitudes, errors, bounds[0], bounds[1], criterion)
 
 
 def _bounds_nm(model, modes_nm, signal_e, factors, noises) -> torch.Tensor:
