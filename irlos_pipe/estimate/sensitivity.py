@@ -161,9 +161,8 @@ def scan(
     """
     focus, true = model.psf.nolls.index(4), start_nm.clone()
     true[:, focus] = torch.as_tensor(data.introduced_nm)
-    frames = torch.arange(len(start_nm))
+    frames, faint, one_read = torch.arange(len(start_nm)), faint or data.noise, one_read or data.noise
     like = None if near_nm is None else alike(model, near_nm, frames)
-    faint, one_read = faint or data.noise, one_read or data.noise
     factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
 
     def dimmed(index: int) -> torch.Tensor:
@@ -183,10 +182,9 @@ def scan(
 
     groups = min(len(factors), -(-len(factors) * len(frames) * realisations // IMAGES_AT_ONCE))
     errors = np.concatenate([errors_nm(one) for one in np.array_split(np.arange(len(factors)), groups)])
-    bounds = (
-        _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus].median(-1).values.numpy()
-    )
-    return curve_of(model.psf.nolls, magnitudes, errors, bounds[0], bounds[1], criterion)
+    bounds = _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus]
+    crb_nm, one_read_nm = bounds.median(-1).values.numpy()
+    return curve_of(model.psf.nolls, magnitudes, errors, crb_nm, one_read_nm, criterion)
 
 
 def _bounds_nm(model, modes_nm, signal_e, factors, noises) -> torch.Tensor:
