@@ -76,10 +76,10 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 530, "commands": 1840, "control": 550, "conventions": 940, "diagnosis": 6120, "effects": 4530,
-    "esorex": 110, "estimate": 6910, "files": 1030, "focus": 2410, "frames": 2130, "instrument": 890,
-    "night": 3320, "numerics": 940, "optics": 4030, "paper": 6020, "pipeline": 1200, "product": 2560,
-    "readers": 2550, "recipe": 370, "reference": 610, "report": 3880, "simulate": 4530, "stages": 6570,
+    "api": 310, "commands": 1840, "control": 550, "conventions": 940, "diagnosis": 6120, "effects": 4530,
+    "esorex": 110, "estimate": 6910, "files": 1030, "focus": 2410, "frames": 2130, "instrument": 820,
+    "night": 3320, "numerics": 940, "optics": 3930, "paper": 6020, "pipeline": 1215, "product": 2560,
+    "readers": 2550, "recipe": 360, "reference": 610, "report": 3840, "simulate": 4530, "stages": 6560,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

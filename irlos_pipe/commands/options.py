@@ -166,15 +166,12 @@ def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
     """Return the resources that the options state; all processors without `jobs`.
 
     It is an error at once that there is no ``cuda``; what ``auto`` means is seen when a stage runs. `quiet`
-    shows no progress; where stderr is not a terminal, a line twice a minute does.
+    shows no progress; where stderr is not a terminal it is logged.
     """
     from irlos_pipe.pipeline import resources
 
     if device == "cuda":
         resources.resolve_device(device)
-    progress = resources.terminal_progress if sys.stderr.isatty() else resources.line_progress
-    return resources.Resources(
-        device,
-        jobs or resources.available_cpus(),
-        resources.silent_progress if quiet else progress,
-    )
+    seen = resources.terminal_progress if sys.stderr.isatty() else resources.logged_progress
+    progress = resources.silent_progress if quiet else seen
+    return resources.Resources(device, jobs or resources.available_cpus(), progress)

@@ -22,6 +22,7 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import Alike, AlikeFit, PhotonFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.numerics.solution import Solution, joined, mixed
 
 DEFAULTS = LiftOptions()
@@ -95,24 +96,17 @@ def lift(
     again without it. For `report` see `solve`.
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
-    result = _in_pieces(model, images_e, good, noise, start_nm, options, report)
+
+    def piece(some: torch.Tensor) -> LiftResult:
+        return _lift(model, images_e[some], good, noise, start_nm[some], options.of(some), report)
+
+    pieces = torch.arange(len(images_e)).tensor_split(max(1, -(-len(images_e) // IMAGES_AT_ONCE)))
+    result = LiftResult.joined(ordered_map(piece, pieces))
     stuck = _at_limit(model, result.zernike_nm)
     if not (beyond and stuck.any()):
         return result
     again = lift(model.general, images_e[stuck], good, noise, start_nm[stuck], options.of(stuck))
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
-
-
-def _in_pieces(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
-    """Fits of any number of images, of which few are worked on at a time."""
-    if len(images_e) <= IMAGES_AT_ONCE:
-        return _lift(model, images_e, good, noise, start_nm, options, report)
-    return LiftResult.joined(
-        [
-            _lift(model, images_e[some], good, noise, start_nm[some], options.of(some), report)
-            for some in torch.arange(len(images_e)).tensor_split(-(-len(images_e) // IMAGES_AT_ONCE))
-        ]
-    )
 
 
 def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:

@@ -13,10 +13,8 @@ from typing import Self
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit, Layout, Piece
+from irlos_pipe.estimate.image_fit import FRAMES_PER_GRADIENT, ImageFit, Layout
 from irlos_pipe.frames.noise import NoiseModel
-
-MIN_FRAMES = 4  # frames in a piece, at least
 
 
 @dataclass(frozen=True)
@@ -65,12 +63,6 @@ class AlikeFit(ImageFit):
         value, gradient = self.gradient(x, which)
         (hessian,) = self._map(self._curvature, x, which, FRAMES_PER_GRADIENT)
         return value, gradient, hessian + torch.diag_embed(self.prior_precision[which])
-
-    def _map(
-        self, function: Piece, x: torch.Tensor, which: torch.Tensor, size: int = FRAMES_PER_CHUNK
-    ) -> tuple[torch.Tensor, ...]:
-        """As in `ImageFit`, but two pieces at least when most members are done: no worker idles."""
-        return super()._map(function, x, which, min(size, max(MIN_FRAMES, -(-len(x) // 2))))
 
     def _curvature(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
         columns = self._alike.columns[self._alike.frame[which]] * self.root_weight[which.to(self.device)]

@@ -15,6 +15,7 @@ from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
+IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
 MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
 
 
@@ -158,33 +159,45 @@ def scan(
     report : callable, optional
         See `solve`.
     """
-    introduced, focus = np.tile(data.introduced_nm, realisations), model.psf.nolls.index(4)
-    true = start_nm.clone()
+    focus, true = model.psf.nolls.index(4), start_nm.clone()
     true[:, focus] = torch.as_tensor(data.introduced_nm)
-    start = start_nm.repeat(realisations, 1)
-    frames = torch.arange(len(start_nm)).repeat(realisations)
-    options = LiftOptions(noise="model", alike=None if near_nm is None else alike(model, near_nm, frames))
-    flux, errors = signal_e.double().sum((1, 2)), []
-    bounds: list[float] = []
-    of_one_read: list[float] = []
-    faint, one_read = faint or data.noise, one_read or data.noise
-    for index, magnitude in enumerate(magnitudes):
-        factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
-        generator = torch.Generator().manual_seed(seed + 7919 * index)
-        dimmed = torch.cat(
-            [dim(data.images_e, signal_e, factor, data.noise, generator, faint) for _ in range(realisations)]
-        )
-        result = lift(model, dimmed, data.good, faint, start, options)
-        error = np.abs(result.mode(4)[0].numpy() - introduced)
+    frames, faint, one_read = torch.arange(len(start_nm)), faint or data.noise, one_read or data.noise
+    like = None if near_nm is None else alike(model, near_nm, frames)
+    factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
+
+    def dimmed(index: int) -> torch.Tensor:
+        generator = torch.Generator().manual_seed(seed + 7919 * int(index))
+        arguments = signal_e, factors[index], data.noise, generator, faint
+        return torch.cat([dim(data.images_e, *arguments) for _ in range(realisations)])
+
+    def errors_nm(group: np.ndarray) -> np.ndarray:
+        """Errors (magnitudes, trials) of some magnitudes, which take turns in the batch."""
+        images_e = torch.stack([dimmed(index) for index in group], dim=1).flatten(0, 1)
+        frame = frames.repeat(realisations).repeat_interleave(len(group))
+        options = LiftOptions(noise="model", alike=like and like.of(frame))
+        result = lift(model, images_e, data.good, faint, start_nm[frame], options, report=report)
+        error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame.numpy()])
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
-        errors.append(np.where(failed, np.nan, error))
-        for found, noise in ((bounds, faint), (of_one_read, one_read)):
-            found.append(float(cramer_rao_nm(model, true, flux * factor, noise)[:, focus].median()))
-        if report is not None:
-            report(1)
-    return curve_of(
-        model.psf.nolls, magnitudes, np.array(errors), np.array(bounds), np.array(of_one_read), criterion
-    )
+        return np.where(failed, np.nan, error).reshape(-1, len(group)).T
+
+    groups = min(len(factors), -(-len(factors) * len(frames) * realisations // IMAGES_AT_ONCE))
+    errors = np.concatenate([errors_nm(one) for one in np.array_split(np.arange(len(factors)), groups)])
+    bounds = _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus]
+    crb_nm, one_read_nm = bounds.median(-1).values.numpy()
+    return curve_of(model.psf.nolls, magnitudes, errors, crb_nm, one_read_nm, criterion)
+
+
+def _bounds_nm(model, modes_nm, signal_e, factors, noises) -> torch.Tensor:
+    """Bounds (noises, factors, images, parameters) of images with their light times each of the `factors`."""
+    flux = signal_e.double().sum((1, 2))
+    whole = model.predict_and_jacobian(modes_nm, flux, torch.zeros_like(flux))
+    found = []
+    for factor in factors:
+        seen = whole[0] * factor, whole[1].double() * factor  # flux and background in other units
+        if model.effects.at("detector"):  # derivatives are not in proportion to the light
+            seen = model.predict_and_jacobian(modes_nm, flux * factor, torch.zeros_like(flux))
+        found.append(torch.stack([_bound_nm(*seen, noise) for noise in noises]))
+    return torch.stack(found, dim=1)
 
 
 def curve_of(
@@ -250,8 +263,12 @@ def cramer_rao_nm(
     (images, modes) and `flux_e` (images,) are those of the images, `background_e` is in every pixel.
     """
     flux = flux_e.double()
-    image, columns = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))
-    image, columns = image.flatten(1), columns.double().flatten(2)
-    fisher = (columns / noise.variance_e2(image)[:, None]) @ columns.mT
-    covariance = scaled_inverse(fisher.cpu())
-    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.psf.nolls)]
+    seen = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))
+    return _bound_nm(*seen, noise)[:, : len(model.psf.nolls)]
+
+
+def _bound_nm(image_e: torch.Tensor, columns: torch.Tensor, noise: NoiseModel) -> torch.Tensor:
+    """Bounds of all parameters (images, parameters), from images and derivatives, (..., rows, columns)."""
+    columns = columns.double().flatten(2)
+    fisher = (columns / noise.variance_e2(image_e.flatten(1))[:, None]) @ columns.mT
+    return torch.diagonal(scaled_inverse(fisher.cpu()), dim1=1, dim2=2).sqrt()

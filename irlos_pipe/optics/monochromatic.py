@@ -9,7 +9,7 @@ shape.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property, reduce
+from functools import reduce
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -65,9 +65,8 @@ class FocalPlane:
         A `sampling` is given where effects change it. Matrices are applied to the real FFT of the focal
         intensity if `filtered`, otherwise to the intensity itself.
         """
-        if sampling is None:
-            return (self._filtered if filtered else self._plain)[index]
-        return (self._filtered_matrices if filtered else self._plain_matrices)(index, sampling)
+        make = self._filtered_matrices if filtered else self._plain_matrices
+        return make(index, sampling or self.sampling)
 
     def pixel_slopes(self, index: int, sampling: Sampling, *, filtered: bool) -> Matrices:
         """Return the derivatives of `to_pixels` by the logarithm of pixel scale over wavelength."""
@@ -78,14 +77,6 @@ class FocalPlane:
         """Return the matrices to pixels of a strained image, at the wavelength `index`."""
         like = self.like.new_empty(0, dtype=COMPLEX[self.like.dtype])
         return Strained.of(self.window, sampling, index, self.grids[index], like)
-
-    @cached_property
-    def _plain(self) -> list[Matrices]:
-        return [self._plain_matrices(index, self.sampling) for index in range(len(self.grids))]
-
-    @cached_property
-    def _filtered(self) -> list[Matrices]:
-        return [self._filtered_matrices(index, self.sampling) for index in range(len(self.grids))]
 
     def _plain_matrices(self, index: int, sampling: Sampling, *, slope: bool = False) -> Matrices:
         sky = sampling.pixel_scale_mas, sampling.wavelengths_m[index], self.grids[index]
@@ -211,23 +202,33 @@ class Colour(NamedTuple):
         """Weighted pixel flux of the `waves` of a focal intensity."""
         if self.strained is not None:
             return self.strained.image(waves)
-        partial = self.to_rows @ waves
-        return partial.real @ self.to_columns.real.mT - partial.imag @ self.to_columns.imag.mT
+        return torch.view_as_real(self.to_rows @ waves).flatten(-2) @ _parts(self.to_columns).mT
 
-    def adjoint(self, factors: torch.Tensor) -> torch.Tensor:
-        """Return the transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
-        if self.strained is None and self.transfer is None:
-            return self.to_rows.mT @ (factors @ self.to_columns)
+    def adjoint(self, factors: torch.Tensor) -> list[torch.Tensor]:
+        """Return the transpose of `whole_image`, from pixels (..., rows, columns) to focal ones (..., m, m).
+
+        That of the intensity comes first, then those of its changes by the modes of `by_mode`.
+        """
+        if self.strained is None and self.transfer is None and not self.by_mode:
+            return [self.to_rows.mT @ (factors @ self.to_columns)]
         if self.strained is not None:
             waves = self.strained.adjoint(factors)
         else:
-            waves = self.to_rows.mH @ (factors.to(self.to_rows.dtype) @ self.to_columns.conj())
-        counts = torch.as_tensor(half_plane_counts(waves.shape[-1], self.padded)).to(waves)
-        waves = waves / counts  # the real FFT counts them itself
-        if self.transfer is not None:
-            waves = waves * self.transfer.conj()
-        spread = torch.fft.irfft2(waves, s=(self.padded,) * 2, norm="forward")
-        return spread[..., : self.samples, : self.samples]
+            matrix = _parts(self.to_columns)
+            along_x = (factors.to(matrix) @ matrix).unflatten(-1, (-1, 2))
+            waves = self.to_rows.mH @ torch.view_as_complex(along_x)
+        counts = half_plane_counts(waves.shape[-1], self.padded)  # the real FFT counts them itself
+        once = torch.as_tensor(1 / counts).to(waves.real)
+        through = [once if self.transfer is None else self.transfer.conj() * once]
+        through += [one.factor.conj() * once for one in self.by_mode]
+        size = (self.padded,) * 2
+        spread = (torch.fft.irfft2(waves * one, s=size, norm="forward") for one in through)
+        return [one[..., : self.samples, : self.samples] for one in spread]
+
+
+def _parts(matrix: torch.Tensor) -> torch.Tensor:
+    """Real and minus imaginary parts of a complex `matrix` (m, n) by turns, (m, 2 n)."""
+    return torch.view_as_real(matrix.conj().resolve_conj()).flatten(-2)
 
 
 def _single(factor: torch.Tensor) -> torch.Tensor:
@@ -282,9 +283,16 @@ def times_i(field: torch.Tensor) -> torch.Tensor:
     return torch.stack([-field[:, 1], field[:, 0]], dim=1)
 
 
-def by_phase(field: torch.Tensor, change: torch.Tensor) -> torch.Tensor:
-    """Return ``Re(A* i E)``, (frames, n, n), of a `field` E and the adjoint A of what it makes."""
-    return field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]
+def by_phase(colour: Colour, field: torch.Tensor, changes: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Return ``Re(A* i E)``, (frames, n, n), of a `field` E and the adjoint A of what it makes in a `colour`.
+
+    The `changes`, whose first is overwritten, are the adjoints of what it and its `turned_fields` make.
+    """
+    whole, *others = changes
+    for one, change in zip(colour.by_mode, others, strict=True):
+        back, sign = (change, 1) if one.of_amplitude else (times_i(change), -1)
+        whole.addcmul_(one.map, back, value=sign)
+    return field[:, 0] * whole[:, 1] - field[:, 1] * whole[:, 0]
 
 
 def beat_of(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:

@@ -61,6 +61,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 FAINT = 0.1  # share of the light below which the derivatives of a copy may be rough
+COLOURS_KEPT = 16  # light paths at one wavelength that are kept as they are
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 # Zernike modes of high degree have huge coefficients of either sign in products of polynomials. In float32
 # their derivatives err by 1e-3 at degree 10 (Noll 66), by a tenth at 13, and by many times their size at 20.
@@ -103,6 +104,7 @@ class PsfModel:
         self._set_pupil(self.pupil_grid)
         self._set_products(self.pupil_grid)
         self.focal_plane = self._focal_plane(settings)
+        self._colours: dict[tuple[int, int], tuple[Optics, Colour]] = {}
 
     @property
     def grids(self) -> Grids:
@@ -113,7 +115,7 @@ class PsfModel:
         other.settings = replace(
             self.settings, window=window, margin_mas=margin_mas, halo_margin_mas=halo_margin_mas
         )
-        other.focal_plane = self._focal_plane(other.settings)
+        other.focal_plane, other._colours = self._focal_plane(other.settings), {}
         return other
 
     @property
@@ -132,17 +134,14 @@ class PsfModel:
         return FocalPlane(settings, self._sampling(), self.pupil_grid, self.polynomials, self.amplitude)
 
     def _set_pupil(self, grid: PupilGrid) -> None:
-        self._mode_maps: dict[int, torch.Tensor] = {}
         self.amplitude = self._map(grid.amplitude)
         self.basis = self._map(self._modes(grid, self.nolls)).flatten(1)
         known = self.settings.known.total_nm
         self.known_nm = self._map(np.tensordot(np.array([*known.values()]), self._modes(grid, [*known]), 1))
 
     def _mode_map(self, mode: PupilMode, wavelength_m: float | torch.Tensor) -> torch.Tensor:
-        """Map of a mode of `Optics.by_mode` at a wavelength; that in nm is made once."""
-        if mode.noll not in self._mode_maps:
-            self._mode_maps[mode.noll] = self._map(self.pupil_grid.modes([mode.noll])[0].copy())
-        found = self._mode_maps[mode.noll]
+        """Map of a mode of `Optics.by_mode` at a wavelength."""
+        found = self._map(self.pupil_grid.modes([mode.noll])[0].copy())
         return found if mode.of_amplitude else 2 * np.pi * NM / wavelength_m * found
 
     def _modes(self, grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
@@ -182,28 +181,27 @@ class PsfModel:
         return (coefficients @ self.basis).unflatten(1, self.amplitude.shape) + self.known_nm
 
     def _colour(self, index: int, optics: Optics) -> Colour:
+        """The light path at one wavelength, kept for the next call with the same `optics`."""
+        kept = self._colours.get((index, id(optics)))
+        if kept is None or kept[0] is not optics:
+            if len(self._colours) > COLOURS_KEPT:
+                self._colours = {}
+            self._colours[index, id(optics)] = kept = optics, self._made_colour(index, optics)
+        return kept[1]
+
+    def _made_colour(self, index: int, optics: Optics) -> Colour:
         plane, sampling = self.focal_plane, optics.sampling
         wavelength_m = float(self.wavelengths_m[index]) if sampling is None else sampling.wavelengths_m[index]
         transfer = self._transfer(optics.transfer, index)
-        to_rows, to_columns = plane.to_pixels(index, sampling, filtered=transfer is not None)
+        matrices = plane.to_pixels(index, sampling, filtered=transfer is not None)
         pupil, grid = self._pupil(optics.pupil, index), plane.grids[index]
         pupil = self.amplitude if pupil is None else pupil
         strained = plane.strained(index, sampling) if sampling is not None and sampling.strains else None
-        by_mode = [
+        by_mode = tuple(
             ByMode(self._mode_map(mode, wavelength_m), mode.of_amplitude, self._factor(factors, index))
             for mode, factors in optics.by_mode
-        ]
-        return Colour(
-            wavelength_m,
-            pupil,
-            transfer,
-            to_rows,
-            to_columns,
-            grid.padded,
-            grid.samples,
-            strained,
-            tuple(by_mode),
         )
+        return Colour(wavelength_m, pupil, transfer, *matrices, grid.padded, grid.samples, strained, by_mode)
 
     def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
         return None if pupils is None else self._amplitudes(pupils[index])
@@ -232,8 +230,7 @@ class PsfModel:
 
     def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
-        field = colour.field(opd)
-        amplitude, *turned = amplitudes_of(colour, dft, field)
+        amplitude, *turned = amplitudes_of(colour, dft, colour.field(opd))
         changes = [change_of(amplitude, one) for one in turned]
         return colour.whole_image(intensity_of(amplitude), changes)
 
@@ -357,13 +354,12 @@ class PsfModel:
         scale = 4 * np.pi * NM / float(colour.wavelength_m)
 
         def pullback(factors: torch.Tensor) -> torch.Tensor:
-            through = [colour._replace(transfer=one.factor).adjoint(factors) for one in colour.by_mode]
-            beats = [amplitude * colour.adjoint(factors)[:, None]]
-            beats += [change * one[:, None] for change, one in zip(turned, through, strict=True)]
-            found = by_phase(field, dft.adjoint(reduce(torch.add, beats)))
-            for own, one in zip(turned_fields(colour, field), through, strict=True):
-                found = found + by_phase(own, dft.adjoint(amplitude * one[:, None]))
-            return scale * found.flatten(1)
+            star, *through = (one[:, None] for one in colour.adjoint(factors))
+            beats = amplitude * star
+            for change, one in zip(turned, through, strict=True):
+                beats.addcmul_(change, one)
+            back = dft.adjoint(torch.cat([beats, *(amplitude * one for one in through)])).split(len(field))
+            return scale * by_phase(colour, field, back).flatten(1)
 
         changes = [change_of(amplitude, one) for one in turned]
         return colour.whole_image(intensity_of(amplitude), changes), pullback

@@ -3,44 +3,33 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from io import StringIO
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.pipeline.runlog import RUN
 
 silent_progress = partial(tqdm, disable=True)
-LINE_S = 30.0  # between two lines of progress where there is no terminal
-
-
-class _WholeLines:
-    """Takes a progress bar where there is no terminal: what it draws in place becomes a line of its own."""
-
-    def write(self, text: str) -> None:
-        if text := text.strip():
-            with suppress(OSError, ValueError):  # nobody listens any more
-                print(f"irlos: {text}", file=sys.stderr, flush=True)
-
-    def flush(self) -> None:
-        pass
-
-
-line_progress = partial(
-    tqdm,
-    file=_WholeLines(),
-    leave=False,
-    delay=LINE_S,
-    mininterval=LINE_S,
-    maxinterval=LINE_S,
-    bar_format="{desc}: {n_fmt} of {total_fmt}, {elapsed} so far, {remaining} to go",
-)
 terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
+
+
+class _Logged(tqdm):
+    """Progress where there is no terminal: now and then a message with an estimate of what is left."""
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> None:
+        if msg is None and 0 < self.n < self.total:
+            left_s = self.format_dict["elapsed"] * (self.total - self.n) / self.n
+            RUN.info("%s: %d of %d, about %.0f s left", self.desc, self.n, self.total, left_s)
+
+
+logged_progress = partial(_Logged, mininterval=30, miniters=1, file=StringIO())
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.files.processes import require_memory
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.product.product import Quantity, declared
@@ -21,12 +22,13 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.stage import Mode
 
 if TYPE_CHECKING:
+    from irlos_pipe.estimate.ramp_fit import RampFit
     from irlos_pipe.estimate.sensitivity import Curve
     from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.lift.input import Ramp
 
 NAME = "sensitivity"
-VERSION = 9
+VERSION = 10
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 CURVE = {
@@ -144,6 +146,8 @@ Results = SensitivityResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Scan every combination of modes and calibration."""
+    from irlos_pipe.estimate.sensitivity import Criterion, scan
+    from irlos_pipe.numerics.parallel import ordered_map
     from irlos_pipe.stages.lift.input import read_ramp
 
     ramp = read_ramp(ctx, ctx.config.input)
@@ -159,15 +163,32 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"sensitivity.faintest_mag_j {ctx.config.faintest_mag_j} is brighter than the ramp's "
             f"own m_J {bright}: frames can only be dimmed"
         )
-    chosen = _choose(ramp, ctx.config)
+    chosen = torch.as_tensor(_choose(ramp, ctx.config))
     noises = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
-    with ctx.progress(total=len(combinations) * len(magnitudes), desc="sensitivity") as bar:
+    estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
+    # Side by side: a single fit has too few frames to keep many workers busy.
+    fits = ordered_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
+    with ctx.progress(total=estimates, desc="sensitivity") as bar:
         curves = [
-            _curve(ctx, ramp, chosen, calibrated, nolls, magnitudes, noises, bar.update)
-            for calibrated, nolls in combinations
+            scan(
+                fit.model,
+                ramp.data.of(chosen),
+                fit.result.model_e,
+                bright,
+                magnitudes,
+                ctx.config.realisations,
+                fit.start_nm,
+                Criterion(ctx.config.limit_nm, ctx.config.limit_failures),
+                ctx.seed,
+                faint=noises.faint,
+                one_read=noises.one_read,
+                near_nm=fit.result.zernike_nm,
+                report=bar.update,
+            )
+            for fit in fits
         ]
     return _output(ctx.config, combinations, curves, noises.row(ramp.acquisition.exposure_s))
 
@@ -188,46 +209,19 @@ def _choose(ramp: Ramp, config: Config) -> np.ndarray:
     return np.array(sorted(chosen))
 
 
-def _curve(
-    ctx: StageContext[Config],
-    ramp: Ramp,
-    chosen: np.ndarray,
-    calibrated: bool,
-    nolls: tuple[int, ...],
-    magnitudes: np.ndarray,
-    noises: Noises,
-    report: Callable[[int], None],
-) -> Curve:
-    """One curve; the model of each bright frame gives the noise-free signal and the start."""
+def _bright(
+    ctx: StageContext[Config], ramp: Ramp, chosen: torch.Tensor, calibrated: bool, nolls: tuple[int, ...]
+) -> RampFit:
+    """The frames as they are, whose model gives the noise-free signal and the start."""
     from irlos_pipe.estimate.lift_options import LiftOptions
-    from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
-    from irlos_pipe.estimate.sensitivity import Criterion, scan
+    from irlos_pipe.estimate.ramp_fit import fit_ramp
     from irlos_pipe.stages.lift.input import calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
 
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, nolls, ncpa_nm)
-    start = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
-    data = RampData(
-        ramp.data.images_e[chosen], ramp.data.good, ramp.data.noise, ramp.data.introduced_nm[chosen]
-    )
+    start_nm = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
     effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
-    bright = fit_ramp(model, data, start, LiftOptions(), effects)
-    criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
-    return scan(
-        bright.model,
-        data,
-        bright.result.model_e,
-        float(magnitudes[0]),
-        magnitudes,
-        ctx.config.realisations,
-        start,
-        criterion,
-        ctx.seed,
-        faint=noises.faint,
-        one_read=noises.one_read,
-        near_nm=bright.result.zernike_nm,
-        report=report,
-    )
+    return fit_ramp(model, ramp.data.of(chosen), start_nm, LiftOptions(), effects)
 
 
 def _output(

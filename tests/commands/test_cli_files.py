@@ -12,7 +12,6 @@ from helpers.sparta_files import SIDECAR, counts, star
 from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument.instrument import PROFILES
-from irlos_pipe.pipeline.resources import line_progress
 from irlos_pipe.recipe import load_recipe
 
 CUBE = counts(star(16, 16), frames=3)
@@ -170,16 +169,6 @@ def test_the_help_has_every_command_once_in_whole_sentences_and_the_exit_codes_o
     } == dict.fromkeys(cli.commands, 1)
     assert "..." not in text.partition("COMMAND [ARGS]...")[2] and text.count("bad input data") == 1
     assert "bad input data" not in invoke("run", "--help").stdout
-
-
-def test_without_a_terminal_progress_is_whole_lines(capsys):
-    with line_progress(total=3, desc="fits", delay=0, mininterval=0) as bar:
-        for _ in range(3):
-            bar.update()
-    lines = capsys.readouterr().err.split("\n")
-    assert lines[-1] == "" and all(
-        re.fullmatch(r"irlos: fits: \d of 3, .* to go", line) for line in lines[:-1]
-    )
 
 
 def test_a_recipe_that_states_an_instrument_wins_over_the_side_car(tmp_path):
