@@ -153,6 +153,22 @@ class Lenslets(ResultsPart):
     centroids_sigma_nm: ByNoll = item({}, DITTO)
 
 
+class CauseRow(ResultsPart):
+    """A fact or effect that would explain why a check failed, see `estimate.causes`."""
+
+    name: str = item("", "What it is: a short identifier, such as ``plate_scale`` or ``transposed``.")
+    says: str = item("", "The whole sentence for a person, key included.")
+    explains: Number = item(nan, "Part of the misfit that it explains, 0 to 1; NaN where it is no misfit.")
+    value: Number = item(
+        nan, "Value that the data want, its standard error and the declared value; NaN where none is a number."
+    )
+    sigma: Number = item(nan, DITTO)
+    declared: Number = item(nan, DITTO)
+    unit: str = item("", "Unit of the three.")
+    key: str = item("", "Key of the side-car or profile to change; empty where none is.")
+    figure: str = item("", "Figure of the report to look at, by its name there, such as ``cal-residual``.")
+
+
 class AngleRow(ResultsPart):
     """A recording and its derotator angle."""
 
@@ -179,6 +195,9 @@ class CalibrateResults(Estimate, StageResults):
     twin: Twin | None = item(None, "None without a twin solution, and for the mean over cubes.")
     compare: list[Estimate] = item([], "Estimates with other methods.")
     cubes: list[CubeRow] = []
+    causes: list[CauseRow] = item(
+        [], "What would explain the checks that failed, most likely first; empty where none did."
+    )
     lenslets: Lenslets | None = item(
         None, "What the images of a 2x2 mode determine; None for other recordings."
     )
