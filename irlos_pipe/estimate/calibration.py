@@ -26,7 +26,7 @@ from irlos_pipe.estimate.methods import (
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
-from irlos_pipe.estimate.residual import Lacking, Mirrored, kurtosis_of_frames, lacking, mirrored
+from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
@@ -83,8 +83,8 @@ class Calibration:
         How much of a mirrored pupil the mean image shows, where that was looked at.
     motion : Motion or None
         Of the star from frame to frame, where the frames were `steadied`.
-    lacking : Lacking or None
-        What would explain the misfit, where χ²/ν is not nominal.
+    fit : (ImageFit, Solution) or None
+        The fit of one star's mean image, for `causes`.
     """
 
     options: CalibrationOptions
@@ -113,7 +113,7 @@ class Calibration:
     left: Curve | None = None
     mirrored: Mirrored | None = None
     motion: Motion | None = None
-    lacking: Lacking | None = None
+    fit: Fit | None = None
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -270,7 +270,6 @@ def _result(
     misfit = chi2_nu / nominal.value
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
-    lacks = lacking(problem, found.values, 1 - 1 / misfit) if one_star and chi2_nu > nominal.most else None
     return Calibration(
         options,
         layout.nolls,
@@ -297,7 +296,7 @@ def _result(
         power_spectrum(left, problem.model.psf.settings.resolution_px),
         mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
         frames.motion,
-        lacks,
+        fit if one_star else None,
     )
 
 

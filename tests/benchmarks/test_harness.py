@@ -14,6 +14,7 @@ from benchmarks.diagnose_suite import working as diagnose_suite
 from benchmarks.focus_faults import suite as focus_faults
 from benchmarks.harness import Rate, Suite, chosen, keep, lay_out, markdown, put, read_lines, worked
 from benchmarks.misled import suite as misled
+from benchmarks.mistakes import suite as mistakes
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def test_tables_stand_between_their_marks_and_a_page_without_them_is_named(tmp_p
         put(page, {"table": ""})
 
 
-@pytest.mark.parametrize("suite", [diagnose_suite, misled, random_instrument, pulls, focus_faults])
+@pytest.mark.parametrize("suite", [diagnose_suite, misled, mistakes, random_instrument, pulls, focus_faults])
 def test_names_of_cases_are_their_own_and_can_be_listed_without_a_folder(suite):
     listed = CliRunner().invoke(suite.main, ["--list"])
     names = listed.output.splitlines()

@@ -160,7 +160,8 @@ class CauseRow(ResultsPart):
     says: str = item("", "The whole sentence for a person, key included.")
     explains: Number = item(nan, "Part of the misfit that it explains, 0 to 1; NaN where it is no misfit.")
     value: Number = item(
-        nan, "Value that the data want, its standard error and the declared value; NaN where none is a number."
+        nan,
+        "Value that the data want, its standard error and the declared value; NaN where none is a number.",
     )
     sigma: Number = item(nan, DITTO)
     declared: Number = item(nan, DITTO)
