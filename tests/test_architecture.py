@@ -76,7 +76,7 @@ SCIENCE_MAY_USE = {
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 310, "commands": 1840, "control": 550, "conventions": 940, "diagnosis": 6120, "effects": 4530,
-    "esorex": 110, "estimate": 7360, "files": 1030, "focus": 2410, "frames": 2180, "instrument": 820,
+    "esorex": 110, "estimate": 7370, "files": 1030, "focus": 2410, "frames": 2180, "instrument": 820,
     "night": 3320, "numerics": 940, "optics": 3930, "paper": 6020, "pipeline": 1200, "product": 2560,
     "readers": 2550, "recipe": 360, "reference": 610, "report": 3840, "simulate": 4530, "stages": 6710,
 }  # fmt: skip

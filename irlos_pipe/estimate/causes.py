@@ -401,7 +401,10 @@ class _Fit:
 
     def further(self, steps: int) -> _Fit:
         """Return the fit some steps on, all parameters free; as it is where numbers are not finite."""
-        solution = solve(self.problem, self.x, max_iterations=steps)
+        try:
+            solution = solve(self.problem, self.x, max_iterations=steps)
+        except ValueError:  # the optics cannot be computed there, as pixels too large for the field
+            return self
         if solution.status[0] == INVALID:
             return self
         return _Fit(self.problem, solution.values, self.own, solution.covariance[0].numpy())
@@ -436,12 +439,14 @@ def _tested(
                 whole = one.base is suspect.effect.base  # a scaled halo stands for all of it
                 options.append((step.gain, one.all_values(step.sizes).numpy() if whole else suspect.begun[0]))
         for start in suspect.begun if suspect.optics else ():
-            other = _Fit.of(problem, x, suspect, start)
-            change = (other.problem.predict(other.x)[0].cpu() - image) * null.root
-            along, left = float(change @ null.residual), float(null.norm2(change[:, None]))
-            options.append((along**2 / left if along > 0 and left > 0 else 0.0, start))
-        gain, values = max(options, key=lambda one: one[0])
-        yield gain, suspect, _Fit.of(problem, x, suspect, values)
+            with suppress(ValueError):
+                other = _Fit.of(problem, x, suspect, start)
+                change = (other.problem.predict(other.x)[0].cpu() - image) * null.root
+                along, left = float(change @ null.residual), float(null.norm2(change[:, None]))
+                options.append((along**2 / left if along > 0 and left > 0 else 0.0, start))
+        if options:
+            gain, values = max(options, key=lambda one: one[0])
+            yield gain, suspect, _Fit.of(problem, x, suspect, values)
 
 
 def improbable_diversity(modes_nm: Mapping[int, float], asked: Asked) -> list[Cause]:
