@@ -342,7 +342,8 @@ def causes_of_misfit(problem: ImageFit, x: torch.Tensor, asked: Asked) -> list[C
         blank[:, 2 : len(problem.layout.nolls)] = 0.0
         every += _other_diversities(problem.model.psf.settings)
         for suspect in [one for one in every if one.settings is not None]:
-            best = add(suspect, _Fit.of(problem, blank, suspect, suspect.begun[-1]).further(AFRESH))
+            with suppress(ValueError):
+                best = add(suspect, _Fit.of(problem, blank, suspect, suspect.begun[-1]).further(AFRESH))
     found.sort(key=lambda one: (every.index(one[1]) if one[0] > best - ALIKE else len(every), -one[0]))
     rows = [fit.cause(suspect, part) for part, suspect, fit in found if part > WORTH_NAMING]
     first = {row.name: row for row in reversed(rows)}
