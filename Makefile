@@ -41,7 +41,7 @@ BEADS = $(MEASURED)/microscopy_pyotf/psf_wl520nm_z300nm_x130nm_na0.85_n1.0.tif
 where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-test demo docs test test-quick test-long lint bench fuzz faults misled clean full calibrate dip-global ramp
+.PHONY: help env env-test demo docs test test-quick test-long lint bench fuzz faults misled mistakes clean full calibrate dip-global ramp
 .PHONY: tutorial end-to-end focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
@@ -106,6 +106,9 @@ fuzz: env-test ## try some thousand damaged and hostile inputs (ARGS="--cases 20
 
 misled: env-test ## reduce plausible but wrong inputs, and right ones, and count what misleads (ARGS="--draws 2 --jobs 2")
 	$(BIN)/python -m benchmarks.misled --output $(RUNS)/misled $(ARGS)
+
+mistakes: env-test ## make a user's usual mistakes on purpose and count whether the true cause is named (ARGS="--draws 3")
+	$(BIN)/python -m benchmarks.mistakes --output $(RUNS)/mistakes $(ARGS)
 
 focus-faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
 	$(BIN)/python -m benchmarks.focus_faults --output $(RUNS)/focus-faults $(ARGS)

@@ -32,7 +32,7 @@ from irlos_pipe.estimate.methods import (
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
-from irlos_pipe.estimate.residual import Lacking, Mirrored, kurtosis_of_frames, lacking, mirrored
+from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
@@ -89,10 +89,10 @@ class Calibration:
         How much of a mirrored pupil the mean image shows, where that was looked at.
     motion : Motion or None
         Of the star from frame to frame, where the frames were `steadied`.
-    lacking : Lacking or None
-        What would explain the misfit, where χ²/ν is not nominal.
     left_nominal : ndarray or None
         What a complete model would leave of `left`, see `calibration_errors.nominal_power`.
+    fit : (ImageFit, Solution) or None
+        The fit of one star's mean image, for `causes`.
     """
 
     options: CalibrationOptions
@@ -121,8 +121,8 @@ class Calibration:
     left: Curve | None = None
     mirrored: Mirrored | None = None
     motion: Motion | None = None
-    lacking: Lacking | None = None
     left_nominal: np.ndarray | None = None
+    fit: Fit | None = None
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -279,7 +279,6 @@ def _result(
     misfit = chi2_nu / nominal.value
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
-    lacks = lacking(problem, found.values, 1 - 1 / misfit) if one_star and chi2_nu > nominal.most else None
     return Calibration(
         options,
         layout.nolls,
@@ -306,8 +305,8 @@ def _result(
         power_spectrum(left, problem.model.psf.settings.resolution_px),
         mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
         frames.motion,
-        lacks,
         nominal_power(frames, problem, found.values, nominal),
+        fit if one_star else None,
     )
 
 

@@ -122,7 +122,7 @@ class _Search:
 
     def _lacks_a_fact(self, solution: Solution) -> bool:
         excess = 1 - self.most / float(self.problem.reduced_chi2(solution.values)[0])
-        return lacking(self.problem, solution.values, excess).part > EXPLAINED
+        return lacking(self.problem, solution.values, excess) > EXPLAINED
 
     def _shaken(self, best: Solution) -> Solution:
         """The likeliest of the minima around one, and around those that are found."""

@@ -1,4 +1,4 @@
-"""What the residual of a fit says: one fact that would explain it, a mirrored pupil, frames of two kinds.
+"""What the residual of a fit says: what one fact would explain, a mirrored pupil, frames of two kinds.
 
 `lacking` fits again everything that was fitted, and one fact besides, to first order (`score_test`). Where
 the wavefront has bent to imitate the fact, the step is too short.
@@ -39,28 +39,9 @@ from irlos_pipe.frames.blocks import sample_frames
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-ALIKE = 0.9  # part of what the best fact explains from which another is degenerate with it
-WORTH_NAMING = 0.2  # part of the misfit that a fact must explain to be named
 
-
-@dataclass(frozen=True)
-class Lacking:
-    """What a model seems to lack.
-
-    Attributes
-    ----------
-    part : float
-        Of the misfit, that the best fact would explain.
-    text : str
-        That fact in words, and those degenerate with it; empty where none is worth naming.
-    """
-
-    part: float
-    text: str
-
-
-def lacking(problem: ImageFit, x: torch.Tensor, excess: float) -> Lacking:
-    """Return the facts that would explain most of the misfit of an image.
+def lacking(problem: ImageFit, x: torch.Tensor, excess: float) -> float:
+    """Return the part of the misfit of an image that the best of a few facts would explain.
 
     The `problem` has one member, with its optimum at `x` (1, parameters). The part `excess` of χ² is misfit:
     what a model leaves that lacks nothing is the rest.
@@ -68,16 +49,12 @@ def lacking(problem: ImageFit, x: torch.Tensor, excess: float) -> Lacking:
     null = null_model(problem, x)
     frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
     known = {effect.name for effect in problem.model.effects.effects}
-    steps = [
-        LinearEstimate.of(null, fact, (derivatives(problem, x, frozen, fact) * null.root).mT)
+    gains = [
+        LinearEstimate.of(null, fact, (derivatives(problem, x, frozen, fact) * null.root).mT).gain
         for fact in _facts(problem.model.psf.settings)
         if fact.name not in known
     ]
-    misfit = excess * float(null.residual.square().sum())
-    best = max((step.gain for step in steps), default=0.0)
-    alike = [step for step in steps if step.gain >= max(ALIKE * best, WORTH_NAMING * misfit)]
-    phrases = [step.candidate.phrase(step.candidate.shown(step.sizes)) for step in alike]
-    return Lacking(min(best / misfit, 1.0), " or ".join(phrases))
+    return min(max(gains, default=0.0) / (excess * float(null.residual.square().sum())), 1.0)
 
 
 def _facts(settings: PsfSettings) -> list[Effect]:

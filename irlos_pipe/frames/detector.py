@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from irlos_pipe.frames.blocks import sample_frames
 from irlos_pipe.frames.recording import Detector
 
 WING_EXPONENT = 3.0  # the wings of a diffraction image fall like r^-3 on average
@@ -12,6 +13,8 @@ DARKEST_PERCENTILE = 1.0
 CLIP_BAND = 0.02  # of the range of values: clipped pixels pile up on its very end
 CLIP_EXCESS = 5
 CLIP_MIN_PIXELS = 3
+STANDS_STILL = 0.2  # variance along time over that along a side of the window
+WRAP_ADU = 65536  # range of an integer of 16 bits
 CLIP_MIN_LEVELS = 100.0  # ADU between darkest and brightest; fainter images repeat values by chance
 
 
@@ -107,3 +110,31 @@ def _piles_up(adu: np.ndarray, top: float, band_adu: float) -> bool:
     below = int(np.sum(adu >= top - band_adu)) - int(at_top.sum())
     # a single pixel that always reads the same is stuck, not saturated
     return at_top.sum() > CLIP_EXCESS * (below + 1) and at_top.any(axis=0).sum() >= CLIP_MIN_PIXELS
+
+
+def wrapped_pixels(adu: np.ndarray) -> int:
+    """Return in how many pixels counts (frames, rows, columns) have passed the end of an integer of 16 bits.
+
+    They begin again at its other end. Optics that are sampled make no image that falls by half of the range
+    from one pixel to the next, and a hot pixel is high by itself: three neighbours or more that are higher by
+    as much surround a value that has overflowed. A single pixel may be dead, unless it is negative.
+    """
+    sample = adu[sample_frames(len(adu))].astype(np.float64)
+    if min(sample.shape[1:]) < 3 or not np.nanmax(sample) - np.nanmin(sample) > WRAP_ADU / 2:
+        return 0
+    padded = np.pad(sample, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
+    low = (around > sample[..., None, None] + WRAP_ADU / 2).sum(axis=(3, 4)) >= 3
+    count = int(low.any(axis=0).sum())
+    return count if count > 1 or (sample[low] < -WRAP_ADU / 8).any() else 0
+
+
+def time_is_last(adu: np.ndarray) -> bool:
+    """Return whether the last axis of counts, (frames, rows, columns) as declared, is that of the frames.
+
+    Along time a star stands still but for noise and motion, along rows and columns its image ends.
+    """
+    if min(adu.shape) < 3 or adu.dtype == object:
+        return False
+    sample = adu[:, :, sample_frames(adu.shape[2])].astype(np.float64)
+    return bool(sample.var(axis=2).mean() < STANDS_STILL * sample.var(axis=0).mean())

@@ -18,6 +18,7 @@ from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM, cutoff_per_px
 from irlos_pipe.frames.blocks import frame_flux
+from irlos_pipe.frames.detector import wrapped_pixels
 from irlos_pipe.frames.measured_noise import SIGNIFICANT, MeasuredNoise
 from irlos_pipe.frames.recording import FRAMES, PROFILE, Detector, Recording
 
@@ -29,10 +30,15 @@ FLUX_DOUBTFUL, FLUX_IMPOSSIBLE = (3e-3, 3.0), (1e-5, 30.0)
 OVERLAP_DOUBTFUL, OVERLAP_IMPOSSIBLE = (0.0, 1.05), (0.0, 2.0)
 CADENCE_DOUBTFUL = (0.9, 1.1)
 NOISE_IMPOSSIBLE = (0.25, 4.0)
+MOST_EXCESS = (
+    2.0  # that multiplication by chance makes (Hynecek & Nishiwaki 2003, IEEE TED 50, 239): more is a gain
+)
 CUTOFF_DOUBTFUL, CUTOFF_IMPOSSIBLE = (0.7, 1.12), (0.0, 1.25)
 SCALE_PLAUSIBLE_MAS = (1.0, 100.0)
 SMALLEST_NM = 5.0  # of a diversity or a ramp; anything smaller is probably in micrometres
+USELESS_NM = 1.0  # of a diversity, which no sign of a mode can hang on
 HIGHEST_NOLL = 37  # of a diversity: a lens or a deformable mirror of low order
+OVERFLOWED = "have values 2^16 too low: counts have overflowed an integer"
 # The end of the spectrum.
 RINGS_PER_PX = 2.0  # rings of the spectrum per sample: half a sample wide
 BEYOND = 1.25  # times the expected cut-off, from where there is only noise
@@ -146,6 +152,14 @@ def _cutoff(recording: Recording, facility: Facility) -> Iterator[Told]:
     yield Told("cut-off", ratio, CUTOFF_DOUBTFUL, CUTOFF_IMPOSSIBLE, text)
 
 
+def of_counts(adu: np.ndarray) -> Iterator[Told]:
+    """Yield what counts, (frames, rows, columns), say of the recorder: integers that have overflowed."""
+    count = wrapped_pixels(adu)
+    yield Told(
+        "overflow", float(count), (0, 0), (0, 0), f"{count} pixels {OVERFLOWED}; all numbers hang on it"
+    )
+
+
 def _keys(recording: Recording) -> Iterator[Told]:
     """Values that no instrument of this kind has."""
     acquisition = recording.acquisition
@@ -154,7 +168,7 @@ def _keys(recording: Recording) -> Iterator[Told]:
     for noll, nm in acquisition.diversity.items():
         size, noll_text = abs(nm) or math.inf, f"diversity Noll {noll}"
         text = f"{noll_text} of {nm:g} nm: unit? The sign of the even modes hangs on it"
-        yield Told(noll_text, min(size, 1e9), (SMALLEST_NM, math.inf), ANY, text)
+        yield Told(noll_text, min(size, 1e9), (SMALLEST_NM, math.inf), (USELESS_NM, math.inf), text)
         yield Told(f"{noll_text}, index", float(noll), (2, HIGHEST_NOLL), ANY, f"{noll_text}: unusual mode")
     if acquisition.role == "defocus_ramp":
         largest = float(np.abs(recording.introduced_defocus_nm).max(initial=0.0))
@@ -254,7 +268,9 @@ def believed(
     if slope.contradicted and slope.error < MAX_SLOPE_ERROR * slope.measured:
         if found[GAIN].source == PROFILE:
             new, origin = replace(new, e_per_adu=found[GAIN].measured), origin | {GAIN: FRAMES}
-        elif slope.source == PROFILE and slope.measured > 1 - NOTABLE:
+        elif (
+            slope.source == PROFILE and 1 - NOTABLE < slope.measured < MOST_EXCESS + SIGNIFICANT * slope.error
+        ):
             measured = max(1.0, slope.measured)  # no detector is quieter than the photons
             new, origin = replace(new, excess_noise_factor=measured), origin | {EXCESS: FRAMES}
     if found[READ_NOISE].source == PROFILE and found[READ_NOISE].contradicted:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,6 +55,7 @@ class CubeInput:
     frames: Frames  # bad pixels that the model lists are masked
     settings: PsfSettings
     effects: list[Effect]
+    conditions: Conditions
 
 
 def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions) -> CubeInput:
@@ -72,7 +73,7 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
     settings = psf_settings(ctx.instrument, ctx.model, first, introduced_nm=introduced_nm)
     steady = METHODS[options.method].effects
     frames = pooled_frames(recordings, good_pixels(effects, first.window), settings, steady=steady)
-    return CubeInput(frames, settings, image_effects(effects))
+    return CubeInput(frames, settings, image_effects(effects), replace(conditions, settings=settings))
 
 
 # -- recordings in several set-ups, calibrated together ----------------------------------------------

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.base import kind_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
 from irlos_pipe.estimate.cube import Motion
@@ -12,8 +14,11 @@ from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.calibrate.stage import Limits
 
+# Effects that make frames scatter by more than noise.
+UNSTEADY = {name for name, kind in CATALOGUE.items() if kind.speckles or kind.blurs == "motion"}
 LOWEST_KURTOSIS = 1.3  # of the frames: two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
+MISFIT = "chi2 of the mean image"
 
 
 def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
@@ -22,7 +27,8 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
     if math.isfinite(result.noise_ratio):
         checks.append(_noise(result))
     checks += frame_checks(result.kurtosis, result.motion, result.mean_image_e.shape, limits.max_motion)
-    if result.errors_from == "few_frames":
+    alone = len(result.frames_nm) == 1 and not UNSTEADY.isdisjoint(map(kind_of, result.effects))
+    if result.errors_from == "few_frames" or alone:
         checks.append(_frames(limits, result))
     if result.twin is not None:
         checks.append(_twin(result))
@@ -45,22 +51,12 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
     if limits.max_chi2_nu is not None:
         high, low = limits.max_chi2_nu, 0.0
     why = ""
-    if result.chi2_nu > high and result.lacking is not None and result.lacking.text:
-        why = (
-            f": {result.lacking.text} would explain {result.lacking.part:.0%} of the misfit; "
-            "irlos run diagnose tells more"
-        )
-    elif result.chi2_nu > high:
-        why = (
-            ": the model lacks something, or spectrum, scale, seeing, orientation or diversity are not as "
-            "told; `diagnose` may name it"
-        )
-    elif result.chi2_nu < low:
+    if result.chi2_nu < low:
         why = ": neighbouring pixels share their noise, or frames are repeated"
     message = (
         f"χ²/ν {result.chi2_nu:.2f}, nominal for these frames {nominal.value:.2f} ± {nominal.sigma:.2f}{why}"
     )
-    return Check("chi2 of the mean image", result.chi2_nu, "", low, high, message)
+    return Check(MISFIT, result.chi2_nu, "", low, high, message)
 
 
 def _noise(result: Calibration) -> Check:
@@ -116,7 +112,8 @@ def motion_line(motion: Motion) -> str:
 def _frames(limits: Limits, result: Calibration) -> Check:
     count = len(result.frames_nm)
     why = ": too few to average the AO residual" if count < limits.min_frames else ""
-    message = f"{count} frames, which scatter by more than noise{why}"
+    scatter = "which scatter by more than noise" if count > 1 else "whose scatter beyond noise is not known"
+    message = f"{count} frame{'s' * (count != 1)}, {scatter}{why}"
     return Check("frames", float(count), "", float(limits.min_frames), None, message)
 
 

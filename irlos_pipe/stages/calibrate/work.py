@@ -25,6 +25,7 @@ from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.calibrate.causes import causes_of
 from irlos_pipe.stages.calibrate.input import (
     CubeInput,
     by_setup,
@@ -33,7 +34,7 @@ from irlos_pipe.stages.calibrate.input import (
     require_joint,
     setups_of,
 )
-from irlos_pipe.stages.calibrate.quality import checks_of, motion_line
+from irlos_pipe.stages.calibrate.quality import MISFIT, checks_of, motion_line
 from irlos_pipe.stages.calibrate.results import (
     ARRAYS,
     CUBES,
@@ -74,7 +75,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         for method in ctx.config.compare
         if method != ctx.config.method
     ]
-    output = _joint_output(ctx, result, others, first)
+    output = _with_causes(ctx, _joint_output(ctx, result, others, first), cube, result)
     if first.lenslets == 1:
         return output
     row = _lenslets(ctx, result, cube)
@@ -133,6 +134,27 @@ def _calibrated(
         result.seconds,
     )
     return result
+
+
+def _with_causes(
+    ctx: StageContext[Config], output: StageOutput, cube: CubeInput, result: Calibration
+) -> StageOutput:
+    """The output with what would explain the checks that failed."""
+    causes = causes_of(ctx, cube.conditions, result, output.checks)
+    if not causes and all(check.passed for check in output.checks):
+        return output
+    why = causes[0].says if causes else "nothing that was tried explains it; irlos run diagnose tries more"
+    lines = [f"Cause {place}         {one.says}" for place, one in enumerate(causes, start=1)]
+    for line in lines:
+        ctx.log.warning(line)
+    checks = [
+        replace(one, message=f"{one.message}: {why}")
+        if one.name == MISFIT and not one.passed and one.value > (one.low or 0.0)
+        else one
+        for one in output.checks
+    ]
+    results = output.results.model_copy(update={"causes": causes}) if causes else output.results
+    return replace(output, results=results, checks=checks, summary=[*output.summary, *lines])
 
 
 # -- what is reported --------------------------------------------------------------------------------

@@ -13,10 +13,10 @@ from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.files.processes import require_memory
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned, clean
-from irlos_pipe.frames.detector import star_position
+from irlos_pipe.frames.detector import star_position, time_is_last
 from irlos_pipe.frames.recording import PROFILE, Acquisition, Recording
 from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, tally
-from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, told_of
+from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, of_counts, told_of
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import Observed
@@ -48,6 +48,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             source = _accumulated(source, ctx)
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
             told = told_of(recording, cleaned.noise, ctx.instrument.facility, _step_s(source.raw))
+            told += of_counts(source.raw.adu)
             doubts = [f"{recording.name}: {one.text}" for one in told if one.warned]
             for line in (*_contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
@@ -78,6 +79,12 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
     if none of its frames can be used, all are the same image, or the noise of a single one is not known.
     """
     _require_room(source)
+    if time_is_last(source.raw.adu):
+        frames, rows, columns = source.raw.adu.shape
+        raise InputDataError(
+            f"{source.raw.path}: of its axes ({frames}, {rows}, {columns}) the last seems to be that of the "
+            "frames, for the star stands still along it; write the cube with axes (frames, y, x)"
+        )
     cleaned = _cleaned(source, config, instrument)
     told = source.resolved.acquisition
     detector, sources = believed(told.detector, told.sources, cleaned.noise)

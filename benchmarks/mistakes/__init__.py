@@ -1,0 +1,1 @@
+"""Mistakes on purpose: are they noticed, and is the true cause named?"""

@@ -1,0 +1,5 @@
+"""``python -m benchmarks.mistakes``."""
+
+from benchmarks.mistakes.suite import main
+
+main(prog_name="python -m benchmarks.mistakes")

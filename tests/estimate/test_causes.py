@@ -1,0 +1,77 @@
+"""What was declared wrongly is named, with the value that the data want. Truth: images of the model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.conventions.laws import ResidualLaw
+from irlos_pipe.conventions.pupil_drawing import turned
+from irlos_pipe.effects import Conditions
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.causes import Asked, causes_of_misfit, improbable_diversity
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.structure_function import ResidualBand
+
+NOLLS, WINDOW, FLUX_E = tuple(range(2, 16)), 40, 1e6
+SETTINGS = cases.settings(WINDOW)
+PLACE = torch.tensor([[*np.linspace(30, -20, len(NOLLS)), FLUX_E, 5.0]], dtype=torch.float64)
+LAW = load_instrument("irlos").facility.ncpa_law
+CONDITIONS = Conditions(
+    SETTINGS, ResidualBand(0.125, 2.5, 25.0), ResidualLaw(0.0, 0.0), 0.5, NOLLS[-1], ncpa_law=LAW
+)
+
+
+def found(settings, beside=0.0):
+    """Causes of the misfit of an image taken with other `settings`, and light `beside` the star in it."""
+    truth = ImageModel(PsfModel(settings, NOLLS, dtype=torch.float64))
+    image_e = truth.predict(PLACE[:, :-2], PLACE[:, -2], PLACE[:, -1], truth.effects.starts) + beside
+    data = torch.poisson(image_e.clamp_min(0), generator=torch.Generator().manual_seed(1)).reshape(1, 1, -1)
+    model = ImageModel(PsfModel(SETTINGS, NOLLS, dtype=torch.float64))
+    problem = ImageFit(model, Layout(NOLLS), data, data + 9.0)
+    x = solve(problem, PLACE).values
+    return causes_of_misfit(problem, x, Asked(CONDITIONS, 1.0)), float(problem.reduced_chi2(x)[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.96, 1.02])
+def test_the_scale_of_the_pixels_is_named_first_within_its_error(factor):
+    causes, chi2_nu = found(replace(SETTINGS, pixel_scale_mas=SETTINGS.pixel_scale_mas * factor))
+    first = causes[0]
+    assert chi2_nu > 2 and first.name == "plate_scale" and first.explains > 0.95
+    assert first.declared == SETTINGS.pixel_scale_mas and first.unit == "mas"
+    assert abs(first.value - SETTINGS.pixel_scale_mas * factor) < 4 * first.sigma
+    assert first.sigma < 0.002 * first.declared and first.key in first.says
+
+
+@pytest.mark.slow
+def test_a_turned_pupil_and_a_glow_are_told_apart():
+    causes, _ = found(replace(SETTINGS, geometry=turned(SETTINGS.geometry, 20.0)))
+    assert causes[0].name == "pupil_rotation" and causes[0].value == pytest.approx(20.0, abs=1.0)
+    glow = torch.linspace(0, 200, WINDOW, dtype=torch.float64).expand(WINDOW, WINDOW)
+    causes, _ = found(SETTINGS, glow)
+    assert causes[0].name == "background" and causes[0].value == pytest.approx(200.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("modes_nm", "value", "unit"),
+    [
+        ({5: -150.0, 6: 160.0}, 5.0, "Noll"),  # the fit moves what was declared in Noll 5 to Noll 6
+        ({5: 160.0, 6: -160.0}, 6.0, "Noll"),
+        ({6: 340.0}, 160.0, "nm"),
+    ],
+)
+def test_the_diversity_in_the_light_is_that_which_makes_the_modes_likely(modes_nm, value, unit):
+    declared = {5: -160.0} if unit == "Noll" and value == 6.0 else {6: -160.0}
+    known = replace(SETTINGS.known, diversity_nm=declared)
+    asked = Asked(replace(CONDITIONS, settings=replace(SETTINGS, known=known)), 1.0)
+    (cause,) = improbable_diversity(dict.fromkeys(range(2, 12), 5.0) | modes_nm, asked)
+    assert (cause.value, cause.unit) == (value, unit)
+    assert improbable_diversity(dict.fromkeys(range(2, 12), 30.0), asked) == []
