@@ -76,10 +76,10 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 310, "commands": 1840, "control": 550, "conventions": 940, "diagnosis": 6120, "effects": 4530,
-    "esorex": 110, "estimate": 7370, "files": 1030, "focus": 2410, "frames": 2180, "instrument": 820,
-    "night": 3320, "numerics": 940, "optics": 3930, "paper": 6020, "pipeline": 1200, "product": 2560,
-    "readers": 2550, "recipe": 360, "reference": 610, "report": 3840, "simulate": 4530, "stages": 6710,
+    "api": 530, "commands": 1950, "control": 520, "conventions": 930, "diagnosis": 6270, "effects": 4350,
+    "esorex": 110, "estimate": 7400, "files": 1000, "focus": 2370, "frames": 2230, "instrument": 910,
+    "night": 3490, "numerics": 940, "optics": 3930, "paper": 5910, "pipeline": 1230, "product": 2490,
+    "readers": 2560, "recipe": 400, "reference": 560, "report": 4290, "simulate": 4450, "stages": 6780,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

@@ -349,7 +349,7 @@ class _Final:
         label, laplace = refit.label, self.laplace
         rise, null = self.linear.rise_without(label), laplace.null_of(self.linear.without(label))
         effects = self.all_modes.continued_by_label()
-        rivals = []
+        rivals: list[tuple[Effect, Score, float]] = []
         for score in found:
             if score.candidate.base.needs_search or score.name == refit.name:
                 continue

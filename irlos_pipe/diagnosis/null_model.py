@@ -38,7 +38,35 @@ class Excess:
         return (self.chi2 + self.expected) / self.expected
 
 
-class Optimum(NullModel):
+class FittedModel(NullModel):
+    """The null model of tests jointly with all that a fit has."""
+
+    fitted: Fitted
+    stack: Stacks
+
+    def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
+        """Whitened shapes (pixels, m)."""
+        return shapes * self.root[:, None]
+
+    def covariance_of(self, left: torch.Tensor) -> torch.Tensor:
+        """Of products of the mean with whitened shapes (pixels, m), (m, m)."""
+        return self.stack.covariance_of(left)
+
+    @property
+    def settings(self) -> PsfSettings:
+        """Settings of the first recording; the window is that of all."""
+        return self.fitted.problem.model.psf.settings
+
+    @cached_property
+    def frozen(self) -> list[list[Effect]]:
+        """The effects as fitted for each recording, to test others jointly with them."""
+        return [
+            frozen_effects(part.model.effects, x[0, part.layout.effect_values])
+            for part, x in self.fitted.recordings
+        ]
+
+
+class Optimum(FittedModel):
     """Whitened residual of the mean training images and of their frames."""
 
     def __init__(self, stack: Stacks, fitted: Fitted):
@@ -56,30 +84,9 @@ class Optimum(NullModel):
         unconverged = basis.mT @ residual + whole[len(residual) :].mT @ prior
         super().__init__(residual, root, basis, unconverged)
 
-    def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
-        """Whitened shapes (pixels, m)."""
-        return shapes * self.root[:, None]
-
-    def covariance_of(self, left: torch.Tensor) -> torch.Tensor:
-        """Of products of the mean with whitened shapes (pixels, m), (m, m)."""
-        return self.stack.covariance_of(left)
-
     def under(self, stack: Stacks) -> Optimum:
         """The same model with other variances of the same frames."""
         return self if stack is self.stack else Optimum(stack, self.fitted)
-
-    @property
-    def settings(self) -> PsfSettings:
-        """Settings of the first recording; the window is that of all."""
-        return self.fitted.problem.model.psf.settings
-
-    @cached_property
-    def frozen(self) -> list[list[Effect]]:
-        """The effects as fitted for each recording, to test others jointly with them."""
-        return [
-            frozen_effects(part.model.effects, x[0, part.layout.effect_values])
-            for part, x in self.fitted.recordings
-        ]
 
     @property
     def deviations(self) -> torch.Tensor:

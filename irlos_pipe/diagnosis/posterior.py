@@ -34,7 +34,7 @@ from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.fitted import Fitted, JointFit
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import FittedModel
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.cube import local_mean
@@ -73,7 +73,7 @@ class WavefrontLaw:
         """Before anything is known but the closed basis, which ends at `highest_noll`."""
         return cls(known, TailLaw(5, 50.0) if known is None else TailLaw(highest_noll + 1, 4.0))
 
-    def sigma_nm(self, nolls: Sequence[int]) -> np.ndarray:
+    def sigma_nm(self, nolls: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the standard deviation of modes, (modes,) [nm RMS]; tip, tilt and focus are almost free."""
         noll, sigma = np.asarray(nolls), self.tail.sigma_nm(nolls)
         if self.known is not None:
@@ -342,12 +342,12 @@ def _steps(x, gradient, hessian, lower, upper):
     return step, float(-gradient @ step(0.0))
 
 
-class Laplace(NullModel):
+class Laplace(FittedModel):
     """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there."""
 
     def __init__(self, posterior: Posterior, x: torch.Tensor, *, coarse: bool = False):
         self.posterior, self.x, self.coarse = posterior, x, coarse
-        self.stack, self.settings = posterior.images.stack, posterior.images.views[0].psf.settings
+        self.stack = posterior.images.stack
         self.image, self.columns, gradient, self.hessian = posterior._equations(x, coarse)
         scale = self.hessian.diagonal().clamp_min(1e-300).sqrt()
         unit = torch.eye(len(scale), dtype=scale.dtype)
@@ -393,10 +393,7 @@ class Laplace(NullModel):
         return fitted_as(problem, solution, self.stack, posterior.images.views, self.image, self.columns)
 
     def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
-        """See `Optimum.whiten`."""
         return self.posterior.covariance.whiten(shapes)
-
-    frozen = Optimum.frozen
 
     @cached_property
     def _deviations(self) -> torch.Tensor:

@@ -6,14 +6,14 @@ import numpy as np
 import torch
 from scipy import special
 
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import FittedModel
 
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames, at most
 SURELY = 0.95  # probability with which an effect of the smallest detectable size is seen
 
 
 def significance_of(
-    optimum: Optimum, shapes: torch.Tensor, normal: torch.Tensor, projection: torch.Tensor, trials: int
+    optimum: FittedModel, shapes: torch.Tensor, normal: torch.Tensor, projection: torch.Tensor, trials: int
 ) -> tuple[float, float]:
     """Inflation, and Hotelling's T² of the projections over the frames in Gaussian σ, the best of `trials`.
 

@@ -83,7 +83,7 @@ def _own_block(block: Block, name: str) -> Block:
             one: [_own_block(inner, name) for inner in blocks] for one, blocks in block.choices.items()
         }
         return replace(block, name=f"{name}-{block.name}", choices=choices)
-    own = f"{name}-{block.name}" if getattr(block, "name", "") else ""
+    own = f"{name}-{block.name}" if isinstance(block, Figure | Table) and block.name else ""
     if isinstance(block, Figure):
         return replace(block, svg=renamed(block.svg, name), name=own)
     return replace(block, name=own) if isinstance(block, Table) else block

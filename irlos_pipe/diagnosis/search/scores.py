@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.diagnosis.moments import Placement
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import FittedModel
 from irlos_pipe.diagnosis.significance import significance_of
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
@@ -109,7 +109,7 @@ class Score:
         return FixedEffect(base, values, [p.name for p in base.parameters if p.name not in unseen])
 
 
-def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
+def scores(optimum: FittedModel, families: Sequence[Family]) -> list[Score]:
     """Score the best candidate of each of the `families` at an `optimum`, the most significant first.
 
     Of families of one name, for different moments, the best stands.
@@ -120,7 +120,7 @@ def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
     return sorted(best, key=lambda one: -one.significance)
 
 
-def score_family(optimum: Optimum, family: Family) -> Score:
+def score_family(optimum: FittedModel, family: Family) -> Score:
     """Score the best candidate of one `family` at an `optimum`; its other candidates count as trials."""
     settings = optimum.settings
     tried = [
@@ -180,7 +180,7 @@ def _null_of(score: Score) -> np.ndarray:
     return score.candidate.all_values(score.candidate.null_values).numpy()
 
 
-def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torch.Tensor]:
+def whitened_shapes(optimum: FittedModel, candidates: Sequence[Effect]) -> list[torch.Tensor]:
     """Derivatives of the mean images with respect to each candidate's parameters at null, (pixels, m) each.
 
     Several candidates must be of one plane, pupil or OTF.
@@ -220,7 +220,7 @@ def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
 
 
 def scored(
-    optimum: Optimum, trials: int, placements: Sequence[Placement], candidates: Sequence[Effect]
+    optimum: FittedModel, trials: int, placements: Sequence[Placement], candidates: Sequence[Effect]
 ) -> list[Score]:
     """Scores of every candidate, in every placement that all the recordings of the `candidates` hold."""
     pairs = list(zip(candidates, whitened_shapes(optimum, candidates), strict=True))
@@ -231,7 +231,7 @@ def scored(
     ]
 
 
-def _seen_in(optimum: Optimum, where: Placement, shapes: torch.Tensor) -> torch.Tensor:
+def _seen_in(optimum: FittedModel, where: Placement, shapes: torch.Tensor) -> torch.Tensor:
     """What recordings of some moments show of whitened shapes (pixels, m)."""
     if where is None:
         return shapes
@@ -242,7 +242,7 @@ def _seen_in(optimum: Optimum, where: Placement, shapes: torch.Tensor) -> torch.
     return seen
 
 
-def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tensor) -> Score:
+def _score(optimum: FittedModel, trials: int, candidate: Effect, shapes: torch.Tensor) -> Score:
     linear = LinearEstimate.of(optimum, candidate, shapes)
     inflation, significance = 1.0, 0.0
     if linear.usable.any():
@@ -315,7 +315,7 @@ RESOLVED = 1.5  # in λ/D; closer to a known copy another one is not resolved
 RING_MAS, DIRECTIONS = 150.0, 8  # a ring of positions that say how faint a copy can be seen
 
 
-def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
+def brightest_copies(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
     """The most promising positions of `effect` at an `optimum`, of any on the pixel grid of the window."""
     settings = optimum.settings
     gain, scale = companion_gains(optimum, effect), settings.pixel_scale_mas
@@ -333,7 +333,7 @@ def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
     return found
 
 
-def _copies(optimum: Optimum, wanted: Effect) -> list[tuple[float, float]]:
+def _copies(optimum: FittedModel, wanted: Effect) -> list[tuple[float, float]]:
     """Positions of the copies of the star that the model has where the `wanted` one would act [mas]."""
     fitted, found = optimum.fitted, []
     moments = [view.moment for view in fitted.views if wanted.acting(view.moment)]
@@ -344,7 +344,7 @@ def _copies(optimum: Optimum, wanted: Effect) -> list[tuple[float, float]]:
     return found
 
 
-def _resolution_mas(optimum: Optimum) -> float:
+def _resolution_mas(optimum: FittedModel) -> float:
     settings = optimum.settings
     return settings.shortest_m / settings.geometry.diameter_m / MAS
 
@@ -355,7 +355,7 @@ def around(effect: Effect) -> list[FixedEffect]:
     return [effect.displaced(RING_MAS * np.cos(angle), RING_MAS * np.sin(angle)) for angle in angles]
 
 
-def companion_gains(optimum: Optimum, effect: Effect | None = None) -> np.ndarray:
+def companion_gains(optimum: FittedModel, effect: Effect | None = None) -> np.ndarray:
     """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size.
 
     `effect` is the copy of the star, which need not be in all recordings.
