@@ -362,6 +362,10 @@ class Laplace(FittedModel):
         ]
         basis = torch.linalg.solve_triangular(self.factor, (design / scale).mT, upper=False).mT
         super().__init__(residual, posterior.covariance.root, basis, unconverged)
+        value = torch.tensor([0.5 * float((residual**2).sum()) + 0.5 * posterior.penalty(x)])
+        solution = Solution(x, self.covariance[None], [CONVERGED], torch.ones(1, dtype=torch.int64), value)
+        problem, views = posterior.coarse if coarse else posterior.exact, posterior.images.views
+        self.fitted = fitted_as(problem, solution, self.stack, views, self.image, self.columns)
 
     @cached_property
     def log_evidence(self) -> float:
@@ -376,21 +380,6 @@ class Laplace(FittedModel):
     def covariance(self) -> torch.Tensor:
         """Of the parameters, (parameters, parameters)."""
         return torch.cholesky_inverse(self.factor) / self.scale[:, None] / self.scale
-
-    @cached_property
-    def fitted(self) -> Fitted:
-        """The model there."""
-        posterior = self.posterior
-        value = 0.5 * float((self.residual**2).sum()) + 0.5 * posterior.penalty(self.x)
-        solution = Solution(
-            self.x,
-            self.covariance[None],
-            [CONVERGED],
-            torch.ones(1, dtype=torch.int64),
-            torch.tensor([value], dtype=torch.float64),
-        )
-        problem = posterior.coarse if self.coarse else posterior.exact
-        return fitted_as(problem, solution, self.stack, posterior.images.views, self.image, self.columns)
 
     def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
         return self.posterior.covariance.whiten(shapes)
