@@ -23,7 +23,7 @@ from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.cube import Errors, Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.forward import Task, placed_families
-from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, copies_in_a_row, share_at_its_place
+from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, FAR_OFF, copies_in_a_row, share_at_its_place
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between, preference
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.posterior import (
@@ -36,13 +36,13 @@ from irlos_pipe.diagnosis.posterior import (
     fitted_as,
 )
 from irlos_pipe.diagnosis.records import Alternative, Ranked
-from irlos_pipe.diagnosis.refit import Refit
+from irlos_pipe.diagnosis.refit import FAR, Refit
 from irlos_pipe.diagnosis.search.scores import Score, score_family, scored, whitened_shapes
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import direction_of, rests
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
+from irlos_pipe.diagnosis.tolerant import everyday
+from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import on_every_side
-from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
@@ -55,10 +55,10 @@ PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
 MOST_RIVALS = 2  # that are told besides a name
 LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
+MOST_FAR = 2  # effects that have entered, after which a model has to be near the data
 TURNED = 6  # iterations from another side
 AGAINST = 0.0  # Vuong's statistic of frames that no fit has seen, below which they object to a name
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
-SCALES = (PlateScale.name, Spectrum.name)  # both scale the image and are nearly degenerate
 FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
 
 
@@ -68,8 +68,11 @@ class EvidenceTask(Task):
 
     kind: str  # of the noise
 
-    def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
-        """Begin again from `effects` where a plain `search` left much."""
+    def beyond(self, search: Search, effects: Sequence[Effect]) -> Search | None:
+        """Begin again from `effects` where a plain `search` left much.
+
+        None where so much stays missing that the errors of the model are none that a covariance tells.
+        """
         drift = search.drift
         moving = [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
         declared = [*effects, *moving]
@@ -95,10 +98,13 @@ class EvidenceTask(Task):
             laplace, label, odds = best
             entered[label] = odds
             laplace = self._settled(laplace)
+            if len(entered) == MOST_FAR and _misfit(self.cube.training, laplace) > FAR:
+                return None
             if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                 break
         laplace = self._deepest(laplace) if entered else laplace
-        return self._named(search, laplace, declared, entered, found)
+        named = self._named(search, laplace, declared, entered, found)
+        return None if named.remaining.chi2_nu > FAR_OFF else named
 
     # -- fits ------------------------------------------------------------------------------------
 
@@ -239,6 +245,7 @@ class EvidenceTask(Task):
             adjusted,
             nearest,
             tolerant=True,
+            correlated=True,
         )
 
     def _judged(
@@ -315,7 +322,7 @@ class _Final:
     @cached_property
     def optimum(self) -> Optimum:
         """With the errors of flat and model in the variances."""
-        return Optimum(_allowing(self.task.cube.training, self.fitted, self.laplace), self.fitted)
+        return Optimum(_allowing(self.task.cube.training, self.laplace), self.fitted)
 
     def _reduced(self, linear: Linear) -> Fitted:
         """The linear model in the closed basis."""
@@ -378,15 +385,21 @@ class _Final:
         return scored(origin, 1, (effect.acts_in,), [candidate])[0]
 
 
-def _allowing(stack: Stacks, fitted: Fitted, laplace: Laplace) -> Stacks:
+def _allowing(stack: Stacks, laplace: Laplace) -> Stacks:
     """The data, with the errors of flat and model in the variances that the fit has found."""
     settings = laplace.settings
     across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
-    flat = laplace.posterior.covariance.flat_rms
-    errors = Errors(alike_px=max(1.0, np.pi / 4 * across_px**2), flat_rms=flat)
-    white = (stack.mean_e - fitted.image_e) * stack.with_errors(errors).root
-    misfit = max(1.0, float(white @ white) / fitted.problem.freedom)
-    return stack.with_errors(replace(errors, misfit=misfit))
+    errors = Errors(
+        alike_px=max(1.0, np.pi / 4 * across_px**2), flat_rms=laplace.posterior.covariance.flat_rms
+    )
+    return stack.with_errors(replace(errors, misfit=max(1.0, _misfit(stack, laplace))))
+
+
+def _misfit(stack: Stacks, laplace: Laplace) -> float:
+    """χ²/ν with the error of the flat in the variances, and none of the model."""
+    errors, problem = Errors(flat_rms=laplace.posterior.covariance.flat_rms), laplace.fitted.problem
+    white = (stack.mean_e - laplace.image) * stack.with_errors(errors).root
+    return float(white @ white) / problem.freedom
 
 
 def _is_lit(laplace: Laplace, effect: Effect, values: np.ndarray) -> bool:
@@ -426,25 +439,3 @@ def _refined(laplace: Laplace, score: Score) -> Score:
         else:
             step *= FINER
     return replace(best, trials=score.trials, log_odds=best.log_odds - math.log(score.trials))
-
-
-def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> list[Effect]:
-    """Facts of the instrument and mild effects, their values free, but for those that a mode imitates.
-
-    They are stated for the first of the `recordings`. Of the two that scale the image one is free, the pixels
-    unless it is `present` as the wavelength: jointly they drift far from what is true, a little here and a
-    little there. The other is a rival in the end.
-    """
-    model, found = {effect.name for effect in present}, []
-    pixels, wavelength = SCALES
-    held = pixels if wavelength in model else wavelength
-    for name, kind in CATALOGUE.items():
-        if not (kind.fact or kind.mild) or name in model or name == held:
-            continue
-        try:
-            effect = kind.under(recordings[0])
-        except ValueError:
-            continue  # it means nothing for this instrument
-        if not effect.imitated_in(recordings):
-            found.append(effect)
-    return found

@@ -16,7 +16,7 @@ Without a tail A falls to what the noise allows, and the modes beyond the closed
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -128,6 +128,8 @@ def open_basis(
     closed: ImageFit,
     values: torch.Tensor,
     *,
+    beyond_nm: Mapping[int, float] | None = None,
+    law: TailLaw | None = None,
     max_iterations: int = 60,
 ) -> Opened | None:
     """Fit all modes that the window shows, from where a fit of a closed basis is.
@@ -136,6 +138,10 @@ def open_basis(
     ----------
     closed : ImageFit
         The mean image by modes from Noll 2 on; it stands at `values`, (1, parameters).
+    beyond_nm : mapping, optional
+        Where the modes beyond begin, Noll index to nm RMS; by default at nothing.
+    law : TailLaw, optional
+        That of a fit near by, from which its own is fitted; by default one of any instrument.
     max_iterations : int
         Of each of the two fits, before and after that of the law.
 
@@ -150,9 +156,9 @@ def open_basis(
         return None
     wider = light_path(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
     model = ImageModel(wider, closed.model.effects.effects)
-    law = TailLaw(psf.nolls[-1] + 1)
+    law = law or TailLaw(psf.nolls[-1] + 1)
     problem = _wider(closed, model).with_law(law).roughly()
-    start = widened(values, closed.layout, problem.layout)
+    start = widened(values, closed.layout, problem.layout, beyond_nm or {})
     quick = problem.hastened()
     rough = solve(quick, start, max_iterations=max_iterations)
     return None if rough.status[0] == INVALID else settled(problem, quick, rough, law, max_iterations)
@@ -195,13 +201,14 @@ def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:
     return OpenFit(model, layout, closed.images, closed.root_weight.double() ** -2, loss=closed.loss)
 
 
-def widened(values: torch.Tensor, old: Layout, new: Layout) -> torch.Tensor:
+def widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:
     """Return parameters in another layout, (batch, parameters).
 
-    Both layouts have the same effects, and the modes of `old` are the first of `new`; those that it lacks
-    are 0. The `values` are (batch, parameters).
+    Both layouts have the same effects, and the modes of `old` are the first of `new`. Those that it lacks
+    start at `beyond_nm`, Noll index to nm RMS; others are 0. The `values` are (batch, parameters).
     """
     x = torch.zeros(len(values), new.size, dtype=torch.float64)
+    x[:, : len(new.nolls)] = torch.tensor([beyond_nm.get(noll, 0.0) for noll in new.nolls])
     x[:, : len(old.nolls)] = values[:, old.modes]
     x[:, len(new.nolls) :] = values[:, len(old.nolls) :]
     return x

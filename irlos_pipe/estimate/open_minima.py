@@ -80,7 +80,7 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     rough = problem.roughly()
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))
     begun, _ = task.released(problem.model.effects.effects, closed)  # the closed basis may hold some of them
-    starts = [widened(x, begun.layout, problem.layout) for x in task.starts(begun)]
+    starts = [widened(x, begun.layout, problem.layout, {}) for x in task.starts(begun)]
     best = search.best_from(starts, values)
     if best is None or float(best.objective[0]) >= float(opened.solution.objective[0]):
         return opened

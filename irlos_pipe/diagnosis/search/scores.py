@@ -103,6 +103,10 @@ class Score:
         reach = within * np.array([p.prior_sigma for p in self.candidate.parameters])
         return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
 
+    def restart(self) -> FixedEffect:
+        """The whole effect at its start, without the estimate."""
+        return self._begun_at([p.start for p in self.candidate.parameters])
+
     def _begun_at(self, sizes: Sequence[float] | np.ndarray) -> FixedEffect:
         base, values = self.candidate.base, self.candidate.all_values(sizes)
         unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
