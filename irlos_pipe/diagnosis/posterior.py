@@ -362,7 +362,8 @@ class Laplace(FittedModel):
         ]
         basis = torch.linalg.solve_triangular(self.factor, (design / scale).mT, upper=False).mT
         super().__init__(residual, posterior.covariance.root, basis, unconverged)
-        value = torch.tensor([0.5 * float((residual**2).sum()) + 0.5 * posterior.penalty(x)])
+        half = 0.5 * (float((residual**2).sum()) + posterior.penalty(x))
+        value = torch.tensor([half], dtype=torch.float64)
         solution = Solution(x, self.covariance[None], [CONVERGED], torch.ones(1, dtype=torch.int64), value)
         problem, views = posterior.coarse if coarse else posterior.exact, posterior.images.views
         self.fitted = fitted_as(problem, solution, self.stack, views, self.image, self.columns)
