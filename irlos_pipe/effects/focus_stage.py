@@ -13,7 +13,7 @@ import numpy as np
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import LensEffect, RampEffect
-from irlos_pipe.optics.focus_table import HIGHEST_SINE
+from irlos_pipe.optics.defocus import HIGHEST_SINE
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 LEAST_SINE = 0.1  # a focal ratio of 5, below which defocus is the parabola to 0.1 %

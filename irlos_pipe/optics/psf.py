@@ -34,7 +34,7 @@ from numpy.polynomial import chebyshev
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
-from irlos_pipe.optics.focus_table import defocus_series, shaped_modes
+from irlos_pipe.optics.defocus import defocus_series, shaped_modes
 from irlos_pipe.optics.fourier_matrices import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, PupilMode, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback

@@ -216,7 +216,8 @@ def _suggested(key: str, known: Sequence[str], stages: Any) -> str:
     """Suggest a key that is `known`, or one of a section of the recipe, which was given without it."""
     listed = [one for one in STAGES if isinstance(stages, list) and one in stages]
     sections = {"model": ModelConfig} | {one: STAGES[one].Config for one in listed}
-    whole = {inner: f"{name}.{inner}" for name, one in sections.items() for inner in one.model_fields}
+    pairs = [(inner, f"{name}.{inner}") for name, one in sections.items() for inner in one.model_fields]
+    whole = dict(reversed(pairs))  # of several stages the first
     close = key if key in whole else nearest(key, [*known, *whole])
     return suggestion(key, known) if close in known or close is None else f"; did you mean '{whole[close]}'?"
 

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from astropy.io import fits
 
-from irlos_pipe.optics.focus_table import defocus_nm_per_um
+from irlos_pipe.optics.defocus import defocus_nm_per_um
 
 SINE, STEP_UM, WAVELENGTH_NM, PIXEL_MAS = (
     0.85,

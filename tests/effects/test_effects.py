@@ -50,7 +50,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.optics.focus_table import defocus_nm_per_um, shaped_modes
+from irlos_pipe.optics.defocus import defocus_nm_per_um, shaped_modes
 from irlos_pipe.optics.grids import Optics, OtfGrid
 from irlos_pipe.optics.lenslets import LensletArray, apart
 from irlos_pipe.optics.psf import PsfModel

@@ -19,7 +19,8 @@ from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.tabulated import TabulatedModel, tabulated
-from irlos_pipe.optics.focus_table import FocusTable, Reach, defocus_nm_per_um, defocus_series
+from irlos_pipe.optics.defocus import defocus_nm_per_um, defocus_series
+from irlos_pipe.optics.focus_table import FocusTable, Reach
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.image_quality import correlations, encircled_energy, power_spectrum, transfer_cut
 from irlos_pipe.optics.light_path import AS_BUILT
