@@ -113,6 +113,9 @@ def calibrate(
 ) -> Reduction:
     """Estimate NCPAs from images of one star or source: arrays, or recordings in files.
 
+    ``result.table("noll", "zernike_nm")`` are the modes with their errors; ``plot_modes()``, ``plot_image``,
+    ``plot_model``, ``plot_residual``, ``plot_profile`` and ``plot_wavefront`` draw.
+
     Parameters
     ----------
     *images : ndarray, mapping, Path or str
@@ -125,10 +128,11 @@ def calibrate(
     diversity : mapping
         Aberration that was introduced on purpose, ``{Noll: nm RMS}``; ``{}`` without one. See `noll_nm`.
     pupil : str, mapping or ndarray
-        ``circle``, with the keyword ``diameter_m``; ``vlt``, ``palomar``, ``keck``; ``{"diameter_m": 4.2,
-        "obscuration": 0.29, "vanes": {"angles_deg": [35, 145], "width_m": 0.03}}``, the obscuration as part
-        of the diameter and vanes from the axis on, and whatever the section `pupil` of a profile takes; or an
-        amplitude map (rows, columns) whose sides are ``diameter_m``, rows upwards.
+        ``circle``, with the keyword ``diameter_m``; ``vlt``, ``palomar``, ``keck``; a mapping with
+        ``diameter_m``, ``obscuration`` (part of the diameter) and ``vanes``, for example
+        ``dict(angles_deg=[35, 145], width_m=0.03)``, angles from the axis on, and whatever the section
+        `pupil` of a profile takes; or an amplitude map (rows, columns) whose sides are ``diameter_m``, rows
+        upwards.
     settings : mapping, optional
         Settings of the `recipe` by dotted key, for example ``{"calibrate.highest_noll": 66}``.
     output : Path or str, optional
@@ -139,9 +143,12 @@ def calibrate(
         telescope (``ao_cutoff_per_m=2.5``), or ``instrument``, a profile instead of `pupil`. Without
         ``seeing_arcsec`` an array with a `pupil` is of an internal source: image motion and no AO residual.
 
-    Raises `ConfigurationError` for keywords and settings, `InputDataError` for images that cannot be used.
-    ``result.table("noll", "zernike_nm")`` are the modes with their errors; ``plot_modes()``, ``plot_image``,
-    ``plot_model``, ``plot_residual``, ``plot_profile`` and ``plot_wavefront`` draw.
+    Raises
+    ------
+    ConfigurationError
+        For keywords and settings.
+    InputDataError
+        For images that cannot be used.
     """
     own = {"pixel_scale_mas": pixel_scale_mas, "wavelength_nm": wavelength_nm, "diversity": diversity}
     given = own | {"pupil": pupil, "settings": settings, "output": output, "jobs": jobs} | keywords
