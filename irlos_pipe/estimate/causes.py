@@ -351,15 +351,19 @@ def causes_of_misfit(problem: ImageFit, x: torch.Tensor, asked: Asked) -> list[C
 
 
 def _with_few_modes(problem: ImageFit, x: torch.Tensor) -> tuple[ImageFit, torch.Tensor]:
-    """The same fit with its highest modes held, where there are many."""
-    layout, psf, count = problem.layout, problem.model.psf, len(problem.layout.nolls)
-    kept, known = min(MOST_MODES, count), psf.settings.known
-    tail = dict(zip(layout.nolls[kept:], x[0, kept:count].tolist(), strict=True))
-    held = replace(psf.settings, known=replace(known, ncpa_nm={**known.ncpa_nm, **tail}))
-    sigma = layout.prior_sigma_nm
+    """The fit without its highest modes, where there are many: they imitate what is declared wrongly."""
+    layout, count = problem.layout, len(problem.layout.nolls)
+    if count <= MOST_MODES:
+        return problem, x
+    kept, sigma, psf = MOST_MODES, layout.prior_sigma_nm, problem.model.psf
     fewer = replace(layout, nolls=layout.nolls[:kept], prior_sigma_nm=None if sigma is None else sigma[:kept])
-    model = ImageModel(_light_path(psf, held, fewer.nolls) if tail else psf, problem.model.effects.effects)
-    return _fit(problem, model, fewer), torch.cat([x[:1, :kept], x[:1, count:]], dim=1)
+    path = _light_path(psf, psf.settings, fewer.nolls)
+    fit = _Fit(
+        _fit(problem, ImageModel(path, problem.model.effects.effects), fewer),
+        torch.cat([x[:1, :kept], x[:1, count:]], dim=1),
+        (),
+    ).further(AFRESH)
+    return fit.problem, fit.x
 
 
 def _light_path(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPath:

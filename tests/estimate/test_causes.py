@@ -29,14 +29,20 @@ CONDITIONS = Conditions(
 )
 
 
-def found(settings, beside=0.0):
-    """Causes of the misfit of an image taken with other `settings`, and light `beside` the star in it."""
+def found(settings, beside=0.0, nolls=NOLLS):
+    """Causes of the misfit of an image taken with other `settings`, and light `beside` the star in it.
+
+    It is fitted by modes `nolls`, of which there may be more than in the light.
+    """
     truth = ImageModel(PsfModel(settings, NOLLS, dtype=torch.float64))
     image_e = truth.predict(PLACE[:, :-2], PLACE[:, -2], PLACE[:, -1], truth.effects.starts) + beside
     data = torch.poisson(image_e.clamp_min(0), generator=torch.Generator().manual_seed(1)).reshape(1, 1, -1)
-    model = ImageModel(PsfModel(SETTINGS, NOLLS, dtype=torch.float64))
-    problem = ImageFit(model, Layout(NOLLS), data, data + 9.0)
-    x = solve(problem, PLACE).values
+    model = ImageModel(PsfModel(SETTINGS, nolls, dtype=torch.float64))
+    more = len(nolls) - len(NOLLS)
+    sigma_nm = torch.full((len(nolls),), 50.0, dtype=torch.float64) if more else None
+    problem = ImageFit(model, Layout(nolls, prior_sigma_nm=sigma_nm), data, data + 9.0)
+    start = torch.cat([PLACE[:, :-2], torch.zeros(1, more, dtype=torch.float64), PLACE[:, -2:]], dim=1)
+    x = solve(problem, start).values
     return causes_of_misfit(problem, x, Asked(CONDITIONS, 1.0)), float(problem.reduced_chi2(x)[0])
 
 
@@ -49,6 +55,13 @@ def test_the_scale_of_the_pixels_is_named_first_within_its_error(factor):
     assert first.declared == SETTINGS.pixel_scale_mas and first.unit == "mas"
     assert abs(first.value - SETTINGS.pixel_scale_mas * factor) < 4 * first.sigma
     assert first.sigma < 0.002 * first.declared and first.key in first.says
+
+
+@pytest.mark.slow
+def test_many_modes_that_imitate_a_wrong_scale_do_not_hide_it():
+    changed = replace(SETTINGS, pixel_scale_mas=SETTINGS.pixel_scale_mas * 0.98)
+    first = found(changed, nolls=tuple(range(2, 92)))[0][0]
+    assert first.name == "plate_scale" and first.value == pytest.approx(changed.pixel_scale_mas, rel=0.003)
 
 
 @pytest.mark.slow
