@@ -103,7 +103,8 @@ def causes(run: RunData, places: Mapping[str, str]) -> list[Reason]:
 
 
 def _explained(row: CauseRow) -> str:
-    known = [f"explains {number(row.explains, '.0%')} of the misfit"] if is_known(row.explains) else []
+    new = is_known(row.explains) and "of the misfit" not in row.says
+    known = [f"explains {number(row.explains, '.0%')} of the misfit"] if new else []
     return "; ".join([*known, *([f"key {row.key}"] if row.key and row.key not in row.says else [])])
 
 
@@ -271,13 +272,16 @@ def _meaning(key: str) -> str:
 
 
 def warnings(run: RunData) -> list[str]:
-    """Return what the stages warned of, each once, and the exposures that failed."""
+    """Return what the stages warned of, each once, and the exposures that failed.
+
+    Causes of failed checks stand with these.
+    """
     found = []
     for stage, product in run.products.items():
         found += [
             f"{stage}: {line.partition(' ')[2]}"
             for line in product.log
-            if line.startswith(("WARNING ", "ERROR ", "CRITICAL "))
+            if line.startswith(("WARNING ", "ERROR ", "CRITICAL ")) and " Cause " not in line[:15]
         ]
         found += [f"{stage}: lost: {failure}" for failure in provenance_of(product).failures]
     return list(dict.fromkeys(found))
