@@ -41,15 +41,13 @@ from irlos_pipe.diagnosis.search.scores import Score, score_family, scored, whit
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import direction_of, rests
 from irlos_pipe.diagnosis.tolerant import everyday
-from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect, in_other_forms
+from irlos_pipe.effects import Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import on_every_side
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
 
-SURE = (
-    25.0  # ln odds from which an effect is named: those of false ones reached 17 on cubes that hide nothing
-)
+SURE = 25.0  # ln odds from which an effect is named: those of false ones reached 14 in tuning runs
 WORTH = 10.0  # ln odds from which an effect enters the model
 PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
 MOST_RIVALS = 2  # that are told besides a name
@@ -234,14 +232,13 @@ class EvidenceTask(Task):
         named = sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
         adjusted = sorted(set(beyond) - {one.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
-        meaningless = self._scores(search.null, but=CATALOGUE)[1]
         return Search(
             search.null,
             final.optimum,
             search.drift,
             named,
             found,
-            meaningless,
+            search.meaningless,
             adjusted,
             nearest,
             tolerant=True,

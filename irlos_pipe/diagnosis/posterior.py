@@ -219,7 +219,7 @@ def _with_modes(view: View, settings: PsfSettings, nolls: Sequence[int]) -> View
     return replace(view, psf=light_path(settings, nolls, **options))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Posterior:
     """A model of the images with its priors."""
 
@@ -244,10 +244,8 @@ class Posterior:
             for column, parameter in zip(columns, effect.parameters, strict=True):
                 mean[column], sigma = declared[parameter.name].proper_prior
                 precision[column] = sigma**-2
-        for name, value in (("exact", exact), ("coarse", coarse)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "prior_mean", mean)
-        object.__setattr__(self, "prior_precision", precision)
+        self.exact, self.coarse = exact, coarse
+        self.prior_mean, self.prior_precision = mean, precision
 
     def with_effects(self, effects: Sequence[Effect]) -> Posterior:
         return replace(self, effects=effects)
@@ -298,7 +296,7 @@ class Posterior:
         value, damping, coarse = self.half_chi2(x), 1e-3, True
         lower, upper = self.exact.lower, self.exact.upper
         for _ in range(iterations):
-            _, _, gradient, hessian = self._equations(x, coarse)
+            *_, gradient, hessian = self._equations(x, coarse)
             step_of, ahead = _steps(x, gradient, hessian, lower, upper)
             near, fall = ahead < CONVERGED_AT, 0.0
             for _ in range(0 if near else TRIALS):
@@ -319,13 +317,14 @@ class Posterior:
         return x, value
 
     def _equations(self, x: torch.Tensor, coarse: bool) -> tuple[torch.Tensor, ...]:
-        """Image, derivatives, gradient and Hessian of half of χ² and priors."""
+        """Image, derivatives, these and the residual whitened, gradient and Hessian of half of χ²."""
         image, columns = (self.coarse if coarse else self.exact).predict_and_jacobian(x)
         image = self.exact.predict(x) if coarse else image
         design = self.covariance.whiten(columns.mT)
         left = self.covariance.whiten((self.images.stack.mean_e - image)[:, None])[:, 0]
         gradient = self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
-        return image, columns, gradient, design.mT @ design + torch.diag(self.prior_precision)
+        hessian = design.mT @ design + torch.diag(self.prior_precision)
+        return image, columns, design, left, gradient, hessian
 
 
 def _steps(x, gradient, hessian, lower, upper):
@@ -342,25 +341,24 @@ def _steps(x, gradient, hessian, lower, upper):
     return step, float(-gradient @ step(0.0))
 
 
+def _factored(hessian: torch.Tensor, jitter: float = 1e-13) -> tuple[torch.Tensor, torch.Tensor]:
+    """Cholesky factor of a Hessian in scaled variables, with a `jitter`, and their scales."""
+    scale = hessian.diagonal().clamp_min(1e-300).sqrt()
+    unit = torch.eye(len(scale), dtype=scale.dtype)
+    return torch.linalg.cholesky(hessian / scale[:, None] / scale + jitter * unit), scale
+
+
 class Laplace(FittedModel):
     """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there."""
 
     def __init__(self, posterior: Posterior, x: torch.Tensor, *, coarse: bool = False):
         self.posterior, self.x, self.coarse = posterior, x, coarse
         self.stack = posterior.images.stack
-        self.image, self.columns, gradient, self.hessian = posterior._equations(x, coarse)
-        scale = self.hessian.diagonal().clamp_min(1e-300).sqrt()
-        unit = torch.eye(len(scale), dtype=scale.dtype)
-        self.factor, self.scale = (
-            torch.linalg.cholesky(self.hessian / scale[:, None] / scale + 1e-13 * unit),
-            scale,
-        )
-        design = self.whiten(self.columns.mT)
-        residual = self.whiten((self.stack.mean_e - self.image)[:, None])[:, 0]
-        unconverged = torch.linalg.solve_triangular(self.factor, (-gradient / scale)[:, None], upper=False)[
-            :, 0
-        ]
-        basis = torch.linalg.solve_triangular(self.factor, (design / scale).mT, upper=False).mT
+        self.image, self.columns, design, residual, gradient, self.hessian = posterior._equations(x, coarse)
+        self.factor, self.scale = factor, scale = _factored(self.hessian)
+        force = (-gradient / scale)[:, None]
+        unconverged = torch.linalg.solve_triangular(factor, force, upper=False)[:, 0]
+        basis = torch.linalg.solve_triangular(factor, (design / scale).mT, upper=False).mT
         super().__init__(residual, posterior.covariance.root, basis, unconverged)
         half = 0.5 * (float((residual**2).sum()) + posterior.penalty(x))
         value = torch.tensor([half], dtype=torch.float64)
@@ -413,9 +411,7 @@ class Laplace(FittedModel):
         gone = {column for label in linear.gone for column in self.fitted.columns_of(label)}
         rows = [row for row in range(len(self.scale)) if row not in gone]
         move = linear.move
-        scale = self.scale[rows]
-        unit = torch.eye(len(rows), dtype=scale.dtype)
-        factor = torch.linalg.cholesky(self.hessian[rows][:, rows] / scale[:, None] / scale + 1e-13 * unit)
+        factor, scale = _factored(self.hessian[rows][:, rows])
         design = self.whiten(self.columns[rows].mT)
         basis = torch.linalg.solve_triangular(factor, (design / scale).mT, upper=False).mT
         residual = self.residual - self.whiten((self.columns.mT @ move)[:, None])[:, 0]
@@ -489,9 +485,7 @@ class Laplace(FittedModel):
         left = covariance.whiten((self.stack.mean_e - self.image)[:, None])[:, 0]
         force = design.mT @ left - precision * (self.x[0] - posterior.prior_mean)
         hessian = design.mT @ design + torch.diag(precision)
-        scale = hessian.diagonal().sqrt()
-        unit = torch.eye(len(scale), dtype=scale.dtype)
-        factor = torch.linalg.cholesky(hessian / scale[:, None] / scale + 1e-12 * unit)
+        factor, scale = _factored(hessian, 1e-12)
         ahead = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)
         chi2 = float(left @ left) + posterior.penalty(self.x) - float((ahead**2).sum())
         volume = 2 * float(factor.diagonal().log().sum() + scale.log().sum())
