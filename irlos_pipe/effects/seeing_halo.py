@@ -274,7 +274,7 @@ class ScaledHalo(OtfEffect):
 
 
 class AoCutoff(OtfEffect):
-    """The correction of the AO ends at another spatial frequency than told, and the halo begins there.
+    """The correction of the AO ends at another spatial frequency than declared, and the halo begins there.
 
     Between the two cut-offs there is turbulence in place of what the AO is expected to leave inside its band,
     or the reverse. Elsewhere the residual is that of `seeing_halo`.
@@ -285,7 +285,7 @@ class AoCutoff(OtfEffect):
     Parameters
     ----------
     band : ResidualBand
-        With the cut-off as told.
+        With the cut-off as declared.
     law : ResidualLaw
         AO residual against seeing.
     seeing_arcsec : float
@@ -294,8 +294,8 @@ class AoCutoff(OtfEffect):
 
     name = "ao_cutoff"
     formula = (
-        "T(b) = exp(−½ (2π/λ)² (D(b; cut-off) − D(b; cut-off as told))); D: turbulence beyond the cut-off, a "
-        "residual as f^−2 inside"
+        "T(b) = exp(−½ (2π/λ)² (D(b; cut-off) − D(b; cut-off as declared))); D: turbulence beyond the "
+        "cut-off, a residual as f^−2 inside"
     )
     fact = True
     public = (number("per_m", "1/m, the cut-off, not its change", 1e-3, 1e6),)
