@@ -96,7 +96,9 @@ def _reported(error: BaseException, ctx: click.Context) -> ExitCode:
         report_error("interrupted; finished products are kept, run the same command to continue")
         return ExitCode.INTERRUPTED
     if isinstance(error, IrlosError):
-        report_error(_lines(error))
+        # of a configuration a line for each error, of anything else one
+        text = str(error) or type(error).__name__
+        report_error(text if isinstance(error, ConfigurationError) else " ".join(text.splitlines()))
         if isinstance(error, UnexpectedError):
             _debug_if_asked(ctx, error)
         return error.exit_code
@@ -110,12 +112,6 @@ def _reported(error: BaseException, ctx: click.Context) -> ExitCode:
     report_error(f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}")
     _debug_if_asked(ctx, error)
     return ExitCode.UNEXPECTED
-
-
-def _lines(error: IrlosError) -> str:
-    """All errors of a configuration, a line each; anything else in one line."""
-    text = str(error) or type(error).__name__
-    return text if isinstance(error, ConfigurationError) else " ".join(text.splitlines())
 
 
 def report_error(message: str) -> None:
@@ -202,14 +198,10 @@ def pdb_option(*, hidden: bool) -> click.Option:
 
 
 def _ask(context: click.Context, _option: click.Parameter, value: bool) -> None:
-    if value and not _at_terminal():
+    if value and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise click.UsageError("--pdb needs a terminal: the debugger would wait for answers forever")
     if value:
         context.meta[ASKED] = True
-
-
-def _at_terminal() -> bool:
-    return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _debug_if_asked(context: click.Context, error: BaseException) -> None:

@@ -78,7 +78,13 @@ def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selectio
         parts = key_parts(STAGES[name], recipe, files, upstream)
         path = RunFolder(folder).product(index + 1, name)
         if index < first:
-            steps.append(_used_step(name, path, parts, recipe.stages[first]))
+            try:  # its product is used whether or not it is up to date
+                stored = _stored(name, path)
+            except InputDataError as error:
+                raise _unusable(name, recipe.stages[first], str(error)) from error
+            outdated = changes(stored["parts"], parts)
+            reason = f"used as it is, though {outdated}" if outdated else UP_TO_DATE
+            steps.append(Step(name, path, stored["key"], stored["parts"], Action.USE, reason, True))
         else:
             steps.append(_step(name, path, parts, selected=index <= last, force=selection.force))
     return steps
@@ -126,17 +132,6 @@ def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:
     if first > last:
         raise ConfigurationError(f"--from {selection.first} comes after --to {selection.last}")
     return first, last
-
-
-def _used_step(name: str, path: Path, parts: dict[str, Any], first: str) -> Step:
-    """A stage before ``--from``: its product is used whether or not it is up to date."""
-    try:
-        stored = _stored(name, path)
-    except InputDataError as error:
-        raise _unusable(name, first, str(error)) from error
-    outdated = changes(stored["parts"], parts)
-    reason = f"used as it is, though {outdated}" if outdated else UP_TO_DATE
-    return Step(name, path, stored["key"], stored["parts"], Action.USE, reason, True)
 
 
 def _unusable(name: str, first: str, why: str) -> ConfigurationError:
