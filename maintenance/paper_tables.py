@@ -88,7 +88,7 @@ def take(root: Path, source: Path, others_stay: bool) -> None:
     if not others_stay and new[RUNS].code.nunique() > 1:
         raise SystemExit(
             f"{source}: experiments of {new[RUNS].code.nunique()} states of the code; repeat them with one, "
-            "in a new folder, or give --beside, which adds them to those of other states, as the page says then"
+            "in a new folder, or give --beside, which adds them to those of others, as the page says then"
         )
     if others_stay:
         for name, rows in new.items():

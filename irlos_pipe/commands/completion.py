@@ -43,7 +43,6 @@ def recipes(context: click.Context) -> Iterable[str]:
 
 @_proposed
 def specifications(context: click.Context) -> Iterable[str]:
-    """Names of the specifications of simulations."""
     from irlos_pipe.files.shipped import SIMULATIONS, shipped_names
 
     return shipped_names(SIMULATIONS)
@@ -72,7 +71,6 @@ def settings(context: click.Context) -> Iterable[str]:
 
 @_proposed
 def explained(context: click.Context) -> Iterable[str]:
-    """All names that can be explained."""
     from irlos_pipe.reference.lookup import all_entries
 
     return sorted({entry.name for entry in all_entries()})

@@ -123,7 +123,6 @@ class Verdict:
 
     @property
     def group(self) -> str:
-        """Name of the group in its night."""
         return self.run.split("/")[1]
 
 
@@ -216,7 +215,6 @@ class Database:
         return list(found.values())
 
     def verdicts(self) -> list[Verdict]:
-        """Return the verdicts of `diagnose` in order of time."""
         rows = self.connection.execute(
             "SELECT run, night, target, verdict, effects FROM runs"
             f" WHERE {SOUND} AND verdict IS NOT NULL"

@@ -102,7 +102,6 @@ def found_recordings(path: Path, as_json: bool) -> str:
 
 
 def _rows(file: Path) -> Iterator[dict[str, str]]:
-    """What is known of every recording in a file."""
     stated, command = stated_instruments([file]), f"irlos reduce {shlex.quote(str(file))}"
     instrument = stated_instrument(stated)[1] if stated else load_instrument("irlos")
     described = {one.name: one for one in _described([file])[0]}

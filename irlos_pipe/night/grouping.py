@@ -36,7 +36,6 @@ class Group:
 
     @property
     def first(self) -> Description:
-        """The recording that represents the group."""
         return next(iter(self.inputs.values()))[0]
 
 

@@ -35,7 +35,6 @@ class Measurements:
 
     @property
     def checks_failed(self) -> list[str]:
-        """QC checks that failed."""
         return [f"{stage}: {check.name}" for stage, check in self.checks if not check.passed]
 
 

@@ -75,7 +75,6 @@ class PublishedRun:
             self._remove(self._hidden(ending))
 
     def discard(self) -> None:
-        """Remove the work folder."""
         self._remove(self.work_folder)
 
     def _fill_work_folder(self) -> None:

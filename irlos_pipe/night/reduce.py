@@ -38,7 +38,6 @@ class Task:
     limit_s: float = 0.0  # longest time that it may take [s]; no limit if 0
 
     def load(self) -> Recipe:
-        """Return the validated recipe."""
         return load_recipe(self.recipe, self.settings, self.inputs)
 
 
@@ -67,7 +66,6 @@ class Reduced:
 
     @property
     def failed(self) -> bool:
-        """Whether there are no new products."""
         return self.action == FAILED
 
 
@@ -189,7 +187,6 @@ def _reduce(task: Task, last: str | None) -> Reduced:
 
 
 def _outcome(task: Task, run: RunFolder, action: str) -> Reduced:
-    """Read status and failed checks from the files of a run."""
     try:
         status = read_run_results(run.results).status
         checks = json.loads(run.quality.read_bytes())["checks"]

@@ -92,7 +92,6 @@ class NightSettings(_Section):
     band: BandSettings = Field(default=BandSettings())
 
     def recipes_of(self, kind: Kind) -> list[Path]:
-        """Return the recipes that reduce a kind of group."""
         return [Path(path) for path in self.recipes[kind]]
 
 

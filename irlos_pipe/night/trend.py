@@ -50,22 +50,18 @@ class Series:
 
     @property
     def name(self) -> str:
-        """That of the number, which ends in its unit."""
         return self.last.name
 
     @property
     def owner(self) -> Owner:
-        """Recipe and configuration."""
         return self.last.recipe, self.last.configuration
 
     @property
     def last(self) -> Point:
-        """The latest point."""
         return self.points[-1]
 
     @property
     def alarms(self) -> bool:
-        """Whether any point is not as expected."""
         return any(one.alarm for one in self.points)
 
 
@@ -83,7 +79,6 @@ class Trend:
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """The points of every number."""
         limits = self.rule.limits
         found = (Series(tuple(members), limits.get(key[0])) for key, members in groupby(self.points, _key))
         return tuple(one for one in found if not self.names or one.name in self.names)
@@ -109,7 +104,6 @@ class Trend:
         ]
 
     def until(self, night: str) -> Trend:
-        """Return the trend as it was after a night."""
         return replace(
             self,
             points=tuple(one for one in self.points if one.night <= night),
@@ -119,7 +113,6 @@ class Trend:
 
     @property
     def last_night(self) -> str:
-        """The latest night with a number; "" without one."""
         return max((series.last.night for series in self.series), default="")
 
 

@@ -157,7 +157,6 @@ class Experiment:
         object.__setattr__(self, "Results", type(f"{self.NAME}_results", (ExperimentResults,), own))
 
     def run(self, ctx: Context) -> StageOutput:
-        """Compute the rows of all samples, summarise and judge them."""
         samples = list(self.samples(ctx))
         rows = frame(
             {"sample": one.name}

@@ -22,8 +22,6 @@ LISTS = "lists"  # key of the lists of files among the absolute paths of the cac
 
 @dataclass(frozen=True)
 class InputFile:
-    """One file of an input."""
-
     # ``<input>/<folder or file given>/<path below it>``: the same wherever the data lie. Files next to what
     # was given, such as a side-car, count from its parent folder.
     label: str

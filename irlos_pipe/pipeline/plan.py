@@ -28,8 +28,6 @@ MAX_REASONS = 3  # shown for one stage
 
 
 class Action(Enum):
-    """What happens to a stage."""
-
     RUN = "run"
     SKIP = "skip"
     USE = "use as it is"
@@ -47,8 +45,6 @@ class Selection:
 
 @dataclass(frozen=True)
 class Step:
-    """One stage of a plan."""
-
     name: str
     path: Path  # the stage's product
     key: str  # of the product as it is to be
@@ -58,7 +54,6 @@ class Step:
     current: bool  # whether the product on disk has this key
 
     def describe(self) -> str:
-        """Return one line for people."""
         redone = self.action is Action.RUN and self.reason != NO_PRODUCT
         return f"{self.name}: {'redone because ' if redone else ''}{self.reason}"
 
@@ -173,7 +168,6 @@ def _amiss(file: Path, stored: Mapping[str, Any]) -> str:
 
 
 def _stored(name: str, path: Path) -> dict[str, Any]:
-    """Return the provenance of a product on disk."""
     product = read_product(path, arrays=False)
     needed = {"key", "parts", "files", "summary", "failures"}
     if product.stage != name or not needed <= product.provenance.keys():

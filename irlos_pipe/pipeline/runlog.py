@@ -21,7 +21,6 @@ WARNINGS = logging.getLogger("py.warnings")
 
 
 def stage_logger(name: str) -> logging.Logger:
-    """Return the logger a stage writes to."""
     return ROOT.getChild(f"stage.{name}")
 
 

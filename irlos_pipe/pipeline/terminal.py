@@ -54,7 +54,6 @@ def outcome_text(outcome: Outcome, as_json: bool) -> str:
 
 
 def quality_line(outcome: Outcome) -> str:
-    """Return how many checks passed."""
     checks = outcome.quality["checks"]
     return f"{sum(check['passed'] for check in checks)} of {len(checks)} checks passed"
 

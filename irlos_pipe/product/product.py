@@ -157,7 +157,6 @@ class Product:
         return table
 
     def __repr__(self) -> str:
-        """Return what came out and what the product holds, in lines."""
         passed = sum(check.passed for check in self.checks)
         head = f"Product of '{self.stage}': {passed} of {len(self.checks)} checks passed"
         names = list(self.arrays)

@@ -122,7 +122,6 @@ class Scene:
 
     @property
     def reads(self) -> int:
-        """Return the number of reads that are added up to a frame."""
         return self.detector.reads(self.exposure_s)
 
     @property
