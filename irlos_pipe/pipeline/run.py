@@ -18,22 +18,8 @@ from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, make_p
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
+from irlos_pipe.product import run_table, runfolder
 from irlos_pipe.product.results import provenance_of
-from irlos_pipe.product.run_table import (
-    is_complete,
-    link_latest,
-    new_version,
-    require_free_for_versions,
-    version_folders,
-)
-from irlos_pipe.product.runfolder import (
-    RunFolder,
-    inputs_stamp,
-    owned_folder,
-    remember_standing,
-    require_free,
-    require_outside_inputs,
-)
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
@@ -46,8 +32,8 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
     Raises `ConfigurationError` when the selection or the output folder cannot be used, and `InputDataError`
     or `NothingToDo` when input files cannot be read, or there are none.
     """
-    require_free(folder)
-    require_outside_inputs(folder, recipe.inputs)
+    runfolder.require_free(folder)
+    runfolder.require_outside_inputs(folder, recipe.inputs)
     readers = filter(None, (files_of(STAGES[name]) for name in recipe.stages))
     files = input_files(recipe.inputs, folder, next(readers, None))
     return files, make_plan(recipe, folder, files, selection)
@@ -64,10 +50,10 @@ def run_recipe(
     products of finished stages stay.
     """
     selection = selection or Selection()
-    inputs = inputs_stamp(path for paths in recipe.inputs.values() for path in paths)
+    inputs = runfolder.inputs_stamp(path for paths in recipe.inputs.values() for path in paths)
     # Planned once before the folder is made, so that a mistake leaves no empty folder behind.
     files, _ = plan_run(recipe, folder, selection)
-    with owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
+    with runfolder.owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
         steps = with_repairs(make_plan(recipe, folder, files, selection))
         TRACE.info("command: %s", command_line())
         if any(step.action is Action.RUN for step in steps):
@@ -82,11 +68,11 @@ def run_recipe(
             job.perform()
         outcome = _concluded(job, run)
         if all(step.action in (Action.RUN, Action.SKIP) for step in steps):
-            remember_standing(run, inputs)
+            runfolder.remember_standing(run, inputs)
         return outcome
 
 
-def _concluded(job: Job, run: RunFolder) -> Outcome:
+def _concluded(job: Job, run: runfolder.RunFolder) -> Outcome:
     outcome = assess(job.recipe, job.summaries())
     changed = _write_outcome(outcome, run)
     ran = any(step.action is Action.RUN for step in job.steps)
@@ -97,14 +83,14 @@ def _concluded(job: Job, run: RunFolder) -> Outcome:
     return replace(outcome, report=run.report if run.report.is_file() else None)
 
 
-def _write_outcome(outcome: Outcome, run: RunFolder) -> bool:
+def _write_outcome(outcome: Outcome, run: runfolder.RunFolder) -> bool:
     """Write the files for scripts; True when their content changed."""
     files = {run.results: outcome.results, run.quality: outcome.quality}
     changed = [write_if_changed(path, json_text(content).encode()) for path, content in files.items()]
     return any(changed)
 
 
-def _report_error(run: RunFolder) -> str:
+def _report_error(run: runfolder.RunFolder) -> str:
     """Build the report; returns what went wrong, as the products are good without it."""
     try:
         from irlos_pipe.report.build import write_report
@@ -117,7 +103,7 @@ def _report_error(run: RunFolder) -> str:
 
 
 @contextmanager
-def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
+def _failure_recorded(job: Job, run: runfolder.RunFolder) -> Iterator[None]:
     """Leave a results.json that says what stopped the run, next to the products that were finished."""
     try:
         yield
@@ -130,14 +116,14 @@ def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
         raise
 
 
-def _set_others_aside(run: RunFolder, steps: Sequence[Step]) -> None:
+def _set_others_aside(run: runfolder.RunFolder, steps: Sequence[Step]) -> None:
     """Nobody should take what another recipe left for a result of this one."""
     ours = {step.path for step in steps}
     for path in sorted(set(run.product_files) - ours):
         run.set_aside([*_files_beside(path), path.name])
 
 
-def _set_outdated_aside(job: Job, run: RunFolder) -> None:
+def _set_outdated_aside(job: Job, run: runfolder.RunFolder) -> None:
     """After an error: further files of what was to be made again, and a report that says all is well."""
     for step in job.steps:
         if step.name not in job.finished and step.path.is_file():
@@ -196,11 +182,11 @@ def version_for(recipe: Recipe, folder: Path, selection: Selection) -> Path:
     Raises `ConfigurationError` when the folder cannot hold versions, or the selection cannot be used, and
     `InputDataError` or `NothingToDo` when input files cannot be read, or there are none.
     """
-    require_free_for_versions(folder)
-    there = version_folders(folder)
+    run_table.require_free_for_versions(folder)
+    there = run_table.version_folders(folder)
     if there and not selection.force and _only_adds(recipe, there[-1], selection):
         return there[-1]
-    return new_version(folder)
+    return run_table.new_version(folder)
 
 
 def run_numbered(
@@ -215,17 +201,17 @@ def run_numbered(
     """
     selection = selection or Selection()
     plan_run(recipe, version_for(recipe, folder, selection), selection)  # a mistake leaves no folder behind
-    with owned_folder(folder):
+    with runfolder.owned_folder(folder):
         version = version_for(recipe, folder, selection)
         outcome = run_recipe(recipe, version, selection, resources)
-        if is_complete(RunFolder(version)):
-            link_latest(folder, version)
+        if run_table.is_complete(runfolder.RunFolder(version)):
+            run_table.link_latest(folder, version)
         return outcome
 
 
 def _only_adds(recipe: Recipe, version: Path, selection: Selection) -> bool:
     """Whether a run into a version would make only products that are not there."""
-    run = RunFolder(version)
+    run = runfolder.RunFolder(version)
     if not run.recipe.is_file():
         return True
     _, steps = plan_run(recipe, version, selection)
