@@ -1,7 +1,5 @@
 """What the shell proposes for arguments and options: names of recipes, stages, inputs, keys, arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How commands end: exit codes, errors in one line, signals, and the debugger where it was asked for."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,7 +1,5 @@
 """What commands say of runs and products: where they stand, what they hold, how they differ; and its text."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 And file systems without locks: many network disks are mounted without, and answer each in its own way.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

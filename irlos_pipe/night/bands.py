@@ -1,7 +1,5 @@
 """A number, the band in which it is expected from the nights before, and the test of a whole wavefront."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

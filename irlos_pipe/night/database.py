@@ -3,8 +3,6 @@
 Everything in it can be read from the products: if the file is missing, the next `irlos night` makes it again.
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator

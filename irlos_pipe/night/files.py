@@ -1,7 +1,5 @@
 """What can be done with some files: the one reduction that they make, sorted as those of a night are."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Which recordings are reduced together: calibration cubes, ramps and their calibration, derotator series."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """The numbers of a run that are followed from night to night."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The page of a night, night_<date>.html: recordings, reductions, trend."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """Tasks, a recipe on the recordings of a group each, and working on one; its errors concern it alone."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Iterable, Sequence

@@ -1,7 +1,5 @@
 """Run a night or an archive of nights: reduce what is new or out of date, leave the rest alone."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """Settings of `irlos night`: recipes by kind of group, how recordings are grouped, when a number alarms."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path

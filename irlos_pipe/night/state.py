@@ -1,7 +1,5 @@
 """What a run of `irlos night` found and did, night by night; filled in during the run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path

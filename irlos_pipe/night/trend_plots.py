@@ -1,7 +1,5 @@
 """Plots of a trend: numbers against time with their bands, and the structure function of the NCPAs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path

@@ -4,8 +4,6 @@ A sample is a ramp: one set of NCPAs, known as well as a calibration knows them,
 random defocus, pointing and AO residual. Every frame is estimated from every start.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Random NCPAs and the phase bump lie before the derotator, other NCPAs behind it;
 are split into what turns and what does not.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

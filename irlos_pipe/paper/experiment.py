@@ -6,8 +6,6 @@ It is a stage, so that a recipe runs it; `docs/extending.md` says how to add one
 need of the pipeline from here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar

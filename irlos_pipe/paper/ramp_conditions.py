@@ -4,8 +4,6 @@ The pair is the real one: a cube through the narrow filter with the astigmatism 
 J and H through the lens. All ramps of a sample have the same NCPAs, AO residual and stream of noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain

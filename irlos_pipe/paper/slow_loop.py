@@ -6,8 +6,6 @@ have no tip, tilt and defocus: a loop drives those to zero by itself, and its ow
 The 2x2 mode that the full pupil replaces runs on the same drifts, with the same star and sky.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """Run the stages of a plan one after the other, each leaving its product on disk."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The files behind the inputs of a run, and their checksums."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

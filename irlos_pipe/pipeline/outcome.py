@@ -1,7 +1,5 @@
 """What a run leaves for scripts: results.json, qc.json and the exit code."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

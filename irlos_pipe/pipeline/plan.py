@@ -1,7 +1,5 @@
 """What a run will do, stage by stage, and why; decided before anything is touched."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Where a product comes from: software, machine, time and command."""
 
-from __future__ import annotations
-
 import os
 import platform
 import socket

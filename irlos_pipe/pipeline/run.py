@@ -1,7 +1,5 @@
 """Plan a recipe, run what is not up to date, and sum up; also into numbered versions of a folder."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """Log messages of a run: to run.log, and those of each stage into its product."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What people see: messages on stderr, the table at the end on stdout."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Copy arrays out of a product into FITS or CSV, for people who do not read HDF5."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 import warnings

@@ -15,8 +15,6 @@ Nothing but ``provenance`` and ``log`` depends on when and where the file was ma
 everything but the arrays stand in front.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -3,8 +3,6 @@
 Points are counted; the edges of the drawing are not used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, singledispatch

@@ -1,7 +1,5 @@
 """A scene: star, telescope, sky, aberrations, effects and detector of one recording."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """``PYTHONPATH=tests python -m faults --kills 100``: kill runs, fill their disks, and see what is left."""
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import shutil

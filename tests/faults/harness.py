@@ -1,7 +1,5 @@
 """A night, what an undisturbed run makes of it, and what is left of runs that come to harm."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A small night, and ``irlos night`` on it in a process that may come to harm."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

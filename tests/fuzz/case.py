@@ -1,7 +1,5 @@
 """What a case is, and the list of all kinds of cases."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

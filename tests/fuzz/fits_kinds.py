@@ -1,7 +1,5 @@
 """Recordings: damaged bytes, absurd header values, turned axes, impossible pixels, bombs."""
 
-from __future__ import annotations
-
 import gzip
 import itertools
 from pathlib import Path

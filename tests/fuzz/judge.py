@@ -1,7 +1,5 @@
 """What no input may ever bring about."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import traceback

@@ -1,7 +1,5 @@
 """Names that lead elsewhere or cannot be shown: of files, inputs, recipes, recordings."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

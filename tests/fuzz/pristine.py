@@ -1,7 +1,5 @@
 """The unspoiled inputs, and what the pipeline makes of them; each made once per process."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager

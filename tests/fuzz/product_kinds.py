@@ -1,7 +1,5 @@
 """Products and folders of runs: damaged, with links to elsewhere, with sections that make no sense."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

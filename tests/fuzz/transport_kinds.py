@@ -1,7 +1,5 @@
 """What packers, archives, browsers and other people's software make of a recording on its way."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import io

@@ -1,7 +1,5 @@
 """Folders: links, pipes, copies and torn files among recordings, outputs of others, spoiled databases."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import shutil

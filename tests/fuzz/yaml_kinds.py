@@ -1,7 +1,5 @@
 """Side-cars, recipes, instrument profiles and simulation specs: slips of the pen, damage, bombs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

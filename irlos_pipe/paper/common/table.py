@@ -5,8 +5,6 @@ further columns ``x_p16`` and ``x_p84`` (percentiles); with a range in which it 
 (90 %, by bootstrap over the samples).
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

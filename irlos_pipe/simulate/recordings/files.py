@@ -3,8 +3,6 @@
 Worker processes need no more of a spec than this, and load no model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
