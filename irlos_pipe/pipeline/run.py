@@ -1,27 +1,88 @@
 """Plan a recipe, run what is not up to date, and sum up; also into numbered versions of a folder."""
 
 import errno
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
-from irlos_pipe.conventions.errors import InputDataError, IrlosError, UnexpectedError
+from irlos_pipe.conventions.errors import ExitCode, InputDataError, IrlosError, UnexpectedError
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline.execution import Job
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember
-from irlos_pipe.pipeline.outcome import Outcome, assess
 from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
 from irlos_pipe.product import run_table, runfolder
-from irlos_pipe.product.results import provenance_of
+from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import RunResults, provenance_of
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import files_of
+
+EXIT_CODES = {
+    "ok": ExitCode.DONE,
+    "qc_failed": ExitCode.QUALITY,
+    "partial": ExitCode.PARTIAL,
+    "failed": ExitCode.UNEXPECTED,
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a run."""
+
+    status: str  # ``ok``, ``qc_failed``, ``partial`` or ``failed``
+    results: dict[str, Any]  # content of results.json
+    quality: dict[str, Any]  # content of qc.json
+    summary: dict[str, list[str]] = field(default_factory=dict)  # lines for people by stage
+    report: Path | None = None
+    report_error: str = ""  # why the report could not be built
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command; a report that could not be built is an error of its own."""
+        return EXIT_CODES[self.status] or int(bool(self.report_error))
+
+
+def assess(recipe: Recipe, products: Mapping[str, Product], error: str = "") -> Outcome:
+    """Sum up the up-to-date `products` of a run, which an `error` may have stopped."""
+    status = "failed" if error else _status(products)
+    results = RunResults(
+        schema="irlos-results",
+        schema_version=1,
+        recipe=recipe.name,
+        status=status,
+        **({"notice": recipe.notice, "samples": list(recipe.samples)} if recipe.samples else {}),
+        instrument=recipe.instrument.name,
+        stages={name: product.results for name, product in products.items()},
+        **({"error": error} if error else {}),
+    )
+    checks = [
+        {"stage": name, **check.as_dict()} for name, product in products.items() for check in product.checks
+    ]
+    quality = {
+        "schema": "irlos-qc",
+        "schema_version": 1,
+        "recipe": recipe.name,
+        "passed": all(check["passed"] for check in checks),
+        "checks": checks,
+    }
+    summary = {name: provenance_of(product).summary for name, product in products.items()}
+    return Outcome(status, results.as_json(), quality, summary)
+
+
+def _status(products: Mapping[str, Product]) -> str:
+    # A failed limit outranks lost exposures: it says that the result may not be used.
+    if any(not check.passed for product in products.values() for check in product.checks):
+        return "qc_failed"
+    if any(provenance_of(product).failures for product in products.values()):
+        return "partial"
+    return "ok"
 
 
 def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
