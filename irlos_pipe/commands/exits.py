@@ -133,7 +133,7 @@ def terminated_like_interrupted() -> Iterator[list[int]]:
         came.append(number)
         raise KeyboardInterrupt
 
-    def dropped(what: sys.UnraisableHookArgs) -> None:
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
         if not isinstance(what.exc_value, KeyboardInterrupt):
             hook(what)
             return
