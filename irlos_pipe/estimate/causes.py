@@ -199,21 +199,25 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
     far = [[asked.cutoff - 1]] if abs(asked.cutoff - 1) > FAR else []
     yield Suspect("plate_scale", "pixel_scale_mas", scale, size, mas, "mas", Scale(mas), None, far)
     for words, pupil in _distinct(geometry):
-        yield Suspect("orientation", "pupil.flip", _text(f"images {words}"), settings=_with(settings, pupil))
+        yield Suspect(
+            "orientation", "pupil.flip", _text(f"images {words}"), settings=replace(settings, geometry=pupil)
+        )
     for name, pupil in asked.pupils.items():
         ratio = asked.cutoff * metres / pupil.diameter_m
         text = _text(f"the pupil of the profile {name} instead of that of {asked.profile}")
-        starts, other = [[0.0], [ratio - 1 if np.isfinite(ratio) else 0.0]], _with(settings, pupil)
+        starts, other = [[0.0], [ratio - 1 if np.isfinite(ratio) else 0.0]], replace(settings, geometry=pupil)
         yield Suspect("profile", "instrument", text, effect=Scale(mas), settings=other, starts=starts)
     if geometry.vanes or not geometry.plain:
         turn = FixedEffect(PupilMisregistration(), [0.0, 0.0, 0.0], free=("rotation_deg",))
         starts, key = [[angle] for angle in TURNS_DEG], "pupil_rotation_deg"
         turned = "a pupil turned by {:+.1f}°".format
-        yield Suspect("pupil_rotation", key, lambda v: turned(*v), _first, 0.0, "deg", turn, None, starts)
+        yield Suspect(
+            "pupil_rotation", key, lambda v: turned(*v), lambda v: float(v[0]), 0.0, "deg", turn, None, starts
+        )
     light = Backdrop(settings.window)
     yield Suspect("background", "dark", light.words, light.range_e, 0.0, "e-", light, figure=PROFILE)
     if geometry.vanes:
-        bare = _with(settings, replace(geometry, vanes=()))
+        bare = replace(settings, geometry=replace(geometry, vanes=()))
         yield Suspect("pupil_geometry", "pupil.vanes", _text("a pupil without vanes"), settings=bare)
     if span:
         width = FixedEffect(Spectrum(nm), [0.0] * 3, free=("stretch",))
@@ -247,10 +251,6 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
                 yield _lacking(name, key, effect)
 
 
-def _first(v: np.ndarray) -> float:
-    return float(v[0])
-
-
 def _lacking(name: str, key: str, effect: Effect) -> Suspect:
     """An effect that the model may lack, with all its parameters."""
     public = effect.public[0]
@@ -264,10 +264,6 @@ def _lacking(name: str, key: str, effect: Effect) -> Suspect:
 
 def _text(words: str) -> Callable[[np.ndarray], str]:
     return lambda _: words
-
-
-def _with(settings: PsfSettings, pupil: PupilGeometry) -> PsfSettings:
-    return replace(settings, geometry=pupil)
 
 
 def _distinct(geometry: PupilGeometry) -> list[tuple[str, PupilGeometry]]:

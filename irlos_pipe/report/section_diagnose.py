@@ -96,10 +96,6 @@ REST = (
     "stands about it."
 )
 RAMP = (
-    "Σ|measured − predicted| / Σ measured of frames that no fit has seen. Noise alone is estimated from the "
-    "scatter of all frames of an offset, image motion included, which is refitted: it is an upper limit."
-)
-RAMP = (
     "Frames in order of time. Below: what the estimates miss of the commanded defocus, and of that with "
     "the errors of the stage that were found."
 )

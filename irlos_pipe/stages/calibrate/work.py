@@ -265,7 +265,7 @@ def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Seq
     worst = max(failed, key=lambda one: one.result.chi2_nu / one.result.nominal.value)
     kept = recordings_from_product(ctx.products["ingest"], ctx.config.input)
     (own,) = (one.accepted() for one in kept if one.name == worst.name)
-    conditions = cube_input(ctx, [own], worst.result.options).conditions
+    conditions = cube_input(ctx, [own], worst.result.options).conditions if worst.result.fit else None
     return _with_causes(ctx, output, conditions, worst.result, worst.name)
 
 
