@@ -371,9 +371,9 @@ def _contradiction(problem: SetupsFit, x: torch.Tensor, covariance: torch.Tensor
         ]
     )
     jackknife = (count - 1) * moved.var(dim=0, correction=0)[modes]
-    columns = torch.tensor(shared)[modes]
-    determined = covariance.diagonal()[columns] * problem.prior_precision[0, columns] < UNDETERMINED
-    ratio = (jackknife / covariance.diagonal()[columns])[determined]
+    of_modes = torch.tensor(shared)[modes]
+    determined = covariance.diagonal()[of_modes] * problem.prior_precision[0, of_modes] < UNDETERMINED
+    ratio = (jackknife / covariance.diagonal()[of_modes])[determined]
     return float(ratio.mean()) if len(ratio) else 0.0
 
 
