@@ -6,14 +6,13 @@ it; derivatives come from automatic differentiation of it, unless an effect know
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.late import Tensor
 from irlos_pipe.effects.base import Effect
-from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
 from irlos_pipe.optics.psf_settings import PsfSettings
 
@@ -31,11 +30,6 @@ class PupilEffect(Effect):
         """
         raise NotImplementedError
 
-    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
-        """See `Effect.slopes`: (wavelengths, n, n) each."""
-        change = Directional(lambda v: self.apply(v, field, grid), values)
-        return [change.by(index) for index in wanted]
-
 
 class OtfEffect(Effect):
     """Multiplies the OTF by a factor, real or complex."""
@@ -47,11 +41,6 @@ class OtfEffect(Effect):
         `grid`.
         """
         raise NotImplementedError
-
-    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
-        """See `Effect.slopes`: of the shape of `factor` each."""
-        change = Directional(lambda v: self.apply(v, factor, grid), values)
-        return [change.by(index) for index in wanted]
 
 
 class CopyOfStar(OtfEffect):

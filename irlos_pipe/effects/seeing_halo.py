@@ -65,15 +65,9 @@ def require_residual(conditions: Conditions) -> None:
 class SeeingHalo(OtfEffect):
     """Averaged speckle and halo of the residual wavefront.
 
-    Parameters
-    ----------
-    law : ResidualLaw
-        AO residual against seeing.
-    seeing_arcsec : float
-        Sets the turbulence beyond the cut-off, and the in-band residual to start from.
-    measured : bool
-        Whether the seeing was; otherwise the turbulence beyond the cut-off grows and falls with the in-band
-        variance, in the proportion that the seeing gives.
+    Parameters: `law`, AO residual against seeing; `seeing_arcsec`, which sets the turbulence beyond the
+    cut-off, and the in-band residual to start from; whether it was `measured`: otherwise the turbulence
+    beyond the cut-off grows and falls with the in-band variance, in the proportion that the seeing gives.
     """
 
     name = "seeing_halo"
@@ -269,7 +263,6 @@ class ScaledHalo(OtfEffect):
         return factor * torch.exp(-values[0] * self.halo.exponent(expected, grid))
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Total WFE."""
         return {"wfe_nm": float(np.sqrt(max(values[0], 0.0) * self.halo.expected_nm2))}
 
 
@@ -282,14 +275,7 @@ class AoCutoff(OtfEffect):
     It is looked for where the image shows the edge of the corrected field, λ times the cut-off from the star.
     Errors do not hold how far the residual inside the band is from the expected one: some per cent.
 
-    Parameters
-    ----------
-    band : ResidualBand
-        With the cut-off as told.
-    law : ResidualLaw
-        AO residual against seeing.
-    seeing_arcsec : float
-        Strength of the turbulence.
+    Parameters: `band` with the cut-off as told, `law`, AO residual against seeing.
     """
 
     name = "ao_cutoff"

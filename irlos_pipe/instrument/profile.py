@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Annotated, Any, Literal
@@ -293,8 +293,11 @@ class Profile(Section):
 def _require_value(name: str, rule: FactRule, value: Any) -> None:
     shapes = {
         "number": (_is_number, f"a number from {rule.low:g} to {rule.high:g}"),
-        "vanes": (_is_vane, "a list of [[x, y], [x, y]] in metres"),
-        "lines": (_is_line, "a list of [Hz, share_x, share_y]"),
+        "vanes": (lambda one: _is_list(one, 2, _is_point), "a list of [[x, y], [x, y]] in metres"),
+        "lines": (
+            lambda one: _is_list(one, 3, _is_number) and min(one) >= 0,
+            "a list of [Hz, share_x, share_y]",
+        ),
         "sky": (_is_point, "a list of [wavelength in nm, mag]"),
     }
     fits, text = shapes[rule.kind]
@@ -324,17 +327,9 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _is_list(value: Any, length: int) -> bool:
-    return isinstance(value, list) and len(value) == length
-
-
-def _is_line(value: Any) -> bool:
-    return _is_list(value, 3) and all(map(_is_number, value)) and min(value) >= 0
-
-
-def _is_vane(value: Any) -> bool:
-    return _is_list(value, 2) and all(map(_is_point, value))
+def _is_list(value: Any, length: int, is_item: Callable[[Any], bool]) -> bool:
+    return isinstance(value, list) and len(value) == length and all(map(is_item, value))
 
 
 def _is_point(value: Any) -> bool:
-    return _is_list(value, 2) and all(map(_is_number, value))
+    return _is_list(value, 2, _is_number)

@@ -110,10 +110,8 @@ class PupilSection(Section):
 def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeometry:
     """Return the pupil of a profile: `plain` disc, hole and vanes of the facts, and what `section` draws.
 
-    Raises
-    ------
-    ValueError
-        For parts that contradict each other, and a map, whose path counts from `folder`, that cannot be used.
+    Raises `ValueError` for parts that contradict each other, and a map, whose path counts from `folder`, that
+    cannot be used.
     """
     if section.map and section.aperture:
         raise ValueError("map and aperture both say what light passes; give one of them")
@@ -146,10 +144,7 @@ def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeo
 def part_of(entry: dict[str, Any]) -> Part:
     """Return the part that ``{name: {key: value}}`` describes.
 
-    Raises
-    ------
-    ValueError
-        Naming the nearest known name or key, or the value that does not fit.
+    Raises `ValueError` that names the nearest known name or key, or the value that does not fit.
     """
     if len(entry) != 1 or not isinstance(next(iter(entry.values())), dict):
         raise ValueError(f"a part is {{name: {{key: value}}}}, not {entry!r}; parts: {', '.join(PARTS)}")
@@ -188,11 +183,8 @@ def _checked(name: str, key: str, kind: Any, value: Any) -> Any:
 def read_map(path: Path, metres_per_sample: float | None = None) -> AmplitudeMap:
     """Read the amplitude of a pupil from the first image of the FITS file `path`.
 
-    Raises
-    ------
-    ValueError
-        For a file that cannot be read, a scale that neither `metres_per_sample` nor the header states, and
-        samples that are no amplitudes.
+    Raises `ValueError` for a file that cannot be read, a scale that neither `metres_per_sample` nor the
+    header states, and samples that are no amplitudes.
     """
     try:
         values, header = first_image(path)
@@ -211,12 +203,9 @@ def read_map(path: Path, metres_per_sample: float | None = None) -> AmplitudeMap
 
 @lru_cache(maxsize=16)
 def require_usable(geometry: PupilGeometry) -> None:
-    """Check what light the pupil `geometry` passes, on a grid.
+    """Raise ValueError where the light that the pupil `geometry` passes on a grid makes no sense.
 
-    Raises
-    ------
-    ValueError
-        Saying in one line what is wrong and what to correct.
+    The message says in one line what is wrong and what to correct.
     """
     rim_m = geometry.diameter_m / 2
     step_m = geometry.diameter_m / CELLS

@@ -82,18 +82,8 @@ class InBandResidual:
     ) -> Residual:
         """Return structure function and covariance; differentiable in every argument.
 
-        Parameters
-        ----------
-        variance_nm2 : tensor or float
-            Variance of the power law's residual over the pupil [nm²]; everything is linear in it.
-        slope : tensor or float
-            PSD ∝ f^(-slope).
-        stretch_cos, stretch_sin : tensor or float
-            PSD ∝ exp(stretch_cos cos 2θ + stretch_sin sin 2θ).
-        cross_cos, cross_sin : tensor or float
-            Anisotropy that goes with cos 4θ and sin 4θ.
-        aliasing_nm2 : tensor or float
-            Variance of the aliased turbulence over the pupil [nm²].
+        The variances over the pupil are those of the power law's residual and of the aliased turbulence; the
+        former's PSD is ``f^(-slope) exp(stretch_cos cos 2θ + stretch_sin sin 2θ + cross_cos cos 4θ + …)``.
         """
         w, g = self._frequencies(slope), self._angles((stretch_cos, stretch_sin, cross_cos, cross_sin))
         return self._sum(variance_nm2, self._residuals(w, g[None])[0], aliasing_nm2)

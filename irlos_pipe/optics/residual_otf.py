@@ -26,12 +26,8 @@ def coma_between(lengths_m: np.ndarray, diameter_m: float) -> tuple[np.ndarray, 
     They are over the points x for which x + b is inside, too. ψ is Noll 8 for a baseline b along x; turned,
     the moments hold for every baseline. Baselines beyond the diameter are taken for it.
 
-    Returns
-    -------
-    mean : ndarray, (n,)
-        Of the coma along the baseline; that of the coma across it is 0.
-    along, across : ndarray, (n,)
-        Variance of the coma along the baseline, and across it.
+    Returns the mean of the coma along the baseline, that of the coma across it being 0, and the variances of
+    both, along first, (n,) each.
     """
     lengths, inverse = np.unique(np.round(lengths_m, 9), return_inverse=True)
     b = np.minimum(2 * lengths / diameter_m, 2 - 1e-9)[:, None, None]
