@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
+from irlos_pipe.conventions.pupil_drawing import ON_AXIS, PupilGeometry, turned, with_sizes
 from irlos_pipe.effects.base import Effect, FixedEffect, Several
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import ON_AXIS, Division, band_limited
+from irlos_pipe.optics.pupil import Division, band_limited
 from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
 
 CELL_M = 0.008  # side of the fine cells of the drawing

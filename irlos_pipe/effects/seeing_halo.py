@@ -9,7 +9,7 @@ where that was not measured, the residual in the band.
 The residual has neither tip nor tilt, which go into the image motion. As these go with coma in turbulence,
 what is left is an image that moves as its coma changes: the OTF between x and x + b has a further factor
 ``exp(u)``, with ``u = (2π/λ)² Σ_k (b·<a c_k>) [ψ_k(x + b) - ψ_k(x)]`` for the comas ψ_k along both axes; see
-`optics.in_band_residual`. With its mean m and variance v over all x this is about
+`optics.structure_function`. With its mean m and variance v over all x this is about
 ``exp(m + v/2) (1 + u - m)``, and the part with u is ``Σ_k i (2π/λ) (b·<a c_k>) FFT(∂I/∂c_k)``. Where the
 residual is strong and steep, it is some per cent of the image.
 """

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
 import scipy
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.conventions.pupil_parts import Part, anticlockwise_from_first
+from irlos_pipe.conventions.pupil_drawing import ON_AXIS, PupilGeometry, Vane, clear_fraction, outline_cover
+from irlos_pipe.conventions.pupil_parts import anticlockwise_from_first
 
-ON_AXIS = (0.0, 0.0)
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 ROWS_AT_A_TIME = 64
 NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()}  # a bare aperture
@@ -175,20 +174,7 @@ def _by_rows(
     step = centres_m[1] - centres_m[0]
     for first in range(0, len(centres_m), ROWS_AT_A_TIME):
         rows = slice(first, first + ROWS_AT_A_TIME)
-        yield rows, _clear_fraction(geometry, centres_m[None, :], centres_m[rows, None], step, stop_m)
-
-
-def _clear_fraction(
-    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
-) -> np.ndarray:
-    """Fraction of sub-cells of size `step` that transmit, from the distance to each edge."""
-    clear = outline_cover(geometry, x, y, step, stop_m)
-    for part in geometry.obstructions:
-        clear *= 1 - parts_cover([part], x, y, step)
-    for vane in geometry.vanes:  # most sub-cells lie far from it
-        rows, columns = np.nonzero(np.abs(across_m(vane, x, y)) < vane.width_m / 2 + step)
-        clear[rows, columns] *= 1 - vane_cover(vane, x[0, columns], y[rows, 0], step)
-    return clear
+        yield rows, clear_fraction(geometry, centres_m[None, :], centres_m[rows, None], step, stop_m)
 
 
 def _filtered_in_blocks(
@@ -203,15 +189,17 @@ def _filtered_in_blocks(
     fine, step = fine_m.reshape(n, -1), float(fine_m[1] - fine_m[0])
     reach_m = (fine.shape[1] / np.sqrt(2) + 1) * step  # of a block; edges are a cell wide
     x, y = np.meshgrid(fine.mean(1), fine.mean(1))
-    at_vanes = [_touched(vane, x, y, reach_m) for vane in geometry.vanes]
-    rows, columns = np.nonzero(
-        np.logical_or.reduce([_at_a_circle(geometry, x, y, reach_m, stop_m), *at_vanes])
-    )
+    at_vanes = []
+    for vane in geometry.vanes:
+        along, beside = vane.along_m(x, y), np.abs(vane.across_m(x, y)) < vane.width_m / 2 + reach_m
+        at_vanes.append(beside & (along > -reach_m) & (along < vane.axis[1] + reach_m))
+    at_circles = _at_a_circle(geometry, x, y, reach_m, stop_m)
+    rows, columns = np.nonzero(np.logical_or.reduce([at_circles, *at_vanes]))
     cells_x, cells_y = fine[columns][:, None, :], fine[rows][:, :, None]
     cells = outline_cover(geometry, cells_x, cells_y, step, stop_m)
     for vane, there in zip(geometry.vanes, at_vanes, strict=True):
         own = there[rows, columns]
-        cells[own] *= 1 - vane_cover(vane, cells_x[own], cells_y[own], step)
+        cells[own] *= 1 - vane.cover(cells_x[own], cells_y[own], step)
     clear = np.empty((n, fine.shape[1]) * 2)
     clear[:] = outline_cover(geometry, x, y, step, stop_m)[:, None, :, None]
     clear[rows, :, columns] = cells
@@ -228,77 +216,6 @@ def _at_a_circle(
         for diameter_m in (geometry.diameter_m, geometry.obscuration_m):
             found |= np.abs(radius - diameter_m / 2) < reach_m
     return found
-
-
-def _touched(vane: Vane, x: np.ndarray, y: np.ndarray, reach_m: float) -> np.ndarray:
-    """Whether a `vane` may touch blocks at (`x`, `y`)."""
-    start, length, direction = axis(vane)
-    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
-    beside = np.abs(across_m(vane, x, y)) < vane.width_m / 2 + reach_m
-    return beside & (along > -reach_m) & (along < length + reach_m)
-
-
-def outline_cover(
-    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
-) -> np.ndarray:
-    """Return the fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
-
-    The sub-cells of the pupil `geometry` have their centres at `x`, `y`, a row and a column where an aperture
-    is drawn, and a side of `step` [m]; `stop_m` is as of `band_limited`.
-    """
-    largest = smallest = np.sqrt(x**2 + y**2)
-    if stop_m != ON_AXIS:
-        from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
-        largest, smallest = np.maximum(largest, from_stop), np.minimum(smallest, from_stop)
-    if not geometry.aperture:
-        clear = inside((geometry.diameter_m / 2 - largest) / step)
-    else:
-        clear = parts_cover(geometry.aperture, x, y, step)
-        if stop_m != ON_AXIS:
-            stop = [part.outline for part in geometry.aperture]
-            clear = np.minimum(clear, parts_cover(stop, x - stop_m[0], y - stop_m[1], step))
-    if geometry.obscuration_m > 0:
-        clear *= inside((smallest - geometry.obscuration_m / 2) / step)
-    return clear
-
-
-def parts_cover(parts: Sequence[Part], x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Return the fraction of each sub-cell that `parts`, which do not overlap, cover, (rows, columns).
-
-    The centres are at `x` (1, columns) and `y` (rows, 1), the side is `step` [m].
-    """
-    covered = np.zeros(np.broadcast_shapes(x.shape, y.shape))
-    for piece in (piece for part in parts for piece in part.pieces):
-        rows, columns = piece.box(x, y, step)
-        covered[rows, columns] += piece.cover(x[:, columns], y[rows], step)
-    return covered
-
-
-def inside(distance_cells: np.ndarray) -> np.ndarray:
-    """Return the covered fraction of a cell whose centre lies `distance_cells` inside an edge."""
-    return np.clip(distance_cells + 0.5, 0.0, 1.0)
-
-
-def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Return the fraction that a `vane` covers of each sub-cell of side `step` at (`x`, `y`) [m]."""
-    start, length, direction = axis(vane)
-    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
-    across, half = across_m(vane, x, y), vane.width_m / 2
-    width = inside((across + half) / step) + inside((half - across) / step) - 1
-    return np.clip(width, 0, 1) * inside(along / step) * inside((length - along) / step)
-
-
-def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the distance of (`x`, `y`) to the left of the axis of a `vane` [m]."""
-    start, _, direction = axis(vane)
-    return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
-
-
-def axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return where a vane starts, its length, and its direction."""
-    start, end = np.array(vane.start_m), np.array(vane.end_m)
-    length = float(np.hypot(*(end - start)))
-    return start, length, (end - start) / length
 
 
 @lru_cache(maxsize=8)

@@ -12,8 +12,12 @@ from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.in_band_residual import InBandResidual, Residual
-from irlos_pipe.optics.structure_function import ResidualBand, fitting_structure_nm2
+from irlos_pipe.optics.structure_function import (
+    InBandResidual,
+    Residual,
+    ResidualBand,
+    fitting_structure_nm2,
+)
 
 NODES = 16  # per axis: the squared differences are polynomials of degree 4 in both
 
