@@ -101,7 +101,7 @@ class RedrawnAndDivided(Several, DrawnEffect):
             kind = type(base)
             parts = differentiable(
                 drawing,
-                lambda v, kind=kind: _parts(kind, grid, self._drawn(v, grid)),
+                partial(self._parts, kind, grid),
                 partial(_part_slopes, self._redrawn, kind, grid, grid.light),
             )
             field = _added(field, parts, base.factors(own, grid))
@@ -135,6 +135,9 @@ class RedrawnAndDivided(Several, DrawnEffect):
             base.opd_where(own, _index_on(type(base), grid, drawn), grid) for base, own in self._each(values)
         ]
         return torch.stack(maps).sum(0)
+
+    def _parts(self, kind: type[DividedPupil], grid: PupilGrid, drawing: Tensor) -> Tensor:
+        return _parts(kind, grid, self._drawn(drawing, grid))
 
     def _drawn(self, drawing: Tensor, grid: PupilGrid) -> Drawing:
         return self._redrawn.redrawn(drawing.tolist(), Drawing(grid.geometry))
