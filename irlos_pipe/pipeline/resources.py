@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from io import StringIO
@@ -68,12 +68,15 @@ def resolve_device(wanted: str) -> str:
 
 
 @contextmanager
-def limited_threads(jobs: int) -> Iterator[None]:
+def limited_threads(jobs: int, *, arrays_only: bool = False) -> Iterator[None]:
     """Use `jobs` threads while the block lasts; results do not depend on their number.
 
-    NumPy and SciPy use one: sums of several differ in the last bits.
+    NumPy and SciPy use one: sums of several differ in the last bits. Work with them alone does not wait for
+    PyTorch, and has one thread.
     """
-    from irlos_pipe.numerics.parallel import workers
+    with threadpool_limits(1, user_api="blas"), ExitStack() as stack:
+        if not arrays_only:
+            from irlos_pipe.numerics.parallel import workers
 
-    with workers(jobs), threadpool_limits(1, user_api="blas"):
+            stack.enter_context(workers(jobs))
         yield

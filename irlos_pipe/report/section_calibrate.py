@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy
+from matplotlib import mlab
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Canvas
@@ -358,7 +358,8 @@ def _in_time(of: Calibration) -> Figure | None:
             row[0].locator_params(axis="y", nbins=4)
             if spectra:
                 segment = min(len(frames), SEGMENT)
-                hertz, power = scipy.signal.welch(frames[:, mode], rate_hz, nperseg=segment)
+                hann = np.hanning(segment + 1)[:-1]
+                power, hertz = mlab.psd(frames[:, mode], segment, rate_hz, "mean", hann, segment // 2)
                 row[1].plot(hertz[1:], power[1:], color=BLUE, linewidth=0.9)
                 row[1].set_xscale("log")
                 log_y(row[1], power[1:], small=True)
