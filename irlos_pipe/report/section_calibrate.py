@@ -263,7 +263,7 @@ def _correlations(of: Calibration) -> Figure | None:
         return None
     frames = of.results.frames
     chance = f" {plural(frames, 'frame')} give ±{frames**-0.5:.2f} by chance." if frames > 1 else ""
-    caption = f"Of the errors of the reported modes: dark pairs are hardly told apart.{chance}"
+    caption = f"Of the errors of the reported modes: dark pairs are hardly distinguished.{chance}"
     edges = (nolls[0] - 0.5, nolls[-1] + 0.5)
 
     def draw(axes: Axes) -> None:

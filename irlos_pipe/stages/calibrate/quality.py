@@ -70,7 +70,7 @@ def _noise(result: Calibration) -> Check:
     ratio = result.noise_ratio
     why = ": e_per_adu is too small, or the read noise too large" if ratio < LOWEST_NOISE_RATIO else ""
     message = (
-        f"the frames scatter by {ratio:.2f} times the variance that detector and star are told to have{why}"
+        f"the frames scatter by {ratio:.2f} times the variance that the declared detector and star give{why}"
     )
     return Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
 
@@ -128,7 +128,7 @@ def _orientation(found: Mirrored) -> Check:
     why = ": the images are mirrored, or the pupil of the profile is" if found.seen else ""
     message = (
         f"the image shows {found.amplitude:.2f} ± {found.sigma:.2f} of the mirrored pupil; 0 is the pupil as "
-        f"told, 1 the mirrored one{why}"
+        f"declared, 1 the mirrored one{why}"
     )
     return Check("orientation", found.amplitude, "", None, found.limit, message)
 

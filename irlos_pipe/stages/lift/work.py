@@ -300,7 +300,7 @@ def _misfit(config: Config, errors: FrameErrors) -> Check:
     nominal = errors.nominal_chi2_nu if known else config.unknown_nominal_chi2_nu
     limit = config.max_chi2_ratio * nominal
     why = (
-        ": the model lacks something, or orientation, spectrum, scale or seeing are not as told"
+        ": the model lacks something, or orientation, spectrum, scale or seeing are not as declared"
         if errors.chi2_nu > limit
         else ""
     )
