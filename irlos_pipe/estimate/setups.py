@@ -33,12 +33,12 @@ from irlos_pipe.estimate.calibration_errors import (
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
+from irlos_pipe.estimate.image_fit import ImageFit, Layout, ModesFit, masked_variance
 from irlos_pipe.estimate.methods import MEAN_IMAGE, start_at_centroids
 from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.image_quality import power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -74,7 +74,7 @@ def is_common(effect: Effect) -> bool:
     return effect.belongs_to == "instrument" and effect.instrumental
 
 
-class SetupsFit(Problem):
+class SetupsFit(ModesFit):
     """Mean images of several set-ups by one vector; one member.
 
     Parameters

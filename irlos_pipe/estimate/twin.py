@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.image_fit import Layout
+from irlos_pipe.estimate.image_fit import ModesFit
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution
@@ -68,16 +67,8 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
     return twin
 
 
-class Fitted(Protocol):
-    """A problem of one member and the priors of its parameters, (1, parameters), the first of a `layout`."""
-
-    layout: Layout
-    prior_mean: torch.Tensor
-    prior_precision: torch.Tensor
-
-
 def check_twin(
-    problem: Fitted, x: torch.Tensor, objective: float, law: NcpaLaw | None, known_nm: Mapping[int, float]
+    problem: ModesFit, x: torch.Tensor, objective: float, law: NcpaLaw | None, known_nm: Mapping[int, float]
 ) -> tuple[TwinCheck, Solution]:
     """Refit a problem from its twin and compare; returns the twin as well.
 
@@ -96,12 +87,12 @@ def check_twin(
     return TwinCheck(delta, size[0], size[1], size[2], evidence), twin
 
 
-def _square(x: torch.Tensor, problem: Fitted) -> float:
+def _square(x: torch.Tensor, problem: ModesFit) -> float:
     """χ² of the parameters under the prior of the fit."""
     return float((problem.prior_precision[0] * (x[0] - problem.prior_mean[0]).square()).sum())
 
 
-def _law_square(x: torch.Tensor, problem: Fitted, law: NcpaLaw | None) -> float:
+def _law_square(x: torch.Tensor, problem: ModesFit, law: NcpaLaw | None) -> float:
     """χ² of the coefficients under the instrument's law; 0 without one."""
     if law is None:
         return 0.0
