@@ -45,6 +45,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 
 POINTING = 2  # Noll 2 and 3, the first modes
 FOCUSED = 3  # Noll 2 to 4
+TWIN_ITERATIONS = 80  # planes exclude the twin: its fit goes back a long way to the solution
 LEAST_SETUPS = 3  # set-ups from which they can contradict each other
 
 
@@ -140,7 +141,7 @@ class SetupsFit(ModesFit):
         """
         known = [setup.settings.known.total_nm for setup in setups]
         mean = {noll: sum(one.get(noll, 0.0) for one in known) / len(known) for noll in set().union(*known)}
-        return check_twin(self, solution.values, float(solution.objective[0]), law, mean)
+        return check_twin(self, solution.values, float(solution.objective[0]), law, mean, TWIN_ITERATIONS)
 
     def _prior(self, x: torch.Tensor) -> torch.Tensor:
         return 0.5 * (self.prior_precision * (x - self.prior_mean) ** 2).sum(1)

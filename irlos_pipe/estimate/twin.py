@@ -68,7 +68,12 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
 
 
 def check_twin(
-    problem: ModesFit, x: torch.Tensor, objective: float, law: NcpaLaw | None, known_nm: Mapping[int, float]
+    problem: ModesFit,
+    x: torch.Tensor,
+    objective: float,
+    law: NcpaLaw | None,
+    known_nm: Mapping[int, float],
+    max_iterations: int = 30,
 ) -> tuple[TwinCheck, Solution]:
     """Refit a problem from its twin and compare; returns the twin as well.
 
@@ -78,7 +83,7 @@ def check_twin(
     modes, nolls = problem.layout.modes, problem.layout.nolls
     start = x.clone()
     start[:, modes] = twin_of(x[:, modes], nolls, known_nm)
-    twin = solve(problem, start, max_iterations=30)
+    twin = solve(problem, start, max_iterations=max_iterations)
     shape = [i for i, noll in enumerate(nolls) if noll > 3]
     size = [float(v[0, shape].square().sum().sqrt()) for v in (x, twin.values, twin.values - x)]
     delta = 2 * float(twin.objective[0] - objective)
