@@ -146,9 +146,8 @@ def _calibrated(
     """One method on a cube that begins with the recording `name`."""
     total = scheme_of(options).fits(cube.frames)
     with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
-        result = calibrate(
-            cube.frames, cube.settings, options, cube.effects, device=ctx.device, report=bar.update
-        )
+        context = {"device": ctx.device, "report": bar.update, "note": ctx.log.info}
+        result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
     ctx.log.info(
         "%s, %s: %.1f nm RMS, chi2/nu %.2f, %.1f s",
         name,
