@@ -55,21 +55,13 @@ NOTABLE = 0.1  # relative difference below which a measurement is neither adopte
 
 @dataclass(frozen=True)
 class Told:
-    """One declared value, as a number that the frames or plain sense confine.
-
-    Attributes
-    ----------
-    doubtful, impossible : (float, float)
-        Ranges outside which it is worth a warning, and is wrong.
-    text : str
-        What the value is, and what depends on it.
-    """
+    """One declared value, as a number that the frames or plain sense confine."""
 
     name: str
     value: float
-    doubtful: Range
-    impossible: Range
-    text: str
+    doubtful: Range  # outside of it, it is worth a warning,
+    impossible: Range  # and outside of this one it is wrong
+    text: str  # what the value is, and what depends on it
 
     @property
     def wrong(self) -> bool:
@@ -212,25 +204,13 @@ def cutoff_ratio(
 
 @dataclass(frozen=True)
 class Constant:
-    """One constant of the detector, as used and as measured.
+    """One constant of the detector, as used and as measured."""
 
-    Attributes
-    ----------
-    name : str
-        Side-car key.
-    used : float
-        What the reduction goes on with.
-    source : str
-        Where that comes from.
-    measured, error : float
-        From the frames, with its 1-sigma error; NaN where they do not determine it.
-    """
-
-    name: str
-    used: float
-    source: str
-    measured: float
-    error: float
+    name: str  # side-car key
+    used: float  # what the reduction goes on with
+    source: str  # where that comes from
+    measured: float  # from the frames; NaN where they do not determine it
+    error: float  # of that, 1 sigma
 
     @property
     def contradicted(self) -> bool:

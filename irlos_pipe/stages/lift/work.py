@@ -73,7 +73,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         summary=Line.filled_from(summary),
         offsets=_offsets(summary),
         effects=fit.effects | focus.effects,
-        effects_sigma=focus.sigma,
+        effects_sigma=fit.sigma | focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
         compare={name: Line.filled_from(other) for name, other in others.items()},
         twin=_twin(ramp, typical, curve),
