@@ -250,6 +250,7 @@ def far(rng: np.random.Generator, low: float = 0.015, high: float = 0.06) -> flo
 
 
 SCALE = ("plate_scale", "spectrum")  # in a narrow band the two are one
+# A pupil that is not its own mirror image turned by 180° shows both the same: the sentence names both.
 DIVERSE, TURNED = ("diversity",), ("orientation", "pupil_rotation")
 PUPIL, CHARGE = ("pupil_geometry",), ("interpixel_crosstalk", "motion")
 NOTHING, MOVES = ("model.effects=[]",), ("model.effects=[tip_tilt_jitter]",)
@@ -262,7 +263,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], Callable[[Rng], Taken]]] = {
     "band width": (("spectrum",), lambda rng: Taken(width=float(rng.uniform(3, 5)))),
     "diversity in Noll 5": (DIVERSE, lambda rng: declared(diversity=diverse(5, DIVERSITY_NM))),
     "diversity in um": (DIVERSE, lambda rng: declared(diversity=diverse(6, DIVERSITY_NM / 1000))),
-    "diversity sign": (DIVERSE, lambda rng: declared(diversity=diverse(6, -DIVERSITY_NM))),
+    "diversity sign": ((*DIVERSE, "orientation"), lambda rng: declared(diversity=diverse(6, -DIVERSITY_NM))),
     "lens missing": (DIVERSE, lambda rng: Taken(diversity={})),
     "transposed": (TURNED, lambda rng: counts(lambda adu: np.swapaxes(adu, 1, 2))),
     "flipped": (TURNED, lambda rng: counts(lambda adu: adu[:, ::-1])),

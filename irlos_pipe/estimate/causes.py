@@ -65,7 +65,7 @@ ORIENTATIONS = {
     "flipped up and down": Placement(0.0, True),
     "turned by 90°": Placement(90.0),
     "turned by -90°": Placement(-90.0),
-    "turned by 180°": Placement(180.0),
+    "turned by 180° (or, which looks the same, a diversity of the other sign)": Placement(180.0),
     "transposed about the other diagonal": Placement(-90.0, True),
 }
 NAN = float("nan")

@@ -82,7 +82,8 @@ def answer(run: RunData) -> str:
 
 def failures(run: RunData, places: Mapping[str, str]) -> list[Reason]:
     """Return the failed checks; `places` are the titles of what the page has, by the names of links."""
-    found = []
+    found, results = [], run.results(CalibrateResults)
+    said = [*(one.says for one in results.causes[:1]), results.no_causes]  # below, by themselves
     for stage, check in all_checks(run):
         if check.passed:
             continue
@@ -92,7 +93,8 @@ def failures(run: RunData, places: Mapping[str, str]) -> list[Reason]:
         ends = [number(end, ".3g") for end in (check.low, check.high) if end is not None]
         limit = f" (limit{'s' if len(ends) > 1 else ''} {' to '.join(ends)})" if ends else ""
         head = f"{stage}: {own.replace('chi2', 'χ²/ν')} {check_value(check)}{limit}"
-        found.append(Reason(head, check.message, _link(places, figure, stage)))
+        message = min((check.message.removesuffix(f": {one}") for one in said), key=len)
+        found.append(Reason(head, message, _link(places, figure, stage)))
     return found
 
 

@@ -7,10 +7,9 @@ from benchmarks.mistakes.suite import Case, looks_right, named, outcome_of, repo
 
 SEED = 16180339  # neither that of the reported run nor that of trials
 SAMPLE = {
-    "wavelength": "own", "diversity sign": "vlt", "lens missing": "middle", "pupil turned": "own",
-    "flipped": "vlt", "no vanes": "middle", "forgotten profile": "own", "forgotten dark": "own",
-    "gain x10": "middle", "overflow": "vlt", "saturated": "own", "motion left out": "middle",
-    "companion": "middle", "two kinds of frames": "own", "time is last": "middle", "one frame": "own",
+    "wavelength": "own", "diversity sign": "vlt", "lens missing": "middle", "flipped": "vlt",
+    "no vanes": "middle", "forgotten dark": "own", "gain x10": "middle", "overflow": "vlt",
+    "motion left out": "middle", "two kinds of frames": "own", "time is last": "middle",
 }  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, me
 from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.frames.recording import SIDECAR, CalibrationMaps, Detector
-from irlos_pipe.frames.told import cutoff_ratio, told_of
+from irlos_pipe.frames.told import LAST_PER_PX, cutoff_ratio, told_of
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 
@@ -302,6 +302,8 @@ def test_the_image_ends_at_the_cut_off_of_the_telescope(mean_e):
     assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX / 1.5) > 1.25  # scale told too small by a third
     smear = 2 / len(mean_e) / (1.5 * CUTOFF_PER_PX)  # of the taper, half the width of its main lobe
     assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX * 1.5) == pytest.approx(1 / 1.5, abs=smear)
+    assert np.isnan(cutoff_ratio(mean_e, good, CUTOFF_PER_PX * 3))  # beyond what the pixels sample
+    assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX * 3, LAST_PER_PX) == pytest.approx(1 / 3, abs=smear / 2)
     assert np.isnan(
         cutoff_ratio(mean_e / 1e6 + np.random.default_rng(2).normal(size=mean_e.shape), good, 0.2)
     )

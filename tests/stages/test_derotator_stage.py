@@ -60,6 +60,21 @@ def test_every_cube_gets_the_estimate_it_would_get_alone(recordings, calibrated)
 
 
 @pytest.mark.slow
+def test_the_cause_is_that_of_the_cube_that_does_not_fit(recordings):
+    """One of two cubes has other pixels than declared; a method by frames says that there are none."""
+    good, bad = recordings[:2]
+    declared = replace(bad.acquisition, pixel_scale_mas=bad.acquisition.pixel_scale_mas * 1.03)
+    products = {"ingest": bench.ingest_product([good, replace(bad, acquisition=declared)])}
+    results = bench.run_stage(calibrate, products, **EACH)[0].results
+    first = results.causes[0]
+    assert first.name == "plate_scale" and first.says.startswith("at_40: ") and not results.no_causes
+    assert first.value == pytest.approx(bad.acquisition.pixel_scale_mas, rel=0.005)
+    per_frame = bench.run_stage(calibrate, products, **EACH | {"method": "dip_avg"})[0]
+    assert not all(check.passed for check in per_frame.checks)
+    assert not per_frame.results.causes and "mean image" in per_frame.results.no_causes
+
+
+@pytest.mark.slow
 def test_the_contracts_keys_hold_the_mean_over_the_cubes(calibrated):
     results = calibrated[0].results
     for noll, value in results.zernike_nm.items():

@@ -1,6 +1,7 @@
 """Simulation specs: what is accepted, what is refused, how it is told. Expectations are written by hand."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from helpers.simulation_specs import CUBE, RAMP, planned, simulated, spec_of, tr
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.recordings.run import SimulationFolder
+from irlos_pipe.simulate.recordings.files import side_car
+from irlos_pipe.simulate.recordings.run import SimulationFolder, made_from
 from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 
 EXAMPLES = sorted((RECIPES / "simulations").glob("*.yaml"))
@@ -260,3 +262,12 @@ def test_bands_of_ones_own_share_the_photons(tmp_path):
     bands = [{"centre_nm": nm, "half_width_nm": 50, "share": share} for nm, share in ((1200, 1), (1600, 3))]
     scene = planned(tmp_path, {"one": CUBE | {"bands": bands}})["one"].scene
     assert [band.share for band in scene.bands] == [0.25, 0.75]
+
+
+def test_a_side_car_states_a_profile_of_ones_own_so_that_it_is_not_forgotten(tmp_path):
+    shipped = files("irlos_pipe.instrument") / "bench.yaml"
+    (tmp_path / "mine.yaml").write_text(shipped.read_text())
+    (own,) = planned(tmp_path, {"cube": CUBE}, instrument="mine.yaml").values()
+    (standard,) = planned(tmp_path, {"cube": CUBE}).values()
+    assert side_car(own)["instrument"] == str(tmp_path / "mine.yaml")
+    assert "instrument" not in side_car(standard) and "instrument" not in made_from(standard)["recording"]
