@@ -191,7 +191,7 @@ def _iso_time(unix_s: int) -> str:
 def side_car(planned: Planned) -> dict[str, Any]:
     """Return the side-car of a `planned` recording: what an observer knows, nothing of the truth."""
     scene, commanded_nm = planned.scene, planned.commanded_nm
-    stated = {
+    stated: dict[str, Any] = {
         "role": scene.role,
         "instrument": planned.instrument or None,
         "target": scene.target,

@@ -46,7 +46,7 @@ BEFORE = ("overflow", "gain", "frames", "mixed_frames")  # what explains any mis
 
 def causes_of(
     ctx: StageContext[Config],
-    conditions: Conditions,
+    conditions: Conditions | None,
     result: Calibration,
     checks: Sequence[Check],
     name: str = "",
@@ -63,7 +63,7 @@ def causes_of(
     rows = [row for row in inputs if row.input == ctx.config.input and name in ("", row.name)]
     found = [cause for row in rows for cause in _of_frames(row)]
     sure = any(one.name == "overflow" for one in found)
-    if result.fit is not None and not sure:
+    if result.fit is not None and conditions is not None and not sure:
         asked = _asked(ctx, conditions, result)
         names, diversity_nm = {one.name for one in failed}, conditions.diversity_nm.values()
         other = improbable_diversity(dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)), asked)

@@ -59,9 +59,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     for alike in [[one] for one in recordings] if ctx.config.each else [recordings]:
         require_calibration(alike)
     output = _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
-    if output.results.causes or output.results.no_causes or all(check.passed for check in output.checks):
+    results = output.results
+    known = isinstance(results, CalibrateResults) and (results.causes or results.no_causes)
+    if known or all(check.passed for check in output.checks):
         return output
-    return replace(output, results=output.results.model_copy(update={"no_causes": SETUPS_NOT_TESTED}))
+    return replace(output, results=results.model_copy(update={"no_causes": SETUPS_NOT_TESTED}))
 
 
 def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
@@ -162,7 +164,7 @@ def _calibrated(
 def _with_causes(
     ctx: StageContext[Config],
     output: StageOutput,
-    conditions: Conditions,
+    conditions: Conditions | None,
     result: Calibration,
     name: str = "",
 ) -> StageOutput:
