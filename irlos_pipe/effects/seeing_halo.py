@@ -103,7 +103,7 @@ class SeeingHalo(OtfEffect):
     )
 
     def __init__(self, band: ResidualBand, law: ResidualLaw, seeing_arcsec: float, measured: bool = True):
-        self.band, self.law, self.measured = band, law, measured
+        self.band, self.law, self.seeing_arcsec, self.measured = band, law, seeing_arcsec, measured
         self.r0_m = seeing_to_r0_m(seeing_arcsec)
         expected = in_band_wfe_nm(band, law, seeing_arcsec) ** 2
         self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)
@@ -415,6 +415,11 @@ class UnevenResidual(OtfEffect):
         """See `Effect.under`: it means nothing on a bench without atmosphere."""
         require_residual(conditions)
         return cls(conditions.band, conditions.residual_law, conditions.seeing_arcsec)
+
+    @classmethod
+    def beside(cls, halo: SeeingHalo) -> UnevenResidual:
+        """Of the residual that a `halo` describes."""
+        return cls(halo.band, halo.law, halo.seeing_arcsec)
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
         """See `Effect.seen_in`: parts of what is expected here."""
