@@ -1,5 +1,8 @@
 """Errors of a calibration: from the scatter of the frames, and what the model misfits.
 
+A closed loop leaves less of slow changes than of fast ones, tomography more: where the slowest changes of
+Noll 4–30 together have another power than the mean one beyond chance, variances change by as much.
+
 Of a mean image the misfit beyond the nominal χ² is an error m of the model in proportion to the light, with a
 correlation S over `CORRELATED` λ/D and a size s that leaves just this misfit:
 
@@ -41,6 +44,7 @@ import numpy as np
 import torch
 from scipy.special import ndtr, stdtrit
 
+from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
@@ -75,7 +79,8 @@ def errors_of(
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
         excess = max(0.0, chi2_nu - nominal.value)
-        return covariance_of_mean(used) + excess * _of_model_nm2(frames, problem, solution), "frames"
+        scatter = slow_part(used[:, FIRST : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
+        return scatter + excess * _of_model_nm2(frames, problem, solution), "frames"
     return of_few_frames(used, covariance_from_noise(problem, solution))
 
 
@@ -87,6 +92,22 @@ def of_few_frames(series: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, Er
     if not _scatter_beyond(series, noise):
         return noise, "noise"
     return noise + widening(len(series)) ** 2 * np.cov(series, rowvar=False) / len(series), "few_frames"
+
+
+def slow_part(series: np.ndarray) -> float:
+    """Return the power of the slowest changes of a `series` (frames, modes) over that of the mean one.
+
+    It is what averages into the mean, which a closed loop leaves less of than of faster changes. One where
+    it is so by chance.
+    """
+    centred = series - series.mean(axis=0)
+    power = np.abs(np.fft.rfft(centred, axis=0)) ** 2
+    variance = np.square(centred).sum(axis=0)
+    if not variance.any():
+        return 1.0
+    slow = float(power[1 : SLOWEST + 1].sum() / (SLOWEST * variance.sum()))
+    by_chance = np.sqrt(np.square(variance).sum() / SLOWEST) / variance.sum()
+    return slow if slow > 0 and abs(np.log(slow)) > DISTINCT * by_chance else 1.0
 
 
 def _of_model_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
@@ -129,6 +150,8 @@ def widening(count: int) -> float:
 
 
 LEAST_FRAMES = 4  # frames from which their scatter is considered
+FIRST = DEFOCUS - REPORTED_NOLLS[0]  # place of the first mode that is no tilt
+SLOWEST, DISTINCT = 2, 2.0  # frequencies over the whole series; standard deviations of their power
 CORRELATED = 2.3  # λ/D to the first zero of the correlation of the model's error: an Airy core
 BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
 NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14

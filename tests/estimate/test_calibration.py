@@ -27,7 +27,7 @@ from irlos_pipe.effects.effect_set import fixed_optics
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.seeing_halo import UnevenResidual
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_errors import NominalChi2, errors_of, public_errors, widening
+from irlos_pipe.estimate.calibration_errors import NominalChi2, errors_of, public_errors, slow_part, widening
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean, local_mean
 from irlos_pipe.estimate.residual import moved_nm
@@ -139,6 +139,21 @@ def test_the_error_of_a_mean_counts_the_autocorrelation(phi):
     assert np.mean(autocorrelation_time(series)) == pytest.approx((1 + phi) / (1 - phi), rel=0.12)
     quoted = np.sqrt(np.mean(np.diag(covariance_of_mean(series))))
     assert quoted == pytest.approx(series.mean(0).std(), rel=0.15)
+
+
+@pytest.mark.parametrize("white", [0.3, 1.0])
+def test_errors_of_what_a_closed_loop_leaves_are_those_of_its_slow_part(white):
+    """Differences of white noise average to nothing; what averages is the part that is white itself."""
+    rng = np.random.default_rng(2)
+    quoted, means = [], []
+    for _ in range(100):
+        drawn = rng.standard_normal((101, 30))
+        series = np.diff(drawn, axis=0) + white * rng.standard_normal((100, 30))
+        quoted.append(slow_part(series) * np.diag(covariance_of_mean(series)))
+        means.append(series.mean(axis=0))
+    assert np.sqrt(np.mean(quoted)) == pytest.approx(np.std(means), rel=0.15)
+    white = rng.standard_normal((200, 100, 30))
+    assert np.mean([slow_part(one) == 1.0 for one in white]) > 0.9
 
 
 # -- errors of many frames -----------------------------------------------------------------------
