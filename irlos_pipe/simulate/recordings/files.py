@@ -34,6 +34,7 @@ class Planned:
     layout: str
     mode: str  # mode string of a MUSE file
     side_car: bool = True  # whether one is written; a MUSE file may do without
+    instrument: str = ""  # profile that the side-car states
 
     @property
     def size_bytes(self) -> int:
@@ -192,6 +193,7 @@ def side_car(planned: Planned) -> dict[str, Any]:
     scene, commanded_nm = planned.scene, planned.commanded_nm
     stated = {
         "role": scene.role,
+        "instrument": planned.instrument or None,
         "target": scene.target,
         "mag_j": scene.mag_j,
         "exposure_s": scene.exposure_s,
