@@ -78,28 +78,13 @@ def errors_of(
     if frames.show_scatter and problem.images.shape[:2] != (1, 1):
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
-<<<<<<< HEAD
         excess = max(0.0, chi2_nu - nominal.value)
         scatter = slow_part(used[:, FIRST : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
         return scatter + excess * _of_model_nm2(frames, problem, solution), "frames"
-    return of_few_frames(used, covariance_from_noise(problem, solution))
-
-
-def of_few_frames(series: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, ErrorsFrom]:
-    """Return the covariance of the mean of a `series` (frames, parameters), and where it comes from.
-
-    That of the `noise` alone, (parameters, parameters), unless the frames scatter beyond it.
-    """
-    if not _scatter_beyond(series, noise):
-        return noise, "noise"
-    return noise + widening(len(series)) ** 2 * np.cov(series, rowvar=False) / len(series), "few_frames"
-=======
-        return max(1.0, misfit) * covariance_of_mean(used), "frames"
     covariance = covariance_from_noise(problem, solution)
     if not _scatter_beyond(used, covariance):
         return covariance, "noise"
     return covariance + widening(len(used)) ** 2 * np.cov(used, rowvar=False) / len(used), "few_frames"
->>>>>>> main
 
 
 def slow_part(series: np.ndarray) -> float:
