@@ -402,11 +402,6 @@ class UnevenResidual(OtfEffect):
         require_residual(conditions)
         return cls(conditions.band, conditions.residual_law, conditions.seeing_arcsec)
 
-    @classmethod
-    def beside(cls, halo: SeeingHalo) -> UnevenResidual:
-        """Of the residual that a `halo` describes."""
-        return cls(halo.band, halo.law, halo.seeing_arcsec)
-
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
         """See `Effect.seen_in`: parts of what is expected here."""
         return UnevenResidual.under(here)

@@ -93,7 +93,8 @@ def moved_nm(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarra
     ]
     if not halos or UnevenResidual.name in {one.name for one in effects.effects}:
         return nothing
-    uneven, null = UnevenResidual.beside(halos[0]), null_model(problem, x)
+    halo, null = halos[0], null_model(problem, x)
+    uneven = UnevenResidual(halo.band, halo.law, halo.seeing_arcsec)
     frozen = frozen_effects(effects, x[0, problem.layout.effect_values])
     tolerance = torch.tensor([one.prior_sigma for one in uneven.parameters], dtype=torch.float64)
     shapes = derivatives(problem, x, frozen, uneven).mT * null.root[:, None] * tolerance

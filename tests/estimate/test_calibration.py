@@ -165,7 +165,7 @@ def behind_a_cone():
     true = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
     model = PsfModel(cases.settings(40), NOLLS, dtype=torch.float64)
     halo = SeeingHalo(cases.BAND, cases.RESIDUAL_LAW, 0.8)
-    uneven = FixedEffect(UnevenResidual.beside(halo), [0.15, 0.05, -0.05])
+    uneven = FixedEffect(UnevenResidual(cases.BAND, cases.RESIDUAL_LAW, 0.8), [0.15, 0.05, -0.05])
     image = ImageModel(model, [FixedEffect(halo, halo.null_values), uneven]).predict(
         true, torch.tensor([FLUX]), torch.zeros(1), torch.empty(0)
     )
