@@ -43,7 +43,7 @@ where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo docs test test-quick test-long lint bench fuzz faults misled mistakes clean full calibrate dip-global ramp
-.PHONY: tutorial end-to-end focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
+.PHONY: tutorial end-to-end foreign focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -111,7 +111,10 @@ misled: env-test ## reduce plausible but wrong inputs, and right ones, and count
 mistakes: env-test ## make a user's usual mistakes on purpose and count whether the true cause is named (ARGS="--draws 3")
 	$(BIN)/python -m benchmarks.mistakes --output $(RUNS)/mistakes $(ARGS)
 
-focus-faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
+focus-foreign: env-test ## reduce cubes behind adaptive optics unlike the model's, and judge light and errors (ARGS="--draws 1")
+	$(BIN)/python -m benchmarks.foreign --output $(RUNS)/foreign $(ARGS)
+
+faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
 	$(BIN)/python -m benchmarks.focus_faults --output $(RUNS)/focus-faults $(ARGS)
 
 end-to-end: env-test ## simulate an adaptive optics end to end, half an hour, and reduce what is seen behind it
