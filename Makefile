@@ -37,12 +37,13 @@ MEASURED ?= ../shared/realdata
 PHARO = $(MEASURED)/palomar_pharo/ca1.fits
 NIRC2 = $(MEASURED)/keck_nirc2/20130801_n0004.fits
 BEADS = $(MEASURED)/microscopy_pyotf/psf_wl520nm_z300nm_x130nm_na0.85_n1.0.tif
+MIRROR = $(MEASURED)/mirror_bead/dm_poke_actuator1.fits
 # $(call where,FILE,COMMAND) runs a command where its file is; exit code 4, a result that needs a look, goes on.
 where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo docs test test-quick test-long lint bench fuzz faults misled mistakes clean full calibrate dip-global ramp
-.PHONY: tutorial end-to-end focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
+.PHONY: tutorial end-to-end foreign focus-demo focus-faults sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -110,7 +111,10 @@ misled: env-test ## reduce plausible but wrong inputs, and right ones, and count
 mistakes: env-test ## make a user's usual mistakes on purpose and count whether the true cause is named (ARGS="--draws 3")
 	$(BIN)/python -m benchmarks.mistakes --output $(RUNS)/mistakes $(ARGS)
 
-focus-faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
+focus-foreign: env-test ## reduce cubes behind adaptive optics unlike the model's, and judge light and errors (ARGS="--draws 1")
+	$(BIN)/python -m benchmarks.foreign --output $(RUNS)/foreign $(ARGS)
+
+faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
 	$(BIN)/python -m benchmarks.focus_faults --output $(RUNS)/focus-faults $(ARGS)
 
 end-to-end: env-test ## simulate an adaptive optics end to end, half an hour, and reduce what is seen behind it
@@ -154,12 +158,14 @@ night: env ## reduce what is new or out of date in a night or an archive (NIGHT=
 	$(BIN)/irlos night $(NIGHT) --output $(TREE) $(ARGS)
 
 measured: env ## run recipes/measured/ on the measured recordings that are there (MEASURED=folder)
-	@for file in $(PHARO) $(NIRC2) $(BEADS); do test -f $$file || missing="$$missing $$file"; done; \
+	@for file in $(PHARO) $(NIRC2) $(BEADS) $(MIRROR); do test -f $$file || missing="$$missing $$file"; done; \
 	test -z "$$missing" || echo "make measured: not there:$$missing; docs/measured.md names the sources"
 	@$(call where,$(PHARO),$(BIN)/irlos run recipes/measured/pharo.yaml --input cube=$(PHARO) --output $(RUNS)/measured/pharo $(ARGS))
 	@$(call where,$(NIRC2),$(BIN)/irlos run recipes/measured/nirc2.yaml --input cube=$(NIRC2) --output $(RUNS)/measured/nirc2 $(ARGS))
 	@$(call where,$(BEADS),$(BIN)/python recipes/measured/beads_to_fits.py $(BEADS) $(RUNS)/measured/beads-data)
 	@$(call where,$(BEADS),$(BIN)/irlos run recipes/measured/beads.yaml --input ramp=$(RUNS)/measured/beads-data/beads.fits --output $(RUNS)/measured/beads $(ARGS))
+	@$(call where,$(MIRROR),$(BIN)/python recipes/measured/mirror_bead_to_fits.py $(MIRROR) $(RUNS)/measured/mirror-data)
+	@for volt in 1 2 3 4 5; do $(call where,$(MIRROR),$(BIN)/irlos run recipes/measured/mirror_bead.yaml --input calibration=$(RUNS)/measured/mirror-data/volt_$$volt.fits --output $(RUNS)/measured/mirror_$$volt $(ARGS)); done
 
 clean: ## remove the files that building and testing left (not the environment, not runs/)
 	rm -rf build dist demo docs/_build docs/reference .pytest_cache .ruff_cache .mypy_cache

@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "control": {"conventions"},
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
-    "estimate": 7640{"conventions", "frames", "numerics", "optics", "effects"},
+    "estimate": 7750{"conventions", "frames", "numerics", "optics", "effects"},
     "diagnosis": {
         "conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnosis.records",
     },
@@ -29,13 +29,13 @@ MAY_IMPORT = {
     "simulate": {"conventions"},
     "simulate.recordings": {"conventions", "effects", "files", "instrument", "product", "simulate"},
     "product": {"conventions", "files"},
-    "stages": 6940{
+    "stages": 6980{
         "conventions", "files", "frames", "instrument", "readers", "numerics", "optics", "effects",
         "estimate", "diagnosis", "diagnosis.records", "product",
     },
     "recipe": {"conventions", "files", "instrument", "readers", "stages"},
     "reference": {"conventions", "effects", "files", "instrument", "product", "readers", "recipe", "stages"},
-    "report": 4340{
+    "report": {
         "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
         "diagnosis.records", "product", "stages",
     },
@@ -76,10 +76,10 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 540, "commands": 1920, "control": 510, "conventions": 1020, "diagnosis": 6340, "effects": 4260,
-    "esorex": 110, "estimate": 7640, "files": 980, "focus": 2370, "frames": 2010, "instrument": 870,
+    "api": 540, "commands": 1920, "control": 510, "conventions": 1020, "diagnosis": 6350, "effects": 4260,
+    "esorex": 110, "estimate": 7750, "files": 980, "focus": 2370, "frames": 2030, "instrument": 870,
     "night": 3410, "numerics": 890, "optics": 3800, "paper": 5650, "pipeline": 1190, "product": 2440,
-    "readers": 2570, "recipe": 390, "reference": 320, "report": 4340, "simulate": 4400, "stages": 6940,
+    "readers": 2570, "recipe": 390, "reference": 320, "report": 4340, "simulate": 4400, "stages": 6980,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

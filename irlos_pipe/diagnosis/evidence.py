@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 
 import numpy as np
 import torch
@@ -38,7 +38,7 @@ from irlos_pipe.diagnosis.posterior import (
 )
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.search.scores import Score, score_family, scored, whitened_shapes
+from irlos_pipe.diagnosis.search.scores import Family, Score, score_family, scored, whitened_shapes
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import direction_of, rests
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
@@ -47,6 +47,7 @@ from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
+from irlos_pipe.numerics.parallel import ordered_map
 
 SURE = 25.0  # ln odds from which an effect is named: those of false ones reached 14 in tuning runs
 WORTH = 10.0  # ln odds from which an effect enters the model
@@ -75,13 +76,15 @@ class EvidenceTask(Task):
         images = Images.of(self.fitter.of(self.cube.training))
         law = WavefrontLaw.of(self.conditions.ncpa_law, self.fitter.views[0].psf.nolls[-1])
         covariance = Covariance.of(images.stack, images.views)
-        begun = []
-        for known_effects, near in ((declared, None), (search.final.fitted.continued(), search.final.fitted)):
+
+        def begun(near: Fitted | None) -> Laplace:
+            known_effects = declared if near is None else near.continued()
             whole = [*known_effects, *everyday(conditions, known_effects)]
             posterior = Posterior(images, whole, covariance, law)
             x, _ = posterior.descended(posterior.start(near), FIRST, roughly=True)
-            begun.append(Laplace(posterior, x, coarse=True))
-        first = max(begun, key=lambda one: one.log_evidence)
+            return Laplace(posterior, x, coarse=True)
+
+        first = max(ordered_map(begun, (None, search.final.fitted)), key=lambda one: one.log_evidence)
         laplace = self._deepest(self._settled(first))
         entered: dict[str, float] = {}
         known: list[Score] = []
@@ -122,8 +125,10 @@ class EvidenceTask(Task):
             laplace = other
 
     def _nearest(self, laplace: Laplace) -> Laplace:
-        """The model of least squares: where much stays missing, what a fit leaves is no noise that would tell
-        how pixels are correlated, and the model that is nearest to the images is wanted."""
+        """The model of least squares, which is nearest to the images.
+
+        Where much stays missing, what a fit leaves is no noise that would tell how pixels are correlated.
+        """
         training = self.cube.training
         covariance = laplace.posterior.covariance.alone(_misfit(training, laplace) * _alike_px(laplace))
         return replace(laplace.posterior, covariance=covariance).minimised(laplace.x, FIRST)
@@ -137,7 +142,7 @@ class EvidenceTask(Task):
         """
         fitted, posterior = laplace.fitted, laplace.posterior
         sharp = replace(posterior, covariance=replace(posterior.covariance, model_rms=0.0))
-        ends = [sharp.descended(laplace.x, TURNED, roughly=True)]
+        starts: list[tuple[torch.Tensor, list[int]]] = [(laplace.x, [])]
         for label in fitted.problem.effects.labels:
             angle = direction_of(fitted, label)
             if angle is None:
@@ -148,19 +153,26 @@ class EvidenceTask(Task):
             for side in on_every_side(fitted.effect(label)) if rests(fitted, label) else [opposite]:
                 x = fitted.x.clone()
                 x[0, columns] = torch.as_tensor(side)
+                starts.append((x, columns))
+
+        def end(start: tuple[torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
+            x, columns = start
+            if columns:
                 x, _ = sharp.descended(x, FOLLOWING, roughly=True, held=columns)
-                ends.append(sharp.descended(x, TURNED, roughly=True))
-            self.report(1)
+            return sharp.descended(x, TURNED, roughly=True)
+
+        ends = ordered_map(end, starts)
+        self.report(len(ends))
         return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN)
 
     def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, str, float] | None:
         """The fit with the effect of the best odds, its label and the odds; None if none is worth it."""
-        tried = []
-        for score in [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]:
-            other = self._joined(laplace, score)
-            if other is not None:
-                odds = (other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation)
-                tried.append((odds, other))
+        likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
+        tried = [
+            ((other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation), other)
+            for score, other in zip(likely, ordered_map(partial(self._joined, laplace), likely), strict=True)
+            if other is not None
+        ]
         self.report(1)
         if not tried:
             return None
@@ -211,15 +223,17 @@ class EvidenceTask(Task):
         rough = Laplace(laplace.posterior, laplace.x, coarse=True)
         missing, _ = placed_families(self.moments, rough.fitted.effects)
         listed = any(effect.found_by == "pixels" for effect in rough.fitted.effects)
-        found = []
-        for family in [*missing, *([] if listed else bad_pixel_family(rough))]:
+
+        def scored_best(family: Family) -> Score:
             score = score_family(rough, family)
-            if isinstance(family.effect.base, PupilPlace):
-                before = [one for one in known if one.name == score.name][-1:]
-                refined = (_refined(rough, one) for one in (score, *score.elsewhere[:1], *before))
-                score = max(refined, key=lambda one: one.log_odds)
-                known.append(score)
-            found.append(score)
+            if not isinstance(family.effect.base, PupilPlace):
+                return score
+            before = [one for one in known if one.name == score.name][-1:]
+            refined = (_refined(rough, one) for one in (score, *score.elsewhere[:1], *before))
+            return max(refined, key=lambda one: one.log_odds)
+
+        found = ordered_map(scored_best, [*missing, *([] if listed else bad_pixel_family(rough))])
+        known += [one for one in found if isinstance(one.candidate.base, PupilPlace)]
         self.report(1)
         return sorted(found, key=lambda one: -one.log_odds)
 

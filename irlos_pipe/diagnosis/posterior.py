@@ -43,6 +43,7 @@ from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.estimate.ncpa_prior import FOCUS_NM, POINTING_NM
 from irlos_pipe.estimate.open_fit import JOINED, TailLaw, last_noll_of, visible_order
 from irlos_pipe.estimate.score_test import NullModel
+from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.numerics.solution import CONVERGED, Solution
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -465,29 +466,24 @@ class Laplace(FittedModel):
     def with_best_errors(self) -> Covariance:
         """The covariance with the errors of model and flat by evidence, all parameters following linearly.
 
-        The search goes from neighbour to neighbour on a grid.
+        The search goes from the best place of a grid to its neighbours.
         """
-        tried: dict[tuple[int, int], tuple[float, Covariance]] = {}
         own = self.posterior.covariance
+        tried: dict[tuple[int, int], tuple[float, Covariance]] = {}
 
-        def log_evidence(place: tuple[int, int]) -> float:
-            if place not in tried:
-                model_rms, flat_rms = MODEL_ERRORS[place[0]], FLAT_ERRORS[place[1]]
-                changed = replace(own, model_rms=model_rms, flat_rms=flat_rms)
-                tried[place] = self._log_evidence_under(changed), changed
-            return tried[place][0]
+        def evaluated(place: tuple[int, int]) -> tuple[float, Covariance]:
+            changed = replace(own, model_rms=MODEL_ERRORS[place[0]], flat_rms=FLAT_ERRORS[place[1]])
+            return self._log_evidence_under(changed), changed
 
-        place, moved = (MODEL_ERRORS.index(own.model_rms), FLAT_ERRORS.index(own.flat_rms)), True
-        while moved:
-            moved = False
-            for by in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                other = place[0] + by[0], place[1] + by[1]
-                inside = 0 <= other[0] < len(MODEL_ERRORS) and 0 <= other[1] < len(FLAT_ERRORS)
-                while inside and log_evidence(other) > log_evidence(place):
-                    place, moved = other, True
-                    other = place[0] + by[0], place[1] + by[1]
-                    inside = 0 <= other[0] < len(MODEL_ERRORS) and 0 <= other[1] < len(FLAT_ERRORS)
-        return tried[place][1]
+        best = (MODEL_ERRORS.index(own.model_rms), FLAT_ERRORS.index(own.flat_rms))
+        while True:
+            near = [(best[0] + by[0], best[1] + by[1]) for by in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))]
+            new = [(i, j) for i, j in near if i in range(len(MODEL_ERRORS)) and j in range(len(FLAT_ERRORS))]
+            new = [place for place in new if place not in tried]
+            if not new:
+                return tried[best][1]
+            tried |= zip(new, ordered_map(evaluated, new), strict=True)
+            best = max(tried, key=lambda place: tried[place][0])
 
     def _log_evidence_under(self, covariance: Covariance) -> float:
         posterior = self.posterior

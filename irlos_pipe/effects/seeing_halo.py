@@ -97,7 +97,7 @@ class SeeingHalo(OtfEffect):
     )
 
     def __init__(self, band: ResidualBand, law: ResidualLaw, seeing_arcsec: float, measured: bool = True):
-        self.band, self.law, self.measured = band, law, measured
+        self.band, self.law, self.seeing_arcsec, self.measured = band, law, seeing_arcsec, measured
         self.r0_m = seeing_to_r0_m(seeing_arcsec)
         expected = in_band_wfe_nm(band, law, seeing_arcsec) ** 2
         self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)

@@ -32,12 +32,13 @@ from irlos_pipe.estimate.methods import (
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
-from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored
+from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, moved_nm
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
+DOUBTED = 2.0  # standard deviations of χ²/ν above nominal from which an uneven residual is looked for
 MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighted by the misfit, and how often at most
 
 
@@ -72,7 +73,7 @@ class Calibration:
         See `errors_from`.
     errors_from : {"frames", "few_frames", "noise"}
         The scatter over frames, autocorrelation included; of too few frames the noise model, with or without
-        their scatter; both grow by the misfit of the model (see `calibration_errors`).
+        their scatter; all grow by what the model misfits (see `calibration_errors`).
     effects : dict
         Public parameters of the effects, by effect.
     effect_values : dict of str to ndarray
@@ -301,14 +302,19 @@ def _result(
     nominal = nominal or nominal_of(frames, problem, found.values)
     effect_values = found.values[0, layout.effect_values]
     misfit = chi2_nu / nominal.value
+    covariance_nm2, errors_from = errors_of(frames, problem, solution, found.frames_nm, chi2_nu, nominal)
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
+    if one_star and errors_from == "frames" and chi2_nu > nominal.value + DOUBTED * nominal.sigma:
+        moved = moved_nm(frames, problem, solution)
+        covariance_nm2 = covariance_nm2 + np.outer(moved, moved)
     return Calibration(
         options,
         layout.nolls,
         found.zernike_nm,
         found.values[0, layout.modes].numpy(),
-        *errors_of(frames, problem, solution, found.frames_nm, misfit),
+        covariance_nm2,
+        errors_from,
         effects.describe(effect_values),
         effects.split(effect_values),
         found.frames_nm,

@@ -1,4 +1,16 @@
-"""Errors of a calibration: from the scatter of the frames, grown by what the model misfits.
+"""Errors of a calibration: from the scatter of the frames, and what the model misfits.
+
+A closed loop leaves less of slow changes than of fast ones, tomography more: where the slowest changes of
+Noll 4–30 together have another power than the mean one beyond chance, variances change by as much.
+
+Of a mean image the misfit beyond the nominal χ² is an error m of the model in proportion to the light, with a
+correlation S over `CORRELATED` λ/D and a size s that leaves just this misfit:
+
+    ⟨m mᵀ⟩ = s² L S L,    s² tr(Rᵀ R L S L) = (χ²/ν − nominal) ν,    cov = scatter + s² G L S L Gᵀ
+
+with the smoothed light L on the diagonal, the gain ``G = C Jᵀ W`` of the fit and what it leaves whitened,
+``R = W^½ (1 − J G)``. It is no noise that further frames would average out. What an AO residual
+that is uneven over the pupil has done to the modes comes besides (`residual.moved_nm`).
 
 Too few frames say little of their scatter: their errors are those of the noise model, and
 where they scatter beyond it, as behind an AO system, those of the scatter besides, widened as Student's t
@@ -32,9 +44,11 @@ import numpy as np
 import torch
 from scipy.special import ndtr, stdtrit
 
+from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS
+from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.frames.blocks import blocks, sample_frames
@@ -47,20 +61,71 @@ KEPT_SIGMA = 3.0  # standard deviations at which the widened errors keep their l
 
 
 def errors_of(
-    frames: Frames, problem: ImageFit, solution: Solution, frames_nm: np.ndarray, misfit: float
+    frames: Frames,
+    problem: ImageFit,
+    solution: Solution,
+    frames_nm: np.ndarray,
+    chi2_nu: float,
+    nominal: NominalChi2,
 ) -> tuple[np.ndarray, ErrorsFrom]:
     """Return the covariance of the modes [nm²], and where it comes from.
 
-    The estimates of single frames, `frames_nm` (frames, modes), are NaN where a fit failed. The `misfit` is
-    χ²/ν of the mean image over its nominal value: below 1 it says nothing, above it the variances grow.
+    The estimates of single frames, `frames_nm` (frames, modes), are NaN where a fit failed. χ²/ν of the mean
+    image below its nominal value says nothing; above it errors grow, where single frames are fitted by its
+    root.
     """
     used = frames_nm[np.isfinite(frames_nm).all(1)]
+    if frames.show_scatter and problem.images.shape[:2] != (1, 1):
+        return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
-        return max(1.0, misfit) * covariance_of_mean(used), "frames"
+        excess = max(0.0, chi2_nu - nominal.value)
+        scatter = slow_part(used[:, FIRST : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
+        return scatter + excess * _of_model_nm2(frames, problem, solution), "frames"
     covariance = covariance_from_noise(problem, solution)
     if not _scatter_beyond(used, covariance):
         return covariance, "noise"
     return covariance + widening(len(used)) ** 2 * np.cov(used, rowvar=False) / len(used), "few_frames"
+
+
+def slow_part(series: np.ndarray) -> float:
+    """Return the power of the slowest changes of a `series` (frames, modes) over that of the mean one.
+
+    It is what averages into the mean, which a closed loop leaves less of than of faster changes. One where
+    it is so by chance.
+    """
+    centred = series - series.mean(axis=0)
+    power = np.abs(np.fft.rfft(centred, axis=0)) ** 2
+    variance = np.square(centred).sum(axis=0)
+    if not variance.any():
+        return 1.0
+    slow = float(power[1 : SLOWEST + 1].sum() / (SLOWEST * variance.sum()))
+    by_chance = np.sqrt(np.square(variance).sum() / SLOWEST) / variance.sum()
+    return slow if slow > 0 and abs(np.log(slow)) > DISTINCT * by_chance else 1.0
+
+
+def _of_model_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
+    """Covariance of the modes [nm²] by an error of the model that leaves a χ²/ν of one."""
+    x, settings = solution.values[:1], problem.model.psf.settings
+    _, jacobian = problem.predict_and_jacobian(x)
+    jacobian, covariance = jacobian[0].double().cpu(), solution.covariance[0]
+    weight = problem.root_weight[0].double().mean(0).cpu() ** 2
+    light = local_mean(frames.mean_e, frames.good.double()).clamp_min(0).flatten() * (weight > 0)
+    across_px = resolution_px(settings.mean_nm * NM, settings.geometry.diameter_m, settings.pixel_scale_mas)
+    rows, columns = (
+        torch.as_tensor(np.sinc(np.subtract.outer(i, i) / (CORRELATED * across_px)) ** 2)
+        for i in map(np.arange, frames.good.shape)
+    )
+
+    def alike(shapes: torch.Tensor) -> torch.Tensor:
+        """S times shapes, (m, pixels)."""
+        return (rows @ shapes.reshape(-1, *frames.good.shape) @ columns).flatten(1)
+
+    felt = jacobian * weight * light
+    within = 2 * covariance - covariance @ (jacobian * weight @ jacobian.mT) @ covariance
+    products = felt @ alike(felt).mT
+    left = float((light**2 * weight).sum() - (within * products).sum())
+    gain = whole_wavefront(problem, x[0])[1] @ covariance
+    return (gain @ products @ gain.mT * problem.freedom / left).numpy()
 
 
 def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:
@@ -78,6 +143,9 @@ def widening(count: int) -> float:
 
 
 LEAST_FRAMES = 4  # frames from which their scatter is considered
+FIRST = DEFOCUS - REPORTED_NOLLS[0]  # place of the first mode that is no tilt
+SLOWEST, DISTINCT = 2, 2.0  # frequencies over the whole series; standard deviations of their power
+CORRELATED = 2.3  # λ/D to the first zero of the correlation of the model's error: an Airy core
 BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
 NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14
 SHARED = 0.15  # part of χ²/ν by the noise of the dark, which the frames show to a fifth of their scatter

@@ -83,18 +83,24 @@ class Cleaned:
 
 
 def clean(
-    raw: RawFrames, detector: Detector, sampling_px: float, thresholds: Thresholds, limits: Limits
+    raw: RawFrames,
+    detector: Detector,
+    sampling_px: float,
+    thresholds: Thresholds,
+    limits: Limits,
+    plane: np.ndarray | None = None,
 ) -> Cleaned:
     """Calibrate a recording, find its bad pixels and cosmic hits, and judge its frames.
 
     The constants of the `detector` are as declared; `thresholds` and `limits` are those beyond which a pixel
     is bad, and a frame is not used. Undersampled images (2x2 modes), by `sampling_px`, pixels per lambda/D at
     the shortest wavelength, are not searched for hits and deviant pixels, since a star is as sharp as those.
+    For the `plane` of every frame see `star_faults`.
     """
     by = Criteria(sampling_px, NoiseModel.of_detector(detector), thresholds)
     reasons = recorder_faults(raw.adu, raw.frame_counter)
     while True:
-        cleaned = _cleaned(raw, reasons, detector, by, limits)
+        cleaned = _cleaned(raw, reasons, detector, by, limits, plane)
         estimated = np.isfinite(cleaned.background.pedestal_adu)
         if not estimated or not cleaned.used.any() or np.array_equal(cleaned.reasons, reasons):
             return cleaned
@@ -103,7 +109,12 @@ def clean(
 
 
 def _cleaned(
-    raw: RawFrames, reasons: np.ndarray, detector: Detector, by: Criteria, limits: Limits
+    raw: RawFrames,
+    reasons: np.ndarray,
+    detector: Detector,
+    by: Criteria,
+    limits: Limits,
+    plane: np.ndarray | None,
 ) -> Cleaned:
     """The recording by its frames that have no `reasons` against them yet."""
     if not np.any(reasons == ""):
@@ -129,7 +140,7 @@ def _cleaned(
         good = good & ~deviant_pixels(sample, good, by)
         good = good & ~noisy_pixels(sample, good, by)
     images = by.filled(images, good)
-    reasons = star_faults(images, reasons, limits)
+    reasons = star_faults(images, reasons, limits, plane)
     used = np.flatnonzero(reasons == "")
     searched = by.well_sampled and len(used) > 1
     hits = cosmic_hits(images, used, good, by) if searched else NO_HITS

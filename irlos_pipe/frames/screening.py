@@ -134,12 +134,15 @@ def spread_stars(images_e: np.ndarray, least_snr: float) -> np.ndarray:
     return found
 
 
-def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np.ndarray:
+def star_faults(
+    images_e: np.ndarray, reasons: np.ndarray, limits: Limits, plane: np.ndarray | None = None
+) -> np.ndarray:
     """Add frames without the star, with the star about to leave the window, made of others, or of odd flux.
 
     If not even the median of the frames shows a star, none of them can be used. Single frames are asked for a
     star only where the star is normally plain to see. The `images_e` are finite, `reasons` what is known so
-    far, (frames,), and `limits` what a usable frame has to keep.
+    far, (frames,), and `limits` what a usable frame has to keep. Frames of another `plane` of focus (frames,)
+    lose other light at the edge of the window: their flux is not compared.
     """
     used = np.flatnonzero(reasons == "")
     if used.size == 0:
@@ -155,7 +158,10 @@ def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np
         reasons = also(reasons, doubtful & (peaks.snr < limits.star_snr), NO_STAR)
         reasons = also(reasons, doubtful, AT_EDGE)
     reasons = also(reasons, combined_frames(images_e, reasons == ""), COMBINED)
-    return also(reasons, flux_outliers(frame_flux(images_e), reasons == "", limits), FLUX)
+    flux_e, planes = frame_flux(images_e), np.zeros(len(reasons)) if plane is None else plane
+    for own in (planes == one for one in np.unique(planes)):
+        reasons = also(reasons, own & flux_outliers(flux_e, own & (reasons == ""), limits), FLUX)
+    return reasons
 
 
 def combined_frames(images_e: np.ndarray, used: np.ndarray) -> np.ndarray:

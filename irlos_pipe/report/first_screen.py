@@ -31,6 +31,7 @@ MISFIT = "chi2 of the mean image"
 LOOK_AT = {
     MISFIT: "cal-residual", "noise as told": "cal-quantiles", "converged fits": "cal-time",
     "window": "cal-images", "motion of the star": "frames-{input}", "frames": "cal-time",
+    "error of the wavefront": "cal-orders",
     "frames of one kind": "cal-time", "orientation": "cal-residual", "twin solution": "cal-ncpa",
     "predicted Strehl": "correct-budget", "slope": "ramp", "error": "ramp", "converged frames": "ramp",
     "scatter about the line": "ramp", "chi2 of the frames": "ramp-chi2",

@@ -16,13 +16,12 @@ from astropy.io import fits
 from irlos_pipe.optics.defocus import defocus_nm_per_um
 
 SINE, INDEX, STEP_UM, WAVELENGTH_NM, PIXEL_MAS = 1.2 / 1.333, 1.333, 1.0, 532.0, 16.5012
-WINDOW = 96  # about the middle
 
 
 def main(source: str, folder: str) -> None:
     """Write ``volt_1.fits``, ``volt_1.yaml`` and so on to `folder`."""
     stacks = fits.getdata(source)
-    planes, rows, columns = stacks.shape[1:]
+    planes = stacks.shape[1]
     travel_um = STEP_UM * (np.arange(planes) - (planes - 1) / 2)
     side_car = {
         "role": "ncpa_calibration",
@@ -34,11 +33,9 @@ def main(source: str, folder: str) -> None:
         "introduced_defocus_nm": (travel_um * defocus_nm_per_um(SINE, INDEX)).round(3).tolist(),
         "detector": {"e_per_adu": 0.46, "read_noise_e": 8.7},
     }
-    top, left = (rows - WINDOW) // 2, (columns - WINDOW) // 2
     Path(folder).mkdir(parents=True, exist_ok=True)
     for number, stack in enumerate(stacks, start=1):
-        cube = stack[:, top : top + WINDOW, left : left + WINDOW].astype(np.int32)
-        fits.writeto(Path(folder) / f"volt_{number}.fits", cube, overwrite=True)
+        fits.writeto(Path(folder) / f"volt_{number}.fits", stack.astype(np.int32), overwrite=True)
         (Path(folder) / f"volt_{number}.yaml").write_text(yaml.safe_dump(side_car, sort_keys=False))
 
 

@@ -1,11 +1,9 @@
 """Calibration methods on noise-limited frames drawn from the model (same code, on purpose: without
 model error every method must find the truth within its errors), the scatter of means against AR(1)
-theory, and the twin solution against the symmetry of the pupil. Errors of many frames: the covariance of the
-mean of independent draws, and the scaling of errors by √(χ²/ν)."""
+theory, and the twin solution against the symmetry of the pupil. Errors of what the model misfits: behind an
+uneven residual against the truth, and errors of the model drawn by Monte Carlo."""
 
 from __future__ import annotations
-
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,13 +21,16 @@ from helpers.optics_cases import (
 )
 from helpers.reference_psf import reference
 
-from irlos_pipe.effects import EffectSet, FixedEffect, TipTiltJitter
+from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.effect_set import fixed_optics
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.seeing_halo import UnevenResidual
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_errors import errors_of, public_errors, widening
+from irlos_pipe.estimate.calibration_errors import NominalChi2, errors_of, public_errors, slow_part, widening
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean, local_mean
+from irlos_pipe.estimate.residual import moved_nm
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
@@ -140,18 +141,74 @@ def test_the_error_of_a_mean_counts_the_autocorrelation(phi):
     assert quoted == pytest.approx(series.mean(0).std(), rel=0.15)
 
 
+@pytest.mark.parametrize("white", [0.3, 1.0])
+def test_errors_of_what_a_closed_loop_leaves_are_those_of_its_slow_part(white):
+    """Differences of white noise average to nothing; what averages is the part that is white itself."""
+    rng = np.random.default_rng(2)
+    quoted, means = [], []
+    for _ in range(100):
+        drawn = rng.standard_normal((101, 30))
+        series = np.diff(drawn, axis=0) + white * rng.standard_normal((100, 30))
+        quoted.append(slow_part(series) * np.diag(covariance_of_mean(series)))
+        means.append(series.mean(axis=0))
+    assert np.sqrt(np.mean(quoted)) == pytest.approx(np.std(means), rel=0.15)
+    white = rng.standard_normal((200, 100, 30))
+    assert np.mean([slow_part(one) == 1.0 for one in white]) > 0.9
+
+
 # -- errors of many frames -----------------------------------------------------------------------
 
 
-SIGMA_NM, MANY_FRAMES = 8.0, 400
-DRAWN_NM = np.random.default_rng(4).normal(0.0, SIGMA_NM, (MANY_FRAMES, 5))
+@pytest.fixture(scope="module")
+def behind_a_cone():
+    """Frames behind a residual that is stronger at the edge, the fit of their mean without it, the modes."""
+    true = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
+    model = PsfModel(cases.settings(40), NOLLS, dtype=torch.float64)
+    halo = SeeingHalo(cases.BAND, cases.RESIDUAL_LAW, 0.8)
+    uneven = FixedEffect(UnevenResidual(cases.BAND, cases.RESIDUAL_LAW, 0.8), [0.15, 0.05, -0.05])
+    image = ImageModel(model, [FixedEffect(halo, halo.null_values), uneven]).predict(
+        true, torch.tensor([FLUX]), torch.zeros(1), torch.empty(0)
+    )
+    images = cases.draw_frames(image[0].numpy(), 40, seed=5)
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR)
+    return frames, calibrate(frames, cases.settings(40), options, [halo]), true[0].numpy()
 
 
-def sigma_nm(misfit: float) -> np.ndarray:
-    """Errors of five modes; many frames need neither problem nor solution."""
-    covariance, source = errors_of(SimpleNamespace(show_scatter=True), None, None, DRAWN_NM, misfit)
-    assert source == "frames"
-    return np.sqrt(np.diag(covariance))
+@pytest.mark.slow
+def test_an_uneven_residual_is_seen_to_have_moved_the_modes_and_counts_in_their_errors(behind_a_cone):
+    """Against the true error of the modes, which is many times what the scatter of the frames explains."""
+    frames, result, true = behind_a_cone
+    higher = slice(2, None)
+    error = (result.zernike_nm - true)[higher]
+    moved = moved_nm(frames, *result.fit)[higher]
+    scatter = np.sqrt(np.trace(covariance_of_mean(result.frames_nm)[higher, higher]))
+    assert np.linalg.norm(error) > 5 * scatter
+    assert np.linalg.norm(error - moved) < 0.35 * np.linalg.norm(error)
+    assert 0.7 < np.linalg.norm(result.sigma_nm[higher]) / np.linalg.norm(error) < 1.5
+
+
+@pytest.mark.slow
+def test_errors_of_the_model_move_the_modes_by_what_is_quoted_for_the_misfit_that_they_leave(
+    behind_a_cone,
+):
+    """Monte Carlo: errors in proportion to the light, smooth over an Airy core, followed to first order."""
+    frames, result, _ = behind_a_cone
+    problem, solution = result.fit
+    rng, across_px = np.random.default_rng(3), 1600e-9 / 8.0 / (cases.SCALE_MAS * cases.MAS_RAD)
+    apart = np.subtract.outer(np.arange(40), np.arange(40)) / (2.3 * across_px)
+    values, vectors = np.linalg.eigh(np.sinc(apart) ** 2)
+    root = vectors * np.sqrt(values.clip(0))
+    light = local_mean(frames.mean_e, frames.good.double()).numpy()
+    drawn = light * (root @ rng.standard_normal((2000, 40, 40)) @ root.T)
+    jacobian = problem.predict_and_jacobian(solution.values[:1])[1][0].numpy()
+    weight = problem.root_weight[0, 0].numpy() ** 2
+    steps = drawn.reshape(2000, -1) * weight @ jacobian.T @ solution.covariance[0].numpy()
+    left = drawn.reshape(2000, -1) - steps @ jacobian
+    excess = np.mean((left**2 * weight).sum(1)) / problem.freedom
+    quoted, _ = errors_of(frames, problem, solution, result.frames_nm, 1.0 + excess, NominalChi2(1.0, 0.1))
+    model = np.diag(quoted - covariance_of_mean(result.frames_nm))
+    assert np.sqrt(model) == pytest.approx(steps[:, : len(NOLLS)].std(axis=0), rel=0.08)
 
 
 # Calibration of frames made by HCIPy (independent code): no model error is shared with the fit.

@@ -151,6 +151,14 @@ def test_a_frame_of_odd_flux_is_rejected(factor):
     assert judged(cube) == only(2, screening.FLUX)
 
 
+def test_a_plane_of_focus_whose_light_leaves_the_window_is_no_frame_of_odd_flux():
+    cube = images()
+    cube[6:] *= 0.5
+    cube[8] *= 2.0
+    plane = np.repeat([0.0, 300.0], 6)
+    assert star_faults(cube, no_reasons(12), LIMITS, plane).tolist() == only(8, screening.FLUX)
+
+
 @pytest.mark.parametrize("place", [0, 5, 12])
 @pytest.mark.parametrize("combine", ["mean", "sum", "median", "mean of five"])
 def test_a_plane_that_is_made_of_the_others_is_named_wherever_it_stands(place, combine):

@@ -46,6 +46,9 @@ GOOD = {
     "mean_image_e": np.zeros((40, 48)),
     "effects": {"seeing_halo": {}},
     "setups": (),
+    "fit": (),
+    "nolls": range(2, 67),
+    "sigma_nm": np.ones(65),
 }
 
 
@@ -67,16 +70,18 @@ def planes(wrong_nm: float) -> list[SetupFit]:
     ]
 
 
-CHI2, TWIN = "chi2 of the mean image", "twin solution"
-BENCH = {"nominal": NominalChi2(1.01, 0.04)}
+CHI2, TWIN, ERROR = "chi2 of the mean image", "twin solution", "error of the wavefront"
+BENCH = {"nominal": NominalChi2(1.01, 0.04), "effects": {}}
 
 
 @pytest.mark.parametrize(
     ("changes", "check", "said"),
     [
         *(({"mirrored": Mirrored(1.0, sigma)}, "orientation", "mirrored") for sigma in (0.01, 0.1, 0.2)),
-        *(({"chi2_nu": chi2_nu}, CHI2, "nominal") for chi2_nu in (0.7, 2.7, 252.0)),
+        *(({"chi2_nu": chi2_nu}, CHI2, "nominal") for chi2_nu in (0.95, 2.7, 252.0)),
+        ({"chi2_nu": 0.7, "fit": None}, CHI2, "nominal"),  # errors do not count what the model misfits
         ({"chi2_nu": 1.5} | BENCH, CHI2, "nominal"),
+        ({"sigma_nm": np.full(65, 2.4)}, ERROR, "too large"),  # √27 · 2.4 nm in Noll 4–30
         ({"errors_from": "noise", "frames_nm": [None]}, "frames", "too few"),
         ({"chi2_nu": 0.14}, CHI2, "share their noise"),
         ({"noise_ratio": 0.01}, "noise as told", "e_per_adu"),
@@ -100,7 +105,10 @@ def test_a_cube_that_contradicts_what_was_told_fails_and_says_why(changes, check
         {"mirrored": Mirrored(0.3, 0.1)},
         {"mirrored": Mirrored(1.0, 0.3)},  # mirrored or not within the errors
         {"mirrored": None},
-        {"chi2_nu": 1.1, "nominal": NominalChi2(1.01, 0.02)},
+        {"chi2_nu": 1.1} | BENCH,
+        {"chi2_nu": 0.85},  # the AO residual has another shape: errors have a limit of their own
+        {"sigma_nm": np.full(65, 2.3)},
+        {"chi2_nu": 1.1, "sigma_nm": np.full(65, 2.4)} | BENCH,
         {"chi2_nu": 252.0, "limits": Limits(max_chi2_nu=1000.0)},  # a limit of the recipe
         {"kurtosis": float("nan")},
         {"motion": moved(4.9)},

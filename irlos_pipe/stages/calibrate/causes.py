@@ -33,7 +33,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.calibrate.quality import MISFIT
+from irlos_pipe.stages.calibrate.quality import ERROR, MISFIT
 from irlos_pipe.stages.calibrate.results import CauseRow
 from irlos_pipe.stages.calibrate.stage import Config
 from irlos_pipe.stages.ingest.results import IngestResults, NoiseRow, RecordingRow
@@ -75,7 +75,7 @@ def causes_of(
         asked = _asked(ctx, conditions, result)
         names, diversity_nm = {one.name for one in failed}, conditions.diversity_nm.values()
         other = improbable_diversity(dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)), asked)
-        if MISFIT in names and result.chi2_nu > result.nominal.most:
+        if names & {MISFIT, ERROR} and result.chi2_nu > result.nominal.most:
             found += [*causes_of_misfit(result.fit[0], result.fit[1].values[:1], asked), *other]
         elif MISFIT in names:
             found += dark_left_in(result.fit[0], result.fit[1].values[:1])

@@ -48,6 +48,11 @@ CHECKS = {
         "that the model lacks something",
         "max_chi2_nu",
     ),
+    "error of the wavefront": (
+        "quoted error of Noll 4–30, all together, behind an AO system whose speckles the frames show; it "
+        "counts what the model misfits",
+        "max_error_nm",
+    ),
     "noise as told": ("scatter of the frames over the variance that the declared detector and star give", ""),
     "window": ("smaller side of the window in λ/D", "min_window"),
     "motion of the star": (

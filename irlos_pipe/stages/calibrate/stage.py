@@ -42,6 +42,9 @@ class Limits(StageConfig):
         description="QC limit on the reduced chi-square of the mean image; null: by its nominal value, which "
         "the scatter of the frames tells",
     )
+    max_error_nm: float = Field(
+        12.0, gt=0, description="QC limit on the quoted error of Noll 4-30 behind an AO system [nm RMS]"
+    )
     min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
     min_frames: int = Field(
         8, ge=1, description="QC limit on the frames where they scatter by more than noise"

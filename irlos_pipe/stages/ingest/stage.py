@@ -22,7 +22,7 @@ from irlos_pipe.stages.ingest.results import IngestResults as Results
 __all__ = ["ARRAYS", "CHECKS", "Config", "Results", "files_of", "problems", "run"]
 
 NAME = "ingest"
-VERSION = 12
+VERSION = 13
 ARRAYS_ONLY = True
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})

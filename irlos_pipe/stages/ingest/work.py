@@ -107,7 +107,8 @@ def _require_room(source: Source) -> None:
 def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
     raw, acquisition = source.raw, source.resolved.acquisition
     sampling = _sampling_px(acquisition, instrument)
-    cleaned = clean(raw, acquisition.detector, sampling, config.thresholds(), config.limits())
+    limits, plane = config.limits(), source.resolved.introduced_defocus_nm
+    cleaned = clean(raw, acquisition.detector, sampling, config.thresholds(), limits, plane)
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
         raise InputDataError(f"{raw.path}: none of the {raw.frames} frames can be used: {counts}")
