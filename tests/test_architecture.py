@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "control": {"conventions"},
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
-    "estimate": 7750{"conventions", "frames", "numerics", "optics", "effects"},
+    "estimate": {"conventions", "frames", "numerics", "optics", "effects"},
     "diagnosis": {
         "conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnosis.records",
     },
@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "simulate": {"conventions"},
     "simulate.recordings": {"conventions", "effects", "files", "instrument", "product", "simulate"},
     "product": {"conventions", "files"},
-    "stages": 6980{
+    "stages": {
         "conventions", "files", "frames", "instrument", "readers", "numerics", "optics", "effects",
         "estimate", "diagnosis", "diagnosis.records", "product",
     },
