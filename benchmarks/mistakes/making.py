@@ -296,4 +296,5 @@ UNDECIDABLE = {
     "lens missing": "mode of the diversity",
     "diversity sign": "sign of the even modes", "transposed": "transposed", "turned by 180": "turned by 180",
     "flipped": "mirrored", "turned by 90": "transposed", "forgotten dark": "dark that is smooth",
+    "non-linear": "response of the detector",
 }  # fmt: skip

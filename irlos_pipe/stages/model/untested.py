@@ -10,6 +10,7 @@ BY_CUBES = (
     "images transposed or turned by 180°: they fit as well, with other modes",
     "wavelength and pixel scale wrong by the same factor",
     "a wrong flat or dark that is smooth",
+    "a response of the detector that bends by some per cent: motion and modes imitate it",
 )
 MIRRORED = "images mirrored left to right or up and down: {why}"
 FAINT_VANES = "the vanes are too faint in them"
