@@ -116,7 +116,7 @@ class ImageFit(Problem):
         return self._with(held=values)
 
     @property
-    def coarse(self) -> Self:
+    def quicker(self) -> Self:
         """The same fits with a quicker model, where there is one that leaves little to the exact one."""
         return self
 

@@ -359,7 +359,8 @@ def _in_time(of: Calibration) -> Figure | None:
             if spectra:
                 segment = min(len(frames), SEGMENT)
                 hann = np.hanning(segment + 1)[:-1]
-                power, hertz = mlab.psd(frames[:, mode], segment, rate_hz, "mean", hann, segment // 2)
+                seen = mlab.psd(frames[:, mode], segment, rate_hz, "mean", hann, segment // 2)
+                power, hertz = map(np.asarray, seen)
                 row[1].plot(hertz[1:], power[1:], color=BLUE, linewidth=0.9)
                 row[1].set_xscale("log")
                 log_y(row[1], power[1:], small=True)
