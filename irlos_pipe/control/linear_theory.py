@@ -123,20 +123,13 @@ class Integrator:
         """
         if self.gain * sensor_slope >= self.largest_stable_gain:
             return float("inf")
-        f_hz, width_hz = self._frequencies()
-        followed = np.abs(self.rejection(f_hz, sensor_slope)) ** 2 * self._frame_mean_psd(drift, f_hz)
+        width_hz = 0.5 / self.frame_s / GRID
+        f_hz = (np.arange(GRID) + 0.5) * width_hz  # up to Nyquist's
+        replicas = f_hz[:, None] + np.arange(-ALIASES, ALIASES + 1) / self.frame_s
+        of_means = drift.psd_nm2_hz(np.abs(replicas)) * np.sinc(replicas * self.frame_s) ** 2
+        followed = np.abs(self.rejection(f_hz, sensor_slope)) ** 2 * np.sum(of_means, axis=1)
         noise = np.mean(np.abs(self.noise_transfer(f_hz, sensor_slope)) ** 2) * noise_nm**2
         return float(np.sqrt(followed.sum() * width_hz + noise + drift.wander_within_nm2(self.frame_s)))
-
-    def _frequencies(self) -> tuple[np.ndarray, float]:
-        """Midpoints of equal intervals up to Nyquist's frequency, and their width [Hz]."""
-        width_hz = 0.5 / self.frame_s / GRID
-        return (np.arange(GRID) + 0.5) * width_hz, width_hz
-
-    def _frame_mean_psd(self, drift: Drift, f_hz: np.ndarray) -> np.ndarray:
-        """One-sided spectrum of the means over frames, replicas folded in [nm²/Hz]."""
-        replicas = f_hz[:, None] + np.arange(-ALIASES, ALIASES + 1) / self.frame_s
-        return np.sum(drift.psd_nm2_hz(np.abs(replicas)) * np.sinc(replicas * self.frame_s) ** 2, axis=1)
 
 
 def best_gain(drift: Drift, noise_nm: float, frame_s: float = 1.0, delay: int = 1) -> float:

@@ -1,11 +1,19 @@
-"""The telescope pupil as a drawing, in metres: what light passes, and what stands in its way."""
+"""The telescope pupil as a drawing, in metres: what light passes, and what stands in its way.
+
+It is drawn by cells: x and y are the coordinates of their middles, `step` is their side [m], and the covered
+fraction of a cell is linear in the distance of its middle to an edge.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Part, Placement
 
+ON_AXIS = (0.0, 0.0)
 BEYOND_RIM = 1.005  # of the diameter: as far as parts may reach
 
 
@@ -21,6 +29,29 @@ class Vane:
         """Return the vane carried to a `placement`."""
         (x0, y0), (x1, y1) = placement.forth(*self.start_m), placement.forth(*self.end_m)
         return Vane((float(x0), float(y0)), (float(x1), float(y1)), self.width_m)
+
+    @property
+    def axis(self) -> tuple[np.ndarray, float, np.ndarray]:
+        """Where it starts, its length, and its direction."""
+        start, end = np.array(self.start_m), np.array(self.end_m)
+        length = float(np.hypot(*(end - start)))
+        return start, length, (end - start) / length
+
+    def along_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the distance of points from its start, along it."""
+        start, _, direction = self.axis
+        return (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
+
+    def across_m(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the distance of points to the left of its axis."""
+        start, _, direction = self.axis
+        return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
+
+    def cover(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+        """Return the fraction of each cell that it covers."""
+        along, across, half = self.along_m(x, y), self.across_m(x, y), self.width_m / 2
+        width = inside((across + half) / step) + inside((half - across) / step) - 1
+        return np.clip(width, 0, 1) * inside(along / step) * inside((self.axis[1] - along) / step)
 
     def distance_from_axis_m(self) -> float:
         """Return how near the optical axis its middle line comes [m]."""
@@ -128,3 +159,61 @@ def with_sizes(
         obscuration_m=geometry.obscuration_m if obscuration_m is None else obscuration_m,
         vanes=tuple(replace(vane, width_m=wider * vane.width_m) for vane in geometry.vanes),
     )
+
+
+def inside(distance_cells: np.ndarray) -> np.ndarray:
+    """Return the covered fraction of a cell whose middle lies `distance_cells` inside an edge."""
+    return np.clip(distance_cells + 0.5, 0.0, 1.0)
+
+
+def clear_fraction(
+    geometry: PupilGeometry,
+    x: np.ndarray,
+    y: np.ndarray,
+    step: float,
+    stop_m: tuple[float, float] = ON_AXIS,
+) -> np.ndarray:
+    """Return the fraction of each cell that passes light, (rows, columns).
+
+    `x` is (1, columns) and `y` (rows, 1). An internal stop at `stop_m` has the outline and the hole of the
+    pupil, but no vanes.
+    """
+    clear = outline_cover(geometry, x, y, step, stop_m)
+    for part in geometry.obstructions:
+        clear *= 1 - parts_cover([part], x, y, step)
+    for vane in geometry.vanes:  # most cells lie far from it
+        rows, columns = np.nonzero(np.abs(vane.across_m(x, y)) < vane.width_m / 2 + step)
+        clear[rows, columns] *= 1 - vane.cover(x[0, columns], y[rows, 0], step)
+    return clear
+
+
+def outline_cover(
+    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
+) -> np.ndarray:
+    """Return the fraction of each cell inside the outlines and outside the holes of pupil and stop.
+
+    `x` and `y` are as of `clear_fraction` where an aperture is drawn, and broadcast otherwise.
+    """
+    largest = smallest = np.sqrt(x**2 + y**2)
+    if stop_m != ON_AXIS:
+        from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
+        largest, smallest = np.maximum(largest, from_stop), np.minimum(smallest, from_stop)
+    if not geometry.aperture:
+        clear = inside((geometry.diameter_m / 2 - largest) / step)
+    else:
+        clear = parts_cover(geometry.aperture, x, y, step)
+        if stop_m != ON_AXIS:
+            stop = [part.outline for part in geometry.aperture]
+            clear = np.minimum(clear, parts_cover(stop, x - stop_m[0], y - stop_m[1], step))
+    if geometry.obscuration_m > 0:
+        clear *= inside((smallest - geometry.obscuration_m / 2) / step)
+    return clear
+
+
+def parts_cover(parts: Sequence[Part], x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+    """Return the fraction of each cell that `parts`, which do not overlap, cover; see `clear_fraction`."""
+    covered = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+    for piece in (piece for part in parts for piece in part.pieces):
+        rows, columns = piece.box(x, y, step)
+        covered[rows, columns] += piece.cover(x[:, columns], y[rows], step)
+    return covered

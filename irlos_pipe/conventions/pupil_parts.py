@@ -236,7 +236,8 @@ class Hexagons(Part):
         for ring in range(1, self.rings + 1):
             steps = np.arange(ring)[:, None] / ring
             sides = [a + steps * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
-            found.append(_counted(ring * np.concatenate(sides)))
+            around = ring * np.concatenate(sides)
+            found.append(around[anticlockwise_from_first(around)])
         return np.concatenate(found)
 
     @property
@@ -338,10 +339,6 @@ def anticlockwise_from_first(xy_m: np.ndarray) -> np.ndarray:
     angles = np.round(np.rad2deg(np.arctan2(xy_m[:, 1], xy_m[:, 0])) - FIRST_DEG, 6)
     nearest = np.argmin(np.abs((angles + 180) % 360 - 180))
     return np.argsort((angles - angles[nearest]) % 360, kind="stable")
-
-
-def _counted(xy_m: np.ndarray) -> np.ndarray:
-    return xy_m[anticlockwise_from_first(xy_m)]
 
 
 def _directions(angles_deg: np.ndarray) -> np.ndarray:

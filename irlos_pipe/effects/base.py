@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -13,6 +12,7 @@ import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Declared, Parameter, Role
+from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import PupilGrid, PupilMode
 
 # Of an effect with a distance and a direction, such as a displaced stop. To first order opposite sides make
@@ -82,9 +82,10 @@ class Effect(Declared):
     def slopes(self, values: Tensor, light: Tensor, grid: Any, wanted: Sequence[int]) -> Sequence[Tensor]:
         """Derivatives of `apply`, in the pupil and of the OTF, by the `wanted` parameters.
 
-        `values`, `light` and `grid` are those of `apply`.
+        `values`, `light` and `grid` are those of `apply`; each derivative has the shape of what it returns.
         """
-        raise NotImplementedError
+        change = Directional(lambda v: self.apply(v, light, grid), values)
+        return [change.by(index) for index in wanted]
 
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
@@ -280,6 +281,19 @@ class FixedEffect(Effect):
         return self.base.phrase(public)
 
 
+class Several(Effect):
+    """Several effects as one, with the free parameters of each in order; beside the class of their plane."""
+
+    def __init__(self, effects: Sequence[Effect]):
+        self.every = tuple(effects)
+        self.parameters = tuple(p for one in effects for p in one.parameters)
+
+    def all_of_each(self, values: Tensor) -> list[Tensor]:
+        """Return all parameters of every effect from the free ones, `values`."""
+        pieces = values.split([len(one.parameters) for one in self.every])
+        return [one.all_values(piece) for one, piece in zip(self.every, pieces, strict=True)]
+
+
 def expected(effects: Sequence[Effect]) -> list[Effect]:
     """`effects` held at what is to be expected: usual ones at their start, others absent."""
     return [effect.expected() for effect in effects]
@@ -287,12 +301,8 @@ def expected(effects: Sequence[Effect]) -> list[Effect]:
 
 def occurrences(names: Iterable[str]) -> list[int]:
     """How many of the same name come before each of `names`."""
-    seen: Counter[str] = Counter()
-    found = []
-    for name in names:
-        found.append(seen[name])
-        seen[name] += 1
-    return found
+    kinds = list(names)
+    return [kinds[:place].count(name) for place, name in enumerate(kinds)]
 
 
 def labels_of(effects: Sequence[Effect]) -> list[str]:

@@ -94,7 +94,12 @@ Z_k is Noll k.
 def catalogue_page() -> str:
     """Return the page of the documentation that lists all effects, in Markdown."""
     kinds = CATALOGUE.values()
-    rows = [f"| {_title(kind)} | {kind.plane} | {_values(kind)} | {kind.look_alike} |" for kind in kinds]
+    rows = [
+        f"| `{kind.name}`{'*' if kind.repeatable else ''} | {kind.plane} | "
+        f"{'; '.join([*map(_value, kind.public), *(f'option {_value(one)}' for one in kind.options)])} | "
+        f"{kind.look_alike} |"
+        for kind in kinds
+    ]
     sections = [
         "\n\n".join(
             [
@@ -124,15 +129,6 @@ def effect_text(kind: type[Effect]) -> str:
             f"reference: {kind.reference}",
         ]
     )
-
-
-def _title(kind: type[Effect]) -> str:
-    return f"`{kind.name}`" + ("*" if kind.repeatable else "")
-
-
-def _values(kind: type[Effect]) -> str:
-    options = [f"option {_value(one)}" for one in kind.options]
-    return "; ".join([*(_value(one) for one in kind.public), *options])
 
 
 def _value(one: Public) -> str:

@@ -76,7 +76,6 @@ class AtmosphericDispersion(OtfEffect):
         return [turned * grid.path_m(*along[index]) for index in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Size and direction."""
         return dict(zip(("mas_per_um", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, mas_per_um: float, angle_deg: float) -> list[float]:
@@ -251,7 +250,6 @@ class Anamorphism(SamplingEffect):
         return sampling._replace(strain=sampling.strain + values / 2)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Size and direction of the largest scale."""
         along_x, along_diagonal = (float(v) for v in values)
         angle_deg = float(np.rad2deg(np.arctan2(along_diagonal, along_x)) / 2 % 180)
         return {"fraction": float(np.hypot(along_x, along_diagonal)), "angle_deg": angle_deg}

@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.effects.base import Effect, FixedEffect, Values
+from irlos_pipe.effects.base import Effect, FixedEffect, Several, Values
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
 from irlos_pipe.effects.motion import damping
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect
@@ -44,7 +44,6 @@ class CopiesOfStar(OtfEffect):
         return cls((0.01, conditions.reach_mas / 3, 0.0), conditions.reach_mas)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Flux ratio, separation and position angle."""
         flux, x, y, *_ = (float(v) for v in values)
         sep_mas, pa_deg = size_and_angle(x, y)
         return {"flux_ratio": flux, "sep_mas": sep_mas, "pa_deg": pa_deg}
@@ -68,19 +67,6 @@ class CopiesOfStar(OtfEffect):
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
         return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]
-
-
-class SeveralCopies(OtfEffect):
-    """Several copies of one star, each a `CopiesOfStar` with its flux ratio, maybe with parameters held."""
-
-    def __init__(self, effects: Sequence[Effect]):
-        self.every = tuple(effects)
-        self.parameters = tuple(p for one in effects for p in one.parameters)
-
-    def all_of_each(self, values: Tensor) -> list[Tensor]:
-        """Return all parameters of every copy from the free ones, `values`."""
-        pieces = values.split([len(one.parameters) for one in self.every])
-        return [one.all_values(piece) for one, piece in zip(self.every, pieces, strict=True)]
 
 
 class Companion(CopiesOfStar):
@@ -120,7 +106,7 @@ class Companion(CopiesOfStar):
         return [flux_ratio, *components(sep_mas, pa_deg)]
 
 
-class _Companions(SeveralCopies):
+class _Companions(Several, OtfEffect):
     """Several companions of one star."""
 
     name = Companion.name
@@ -194,7 +180,6 @@ class Ghost(CopiesOfStar):
         return _Ghosts(effects)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Flux ratio, separation, position angle, defocus and blur."""
         defocus, blur2 = (float(v) for v in values[3:])
         return super().describe(values) | {"defocus_nm": defocus, "blur_mas": float(np.sqrt(max(blur2, 0.0)))}
 
@@ -205,7 +190,7 @@ class Ghost(CopiesOfStar):
         return [flux_ratio, *components(sep_mas, pa_deg), defocus_nm, blur_mas**2]
 
 
-class _Ghosts(SeveralCopies):
+class _Ghosts(Several, OtfEffect):
     """Several ghosts of one star."""
 
     name = Ghost.name

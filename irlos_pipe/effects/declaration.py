@@ -157,16 +157,10 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Circumstances under which a calibration found the effects that it hands on.
-
-    Attributes
-    ----------
-    brightest_e : float
-        Brightest pixel of the modelled mean image, of several cubes the mean of theirs [e-].
-    """
+    """Circumstances under which a calibration found the effects that it hands on."""
 
     seeing_arcsec: float
-    brightest_e: float
+    brightest_e: float  # brightest pixel of the modelled mean image, of several cubes the mean of theirs [e-]
 
 
 def number(

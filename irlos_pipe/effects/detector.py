@@ -122,7 +122,6 @@ class BackgroundGradient(DetectorEffect):
         return images_e + values[0] * x[None, :] + values[1] * y[:, None]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Steepness and direction."""
         return dict(zip(("e_per_pixel", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, e_per_pixel: float, angle_deg: float) -> list[float]:
@@ -160,7 +159,6 @@ class CorrelatedNoise(DetectorEffect):
         return images_e
 
     def describe(self, values: np.ndarray) -> dict[str, Any]:
-        """Its size, and whether rows or columns share it."""
         period = {} if self.period_px is None else {"period_px": self.period_px}
         return {"e_rms": float(values[0]), "axis": self.axis, **period}
 
@@ -173,15 +171,16 @@ class CorrelatedNoise(DetectorEffect):
         return [e_rms]
 
 
+MOST_E = 1e6  # signal of a pixel, more than any detector holds
+
+
 class BadPixels(DetectorEffect):
     """Hot, dead or stuck pixels that the map of dead pixels does not list.
 
     What such a pixel shows is no function of the light, so each has an offset of its own: fitting it
     is the same as masking the pixel.
 
-    Parameters
-    ----------
-    pixels : sequence of (row, column)
+    Parameters: `pixels`, (row, column) each.
     """
 
     name = "bad_pixels"
@@ -195,12 +194,12 @@ class BadPixels(DetectorEffect):
     def __init__(self, pixels: Sequence[Sequence[int]] = ()):
         self.pixels = tuple((int(row), int(column)) for row, column in pixels)
         self.parameters = tuple(
-            Parameter(f"excess_{row}_{column}_e", "e-", 0.0) for row, column in self.pixels
+            Parameter(f"excess_{row}_{column}_e", "e-", 0.0, plausible=(-MOST_E, MOST_E))
+            for row, column in self.pixels
         )
 
     @classmethod
     def options_for(cls, **public: Any) -> dict[str, Any]:
-        """Their positions."""
         return dict(public)
 
     @classmethod
@@ -226,7 +225,6 @@ class BadPixels(DetectorEffect):
         return good
 
     def describe(self, values: np.ndarray) -> dict[str, list[list[int]]]:
-        """Where they are."""
         return {"pixels": [list(pixel) for pixel in self.pixels]}
 
     def phrase(self, public: Mapping[str, Any]) -> str:

@@ -206,9 +206,10 @@ class EffectSet:
     @cached_property
     def _further_paths(self) -> list[tuple[PupilMode | None, list[Acting], Acting]]:
         """Modes of further light paths, their effects of the OTF, and the one among these that makes them."""
+        pairs = self.at("otf")
         return [
-            (mode, self._with(one, place), (one, piece))
-            for place, (effect, piece) in enumerate(self.at("otf"))
+            (mode, [*pairs[:place], (one, piece), *pairs[place + 1 :]], (one, piece))
+            for place, (effect, piece) in enumerate(pairs)
             for mode, one in effect.further_paths
         ]
 
@@ -216,11 +217,6 @@ class EffectSet:
     def _by_mode(self) -> list[tuple[PupilMode, list[Acting]]]:
         """Modes of `Optics.by_mode`, and the effects on their OTF factors."""
         return [(mode, path) for mode, path, _ in self._further_paths if mode]
-
-    def _with(self, other: Effect, place: int) -> list[Acting]:
-        """Effects of the OTF with another one, of the same parameters, in one `place`."""
-        pairs = self.at("otf")
-        return [*pairs[:place], (other, pairs[place][1]), *pairs[place + 1 :]]
 
     # -- copies of the star ------------------------------------------------------------------
 

@@ -56,10 +56,7 @@ class FocusStageHysteresis(RampEffect):
 class FocusStageOffset(RampEffect):
     """A constant bias of the ramp, or of its frames with offsets in a range: two runs, two references.
 
-    Parameters
-    ----------
-    above_nm, below_nm : float
-        The bias concerns commanded offsets between them.
+    Parameters: `above_nm`, `below_nm`; the bias concerns commanded offsets between them.
     """
 
     name = "focus_stage_offset"

@@ -46,15 +46,10 @@ class ImageModel:
     ) -> Tensor:
         """Return images [e-], (images, rows, columns), float64 on the device of the PSF model.
 
-        Parameters
-        ----------
-        modes_nm : tensor, (images, modes)
-        flux_e, background_e : tensor, (images,)
-            Electrons through the clear pupil, and in every pixel.
-        values : tensor, (effect parameters,)
-        when : tensor, (images,), optional
-            Time of every image, 0 at the first frame and 1 at the last; by default each image is the
-            average over the whole recording. Matters only to effects that change with time.
+        They have the wavefronts `modes_nm` (images, modes), `flux_e` electrons through the clear pupil and
+        `background_e` in every pixel, (images,) each, and effects of the parameters `values`. The time `when`
+        of every image, (images,), is 0 at the first frame and 1 at the last, and matters only to effects that
+        change with it; by default each image is the average over the whole recording.
         """
         unit = self._unit(modes_nm, self._optics(values), values, when).double()
         image = flux_e[:, None, None].to(unit.device) * unit + background_e[:, None, None].to(unit.device)

@@ -83,7 +83,6 @@ class LensletImages(OtfEffect):
         return super().phrase({**public, **sizes})
 
     def describe(self, values: np.ndarray) -> dict[str, list[float]]:
-        """One number per lenslet each."""
         table = np.asarray(values, float).reshape(3, LENSLETS)
         return {public.name: row.tolist() for public, row in zip(self.public, table, strict=True)}
 

@@ -64,11 +64,9 @@ class TipTiltJitter(OtfEffect):
         return [slope for _ in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """RMS per axis [mas]."""
         return {"sigma_mas": float(np.sqrt(max(values[0], 0.0)))}
 
     def values_of(self, sigma_mas: float) -> list[float]:
-        """Solver's parameters for a known size."""
         return [sigma_mas**2]
 
 
@@ -78,9 +76,7 @@ class Vibration(OtfEffect):
     A single line of the vibration spectrum moves the image sinusoidally, many lines together as a
     Gaussian. The direction means nothing without motion and is scanned in a search.
 
-    Parameters
-    ----------
-    shape : {"sinusoidal", "gaussian"}
+    Parameters: `shape`, one of `SHAPES`.
     """
 
     name = "vibration"
@@ -118,7 +114,6 @@ class Vibration(OtfEffect):
         return factor * own
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """RMS along the line [mas] and its direction."""
         angle = float(np.rad2deg(values[1]) % 180)
         return {"sigma_mas": float(np.sqrt(max(values[0], 0.0))), "angle_deg": angle}
 
@@ -146,15 +141,11 @@ def _differentiable() -> type[torch.autograd.Function]:
 
         @staticmethod
         def backward(ctx, change):
-            return change * _slope(*ctx.saved_tensors)
+            root = torch.sqrt(*ctx.saved_tensors)
+            safe = torch.where(root > 1e-8, root, 1.0)
+            return change * torch.where(root > 1e-8, -torch.special.bessel_j1(2 * safe) / safe, -1.0)
 
     return J0OfTwiceRoot
-
-
-def _slope(w: Tensor) -> Tensor:
-    root = torch.sqrt(w)
-    safe = torch.where(root > 1e-8, root, 1.0)
-    return torch.where(root > 1e-8, -torch.special.bessel_j1(2 * safe) / safe, -1.0)
 
 
 def j0_of_twice_root(w: Tensor) -> Tensor:

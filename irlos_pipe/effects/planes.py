@@ -1,57 +1,40 @@
 """One base class of effects per plane of the light path.
 
-Each asks for one method, `apply`, which takes what arrives at the plane and returns it as the effect leaves
-it; derivatives come from automatic differentiation of it, unless an effect knows a quicker way.
+Each asks for one method, `apply`, which takes the solver's `values` (parameters,) and what arrives at the
+plane, and returns it as the effect leaves it; derivatives come from automatic differentiation of it, unless
+an effect knows a quicker way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.late import Tensor
 from irlos_pipe.effects.base import Effect
-from irlos_pipe.numerics.directional import Directional
-from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
-from irlos_pipe.optics.psf_settings import PsfSettings
 
 
 class PupilEffect(Effect):
-    """Acts on the complex amplitude in the pupil."""
+    """Acts on the complex amplitude in the pupil.
+
+    ``apply(values, field, grid)`` returns the `field` (wavelengths, n, n) with the effect, which must be
+    linear in it but for what it adds; `grid` is that of the pupil.
+    """
 
     plane = "pupil"
     order = 1  # after those that change where light passes, which add to the field
 
-    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
-        """`field` (wavelengths, n, n) with the effect, which must be linear in it but for what it adds.
-
-        The `values` (parameters,) are those of the solver, `grid` is that of the pupil.
-        """
-        raise NotImplementedError
-
-    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
-        """See `Effect.slopes`: (wavelengths, n, n) each."""
-        change = Directional(lambda v: self.apply(v, field, grid), values)
-        return [change.by(index) for index in wanted]
-
 
 class OtfEffect(Effect):
-    """Multiplies the OTF by a factor, real or complex."""
+    """Multiplies the OTF by a factor, real or complex.
+
+    ``apply(values, factor, grid)`` returns the `factor`, broadcastable to (wavelengths, p, p//2 + 1), times
+    that of the effect on an `OtfGrid`.
+    """
 
     plane = "otf"
-
-    def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
-        """`factor`, broadcastable to (wavelengths, p, p//2 + 1), times that of the effect at `values` on
-        `grid`.
-        """
-        raise NotImplementedError
-
-    def slopes(self, values: Tensor, factor: Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[Tensor]:
-        """See `Effect.slopes`: of the shape of `factor` each."""
-        change = Directional(lambda v: self.apply(v, factor, grid), values)
-        return [change.by(index) for index in wanted]
 
 
 class CopyOfStar(OtfEffect):
@@ -67,17 +50,20 @@ class CopyOfStar(OtfEffect):
 
 
 class SamplingEffect(Effect):
-    """Changes wavelengths, their weights, or the pixel scale."""
+    """Changes wavelengths, their weights, or the pixel scale.
+
+    ``apply(values, sampling, nominal)`` returns the `sampling` with the effect; `nominal` is what the
+    recording is said to have.
+    """
 
     plane = "sampling"
 
-    def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
-        """`sampling` with the effect at `values`; `nominal` is what the recording is said to have."""
-        raise NotImplementedError
-
 
 class LensEffect(Effect):
-    """Changes what introduced defocus is; held in the settings of the light path."""
+    """Changes what introduced defocus is; held in the settings of the light path.
+
+    ``apply(values, settings)`` returns the `PsfSettings` of a light path with the effect.
+    """
 
     plane = "lens"
     found_by = "ramp"
@@ -85,34 +71,25 @@ class LensEffect(Effect):
     def __init__(self, numerical_aperture: float = 0.0):
         """Start from the `numerical_aperture`, NA / n, of the beam in which the focus moves."""
 
-    def apply(self, values: Tensor, settings: PsfSettings) -> PsfSettings:
-        """`settings` of a light path with the effect at `values`."""
-        raise NotImplementedError
-
 
 class TimeEffect(Effect):
-    """Changes the wavefront during the recording."""
+    """Changes the wavefront during the recording.
+
+    ``apply(values, modes_nm, nolls, when)`` returns the coefficients `modes_nm` (times, modes) [nm], of Noll
+    indices `nolls`, with the effect; `when` (times,) is 0 at the first frame and 1 at the last.
+    """
 
     plane = "time"
     found_by = "frames"
 
-    def apply(self, values: Tensor, modes_nm: Tensor, nolls: tuple[int, ...], when: Tensor) -> Tensor:
-        """Coefficients of the modes with the effect, (times, modes) [nm].
-
-        The `values` (parameters,) are those of the solver, `modes_nm` (times, modes) have the Noll indices
-        `nolls`; `when` (times,) is 0 at the first frame and 1 at the last.
-        """
-        raise NotImplementedError
-
 
 class DetectorEffect(Effect):
-    """Acts on the electrons in the pixels."""
+    """Acts on the electrons in the pixels.
+
+    ``apply(values, images_e)`` returns images, (..., rows, columns) [e-], as the detector shows them.
+    """
 
     plane = "detector"
-
-    def apply(self, values: Tensor, images_e: Tensor) -> Tensor:
-        """Images `images_e`, (..., rows, columns) [e-], as the detector shows them at `values`."""
-        raise NotImplementedError
 
     def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
         """What small `changes` (images, changes, rows, columns) of images become; here they stay.
@@ -123,7 +100,11 @@ class DetectorEffect(Effect):
 
 
 class RampEffect(Effect):
-    """Changes the defocus that a focus stage really introduces."""
+    """Changes the defocus that a focus stage really introduces.
+
+    ``apply(values, introduced_nm, commanded_nm)`` returns the introduced defocus with the effect, (frames,)
+    [nm], all of them in order of recording.
+    """
 
     plane = "ramp"
     found_by = "ramp"
@@ -147,11 +128,3 @@ class RampEffect(Effect):
     def phrase(self, public: Mapping[str, Any]) -> str:
         part = ", ".join(f"{key.removesuffix('_nm')} {nm:+.0f} nm" for key, nm in self.part.items())
         return super().phrase(public) + (f" ({part})" if part else "")
-
-    def apply(self, values: Tensor, introduced_nm: Tensor, commanded_nm: np.ndarray) -> Tensor:
-        """Introduced defocus with the effect, (frames,) [nm].
-
-        The `values` (parameters,) are those of the solver; `introduced_nm` and `commanded_nm` (frames,) stand
-        in order of recording.
-        """
-        raise NotImplementedError

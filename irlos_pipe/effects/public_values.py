@@ -58,12 +58,11 @@ def rows_of(public: Mapping[str, Any]) -> list[tuple[str, float]]:
 
 def mean_of(estimates: Sequence[Any]) -> Any:
     """Public values with every number the mean over estimates of the same effect."""
-    first = estimates[0]
-    if isinstance(first, Mapping):
-        return {key: mean_of([one[key] for one in estimates]) for key in first}
-    if isinstance(first, Sequence) and not isinstance(first, str):
-        return [mean_of(same) for same in zip(*estimates, strict=True)]
-    return first if all(one == first for one in estimates) else float(np.mean(estimates))
+
+    def mean(first: Any, *others: Any) -> Any:
+        return first if all(one == first for one in others) else float(np.mean([first, *others]))
+
+    return _map(mean, *estimates)
 
 
 def _rows(name: str, value: Any) -> list[tuple[str, float]]:
@@ -83,11 +82,14 @@ def public_sigma(
     errors are of what reports state of it instead, see `Effect.shown`.
     """
     steps, describe = np.sqrt(np.diag(covariance)) * STEP, base.shown if shown else base.describe
-    slopes = [
-        public_difference(base, values + one, values - one, describe)
-        for one in np.diag(np.where(steps > 0, steps, 1e-9))
-    ]
-    return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
+    steps = np.where(steps > 0, steps, 1e-9)
+    changes = [public_difference(base, values + one, values - one, describe) for one in np.diag(steps)]
+
+    def error(*along: float) -> float:
+        slope = np.array(along) / (2 * steps)
+        return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+
+    return _map(error, *changes)
 
 
 def public_difference(
@@ -109,14 +111,6 @@ def _map(function: Callable, *values: Any) -> Any:
     first = values[0]
     if isinstance(first, Mapping):
         return {key: _map(function, *(value[key] for value in values)) for key in first}
-    if isinstance(first, Sequence):
+    if isinstance(first, Sequence) and not isinstance(first, str):
         return [_map(function, *group) for group in zip(*values, strict=True)]
     return function(*values)
-
-
-def _combined(differences: Sequence[dict], covariance: np.ndarray, widths: np.ndarray) -> dict[str, Any]:
-    def error(*along: float) -> float:
-        slope = np.array(along) / widths
-        return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
-
-    return _map(error, *differences)

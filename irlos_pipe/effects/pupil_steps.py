@@ -11,7 +11,7 @@ import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.effects.base import Effect
+from irlos_pipe.effects.base import Effect, Several
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.redrawn_pupil import (
     Drawing,
@@ -76,7 +76,7 @@ class DividedPupil(DrawnEffect):
         return self.opd_where(values, _index_on(type(self), grid, Drawing(grid.geometry)), grid)
 
 
-class RedrawnAndDivided(DrawnEffect):
+class RedrawnAndDivided(Several, DrawnEffect):
     """A drawing of the pupil, and wavefronts of its parts.
 
     Each of the `effects` is a `RedrawnPupil` or a `DividedPupil`, some of whose parameters may be held.
@@ -85,7 +85,7 @@ class RedrawnAndDivided(DrawnEffect):
     name = "redrawn_and_divided_pupil"
 
     def __init__(self, effects: Sequence[Effect]):
-        self.parameters = tuple(p for one in effects for p in one.parameters)
+        super().__init__(effects)
         ends = np.cumsum([0, *(len(one.parameters) for one in effects)])
         pieces = [list(range(a, b)) for a, b in pairwise(ends.tolist())]
         pairs = list(zip(effects, pieces, strict=True))
@@ -98,17 +98,18 @@ class RedrawnAndDivided(DrawnEffect):
         drawing = values[self._drawing]
         field = self._redrawn.apply(drawing, field, grid)
         for base, own in self._each(values):
+            kind = type(base)
             parts = differentiable(
                 drawing,
-                partial(_parts_drawn, self._redrawn, type(base), grid),
-                partial(_part_slopes, self._redrawn, type(base), grid, grid.light),
+                partial(self._parts, kind, grid),
+                partial(_part_slopes, self._redrawn, kind, grid, grid.light),
             )
             field = _added(field, parts, base.factors(own, grid))
         return field
 
     def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
         found = dict(zip(self._drawing, self._slopes_of_edges(values, field, grid), strict=True))
-        drawn = self._drawn(values, grid)
+        drawn = self._drawn(values[self._drawing], grid)
         for (effect, piece), (base, own) in zip(self._dividing, self._each(values), strict=True):
             moved = base.moved(own, _parts(type(base), grid, drawn), grid, effect.free)
             found |= zip(piece, moved, strict=True)
@@ -129,14 +130,17 @@ class RedrawnAndDivided(DrawnEffect):
 
     def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
         """See `PupilEffect.opd_nm`: parts turn with the pupil."""
-        drawn = self._drawn(values, grid)
+        drawn = self._drawn(values[self._drawing], grid)
         maps = [
             base.opd_where(own, _index_on(type(base), grid, drawn), grid) for base, own in self._each(values)
         ]
         return torch.stack(maps).sum(0)
 
-    def _drawn(self, values: Tensor, grid: PupilGrid) -> Drawing:
-        return self._redrawn.redrawn(values[self._drawing].tolist(), Drawing(grid.geometry))
+    def _parts(self, kind: type[DividedPupil], grid: PupilGrid, drawing: Tensor) -> Tensor:
+        return _parts(kind, grid, self._drawn(drawing, grid))
+
+    def _drawn(self, drawing: Tensor, grid: PupilGrid) -> Drawing:
+        return self._redrawn.redrawn(drawing.tolist(), Drawing(grid.geometry))
 
     def _each(self, values: Tensor) -> list[tuple[DividedPupil, Tensor]]:
         """Every effect of parts with all its parameters."""
@@ -158,11 +162,6 @@ def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Tenso
         drawn = (_drawn_parts(kind, geometry, one, samples) for one in (drawing, declared))  # type: ignore[arg-type]
         parts = parts + next(drawn) - next(drawn)
     return torch.as_tensor(np.where(grid.lit, parts, 0) * grid.light)
-
-
-def _parts_drawn(effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, values: Tensor) -> Tensor:
-    """The same of the drawing that an `effect` makes."""
-    return _parts(kind, grid, effect.redrawn(values.tolist(), Drawing(grid.geometry)))
 
 
 @lru_cache(maxsize=8)
@@ -192,20 +191,15 @@ def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Te
 
 def _division(kind: type[DividedPupil], declared: PupilGeometry, drawing: Drawing) -> Division:
     """The parts of a pupil as `declared`, turned as it is drawn."""
-    parts = kind.parts_of(declared)
+    parts, turn = kind.parts_of(declared), np.deg2rad(drawing.turned_deg)
+    cosine, sine = np.cos(turn), np.sin(turn)
 
     def index(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        return parts.index(*_before_turning(x_m, y_m, drawing.turned_deg))
+        if turn == 0:
+            return parts.index(x_m, y_m)
+        return parts.index(cosine * x_m + sine * y_m, cosine * y_m - sine * x_m)
 
     return Division(index, parts.count)
-
-
-def _before_turning(x_m: np.ndarray, y_m: np.ndarray, turned_deg: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where points of a turned pupil were before it turned."""
-    if turned_deg == 0:
-        return x_m, y_m
-    cosine, sine = np.cos(np.deg2rad(turned_deg)), np.sin(np.deg2rad(turned_deg))
-    return cosine * x_m + sine * y_m, cosine * y_m - sine * x_m
 
 
 class PupilSteps(DividedPupil):
@@ -275,7 +269,6 @@ class PupilSteps(DividedPupil):
         ]
 
     def describe(self, values: np.ndarray) -> dict[str, list[float]]:
-        """One number per part each."""
         table = np.asarray(values, float).reshape(len(self.kinds), self.count)
         return {kind: row.tolist() for kind, row in zip(self.kinds, table, strict=True)}
 

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
-from irlos_pipe.effects.base import Effect, FixedEffect
+from irlos_pipe.conventions.pupil_drawing import ON_AXIS, PupilGeometry, turned, with_sizes
+from irlos_pipe.effects.base import Effect, FixedEffect, Several
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import ON_AXIS, Division, band_limited
+from irlos_pipe.optics.pupil import Division, band_limited
 from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
 
 CELL_M = 0.008  # side of the fine cells of the drawing
@@ -81,14 +81,13 @@ class RedrawnPupil(DrawnEffect):
         return [every * slope for slope in slopes_of_drawing(self, grid, values, wanted)]
 
 
-class RedrawnTogether(RedrawnPupil):
+class RedrawnTogether(Several, RedrawnPupil):
     """Several effects that make one drawing: each a `RedrawnPupil`, some of whose parameters may be held."""
 
     name = "redrawn_pupil"
 
     def __init__(self, effects: Sequence[Effect]):
-        self._effects = tuple(effects)
-        self.parameters = tuple(p for one in effects for p in one.parameters)
+        super().__init__(effects)
         self._owners = [(number, index) for number, one in enumerate(effects) for index in one.free]
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
@@ -104,11 +103,8 @@ class RedrawnTogether(RedrawnPupil):
 
     def _each(self, values: Sequence[float]) -> list[tuple[RedrawnPupil, list[float]]]:
         """Every effect with all its parameters."""
-        pieces = torch.tensor(values, dtype=torch.float64).split(
-            [len(one.parameters) for one in self._effects]
-        )
-        pairs = zip(self._effects, pieces, strict=True)
-        return [(one.base, one.all_values(piece).tolist()) for one, piece in pairs]  # type: ignore[misc]
+        pairs = zip(self.every, self.all_of_each(torch.tensor(values, dtype=torch.float64)), strict=True)
+        return [(one.base, own.tolist()) for one, own in pairs]  # type: ignore[misc]
 
 
 def differentiable(
@@ -220,7 +216,6 @@ class PupilMisregistration(RedrawnPupil):
         return edges.moved((float(velocity[0]), float(velocity[1])))
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Displacement of the stop and rotation of the vanes."""
         distance, direction, rotation = (float(v) for v in values)
         return {
             "dx_m": distance * float(np.cos(direction)),
@@ -246,7 +241,7 @@ class PupilMisregistration(RedrawnPupil):
 
 
 class PupilSizes(RedrawnPupil):
-    """The hole of the pupil and the vanes are larger or smaller than told.
+    """The hole of the pupil and the vanes are larger or smaller than declared.
 
     Drawings of instruments disagree, stops are oversized, and what a camera's stop covers is not what the
     telescope's mirror does. The sizes are absolute. Vanes of several widths are all wider in the same
@@ -279,7 +274,8 @@ class PupilSizes(RedrawnPupil):
         return cls(conditions.settings.geometry)
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
-        return drawing._replace(geometry=with_sizes(drawing.geometry, **self._named(values)))
+        sizes_m = {p.name: value for p, value in zip(self.parameters, values, strict=True)}
+        return drawing._replace(geometry=with_sizes(drawing.geometry, **sizes_m))
 
     def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
         return edges.obscured() if self.parameters[index].name == "obscuration_m" else edges.widened()
@@ -305,10 +301,7 @@ class PupilSizes(RedrawnPupil):
             for name, declared in self.told_m.items()
             if _text(name, float(public[name])) != _text(name, declared)
         ]
-        return " and ".join(changed) or "a pupil as told"
-
-    def _named(self, values: Sequence[float]) -> dict[str, float]:
-        return {p.name: value for p, value in zip(self.parameters, values, strict=True)}
+        return " and ".join(changed) or "a pupil as declared"
 
 
 def _size(name: str, declared_m: float) -> Parameter:

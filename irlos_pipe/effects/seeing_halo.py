@@ -9,7 +9,7 @@ where that was not measured, the residual in the band.
 The residual has neither tip nor tilt, which go into the image motion. As these go with coma in turbulence,
 what is left is an image that moves as its coma changes: the OTF between x and x + b has a further factor
 ``exp(u)``, with ``u = (2π/λ)² Σ_k (b·<a c_k>) [ψ_k(x + b) - ψ_k(x)]`` for the comas ψ_k along both axes; see
-`optics.in_band_residual`. With its mean m and variance v over all x this is about
+`optics.structure_function`. With its mean m and variance v over all x this is about
 ``exp(m + v/2) (1 + u - m)``, and the part with u is ``Σ_k i (2π/λ) (b·<a c_k>) FFT(∂I/∂c_k)``. Where the
 residual is strong and steep, it is some per cent of the image.
 """
@@ -65,15 +65,9 @@ def require_residual(conditions: Conditions) -> None:
 class SeeingHalo(OtfEffect):
     """Averaged speckle and halo of the residual wavefront.
 
-    Parameters
-    ----------
-    law : ResidualLaw
-        AO residual against seeing.
-    seeing_arcsec : float
-        Sets the turbulence beyond the cut-off, and the in-band residual to start from.
-    measured : bool
-        Whether the seeing was; otherwise the turbulence beyond the cut-off grows and falls with the in-band
-        variance, in the proportion that the seeing gives.
+    Parameters: `law`, AO residual against seeing; `seeing_arcsec`, which sets the turbulence beyond the
+    cut-off, and the in-band residual to start from; whether it was `measured`: otherwise the turbulence
+    beyond the cut-off grows and falls with the in-band variance, in the proportion that the seeing gives.
     """
 
     name = "seeing_halo"
@@ -269,12 +263,11 @@ class ScaledHalo(OtfEffect):
         return factor * torch.exp(-values[0] * self.halo.exponent(expected, grid))
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """Total WFE."""
         return {"wfe_nm": float(np.sqrt(max(values[0], 0.0) * self.halo.expected_nm2))}
 
 
 class AoCutoff(OtfEffect):
-    """The correction of the AO ends at another spatial frequency than told, and the halo begins there.
+    """The correction of the AO ends at another spatial frequency than declared, and the halo begins there.
 
     Between the two cut-offs there is turbulence in place of what the AO is expected to leave inside its band,
     or the reverse. Elsewhere the residual is that of `seeing_halo`.
@@ -282,20 +275,13 @@ class AoCutoff(OtfEffect):
     It is looked for where the image shows the edge of the corrected field, λ times the cut-off from the star.
     Errors do not hold how far the residual inside the band is from the expected one: some per cent.
 
-    Parameters
-    ----------
-    band : ResidualBand
-        With the cut-off as told.
-    law : ResidualLaw
-        AO residual against seeing.
-    seeing_arcsec : float
-        Strength of the turbulence.
+    Parameters: `band` with the cut-off as declared, `law`, AO residual against seeing.
     """
 
     name = "ao_cutoff"
     formula = (
-        "T(b) = exp(−½ (2π/λ)² (D(b; cut-off) − D(b; cut-off as told))); D: turbulence beyond the cut-off, a "
-        "residual as f^−2 inside"
+        "T(b) = exp(−½ (2π/λ)² (D(b; cut-off) − D(b; cut-off as declared))); D: turbulence beyond the "
+        "cut-off, a residual as f^−2 inside"
     )
     fact = True
     public = (number("per_m", "1/m, the cut-off, not its change", 1e-3, 1e6),)

@@ -47,7 +47,6 @@ class ZernikeTable(Effect):
         return {"nolls": sorted(int(noll) for noll in public[cls.table])} if cls.table in public else {}
 
     def describe(self, values: np.ndarray) -> dict[str, dict[str, float]]:
-        """Coefficients by Noll index."""
         return {self.table: {str(n): float(v) for n, v in zip(self.nolls, values, strict=True)}}
 
     @property
@@ -64,7 +63,7 @@ class ZernikeTable(Effect):
         return self.sentence.format(size=public.get(self.rms_name, rms))
 
     def values_of(self, *args: Any, **public: Mapping) -> list[float]:
-        """Solver's parameters for a table of coefficients; modes that it lacks are 0."""
+        """See `Effect.values_of`: modes that the table lacks are 0."""
         given = {int(noll): float(value) for noll, value in public[self.table].items()}
         return [given.get(noll, 0.0) for noll in self.nolls]
 
@@ -99,7 +98,7 @@ class DiversityError(OpdMap):
     """
 
     name = "diversity_error"
-    formula = "Φ → Φ + nm · Σ d_k Z_k / |d|; d: the diversity as told, Noll k"
+    formula = "Φ → Φ + nm · Σ d_k Z_k / |d|; d: the declared diversity, Noll k"
     mild = True
     public = (number("nm", "nm RMS, more than introduced", -500.0, 500.0),)
     sentence = "{nm:.0f} nm more diversity"
@@ -151,7 +150,21 @@ class _SameFraction(DiversityError):
         return values[0] * torch.as_tensor(total)
 
 
-class HighOrderNcpa(ZernikeTable, OpdMap):
+class ZernikeOpd(ZernikeTable, OpdMap):
+    """An OPD by Zernike modes, whose size may depend on wavelength."""
+
+    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
+        return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1) * self._share(grid)
+
+    def _map_slopes(self, values: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> Sequence[Tensor]:
+        return [one * self._share(grid) for one in torch.tensor(grid.modes(self.nolls)[list(wanted)])]
+
+    def _share(self, grid: PupilGrid) -> Tensor | float:
+        """Of the table at the wavelengths of the `grid`."""
+        return 1.0
+
+
+class HighOrderNcpa(ZernikeOpd):
     """Static modes beyond the estimated ones: polishing marks of mirrors, print-through of actuators.
 
     The law of the NCPAs falls slowly, so modes that are left out weigh as much together as the last ones
@@ -173,12 +186,6 @@ class HighOrderNcpa(ZernikeTable, OpdMap):
         """See `Effect.under`: by default the next two radial orders."""
         order = noll_to_nm(conditions.highest_noll + 1)[0] + EXTRA_ORDERS
         return cls(nolls or range(conditions.highest_noll + 1, order * (order + 1) // 2 + 1))
-
-    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
-        return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1)
-
-    def _map_slopes(self, values: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> Sequence[Tensor]:
-        return torch.tensor(grid.modes(self.nolls)[list(wanted)]).unbind()
 
 
 class AmplitudeAberration(ZernikeTable, PupilEffect):
@@ -249,7 +256,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
         return modes_nm + (when.double() - 0.5)[:, None] * (values @ where)
 
 
-class _Table(ZernikeTable, OpdMap):
+class _Table(ZernikeOpd):
     """Modes whose prior follows the law of the NCPAs."""
 
     default: ClassVar[range]
@@ -265,16 +272,6 @@ class _Table(ZernikeTable, OpdMap):
     def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
         """See `Effect.variants`: fewer modes distinguish it from other effects."""
         return (cls.under(conditions, range(cls.default.start, SEARCHED + 1)),)
-
-    def _map_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
-        return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1) * self._share(grid)
-
-    def _map_slopes(self, values: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> Sequence[Tensor]:
-        return [one * self._share(grid) for one in torch.tensor(grid.modes(self.nolls)[list(wanted)])]
-
-    def _share(self, grid: PupilGrid) -> Tensor | float:
-        """Of the table at the wavelengths of the `grid`."""
-        raise NotImplementedError
 
 
 class ChromaticNcpa(_Table):
@@ -379,9 +376,6 @@ class FilterNcpa(_Table):
 
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
         return FixedEffect(self.seen_in(now, now), values)
-
-    def _share(self, grid: PupilGrid) -> float:
-        return 1.0
 
 
 class _Absent(FilterNcpa):

@@ -39,6 +39,7 @@ CREATE TABLE IF NOT EXISTS records (
 CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT NULL);
 """
 COLUMNS = ["sequence", "unix_s", "defocus_nm", "sigma_nm", "valid", "offset_nm"]
+COLUMNS += ["mode", "reasons", "latency_ms", "calibration", "line"]
 COMMIT_S = 1.0  # between transactions of the database
 BLOCK_BYTES = 1 << 16  # of the lines that are read at once from the end
 LONGEST_LINE = 1 << 20  # bytes of a line; records have a thousand
@@ -142,9 +143,6 @@ def _is_sound(record: Record) -> bool:
 def _line(content: dict[str, Any]) -> str:
     head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
     return json.dumps(jsonable(head | content), allow_nan=False, separators=(",", ":")) + "\n"
-
-
-COLUMNS += ["mode", "reasons", "latency_ms", "calibration", "line"]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Arrival, Fault, Notice
 from irlos_pipe.frames.cleaning import find_background
 from irlos_pipe.frames.detector import to_electrons
-from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
@@ -58,7 +58,12 @@ class Replay:
             raise InputDataError(f"{run}: has no input '{input_name}' with frames")
         self.window, self.acquisition = recordings[0].window, recordings[0].acquisition
         self.instrument_name = load_recipe(run_folder.recipe, complete=False).instrument_name
-        self._reads = self._in_order(recordings)
+        frames = (
+            (one.start_unix_s + float(time_s), image_e)
+            for one in recordings
+            for time_s, image_e in zip(one.time_s, one.images_e, strict=True)
+        )
+        self._reads = (Read(number, *frame) for number, frame in enumerate(frames))
         self._speed, self._started, self._first_s = speed, time.monotonic(), math.nan
 
     def poll(self, timeout_s: float) -> Sequence[Read] | None:
@@ -73,13 +78,6 @@ class Replay:
 
     def close(self) -> None:
         """See `Source.close`."""
-
-    def _in_order(self, recordings: Sequence[Recording]) -> Iterator[Read]:
-        number = 0
-        for recording in recordings:
-            for time_s, image_e in zip(recording.time_s, recording.images_e, strict=True):
-                yield Read(number, recording.start_unix_s + float(time_s), image_e)
-                number += 1
 
 
 class WatchedFolder:

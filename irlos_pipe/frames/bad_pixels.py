@@ -31,43 +31,23 @@ MAX_ROUNDS = 60
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits beyond which a pixel counts as bad.
+    """Limits beyond which a pixel counts as bad."""
 
-    Attributes
-    ----------
-    sigma : float
-        Deviation from the neighbours over the noise.
-    fraction : float
-        Deviation from the neighbours over their own brightness; both must be exceeded.
-    stuck_ratio : float
-        Scatter over time of a stuck pixel over the read noise.
-    noisy_ratio : float
-        Scatter of a noisy pixel over the scatter expected.
-    flicker_fraction : float
-        Fraction of the frames in which a pixel may be hit before it counts as bad.
-    """
-
+    # sigma, fraction: deviation from the neighbours over the noise, and over their own brightness; both must
+    # be exceeded
     sigma: float
     fraction: float
-    stuck_ratio: float
-    noisy_ratio: float
-    flicker_fraction: float
+    stuck_ratio: float  # scatter over time of a stuck pixel over the read noise
+    noisy_ratio: float  # scatter of a noisy pixel over the scatter expected
+    flicker_fraction: float  # of the frames, in which a pixel may be hit before it counts as bad
 
 
 @dataclass(frozen=True)
 class Criteria:
-    """By what the pixels of a recording are judged.
+    """By what the pixels of a recording are judged."""
 
-    Attributes
-    ----------
-    sampling_px : float
-        Pixels per λ/D at the shortest wavelength.
-    noise : NoiseModel
-        Declared noise of photons and read-out.
-    """
-
-    sampling_px: float
-    noise: NoiseModel
+    sampling_px: float  # pixels per λ/D at the shortest wavelength
+    noise: NoiseModel  # declared, of photons and read-out
     thresholds: Thresholds
 
     @property
@@ -143,7 +123,9 @@ def _worst_first(
     found = np.zeros(good.shape, dtype=bool)
     for _ in range(MAX_ROUNDS):
         value, limit = judge(good & ~found)
-        worst = _local_maxima(np.where(good & ~found & (value > limit), value, 0.0))
+        beyond = np.where(good & ~found & (value > limit), value, 0.0)
+        # within reach of the prediction no other one is worse
+        worst = (beyond > 0) & (beyond == scipy.ndimage.maximum_filter(beyond, size=5, mode="constant"))
         if not worst.any():
             break
         found |= worst
@@ -159,7 +141,8 @@ def _deviation(sample: np.ndarray, good: np.ndarray, by: Criteria) -> tuple[np.n
     mean = sample.mean(axis=0, dtype=np.float64)
     # a hot pixel must not excuse itself by its own photon noise
     expected = prediction.variance(by.noise.variance_e2(np.minimum(mean, prediction.of(mean))))
-    sigma = np.sqrt(np.maximum(expected, seen_variance(residual)) * _variance_of_median(len(sample)))
+    of_median = 1 if len(sample) < 3 else np.pi / 2  # variance over that of the mean, of normal values
+    sigma = np.sqrt(np.maximum(expected, seen_variance(residual)) * (of_median / len(sample)))
     scale = max(1.0, 1.4826 * float(np.median((deviation / sigma)[good])))
     tolerated = np.maximum(
         optical_limit(prediction, mean, thresholds), _usual(deviation, prediction, mean, good)
@@ -198,16 +181,6 @@ def seen_variance(residual: np.ndarray) -> np.ndarray | float:
     if len(residual) < MIN_FRAMES_FOR_NOISE:
         return 0.0
     return scipy.ndimage.median_filter(_inner_scatter(residual) ** 2, size=5, mode="nearest")
-
-
-def _variance_of_median(frames: int) -> float:
-    """Variance of the median of `frames` normal values, over the variance of one."""
-    return 1 / frames if frames < 3 else np.pi / 2 / frames
-
-
-def _local_maxima(values: np.ndarray) -> np.ndarray:
-    """Positive values that no other value within reach of the prediction exceeds."""
-    return (values > 0) & (values == scipy.ndimage.maximum_filter(values, size=5, mode="constant"))
 
 
 def _noise_ratio(sample: np.ndarray, prediction: Prediction, by: Criteria) -> np.ndarray:

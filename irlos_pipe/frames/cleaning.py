@@ -50,54 +50,29 @@ FRAMES_TO_COMPARE = 3  # frames whose median a single one does not move
 
 @dataclass(frozen=True)
 class Background:
-    """What is subtracted from the counts.
+    """What is subtracted from the counts; arrays (rows, columns)."""
 
-    Attributes
-    ----------
-    adu : ndarray, (rows, columns)
-        Dark, sky and pedestal together [ADU].
-    flat : ndarray, (rows, columns)
-        Relative response.
-    bad : ndarray of bool, (rows, columns)
-        Pixels that the calibration images rule out.
-    pedestal_adu, pedestal_error_adu : float
-        Level estimated from the frames; NaN if a dark or background was there [ADU].
-    """
-
-    adu: np.ndarray
-    flat: np.ndarray
-    bad: np.ndarray
+    adu: np.ndarray  # dark, sky and pedestal together [ADU]
+    flat: np.ndarray  # relative response
+    bad: np.ndarray  # True for pixels that the calibration images rule out
+    # level estimated from the frames; NaN if a dark or background was there [ADU]
     pedestal_adu: float = float("nan")
     pedestal_error_adu: float = float("nan")
 
 
 @dataclass(frozen=True)
 class Cleaned:
-    """Clean frames and what was found on the way.
+    """Clean frames and what was found on the way."""
 
-    Attributes
-    ----------
-    images_e : ndarray, (frames, rows, columns), float32
-        Finite everywhere [e-].
-    reasons : ndarray of str, (frames,)
-        Why a frame cannot be used; empty if it can.
-    good : ndarray of bool, (rows, columns)
-    hits : Hits
-        Clipped values and cosmic hits, already replaced in the images.
-    clipped : ndarray of bool, (rows, columns)
-        Pixels that are bad because they are clipped in many frames.
-    background_variance_e2, dark_variance_e2 : float
-        Variance per pixel beyond read noise and star, and of the dark image, see `Recording` [e-²].
-    """
-
-    images_e: np.ndarray
-    reasons: np.ndarray
-    good: np.ndarray
+    images_e: np.ndarray  # (frames, rows, columns), float32, finite everywhere [e-]
+    reasons: np.ndarray  # (frames,), why a frame cannot be used; empty if it can
+    good: np.ndarray  # (rows, columns)
     background: Background
-    hits: Hits
-    clipped: np.ndarray
+    hits: Hits  # clipped values and cosmic hits, already replaced in the images
+    clipped: np.ndarray  # (rows, columns), True for pixels that are bad because many frames clip them
     noise: MeasuredNoise
     saturation_adu: float | None
+    # variance per pixel beyond read noise and star, and of the dark image, see `Recording` [e-²]
     background_variance_e2: float = 0.0
     dark_variance_e2: float = 0.0
 
@@ -138,14 +113,21 @@ def _cleaned(
     good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, by.thresholds.stuck_ratio)
     reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.saturated_px), SATURATED)
     background = find_background(valid, raw.calibration, good, raw.lenslets)
-    good &= ~(background.bad | _hot(raw.calibration.dark_adu, detector, by.thresholds))
-    images = _finite(to_electrons(raw.adu, background.adu, background.flat, detector.e_per_adu))
+    good &= ~background.bad
+    if raw.calibration.dark_adu is not None:
+        good &= ~hot_in_dark(np.nan_to_num(raw.calibration.dark_adu), detector, by.thresholds)
+    images = to_electrons(raw.adu, background.adu, background.flat, detector.e_per_adu)
+    np.nan_to_num(images, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     used = np.flatnonzero(reasons == "")
-    clipped = _clipped(images, used, good, by, _step_e(raw.adu, detector))
+    step_e = detector.e_per_adu if raw.adu.dtype.kind in "iu" else 0.0  # of the digitisation
+    clipped = _clipped(images, used, good, by, step_e)
     before = good
     good, images, clipped = _without(images, used, good, by, clipped)
     clipped_often = before & ~good
-    good = _without_bad_pixels(by.filled(_sample(images, used), good), good, by)
+    if by.well_sampled and len(used):
+        sample = by.filled(_sample(images, used), good)
+        good = good & ~deviant_pixels(sample, good, by)
+        good = good & ~noisy_pixels(sample, good, by)
     images = by.filled(images, good)
     reasons = star_faults(images, reasons, limits)
     used = np.flatnonzero(reasons == "")
@@ -191,14 +173,6 @@ def _clipped(images: np.ndarray, used: np.ndarray, good: np.ndarray, by: Criteri
     searched = images if len(used) == len(images) else images[used]
     frame, row, column = np.nonzero(clipped_samples(searched, good, sigma, step_e))
     return Hits(used[frame], row, column)
-
-
-def _without_bad_pixels(sample: np.ndarray, good: np.ndarray, by: Criteria) -> np.ndarray:
-    """The good pixels without those that a `sample` of used frames shows to be bad."""
-    if by.well_sampled and len(sample):
-        good = good & ~deviant_pixels(sample, good, by)
-        good = good & ~noisy_pixels(sample, good, by)
-    return good
 
 
 def _without(
@@ -297,22 +271,6 @@ def _bad_in_counts(
         level = sample.mean(axis=0, dtype=np.float64)
         stuck &= ~((level >= saturation_adu) & (median_filter(level, size=3) >= saturation_adu / 2))
     return bad | stuck | (False if declared is None else declared)
-
-
-def _hot(dark_adu: np.ndarray | None, detector: Detector, thresholds: Thresholds) -> np.ndarray | np.bool_:
-    if dark_adu is None:
-        return np.False_
-    return hot_in_dark(np.nan_to_num(dark_adu), detector, thresholds)
-
-
-def _step_e(adu: np.ndarray, detector: Detector) -> float:
-    """Step of the digitisation [e-]; 0 for counts that need not be whole."""
-    return detector.e_per_adu if adu.dtype.kind in "iu" else 0.0
-
-
-def _finite(images: np.ndarray) -> np.ndarray:
-    """Return `images` with 0 for every value that is no number."""
-    return np.nan_to_num(images, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def _unusable(raw: RawFrames, reasons: np.ndarray) -> Cleaned:

@@ -33,22 +33,13 @@ CHI2_MEDIAN = 0.4549  # of one degree of freedom
 
 @dataclass(frozen=True)
 class MeasuredNoise:
-    """Noise found in the frames; NaN where it could not be measured.
+    """Noise found in the frames, with 1-sigma errors; NaN where it could not be measured."""
 
-    Attributes
-    ----------
-    floor_e2, floor_error_e2 : float
-        Variance per pixel and frame at zero signal above the background, and its 1-sigma error [e-²].
-    excess_noise_factor, excess_noise_error : float
-        Slope of variance against signal (1 = Poisson), and its 1-sigma error.
-    corner_scatter_e : float
-        RMS over time of the darkest pixels: what neighbours share, as stripes and a halo, included [e-].
-    """
-
-    floor_e2: float = float("nan")
+    floor_e2: float = float("nan")  # variance per pixel and frame at zero signal above the background [e-²]
     floor_error_e2: float = float("nan")
-    excess_noise_factor: float = float("nan")
+    excess_noise_factor: float = float("nan")  # slope of variance against signal (1 = Poisson)
     excess_noise_error: float = float("nan")
+    # RMS over time of the darkest pixels: what neighbours share, as stripes and a halo, included [e-]
     corner_scatter_e: float = float("nan")
 
     def beyond_e2(self, known_e2: float) -> float:
@@ -85,26 +76,15 @@ def measure_noise(
 
 @dataclass(frozen=True)
 class _Scatter:
-    """The variance over time of (pixel - prediction), and what it may consist of.
-
-    Attributes
-    ----------
-    variance : ndarray, (rows, columns)
-        [e-²]
-    flat, photons, structure : ndarray, (rows, columns)
-        What a floor of 1 e-², a slope of 1, and an unpredicted part of 1 of the brightness contribute [e-²].
-    frames : int
-        Independent differences behind each variance.
-    dependence : float
-        See `Prediction.dependence`.
-    """
+    """The variance over time of (pixel - prediction), and what it may consist of; (rows, columns) [e-²]."""
 
     variance: np.ndarray
+    # what a floor of 1 e-², a slope of 1, and an unpredicted part of 1 of the brightness contribute
     flat: np.ndarray
     photons: np.ndarray
     structure: np.ndarray
-    frames: int
-    dependence: float
+    frames: int  # independent differences behind each variance
+    dependence: float  # see `Prediction.dependence`
 
     @classmethod
     def of(cls, sample: np.ndarray, prediction: Prediction) -> _Scatter:
@@ -150,7 +130,7 @@ def _photon_transfer(scatter: _Scatter, good: np.ndarray) -> list[tuple[float, f
                 break
             seen, floor, slope = 2 * seen, 2 * floor, 2 * slope
             continue
-        if _same(before, (faint, most)):
+        if before is not None and all(map(np.array_equal, before, (faint, most))):
             break
         before = faint, most
         *found, (left, left_error) = scatter.fitted(most, expected, 3)
@@ -158,10 +138,6 @@ def _photon_transfer(scatter: _Scatter, good: np.ndarray) -> list[tuple[float, f
             found = scatter.fitted(faint, expected, 2)
         (floor, _), (slope, _) = found
     return found
-
-
-def _same(before: tuple[np.ndarray, np.ndarray] | None, now: tuple[np.ndarray, np.ndarray]) -> bool:
-    return before is not None and all(map(np.array_equal, before, now))
 
 
 def _least(scatter: _Scatter, good: np.ndarray) -> tuple[float, float]:

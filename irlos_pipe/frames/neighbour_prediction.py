@@ -21,24 +21,14 @@ MIN_SAMPLING_PX = 2.4  # pixels per lambda/D below which neighbours no longer de
 
 @dataclass(frozen=True)
 class Prediction:
-    """Linear prediction of every pixel of a window from its good neighbours.
+    """Linear prediction of every pixel of a window from its good neighbours."""
 
-    Attributes
-    ----------
-    weights : sparse matrix, (pixels, pixels)
-        Row p gives pixel p from the others; the columns of bad pixels are 0.
-    average : sparse matrix, (pixels, pixels)
-        Plain mean of the neighbours within `NEAR_PX`.
-    error : ndarray, (rows, columns)
-        RMS of (pixel - prediction) without noise, over that of the image: detail that the neighbours leave
-        open. It grows where some of them are missing.
-    kernel : ndarray, (2 * REACH_PX + 1, 2 * REACH_PX + 1)
-        (pixel - prediction) of a pixel with all its neighbours.
-    """
-
-    weights: scipy.sparse.csr_matrix
-    average: scipy.sparse.csr_matrix
+    weights: scipy.sparse.csr_matrix  # (pixels, pixels): row p gives pixel p; columns of bad pixels are 0
+    average: scipy.sparse.csr_matrix  # (pixels, pixels): plain mean of the neighbours within `NEAR_PX`
+    # (rows, columns): RMS of (pixel - prediction) without noise, over that of the image: detail that the
+    # neighbours leave open. It grows where some of them are missing.
     error: np.ndarray
+    # (2 * REACH_PX + 1, 2 * REACH_PX + 1): (pixel - prediction) of a pixel with all its neighbours
     kernel: np.ndarray
 
     @property

@@ -20,20 +20,11 @@ class NoiseModel:
 
     What the frames share, above all the noise of the dark image taken from every one of them, does not
     average out with their number.
-
-    Attributes
-    ----------
-    excess_noise_factor : float
-        F, 1 for Poisson noise.
-    floor_e2 : float
-        Read noise squared plus the photon noise of background and dark [e-²].
-    shared_e2 : float
-        Variance of what is the same in all frames [e-²].
     """
 
-    excess_noise_factor: float
-    floor_e2: float
-    shared_e2: float = 0.0
+    excess_noise_factor: float  # F, 1 for Poisson noise
+    floor_e2: float  # read noise squared plus the photon noise of background and dark [e-²]
+    shared_e2: float = 0.0  # variance of what is the same in all frames [e-²]
 
     @classmethod
     def of(cls, recording: Recording) -> NoiseModel:
@@ -56,11 +47,7 @@ class NoiseModel:
 
         Its slope with respect to the model is ``-(d - m)/V(m)``, that of ``(d - m)²/2V`` with the variance of
         the model as it is. Beyond its value at m = d it stands for that half χ²; for pure photon noise the
-        difference is half the deviance of Poisson's law.
-
-        References
-        ----------
-        Wedderburn 1974, Biometrika 61, 439.
+        difference is half the deviance of Poisson's law. Reference: Wedderburn 1974, Biometrika 61, 439.
         """
         factor, floor = self.excess_noise_factor, self.floor_e2 + self.shared_e2
         above = model_e.clamp_min(0)
@@ -77,30 +64,27 @@ class NoiseModel:
 
     def scatter_e2(self, signal_e: Signal) -> Signal:
         """Return the part of the variance by which frames differ from each other [e-²]."""
+<<<<<<< HEAD
         if isinstance(signal_e, np.ndarray | np.generic | float | int):  # asks nothing of PyTorch
             return self.excess_noise_factor * np.maximum(signal_e, 0) + self.floor_e2
         return self.excess_noise_factor * signal_e.clamp_min(0) + self.floor_e2
+=======
+        positive = (
+            np.maximum(signal_e, 0) if isinstance(signal_e, float | np.ndarray) else signal_e.clamp_min(0)
+        )
+        return self.excess_noise_factor * positive + self.floor_e2
+>>>>>>> main
 
 
 @dataclass(frozen=True)
 class ExposureNoise:
-    """What makes the noise of one exposure.
+    """What makes the noise of one exposure."""
 
-    Attributes
-    ----------
-    reads : int
-        That are added up.
-    read_noise_e : float
-        Of one read, rounding to whole ADU included [e- RMS].
-    sky_e, dark_e : float
-        Mean charge by sky and dark current in a pixel of the exposure [e-].
-    """
-
-    reads: int
-    read_noise_e: float
+    reads: int  # that are added up
+    read_noise_e: float  # of one read, rounding to whole ADU included [e- RMS]
     excess_noise_factor: float
-    sky_e: float = 0.0
-    dark_e: float = 0.0
+    sky_e: float = 0.0  # mean charge by the sky in a pixel of the exposure [e-]
+    dark_e: float = 0.0  # the same by dark current
 
     @property
     def floor_e2(self) -> float:

@@ -21,47 +21,23 @@ PER_FRAME = ("images_e", "used", "reason", "time_s", "frame_counter", "introduce
 
 @dataclass(frozen=True)
 class CalibrationMaps:
-    """Calibration images that came with a recording, each (rows, columns) or None.
+    """Calibration images that came with a recording, each (rows, columns) or None."""
 
-    Attributes
-    ----------
-    dark_adu : ndarray
-        Signal without light [ADU].
-    dark_variance_adu2 : float
-        Variance per pixel of `dark_adu` itself [ADU²].
-    background_adu : ndarray
-        Sky on top of the dark [ADU].
-    flat : ndarray
-        Response of each pixel; only its ratio to the median matters.
-    bad : ndarray of bool
-        True for pixels declared dead or without weight.
-    """
-
-    dark_adu: np.ndarray | None = None
-    dark_variance_adu2: float = 0.0
-    background_adu: np.ndarray | None = None
-    flat: np.ndarray | None = None
-    bad: np.ndarray | None = None
+    dark_adu: np.ndarray | None = None  # signal without light [ADU]
+    dark_variance_adu2: float = 0.0  # variance per pixel of `dark_adu` itself [ADU²]
+    background_adu: np.ndarray | None = None  # sky on top of the dark [ADU]
+    flat: np.ndarray | None = None  # response of each pixel; only its ratio to the median matters
+    bad: np.ndarray | None = None  # True for pixels declared dead or without weight
 
 
 @dataclass(frozen=True, kw_only=True)
 class RawFrames:
-    """Counts of one recording, and the calibration images that came with it.
+    """Counts of one recording, and the calibration images that came with it."""
 
-    Attributes
-    ----------
-    adu : ndarray, (frames, rows, columns)
-        Counts in the type they were recorded in.
-    frame_counter : ndarray of int, (frames,)
-        Counter of the recorder.
-    lenslets : int
-        Per side of the pupil; with 2 the window is that of four images side by side.
-    """
-
-    adu: np.ndarray
-    frame_counter: np.ndarray
+    adu: np.ndarray  # (frames, rows, columns), in the type they were recorded in
+    frame_counter: np.ndarray  # (frames,), counter of the recorder, whole numbers
     calibration: CalibrationMaps = CalibrationMaps()
-    lenslets: int = 1
+    lenslets: int = 1  # per side of the pupil; with 2 the window is that of four images side by side
 
     @property
     def frames(self) -> int:
@@ -76,30 +52,14 @@ class RawFrames:
 
 @dataclass(frozen=True)
 class Detector:
-    """Detector constants.
+    """Detector constants."""
 
-    Attributes
-    ----------
-    e_per_adu : float
-        Conversion gain [e-/ADU].
-    read_noise_e : float
-        Read noise per pixel and frame, RMS [e-].
-    excess_noise_factor : float
-        Variance of the photon signal over its Poisson variance (1 = Poisson).
-    saturation_adu : float or None
-        Raw level from which a pixel counts as saturated [ADU].
-    reads : int
-        That a frame is the sum of; `read_noise_e` is that of all together.
-    background_e : float
-        Light of the sky and dark current in a pixel of a frame, as declared [e-].
-    """
-
-    e_per_adu: float
-    read_noise_e: float
-    excess_noise_factor: float = 1.0
-    saturation_adu: float | None = None
-    reads: int = 1
-    background_e: float = 0.0
+    e_per_adu: float  # conversion gain [e-/ADU]
+    read_noise_e: float  # per pixel and frame, RMS [e-]
+    excess_noise_factor: float = 1.0  # variance of the photon signal over its Poisson variance
+    saturation_adu: float | None = None  # raw level from which a pixel counts as saturated [ADU]
+    reads: int = 1  # that a frame is the sum of; `read_noise_e` is that of all together
+    background_e: float = 0.0  # light of the sky and dark current in a pixel of a frame, as declared [e-]
 
     def accumulated(self, frames: int) -> Detector:
         """Return the constants of a sum of so many `frames`."""
@@ -115,38 +75,12 @@ class Detector:
 
 @dataclass(frozen=True)
 class Acquisition:
-    """How a recording was taken (side-car ``acquisition.yaml``, recipe, or instrument defaults).
-
-    Attributes
-    ----------
-    spectrum : tuple of (wavelength_nm, weight)
-        Photon weights, any positive scale.
-    diversity : dict of int to float
-        Introduced diversity, Noll index to nm RMS.
-    mode : str
-        Read-out mode string of the sensor; empty if the layout has none.
-    lenslets : int
-        Per side of the pupil: 1 for the full pupil; with 2 a frame is four images side by side.
-    parallactic_angle_deg, altitude_deg : float or None
-        Angles of the telescope.
-    zenith_angle_deg : float or None
-        Direction of the zenith in the image, from +x towards +y.
-    pressure_hpa, temperature_c, humidity_percent : float or None
-        Air at the telescope.
-    dispersion_corrected : bool
-        Whether a corrector takes out the dispersion of the atmosphere.
-    filter : str
-        Name of the filter; empty if not known.
-    pupil_rotation_deg : float
-        By which the pupil is turned on the detector from how the instrument profile draws it, anticlockwise.
-    sources : dict of str to str
-        For every key, where its value came from.
-    """
+    """How a recording was taken: the keys of the side-car, which `readers.sidecar` explains, as settled."""
 
     role: str
     detector: Detector
-    spectrum: tuple[tuple[float, float], ...]
-    diversity: dict[int, float]
+    spectrum: tuple[tuple[float, float], ...]  # wavelengths [nm] with photon weights, any positive scale
+    diversity: dict[int, float]  # introduced, Noll index to nm RMS
     pixel_scale_mas: float
     diversity_source: str = "lens"
     target: str = ""
@@ -157,16 +91,16 @@ class Acquisition:
     derotator_angle_deg: float = 0.0
     parallactic_angle_deg: float | None = None
     altitude_deg: float | None = None
-    zenith_angle_deg: float | None = None
+    zenith_angle_deg: float | None = None  # direction of the zenith in the image, from +x towards +y
     pressure_hpa: float | None = None
     temperature_c: float | None = None
     humidity_percent: float | None = None
     dispersion_corrected: bool = False
-    filter: str = ""
-    pupil_rotation_deg: float = 0.0
-    mode: str = ""
-    lenslets: int = 1
-    sources: dict[str, str] = field(default_factory=dict)
+    filter: str = ""  # its name; empty if not known
+    pupil_rotation_deg: float = 0.0  # from how the instrument profile draws the pupil, anticlockwise
+    mode: str = ""  # read-out mode string of the sensor; empty if the layout has none
+    lenslets: int = 1  # per side of the pupil; with 2 a frame is four images side by side
+    sources: dict[str, str] = field(default_factory=dict)  # for every key, where its value came from
 
     @property
     def wavelength_nm(self) -> float:
@@ -182,47 +116,25 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Recording:
-    """Cleaned frames of one recording.
+    """Cleaned frames of one recording."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the recording (folder or file stem).
-    input : str
-        Recipe input it belongs to, for example ``calibration`` or ``ramp``.
-    images_e : ndarray, (frames, rows, columns), float32
-        Signal above background [e-]; bad pixels hold finite values and are masked.
-    used : ndarray of bool, (frames,)
-        False for rejected frames.
-    reason : ndarray of str, (frames,)
-        Why a frame was rejected; empty for used frames.
-    good : ndarray of bool, (rows, columns)
-    time_s, frame_counter, introduced_defocus_nm : ndarray, (frames,)
-        Time since the first frame, counter of the recorder, introduced defocus [nm RMS].
-    background_variance_e2 : float
-        Variance per pixel beyond read noise and source photons, e.g. of the background [e-²].
-    dark_variance_e2 : float
-        Variance per pixel of the dark image that was taken from every frame [e-²].
-    frames_missing : int
-        Frames the recorder lost (gaps of the counter).
-    start_unix_s : float
-        Time of the first frame since 1970 [s]; NaN if not known.
-    """
-
-    name: str
-    input: str
+    name: str  # folder or file stem
+    input: str  # of the recipe, for example ``calibration`` or ``ramp``
+    # (frames, rows, columns), float32: signal above background [e-]; bad pixels hold finite values
     images_e: np.ndarray
-    used: np.ndarray
-    reason: np.ndarray
-    good: np.ndarray
-    time_s: np.ndarray
-    frame_counter: np.ndarray
-    introduced_defocus_nm: np.ndarray
+    used: np.ndarray  # (frames,), False for rejected frames
+    reason: np.ndarray  # (frames,), why a frame was rejected; empty for used frames
+    good: np.ndarray  # (rows, columns), False for bad pixels
+    time_s: np.ndarray  # (frames,), since the first frame
+    frame_counter: np.ndarray  # (frames,), of the recorder
+    introduced_defocus_nm: np.ndarray  # (frames,) [nm RMS]
     acquisition: Acquisition
+    # variance per pixel beyond read noise and source photons, e.g. of the background, and of the dark image
+    # that was taken from every frame [e-²]
     background_variance_e2: float = 0.0
     dark_variance_e2: float = 0.0
-    frames_missing: int = 0
-    start_unix_s: float = float("nan")
+    frames_missing: int = 0  # frames the recorder lost (gaps of the counter)
+    start_unix_s: float = float("nan")  # time of the first frame since 1970; NaN if not known
 
     @property
     def frames(self) -> int:

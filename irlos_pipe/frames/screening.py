@@ -33,31 +33,16 @@ COMBINED_VARIANCE = 0.25  # variance over that of the others: the mean of five o
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits beyond which a frame is not used.
+    """Limits beyond which a frame is not used."""
 
-    Attributes
-    ----------
-    saturated_px : int
-        Saturated pixels that are tolerated.
-    star_snr : float
-        Peak of the star over the noise, both after averaging over 3x3 pixels.
-    edge_px : float
-        Distance of the star from the edge of the window [px].
-    flux_sigma, flux_fraction : float
-        Deviation from the median flux over its robust scatter, and over the median; both must be exceeded.
-    core_fraction : float
-        Pixels brighter than this fraction of the peak are the core.
-    core_hits_px : int
-        Hit pixels of the core that are tolerated; their neighbours determine so few.
-    """
-
-    saturated_px: int
-    star_snr: float
-    edge_px: float
+    saturated_px: int  # saturated pixels that are tolerated
+    star_snr: float  # peak of the star over the noise, both after averaging over 3x3 pixels
+    edge_px: float  # distance of the star from the edge of the window [px]
+    # deviation from the median flux over its robust scatter, and over the median; both must be exceeded
     flux_sigma: float
     flux_fraction: float
-    core_fraction: float
-    core_hits_px: int
+    core_fraction: float  # pixels brighter than this fraction of the peak are the core
+    core_hits_px: int  # hit pixels of the core that are tolerated; their neighbours determine so few
 
 
 def no_reasons(frames: int) -> np.ndarray:
@@ -84,17 +69,12 @@ def recorder_faults(adu: np.ndarray, frame_counter: np.ndarray) -> np.ndarray:
     frames = adu.reshape(len(adu), -1)
     finite = np.isfinite(frames)
     often = finite.mean(axis=0) > 0.5
-    reasons = also(no_reasons(len(adu)), _seen_before(frame_counter), REPEATED_COUNTER)
+    seen_before = np.ones(len(adu), dtype=bool)
+    seen_before[np.unique(frame_counter, return_index=True)[1]] = False
+    reasons = also(no_reasons(len(adu)), seen_before, REPEATED_COUNTER)
     reasons = also(reasons, ~finite[:, often].all(axis=1) | ~often.any(), NOT_FINITE)
     reasons = also(reasons, frames.max(axis=1) == frames.min(axis=1), EMPTY)
     return also(reasons, np.r_[False, (frames[1:] == frames[:-1]).all(axis=1)], REPEATED_IMAGE)
-
-
-def _seen_before(frame_counter: np.ndarray) -> np.ndarray:
-    _, first = np.unique(frame_counter, return_index=True)
-    seen = np.ones(len(frame_counter), dtype=bool)
-    seen[first] = False
-    return seen
 
 
 def saturated_frames(
@@ -110,18 +90,10 @@ def saturated_frames(
 
 
 class StarPeak(NamedTuple):
-    """Brightest spot of each image after averaging over 3x3 pixels; arrays (frames,).
+    """Brightest spot of each image after averaging over 3x3 pixels; arrays (frames,)."""
 
-    Attributes
-    ----------
-    snr : ndarray
-        Height above the median over the robust scatter of the image.
-    edge_px : ndarray
-        Distance from the nearest edge of the window [px].
-    """
-
-    snr: np.ndarray
-    edge_px: np.ndarray
+    snr: np.ndarray  # height above the median over the robust scatter of the image
+    edge_px: np.ndarray  # distance from the nearest edge of the window [px]
 
 
 def star_peaks(images_e: np.ndarray) -> StarPeak:

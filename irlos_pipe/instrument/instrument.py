@@ -84,10 +84,8 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
 
     It is the name of one that comes with the package, or the path of a YAML file.
 
-    Raises
-    ------
-    ConfigurationError
-        Unknown name (with a suggestion), or a profile that cannot be used (``file:line: problem``).
+    Raises `ConfigurationError` for an unknown name (with a suggestion), or a profile that cannot be used
+    (``file:line: problem``).
     """
     path = _profile_path(str(name_or_path))
     data, lines = load_yaml(path)

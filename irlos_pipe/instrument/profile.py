@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Annotated, Any, Literal
@@ -28,39 +28,37 @@ class FactRule:
     text: str
     low: float
     high: float
-    required: bool = True
     kind: Literal["number", "vanes", "lines", "sky"] = "number"
+    required: bool = False
 
 
 FACTS: dict[str, FactRule] = {
     "pupil_diameter_m": FactRule(
-        "m", "disc that contains the pupil; Zernikes have unit RMS on it", 1e-4, 100
+        "m", "disc that contains the pupil; Zernikes have unit RMS on it", 1e-4, 100, required=True
     ),
-    "pupil_obscuration_m": FactRule("m", "round hole about the axis", 0, 100, False),
-    "pupil_vanes_m": FactRule("m", "vanes of one width, [[x, y], [x, y]] each", -200, 200, False, "vanes"),
-    "pupil_vane_width_m": FactRule("m", "their width", 0, 10, False),
-    "focus_numerical_aperture": FactRule("1", "NA / n at which defocus is introduced", 0, 1, False),
+    "pupil_obscuration_m": FactRule("m", "round hole about the axis", 0, 100),
+    "pupil_vanes_m": FactRule("m", "vanes of one width, [[x, y], [x, y]] each", -200, 200, "vanes"),
+    "pupil_vane_width_m": FactRule("m", "their width", 0, 10),
+    "focus_numerical_aperture": FactRule("1", "NA / n at which defocus is introduced", 0, 1),
     "site_longitude_deg": FactRule(
-        "deg", "east of Greenwich; nights end at its noon; Paranal's without it", -360, 360, False
+        "deg", "east of Greenwich; nights end at its noon; Paranal's without it", -360, 360
     ),
-    "photons_per_s_m15": FactRule("1/s", "through aperture and sensor band at m_J = 15", 1e-6, 1e12, False),
-    "ao_cutoff_per_m": FactRule("1/m", "end of the AO correction, 1/(2 actuator pitch)", 1e-3, 1e6, False),
-    "outer_scale_m": FactRule("m", "of the turbulence", 1, 1000, False),
-    "ao_residual_nm_per_arcsec": FactRule(
-        "nm/arcsec", "slope of the AO residual against seeing", 0, 1e4, False
+    "photons_per_s_m15": FactRule("1/s", "through aperture and sensor band at m_J = 15", 1e-6, 1e12),
+    "ao_cutoff_per_m": FactRule("1/m", "end of the AO correction, 1/(2 actuator pitch)", 1e-3, 1e6),
+    "outer_scale_m": FactRule("m", "of the turbulence", 1, 1000),
+    "ao_residual_nm_per_arcsec": FactRule("nm/arcsec", "slope of the AO residual against seeing", 0, 1e4),
+    "ao_residual_floor_nm": FactRule("nm", "AO residual at zero seeing", 0, 1e4),
+    "ncpa_amplitude_nm": FactRule(
+        "nm", "std of Noll i+2 = amplitude exp(-decay i) + plateau", 0, 1e4, required=True
     ),
-    "ao_residual_floor_nm": FactRule("nm", "AO residual at zero seeing", 0, 1e4, False),
-    "ncpa_amplitude_nm": FactRule("nm", "std of Noll i+2 = amplitude exp(-decay i) + plateau", 0, 1e4),
-    "ncpa_decay": FactRule("1", "see ncpa_amplitude_nm", 0, 100),
-    "ncpa_plateau_nm": FactRule("nm", "see ncpa_amplitude_nm", 0, 1e4),
-    "seeing_arcsec": FactRule("arcsec", "where none was measured", 0.01, 10, False),
-    "vibration_lines": FactRule(
-        "Hz, 1, 1", "[Hz, share of the variance along x, along y]", 0, 1e5, False, "lines"
-    ),
+    "ncpa_decay": FactRule("1", "see ncpa_amplitude_nm", 0, 100, required=True),
+    "ncpa_plateau_nm": FactRule("nm", "see ncpa_amplitude_nm", 0, 1e4, required=True),
+    "seeing_arcsec": FactRule("arcsec", "where none was measured", 0.01, 10),
+    "vibration_lines": FactRule("Hz, 1, 1", "[Hz, share of the variance along x, along y]", 0, 1e5, "lines"),
     "sky_mag_per_arcsec2": FactRule(
-        "nm, mag/arcsec2", "brightness of the sky in each band, [wavelength, mag]", -10, 1e6, False, "sky"
+        "nm, mag/arcsec2", "brightness of the sky in each band, [wavelength, mag]", -10, 1e6, "sky"
     ),
-    "amplifier_e_per_adu": FactRule("e-/ADU", "gain behind the avalanche, for `modes`", 1e-9, 1e6, False),
+    "amplifier_e_per_adu": FactRule("e-/ADU", "gain behind the avalanche, for `modes`", 1e-9, 1e6),
 }
 # Facts of adaptive optics and seeing, which belong together and ask for the photons; a bench has none.
 OF_A_SKY = (
@@ -293,8 +291,11 @@ class Profile(Section):
 def _require_value(name: str, rule: FactRule, value: Any) -> None:
     shapes = {
         "number": (_is_number, f"a number from {rule.low:g} to {rule.high:g}"),
-        "vanes": (_is_vane, "a list of [[x, y], [x, y]] in metres"),
-        "lines": (_is_line, "a list of [Hz, share_x, share_y]"),
+        "vanes": (lambda one: _is_list(one, 2, _is_point), "a list of [[x, y], [x, y]] in metres"),
+        "lines": (
+            lambda one: _is_list(one, 3, _is_number) and min(one) >= 0,
+            "a list of [Hz, share_x, share_y]",
+        ),
         "sky": (_is_point, "a list of [wavelength in nm, mag]"),
     }
     fits, text = shapes[rule.kind]
@@ -324,17 +325,9 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _is_list(value: Any, length: int) -> bool:
-    return isinstance(value, list) and len(value) == length
-
-
-def _is_line(value: Any) -> bool:
-    return _is_list(value, 3) and all(map(_is_number, value)) and min(value) >= 0
-
-
-def _is_vane(value: Any) -> bool:
-    return _is_list(value, 2) and all(map(_is_point, value))
+def _is_list(value: Any, length: int, is_item: Callable[[Any], bool]) -> bool:
+    return isinstance(value, list) and len(value) == length and all(map(is_item, value))
 
 
 def _is_point(value: Any) -> bool:
-    return _is_list(value, 2) and all(map(_is_number, value))
+    return _is_list(value, 2, _is_number)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,14 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
+from irlos_pipe.conventions.pupil_drawing import (
+    ON_AXIS,
+    PupilGeometry,
+    Vane,
+    clear_fraction,
+    outline_cover,
+    placed,
+)
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Flip, Part, Placement, Samples
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.regular import first_image
@@ -110,10 +117,8 @@ class PupilSection(Section):
 def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeometry:
     """Return the pupil of a profile: `plain` disc, hole and vanes of the facts, and what `section` draws.
 
-    Raises
-    ------
-    ValueError
-        For parts that contradict each other, and a map, whose path counts from `folder`, that cannot be used.
+    Raises `ValueError` for parts that contradict each other, and a map, whose path counts from `folder`, that
+    cannot be used.
     """
     if section.map and section.aperture:
         raise ValueError("map and aperture both say what light passes; give one of them")
@@ -146,10 +151,7 @@ def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeo
 def part_of(entry: dict[str, Any]) -> Part:
     """Return the part that ``{name: {key: value}}`` describes.
 
-    Raises
-    ------
-    ValueError
-        Naming the nearest known name or key, or the value that does not fit.
+    Raises `ValueError` that names the nearest known name or key, or the value that does not fit.
     """
     if len(entry) != 1 or not isinstance(next(iter(entry.values())), dict):
         raise ValueError(f"a part is {{name: {{key: value}}}}, not {entry!r}; parts: {', '.join(PARTS)}")
@@ -188,11 +190,8 @@ def _checked(name: str, key: str, kind: Any, value: Any) -> Any:
 def read_map(path: Path, metres_per_sample: float | None = None) -> AmplitudeMap:
     """Read the amplitude of a pupil from the first image of the FITS file `path`.
 
-    Raises
-    ------
-    ValueError
-        For a file that cannot be read, a scale that neither `metres_per_sample` nor the header states, and
-        samples that are no amplitudes.
+    Raises `ValueError` for a file that cannot be read, a scale that neither `metres_per_sample` nor the
+    header states, and samples that are no amplitudes.
     """
     try:
         values, header = first_image(path)
@@ -211,28 +210,27 @@ def read_map(path: Path, metres_per_sample: float | None = None) -> AmplitudeMap
 
 @lru_cache(maxsize=16)
 def require_usable(geometry: PupilGeometry) -> None:
-    """Check what light the pupil `geometry` passes, on a grid.
+    """Raise ValueError where the light that the pupil `geometry` passes on a grid makes no sense.
 
-    Raises
-    ------
-    ValueError
-        Saying in one line what is wrong and what to correct.
+    The message says in one line what is wrong and what to correct.
     """
     rim_m = geometry.diameter_m / 2
     step_m = geometry.diameter_m / CELLS
     axis_m = (np.arange(CELLS + 2) - (CELLS + 1) / 2) * step_m
-    open_to_light, overlap = _aperture(geometry, axis_m, step_m)
+    x_m, y_m = axis_m[None, :], axis_m[:, None]
+    overlap = _overlap(geometry, x_m, y_m, step_m)
     if overlap > MOST_OVERLAP:
         raise ValueError(
             f"the parts of the aperture overlap: {overlap:.2g} of its area is covered twice; draw it once"
         )
     # edges that meet leave a part of a cell clear, which is no light
-    lit = open_to_light * _left(geometry, axis_m, step_m) > open_to_light.max() / 2
+    aperture = outline_cover(replace(geometry, obscuration_m=0.0), x_m, y_m, step_m, ON_AXIS)
+    lit = clear_fraction(geometry, x_m, y_m, step_m) > min(aperture.max(), 1.0) / 2
     light = lit.sum() * step_m**2 / (np.pi * rim_m**2)
     if light < LEAST_LIGHT:
         passed = f"only {light:.1g} of the light" if lit.any() else "no light"
         raise ValueError(f"it lets {passed} on its disc pass; compare aperture, hole, obstructions and vanes")
-    reach_m = _radius_m(axis_m)[lit].max()
+    reach_m = np.hypot(x_m, y_m)[lit].max()
     if reach_m < LEAST_REACH * rim_m:
         raise ValueError(
             f"what passes light ends {reach_m:.3g} m from the axis, before {LEAST_REACH:.2g} of half the "
@@ -240,37 +238,11 @@ def require_usable(geometry: PupilGeometry) -> None:
         )
 
 
-def _aperture(geometry: PupilGeometry, axis_m: np.ndarray, step_m: float) -> tuple[np.ndarray, float]:
-    """The fraction of each cell that the aperture covers, (rows, columns), and of its area covered twice."""
-    if not geometry.aperture:
-        return np.clip((geometry.diameter_m / 2 - _radius_m(axis_m)) / step_m + 0.5, 0, 1), 0.0
-    if geometry.map:
-        return np.clip(geometry.map.cover(axis_m[None, :], axis_m[:, None], step_m), 0, 1), 0.0
-    cover, pieces = np.zeros((len(axis_m),) * 2), np.zeros((len(axis_m),) * 2, int)
-    for piece in geometry.segments:
-        box = rows, columns = piece.box(axis_m, axis_m, step_m)
-        x_m, y_m = axis_m[None, columns], axis_m[rows, None]
-        cover[box] += piece.cover(x_m, y_m, step_m)
-        pieces[box] += piece.distance_m(*piece.placement.back(x_m, y_m)) > 1e-6 * step_m
-    return np.minimum(cover, 1), int(np.sum(pieces > 1)) / max(int(np.sum(pieces > 0)), 1)
-
-
-def _left(geometry: PupilGeometry, axis_m: np.ndarray, step_m: float) -> np.ndarray:
-    """The fraction of each cell that hole, obstructions and vanes leave, (rows, columns)."""
-    left = np.ones((len(axis_m),) * 2)
-    if geometry.obscuration_m:
-        left = np.clip((_radius_m(axis_m) - geometry.obscuration_m / 2) / step_m + 0.5, 0, 1)
-    for piece in (piece for part in geometry.obstructions for piece in part.pieces):
-        rows, columns = piece.box(axis_m, axis_m, step_m)
-        left[rows, columns] *= 1 - piece.cover(axis_m[None, columns], axis_m[rows, None], step_m)
-    for vane in geometry.vanes:
-        start, end = complex(*vane.start_m), complex(*vane.end_m)
-        direction = (end - start) / abs(end - start)
-        place = (axis_m[None, :] + 1j * axis_m[:, None] - start) * direction.conjugate()
-        behind = (np.abs(place.imag) < vane.width_m / 2) & (place.real > 0) & (place.real < abs(end - start))
-        left *= ~behind
-    return left
-
-
-def _radius_m(axis_m: np.ndarray) -> np.ndarray:
-    return np.hypot(axis_m[None, :], axis_m[:, None])
+def _overlap(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> float:
+    """The part of the aperture's area that is covered twice."""
+    pieces = np.zeros((y_m.size, x_m.size), int)
+    for piece in () if geometry.map else geometry.segments:
+        box = rows, columns = piece.box(x_m, y_m, step_m)
+        inside_m = piece.distance_m(*piece.placement.back(x_m[:, columns], y_m[rows]))
+        pieces[box] += inside_m > 1e-6 * step_m
+    return int(np.sum(pieces > 1)) / max(int(np.sum(pieces > 0)), 1)

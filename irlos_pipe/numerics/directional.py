@@ -16,13 +16,7 @@ Function: TypeAlias = "Callable[[torch.Tensor], torch.Tensor]"
 
 
 class Directional:
-    """Derivatives of a real or complex function at one place, which is evaluated once for all directions.
-
-    Parameters
-    ----------
-    values : tensor
-        Where; real.
-    """
+    """Derivatives of a real or complex function at real `values`, where it is evaluated once."""
 
     def __init__(self, function: Function, values: torch.Tensor):
         with torch.enable_grad():

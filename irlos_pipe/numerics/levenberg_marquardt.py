@@ -201,24 +201,17 @@ class _State:
             factor = self._factor(taken, value[better])
             self.damping[taken] = (self.damping[taken] * factor).clip(min=DAMPING_MIN)
             self.value[taken] = value[better]
-            self._grow_old(taken, factor > 1)
-            which = self._with_own_hessian(which[~better])
+            if self.cheap_gradient is not None:  # a Hessian is kept, unless a step was not the first and poor
+                self.age[taken] += 1
+                self.age[taken[(factor > 1) & (self.age[taken] > 1)]] = SPENT
+            which = which[~better]
+            aged = self.age[which] > 0  # these refuse a step because their Hessian is of another place
+            self.age[which[aged]] = SPENT
+            which = which[~aged]
             if len(which) == 0:
                 return
             self.damping[which] *= 10
         self.status[which] = STALLED
-
-    def _grow_old(self, which: np.ndarray, poor: np.ndarray) -> None:
-        """Members that took a step with a Hessian that they keep, unless it was not the first and poor."""
-        if self.cheap_gradient is not None:
-            self.age[which] += 1
-            self.age[which[poor & (self.age[which] > 1)]] = SPENT
-
-    def _with_own_hessian(self, which: np.ndarray) -> np.ndarray:
-        """Those of the members that refuse a step although their Hessian is of the place; others renew it."""
-        aged = self.age[which] > 0
-        self.age[which[aged]] = SPENT
-        return which[~aged]
 
     def _tried(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
         """Objective of trial steps, and the equations there for the next iteration.

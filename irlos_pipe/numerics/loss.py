@@ -15,35 +15,24 @@ from irlos_pipe.conventions.late import torch
 
 HUBER_KNEE = 2.0  # residuals beyond this many sigma count linearly
 L1_ROUNDING = 1.0  # the kink of |r| is rounded over this many sigma: noise blurs a sharper one anyway
-
-
 STEP = 1e-4  # step in σ over which ψ is differentiated; its curvature is of the order of one
 LossName = Literal["gaussian", "huber", "l1"]
 
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss and its weight function.
-
-    Attributes
-    ----------
-    whitened : bool
-        True if residuals are divided by their standard error, False if all count in
-        electrons (as in the mean absolute error of the paper).
-    value, weight : callable
-        ``ρ(r)`` and ``ρ'(r)/r``.
-    curvature : callable
-        What stands for ``ρ''(r)`` in a Hessian, given residuals (b, repeats, pixels); positive.
-    relative_tolerance : float
-        Fall of the loss, relative to itself, at which a fit counts as converged (besides the
-        statistical criterion of `solve`); re-weighting reaches an L1 minimum only linearly.
-    """
+    """A loss and its weight function."""
 
     name: LossName
+    # whether residuals are divided by their standard error, or all count in electrons, as in the mean
+    # absolute error of the paper
     whitened: bool
-    value: Callable[[torch.Tensor], torch.Tensor]
-    weight: Callable[[torch.Tensor], torch.Tensor]
+    value: Callable[[torch.Tensor], torch.Tensor]  # ``ρ(r)``
+    weight: Callable[[torch.Tensor], torch.Tensor]  # ``ρ'(r)/r``
+    # what stands for ``ρ''(r)`` in a Hessian, given residuals (b, repeats, pixels); positive
     curvature: Callable[[torch.Tensor], torch.Tensor]
+    # fall of the loss, relative to itself, at which a fit counts as converged (besides the statistical
+    # criterion of `solve`); re-weighting reaches an L1 minimum only linearly
     relative_tolerance: float = 0.0
 
     @property

@@ -49,18 +49,11 @@ def _sums(columns: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
 
 
 class Linearised:
-    """Tangents of a batch of fits, ``(b, parameters, pixels)``, and where they lead.
+    """Tangents of a batch of fits, and where they lead.
 
-    Parameters
-    ----------
-    columns : tensor, (b, parameters, pixels)
-        Derivatives of the images.
-    residual : tensor, (b, repeats, pixels)
-        Whitened, float64; for a robust loss rounded to the precision of the columns.
-    root : tensor, (b, repeats or 1, pixels)
-        Square roots of the weights, float64.
-    precision, offset : tensor, (b, parameters)
-        Of the Gaussian prior, and how far the parameters are from its mean.
+    The derivatives of the images are `columns` (b, parameters, pixels), the whitened `residual` (b, repeats,
+    pixels) and `root` (b, repeats or 1, pixels), square roots of the weights, are float64. The Gaussian prior
+    has a `precision` and the parameters an `offset` from its mean, (b, parameters) each.
     """
 
     def __init__(self, columns, residual, root, loss: Loss, precision, offset):

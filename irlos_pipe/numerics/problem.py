@@ -22,23 +22,14 @@ class Descent(Protocol):
 
 
 class Problem(ABC):
-    """A batch of least-squares problems; `which` selects members of the batch.
+    """A batch of least-squares problems; `which` selects members of the batch."""
 
-    Attributes
-    ----------
-    lower, upper : tensor, (p,) or (batch, p)
-        Bounds of the parameters.
-    reweighted : bool
-        Whether the equations are those of a re-weighted problem, whose quadratic model does not predict
-        the fall of the objective.
-    same_unit : slice
-        Parameters that have the same unit, so that their curvatures compare.
-    """
-
-    lower: torch.Tensor
+    lower: torch.Tensor  # bounds of the parameters, (p,) or (batch, p)
     upper: torch.Tensor
+    # whether the equations are those of a re-weighted problem, whose quadratic model does not predict the
+    # fall of the objective
     reweighted: bool = False
-    same_unit: slice = slice(0)
+    same_unit: slice = slice(0)  # parameters that have the same unit, so that their curvatures compare
 
     @abstractmethod
     def negligible(self, value: torch.Tensor) -> torch.Tensor:

@@ -20,25 +20,14 @@ CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "st
 
 @dataclass(frozen=True)
 class Solution:
-    """Outcome of a batch of fits.
+    """Outcome of a batch of fits."""
 
-    Attributes
-    ----------
-    values : tensor, (batch, parameters), float64
-    covariance : tensor, (batch, parameters, parameters)
-        Inverse of the Hessian at the solution (Cramér–Rao bound plus prior).
-    status : list of str
-        `converged`, `max_iterations`, `stalled` or `invalid`, one per member.
-    iterations : tensor of int, (batch,)
-    objective : tensor, (batch,)
-        Half of χ² (prior included) at the solution.
-    """
-
-    values: torch.Tensor
+    values: torch.Tensor  # (batch, parameters), float64
+    # (batch, parameters, parameters): inverse of the Hessian at the solution (Cramér–Rao bound plus prior)
     covariance: torch.Tensor
-    status: list[str]
-    iterations: torch.Tensor
-    objective: torch.Tensor
+    status: list[str]  # `converged`, `max_iterations`, `stalled` or `invalid`, one per member
+    iterations: torch.Tensor  # (batch,)
+    objective: torch.Tensor  # (batch,): half of χ² (prior included) at the solution
 
     @classmethod
     def joined(cls, parts: Sequence[Solution]) -> Solution:

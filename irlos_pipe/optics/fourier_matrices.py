@@ -108,26 +108,12 @@ def baseline_to_pixels(
 ) -> torch.Tensor:
     """Return the matrix from FFT coefficients of the focal intensity to pixel-integrated flux.
 
-    Parameters
-    ----------
-    baselines_m : ndarray
-        `FocalGrid.baseline_y_m` or, with ``half=True``, `FocalGrid.baseline_x_m`.
-    pixel_scale_mas, wavelength_m : float or scalar tensor
-        The matrix is differentiable in both.
-    half : bool
-        True for the axis of a real FFT: inner coefficients count twice, and the real part
-        of the two-axis product is taken.
-    slope : bool
-        Its derivative with respect to the logarithm of pixel scale over wavelength instead.
+    It is (pixels, baselines), complex128, and differentiable in `pixel_scale_mas` and `wavelength_m`. The
+    `baselines_m` are `FocalGrid.baseline_y_m`, or `FocalGrid.baseline_x_m` with `half`, for the axis of a
+    real FFT: inner coefficients count twice, and the real part of the two-axis product is taken. With
+    `slope` it is the derivative with respect to the logarithm of pixel scale over wavelength instead.
 
-    Returns
-    -------
-    tensor, (pixels, len(baselines_m)), complex128
-
-    Raises
-    ------
-    ValueError
-        If the window is wider than the focal grid, which would alias silently.
+    Raises `ValueError` if the window is wider than the focal grid, which would alias silently.
     """
     scale, colour = (float(torch.as_tensor(value).detach()) for value in (pixel_scale_mas, wavelength_m))
     require_field(pixels, scale, colour, grid)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
 import scipy
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.conventions.pupil_parts import Part, anticlockwise_from_first
+from irlos_pipe.conventions.pupil_drawing import ON_AXIS, PupilGeometry, Vane, clear_fraction, outline_cover
+from irlos_pipe.conventions.pupil_parts import anticlockwise_from_first
 
-ON_AXIS = (0.0, 0.0)
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 ROWS_AT_A_TIME = 64
 NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()}  # a bare aperture
@@ -21,7 +20,6 @@ PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid'
 Shares = Callable[[np.ndarray, np.ndarray, float], Iterable[tuple[int, slice, np.ndarray]]]
 Index = Callable[[np.ndarray, np.ndarray], np.ndarray]  # number of the part at points (x, y) [m]
 CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by what folds back
-
 LABELLED = 1024  # cells across the diameter of the drawing in which connected parts are looked for
 WIDEST_GAP = 0.02  # of the diameter: a vane that ends this close to the rim parts petals all the same
 NARROWEST = 3  # cells: thinner vanes are drawn that wide there
@@ -78,12 +76,8 @@ def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarra
     the flat part, so sharp edges and thin vanes cost no resolution: at equal accuracy the
     grid is about half as fine per axis as an area-weighted one.
 
-    Returns
-    -------
-    u_m : ndarray, (samples + 2 * PAD,)
-        Coordinates of the grid [m]; `samples` of them lie across the diameter.
-    amplitude : ndarray, (len(u_m), len(u_m))
-        May ring slightly below 0 and above 1.
+    Returns the coordinates of the grid [m], n = samples + 2 PAD, of which `samples` lie across the
+    diameter, and the amplitude (n, n), which may ring slightly below 0 and above 1.
     """
     total = samples + 2 * PAD
     u_m, amplitude = grid_centres(total, geometry.diameter_m / samples), band_limited(geometry, samples)
@@ -164,18 +158,13 @@ def filter_matrix(total: int, subsamples: int) -> np.ndarray:
     `total` is the number of coarse samples, each of `subsamples` fine ones.
     """
     size = total * subsamples
-    response, half_cell = _low_pass(size, subsamples)
-    impulse = np.fft.ifft(response * half_cell).real
-    picked = np.arange(total) * subsamples + subsamples // 2 - 1
-    return impulse[(picked[:, None] - np.arange(size)[None, :]) % size]
-
-
-def _low_pass(size: int, subsamples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Low-pass of the fine grid, and the half-cell shift that centres the picked samples."""
     cycles = np.fft.fftfreq(size)  # per fine cell
     nyquists = np.abs(cycles) * 2 * subsamples
     ramp = np.clip((nyquists - PASS_BAND) / (STOP_BAND - PASS_BAND), 0, 1)
-    return np.cos(np.pi / 2 * ramp) ** 2 / np.sinc(cycles), np.exp(1j * np.pi * cycles)
+    half_cell = np.exp(1j * np.pi * cycles)  # a shift that centres the picked samples
+    impulse = np.fft.ifft(np.cos(np.pi / 2 * ramp) ** 2 / np.sinc(cycles) * half_cell).real
+    picked = np.arange(total) * subsamples + subsamples // 2 - 1
+    return impulse[(picked[:, None] - np.arange(size)[None, :]) % size]
 
 
 def _by_rows(
@@ -185,25 +174,7 @@ def _by_rows(
     step = centres_m[1] - centres_m[0]
     for first in range(0, len(centres_m), ROWS_AT_A_TIME):
         rows = slice(first, first + ROWS_AT_A_TIME)
-        yield rows, _clear_fraction(geometry, centres_m[None, :], centres_m[rows, None], step, stop_m)
-
-
-def _clear_fraction(
-    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
-) -> np.ndarray:
-    """Fraction of sub-cells of size `step` that transmit, from the distance to each edge."""
-    clear = outline_cover(geometry, x, y, step, stop_m)
-    for part in geometry.obstructions:
-        clear *= 1 - parts_cover([part], x, y, step)
-    for vane in geometry.vanes:
-        _cover(clear, vane, x, y, step)
-    return clear
-
-
-def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> None:
-    """Take from every sub-cell the fraction that the vane covers; most lie far from it."""
-    rows, columns = np.nonzero(np.abs(across_m(vane, x, y)) < vane.width_m / 2 + step)
-    clear[rows, columns] *= 1 - vane_cover(vane, x[0, columns], y[rows, 0], step)
+        yield rows, clear_fraction(geometry, centres_m[None, :], centres_m[rows, None], step, stop_m)
 
 
 def _filtered_in_blocks(
@@ -218,15 +189,17 @@ def _filtered_in_blocks(
     fine, step = fine_m.reshape(n, -1), float(fine_m[1] - fine_m[0])
     reach_m = (fine.shape[1] / np.sqrt(2) + 1) * step  # of a block; edges are a cell wide
     x, y = np.meshgrid(fine.mean(1), fine.mean(1))
-    at_vanes = [_touched(vane, x, y, reach_m) for vane in geometry.vanes]
-    rows, columns = np.nonzero(
-        np.logical_or.reduce([_at_a_circle(geometry, x, y, reach_m, stop_m), *at_vanes])
-    )
+    at_vanes = []
+    for vane in geometry.vanes:
+        along, beside = vane.along_m(x, y), np.abs(vane.across_m(x, y)) < vane.width_m / 2 + reach_m
+        at_vanes.append(beside & (along > -reach_m) & (along < vane.axis[1] + reach_m))
+    at_circles = _at_a_circle(geometry, x, y, reach_m, stop_m)
+    rows, columns = np.nonzero(np.logical_or.reduce([at_circles, *at_vanes]))
     cells_x, cells_y = fine[columns][:, None, :], fine[rows][:, :, None]
     cells = outline_cover(geometry, cells_x, cells_y, step, stop_m)
     for vane, there in zip(geometry.vanes, at_vanes, strict=True):
         own = there[rows, columns]
-        cells[own] *= 1 - vane_cover(vane, cells_x[own], cells_y[own], step)
+        cells[own] *= 1 - vane.cover(cells_x[own], cells_y[own], step)
     clear = np.empty((n, fine.shape[1]) * 2)
     clear[:] = outline_cover(geometry, x, y, step, stop_m)[:, None, :, None]
     clear[rows, :, columns] = cells
@@ -245,113 +218,34 @@ def _at_a_circle(
     return found
 
 
-def _touched(vane: Vane, x: np.ndarray, y: np.ndarray, reach_m: float) -> np.ndarray:
-    """Whether a `vane` may touch blocks at (`x`, `y`)."""
-    start, length, direction = axis(vane)
-    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
-    beside = np.abs(across_m(vane, x, y)) < vane.width_m / 2 + reach_m
-    return beside & (along > -reach_m) & (along < length + reach_m)
-
-
-def outline_cover(
-    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
-) -> np.ndarray:
-    """Return the fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
-
-    The sub-cells of the pupil `geometry` have their centres at `x`, `y`, a row and a column where an aperture
-    is drawn, and a side of `step` [m]; `stop_m` is as of `band_limited`.
-    """
-    largest = smallest = np.sqrt(x**2 + y**2)
-    if stop_m != ON_AXIS:
-        from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
-        largest, smallest = np.maximum(largest, from_stop), np.minimum(smallest, from_stop)
-    if not geometry.aperture:
-        clear = inside((geometry.diameter_m / 2 - largest) / step)
-    else:
-        clear = parts_cover(geometry.aperture, x, y, step)
-        if stop_m != ON_AXIS:
-            stop = [part.outline for part in geometry.aperture]
-            clear = np.minimum(clear, parts_cover(stop, x - stop_m[0], y - stop_m[1], step))
-    if geometry.obscuration_m > 0:
-        clear *= inside((smallest - geometry.obscuration_m / 2) / step)
-    return clear
-
-
-def parts_cover(parts: Sequence[Part], x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Return the fraction of each sub-cell that `parts`, which do not overlap, cover, (rows, columns).
-
-    The centres are at `x` (1, columns) and `y` (rows, 1), the side is `step` [m].
-    """
-    covered = np.zeros(np.broadcast_shapes(x.shape, y.shape))
-    for piece in (piece for part in parts for piece in part.pieces):
-        rows, columns = piece.box(x, y, step)
-        covered[rows, columns] += piece.cover(x[:, columns], y[rows], step)
-    return covered
-
-
-def inside(distance_cells: np.ndarray) -> np.ndarray:
-    """Return the covered fraction of a cell whose centre lies `distance_cells` inside an edge."""
-    return np.clip(distance_cells + 0.5, 0.0, 1.0)
-
-
-def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Return the fraction that a `vane` covers of each sub-cell of side `step` at (`x`, `y`) [m]."""
-    start, length, direction = axis(vane)
-    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
-    across, half = across_m(vane, x, y), vane.width_m / 2
-    width = inside((across + half) / step) + inside((half - across) / step) - 1
-    return np.clip(width, 0, 1) * inside(along / step) * inside((length - along) / step)
-
-
-def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the distance of (`x`, `y`) to the left of the axis of a `vane` [m]."""
-    start, _, direction = axis(vane)
-    return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
-
-
-def axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return where a vane starts, its length, and its direction."""
-    start, end = np.array(vane.start_m), np.array(vane.end_m)
-    length = float(np.hypot(*(end - start)))
-    return start, length, (end - start) / length
-
-
-class Petals:
-    """Connected parts of the clear area of a pupil, gaps between segments not counted.
-
-    They are numbered anticlockwise from the one nearest to the +45° diagonal.
-    """
-
-    def __init__(self, geometry: PupilGeometry):
-        self._step = geometry.diameter_m / LABELLED
-        self._u = grid_centres(LABELLED + 2 * NARROWEST, self._step)
-        clear = area_weighted_pupil(_parted(geometry, self._step), self._u)
-        labels, _ = scipy.ndimage.label(clear > clear.max() / 2)
-        areas = np.bincount(labels.ravel())[1:]
-        large = np.flatnonzero(areas > SMALLEST * areas.sum()) + 1
-        centres = (
-            np.array(scipy.ndimage.center_of_mass(labels > 0, labels, large))[:, ::-1]
-            - (len(self._u) - 1) / 2
-        )
-        number = np.full(len(areas) + 1, -1)
-        number[large[anticlockwise_from_first(centres)]] = np.arange(len(large))
-        self.count = len(large)
-        self._index = _grown(number[labels])
-
-    def index(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Return the number of the petal at, or nearest to, the points (`x_m`, `y_m`)."""
-        row, column = (self._cell(axis) for axis in (y_m, x_m))
-        return self._index[row, column]
-
-    def _cell(self, axis_m: np.ndarray) -> np.ndarray:
-        return np.clip(np.rint((axis_m - self._u[0]) / self._step), 0, len(self._u) - 1).astype(int)
-
-
 @lru_cache(maxsize=8)
 def petals_of(geometry: PupilGeometry) -> Division:
-    """Return the petals of a pupil `geometry`; one that is not divided has a single one."""
-    petals = Petals(geometry)
-    return Division(petals.index, petals.count)
+    """Return the connected parts of the clear area of a pupil `geometry`, gaps between segments not counted.
+
+    They are numbered anticlockwise from the one nearest to the +45° diagonal; a pupil that is not divided has
+    a single one.
+    """
+    step = geometry.diameter_m / LABELLED
+    u = grid_centres(LABELLED + 2 * NARROWEST, step)
+    clear = area_weighted_pupil(_parted(geometry, step), u)
+    labels, _ = scipy.ndimage.label(clear > clear.max() / 2)
+    areas = np.bincount(labels.ravel())[1:]
+    large = np.flatnonzero(areas > SMALLEST * areas.sum()) + 1
+    centres = np.array(scipy.ndimage.center_of_mass(labels > 0, labels, large))[:, ::-1] - (len(u) - 1) / 2
+    number = np.full(len(areas) + 1, -1)
+    number[large[anticlockwise_from_first(centres)]] = np.arange(len(large))
+    numbers = number[labels]
+    # small parts and the dark have the number of the nearest petal
+    nearest = scipy.ndimage.distance_transform_edt(numbers < 0, return_distances=False, return_indices=True)
+    nearest_petal = numbers[tuple(nearest)]
+
+    def index(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        row, column = (
+            np.clip(np.rint((axis_m - u[0]) / step), 0, len(u) - 1).astype(int) for axis_m in (y_m, x_m)
+        )
+        return nearest_petal[row, column]
+
+    return Division(index, len(large))
 
 
 @lru_cache(maxsize=8)
@@ -396,20 +290,12 @@ def _segment_shares(
 
 def _parted(geometry: PupilGeometry, step_m: float) -> PupilGeometry:
     """The pupil with segments joined, and vanes that are long and wide enough to part petals."""
-    vanes = tuple(
-        _lengthened(v, WIDEST_GAP * geometry.diameter_m, NARROWEST * step_m) for v in geometry.vanes
-    )
-    return replace(geometry, vanes=vanes, aperture=tuple(part.gapless for part in geometry.aperture))
-
-
-def _lengthened(vane: Vane, by_m: float, least_width_m: float) -> Vane:
-    start, end = complex(*vane.start_m), complex(*vane.end_m)
-    step = by_m * (end - start) / abs(end - start)
-    start, end = start - step, end + step
-    return Vane((start.real, start.imag), (end.real, end.imag), max(vane.width_m, least_width_m))
-
-
-def _grown(index: np.ndarray) -> np.ndarray:
-    """`index` with the nearest number in place of negative ones."""
-    nearest = scipy.ndimage.distance_transform_edt(index < 0, return_distances=False, return_indices=True)
-    return index[tuple(nearest)]
+    vanes = []
+    for vane in geometry.vanes:
+        start, end = complex(*vane.start_m), complex(*vane.end_m)
+        beyond = WIDEST_GAP * geometry.diameter_m * (end - start) / abs(end - start)
+        start, end = start - beyond, end + beyond
+        width_m = max(vane.width_m, NARROWEST * step_m)
+        vanes.append(Vane((start.real, start.imag), (end.real, end.imag), width_m))
+    aperture = tuple(part.gapless for part in geometry.aperture)
+    return replace(geometry, vanes=tuple(vanes), aperture=aperture)

@@ -16,20 +16,22 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned, with_sizes
-from irlos_pipe.optics.pupil import (
+from irlos_pipe.conventions.pupil_drawing import (
     ON_AXIS,
+    PupilGeometry,
+    Vane,
+    inside,
+    outline_cover,
+    turned,
+    with_sizes,
+)
+from irlos_pipe.optics.pupil import (
     PAD,
     Division,
-    across_m,
-    axis,
     band_limited,
     band_limited_parts,
     filter_matrix,
     fine_centres,
-    inside,
-    outline_cover,
-    vane_cover,
 )
 
 WIDTH = 1.5  # of an edge, in fine cells: one cell would show the staircase
@@ -119,9 +121,9 @@ class PupilEdges(DrawnEdges):
         """Derivative of the amplitude while the vanes turn anticlockwise about the axis, (n, n) [1/rad]."""
         changes = []
         for vane, cells in zip(self.geometry.vanes, self._vanes, strict=True):
-            _, _, direction = axis(vane)
+            _, _, direction = vane.axis
             outwards = cells.x * direction[0] + cells.y * direction[1]
-            changes.append(-np.sign(across_m(vane, cells.x, cells.y)) * outwards)
+            changes.append(-np.sign(vane.across_m(cells.x, cells.y)) * outwards)
         return self._filtered(self._vanes, changes)
 
     def obscured(self) -> np.ndarray:
@@ -161,10 +163,10 @@ class PupilEdges(DrawnEdges):
 
     def _vane_edges(self, vane: Vane) -> _Cells:
         broad = replace(vane, width_m=vane.width_m + 4 * self._step)  # covers both edges between its ends
-        middle, reach_m = (np.array(vane.start_m) + vane.end_m) / 2, axis(vane)[1] / 2
+        middle, reach_m = (np.array(vane.start_m) + vane.end_m) / 2, vane.axis[1] / 2
 
         def outside_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-            return np.abs(across_m(vane, x, y)) - vane.width_m / 2
+            return np.abs(vane.across_m(x, y)) - vane.width_m / 2
 
         def beyond_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
             return np.hypot(x - middle[0], y - middle[1]) - reach_m - broad.width_m
@@ -172,7 +174,7 @@ class PupilEdges(DrawnEdges):
         cells = self._near(outside_m, beyond_m)
         others = self._between([one for one in self.geometry.vanes if one is not vane], cells)
         others *= outline_cover(self.geometry, cells.x, cells.y, self._step, self.stop_m)
-        return cells.seen(others * vane_cover(broad, cells.x, cells.y, self._step))
+        return cells.seen(others * broad.cover(cells.x, cells.y, self._step))
 
     def _near(self, distance_m: Distance, beyond_m: Distance | None = None) -> _Cells:
         """Cells at the edge whose signed distance is `distance_m`; none where `beyond_m` is positive.
@@ -197,7 +199,7 @@ class PupilEdges(DrawnEdges):
         """Part of `cells` that `vanes` leave clear."""
         clear = np.ones(len(cells.x))
         for vane in vanes:
-            clear *= 1 - vane_cover(vane, cells.x, cells.y, self._step)
+            clear *= 1 - vane.cover(cells.x, cells.y, self._step)
         return clear
 
     def _filtered(self, edges: Sequence[_Cells], changes: Sequence[np.ndarray]) -> np.ndarray:
@@ -234,36 +236,29 @@ class DrawnTwice(DrawnEdges):
         ahead, behind = self._step_m / speed, -self._step_m / speed
         if self.stop_m == ON_AXIS:
             behind = 0.0
-        return (self._with_stop(along, ahead) - self._with_stop(along, behind)) / (ahead - behind)
+        later, before = (
+            self._drawn(self.geometry, (self.stop_m[0] + t * along[0], self.stop_m[1] + t * along[1]))
+            for t in (ahead, behind)
+        )
+        return (later - before) / (ahead - behind)
 
     def turned(self) -> np.ndarray:
         """See `PupilEdges.turned`; of a drawn aperture, the whole pupil turns."""
         angle = self._step_m / (self.geometry.diameter_m / 2)
-        later, before = (
-            self._drawn(turned(self.geometry, np.rad2deg(a)), self.stop_m) for a in (angle, -angle)
-        )
-        return (later - before) / (2 * angle)
+        return self._slope(lambda by: turned(self.geometry, np.rad2deg(by)), angle)
 
     def obscured(self) -> np.ndarray:
         size_m = self.geometry.obscuration_m
-        return self._between(*(with_sizes(self.geometry, obscuration_m=size_m + s) for s in self._steps_m))
+        return self._slope(lambda by: with_sizes(self.geometry, obscuration_m=size_m + by), self._step_m)
 
     def widened(self) -> np.ndarray:
         size_m = self.geometry.vane_width_m
-        return self._between(*(with_sizes(self.geometry, vane_width_m=size_m + s) for s in self._steps_m))
+        return self._slope(lambda by: with_sizes(self.geometry, vane_width_m=size_m + by), self._step_m)
 
-    @property
-    def _steps_m(self) -> tuple[float, float]:
-        return self._step_m, -self._step_m
-
-    def _between(self, larger: PupilGeometry, smaller: PupilGeometry) -> np.ndarray:
-        """Difference of two drawings over twice the step."""
-        later, before = (self._drawn(one, self.stop_m) for one in (larger, smaller))
-        return (later - before) / (2 * self._step_m)
-
-    def _with_stop(self, along: tuple[float, float], time: float) -> np.ndarray:
-        stop_m = (self.stop_m[0] + time * along[0], self.stop_m[1] + time * along[1])
-        return self._drawn(self.geometry, stop_m)
+    def _slope(self, changed: Callable[[float], PupilGeometry], step: float) -> np.ndarray:
+        """Central difference of drawings of the pupil `changed` by a step either way."""
+        later, before = (self._drawn(changed(by), self.stop_m) for by in (step, -step))
+        return (later - before) / (2 * step)
 
     def _drawn(self, geometry: PupilGeometry, stop_m: tuple[float, float]) -> np.ndarray:
         options: Any = {"stop_m": stop_m, "subsamples": self._subsamples}

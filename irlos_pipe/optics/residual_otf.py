@@ -12,8 +12,12 @@ from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.in_band_residual import InBandResidual, Residual
-from irlos_pipe.optics.structure_function import ResidualBand, fitting_structure_nm2
+from irlos_pipe.optics.structure_function import (
+    InBandResidual,
+    Residual,
+    ResidualBand,
+    fitting_structure_nm2,
+)
 
 NODES = 16  # per axis: the squared differences are polynomials of degree 4 in both
 
@@ -26,12 +30,8 @@ def coma_between(lengths_m: np.ndarray, diameter_m: float) -> tuple[np.ndarray, 
     They are over the points x for which x + b is inside, too. ψ is Noll 8 for a baseline b along x; turned,
     the moments hold for every baseline. Baselines beyond the diameter are taken for it.
 
-    Returns
-    -------
-    mean : ndarray, (n,)
-        Of the coma along the baseline; that of the coma across it is 0.
-    along, across : ndarray, (n,)
-        Variance of the coma along the baseline, and across it.
+    Returns the mean of the coma along the baseline, that of the coma across it being 0, and the variances of
+    both, along first, (n,) each.
     """
     lengths, inverse = np.unique(np.round(lengths_m, 9), return_inverse=True)
     b = np.minimum(2 * lengths / diameter_m, 2 - 1e-9)[:, None, None]

@@ -97,7 +97,10 @@ class Strained(NamedTuple):
         Another `footprint` stands in for the own one.
         """
         seen = waves * (self.footprint if footprint is None else footprint)
-        lines = torch.fft.ifft(self._closer(seen), dim=-2, norm="forward") * self.along_lines
+        padded = seen.shape[-2]
+        between = seen.new_zeros(*seen.shape[:-2], len(self.along_lines) - padded, seen.shape[-1])
+        closer = torch.cat([seen[..., : padded // 2, :], between, seen[..., padded // 2 :, :]], dim=-2)
+        lines = torch.fft.ifft(closer, dim=-2, norm="forward") * self.along_lines
         columns = lines.real @ self.to_columns.real.mT - lines.imag @ self.to_columns.imag.mT
         sheared = torch.fft.rfft(columns, dim=-2, norm="forward") * self.along_columns
         return self.to_rows.real @ sheared.real - self.to_rows.imag @ sheared.imag
@@ -111,12 +114,6 @@ class Strained(NamedTuple):
         waves = torch.fft.fft(lines, dim=-2, norm="forward")
         least, most = waves[..., : padded // 2, :], waves[..., period - padded + padded // 2 :, :]
         return torch.cat([least, most], dim=-2) * self.footprint
-
-    def _closer(self, waves: torch.Tensor) -> torch.Tensor:
-        """Waves (..., p, p//2 + 1) of lines that lie closer, (..., q, p//2 + 1)."""
-        padded = waves.shape[-2]
-        between = waves.new_zeros(*waves.shape[:-2], len(self.along_lines) - padded, waves.shape[-1])
-        return torch.cat([waves[..., : padded // 2, :], between, waves[..., padded // 2 :, :]], dim=-2)
 
     def slopes(self, waves: torch.Tensor, changes: Sequence[torch.Tensor]) -> list[torch.Tensor]:
         """Return the derivatives of `image` along `changes` of A, (2, 2) each.

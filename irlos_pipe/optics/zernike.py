@@ -111,17 +111,10 @@ def rotation_matrix(nolls: Sequence[int], angle_deg: float) -> np.ndarray:
     """Return the matrix that turns a wavefront anticlockwise (from +x towards +y) by `angle_deg`.
 
     ``W'(ρ, θ) = W(ρ, θ − α)``: the cosine and sine coefficients (c, s) of every (n, |m|) turn as a
-    vector by mα, ``c' = c cos mα − s sin mα``, ``s' = c sin mα + s cos mα``.
+    vector by mα, ``c' = c cos mα − s sin mα``, ``s' = c sin mα + s cos mα``. The matrix (modes, modes) is to
+    be applied to coefficients in the order of `nolls`.
 
-    Returns
-    -------
-    ndarray, (modes, modes)
-        To be applied to coefficients in the order of `nolls`.
-
-    Raises
-    ------
-    ValueError
-        When one of the two modes of an (n, |m|) is missing.
+    Raises `ValueError` when one of the two modes of an (n, |m|) is missing.
     """
     place = {noll: row for row, noll in enumerate(nolls)}
     lonely = [noll for noll in nolls if partner(noll) not in place]

@@ -12,22 +12,41 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.pipeline.runlog import RUN
+from irlos_pipe.pipeline.runlog import RUN, TRACE
 
 silent_progress = partial(tqdm, disable=True)
-terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
+EVERY_S = 30  # between messages
 
 
 class _Logged(tqdm):
-    """Progress where there is no terminal: now and then a message with an estimate of what is left."""
+    """Progress where there is no terminal: now and then a message with an estimate of what is left.
+
+    Of more steps than were expected it has the number and the time.
+    """
+
+    log = RUN
 
     def display(self, msg: str | None = None, pos: int | None = None) -> None:
-        if msg is None and 0 < self.n < self.total:
-            left_s = self.format_dict["elapsed"] * (self.total - self.n) / self.n
-            RUN.info("%s: %d of %d, about %.0f s left", self.desc, self.n, self.total, left_s)
+        if msg is None and 0 < self.n != self.total:
+            elapsed_s, ahead = self.format_dict["elapsed"], self.total - self.n
+            rest = f" of {self.total}, about {elapsed_s * ahead / self.n:.0f} s left"
+            self.log.info("%s: %d%s", self.desc, self.n, rest if ahead > 0 else f" steps, {elapsed_s:.0f} s")
 
 
-logged_progress = partial(_Logged, mininterval=30, miniters=1, file=StringIO())
+class _Shown(_Logged):
+    """A bar on the terminal, with the same messages in run.log only."""
+
+    log, said_s = TRACE, 0.0
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> None:
+        if self.format_dict["elapsed"] > self.said_s + EVERY_S:
+            self.said_s = self.format_dict["elapsed"]
+            super().display(msg)
+        tqdm.display(self, msg, pos)
+
+
+terminal_progress = partial(_Shown, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
+logged_progress = partial(_Logged, mininterval=EVERY_S, miniters=1, file=StringIO())
 
 
 @dataclass(frozen=True)

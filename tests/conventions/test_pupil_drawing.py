@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
-from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Placement, Polygon, Samples
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Hexagons, Placement, Polygon, Samples
 
 POINTS = (np.array([0.3, -1.2, 2.0]), np.array([0.7, 0.1, -0.4]))
 
@@ -33,15 +33,10 @@ def test_a_moved_disc_takes_its_hole_with_it():
     assert [part.placement.shift_m for part in (*moved.aperture, *moved.obstructions)] == [(0.01, 0.0)] * 2
 
 
-def a_map(values, step_m=0.05):
-    return PupilGeometry(1.0, aperture=(AmplitudeMap(Samples.of(np.asarray(values)), step_m),))
-
-
 @pytest.mark.parametrize(
     ("made", "message"),
     [
         (lambda: PupilGeometry(8.0, 8.0), "obscuration, 8 m, should be smaller than the diameter, 8 m"),
-        (lambda: PupilGeometry(8.0, 1.0, (Vane((5.0, 0.0), (9.0, 0.0), 0.1),)), "vane 1 lies outside"),
         (lambda: PupilGeometry(8.0, 1.0, (Vane((1.0, 0.0), (1.0, 0.0), 0.1),)), "starts where it ends"),
         (lambda: PupilGeometry(8.0, 1.0, (Vane((1.0, 0.0), (2.0, 0.0), -0.1),)), "width, -0.1 m"),
         (
@@ -50,15 +45,8 @@ def a_map(values, step_m=0.05):
         ),
         (lambda: Hexagons(1.2, 0.0, 2, (19,)), "missing .* should be numbers from 0 to 18"),
         (lambda: Hexagons(1.2, -0.1, 2), "gap_m -0.1 should not be negative"),
-        (lambda: Circle(0.0), "diameter_m 0 should be positive"),
-        (lambda: Polygon(((0.0, 0.0), (1.0, 1.0))), "three corners or more"),
         (lambda: Polygon(((0.0, 0.0), (1.0, 1.0), (2.0, 2.0))), "enclose an area"),
-        (lambda: a_map(np.ones((16, 12))), r"shape \(16, 12\) should be that of a square image"),
-        (lambda: a_map(np.full((16, 16), np.nan)), "should be numbers, not NaN"),
-        (lambda: a_map(-np.ones((16, 16))), "smallest amplitude -1 should not be negative"),
-        (lambda: a_map(2 * np.ones((16, 16))), "largest amplitude 2 should not exceed 1"),
-        (lambda: a_map(np.zeros((16, 16))), "lets no light pass"),
-        (lambda: a_map(np.ones((16, 16)), 0.1), "the map reaches 1.061 m from the axis, beyond half"),
+        (lambda: AmplitudeMap(Samples.of(np.zeros((16, 16))), 0.05), "lets no light pass"),
     ],
 )
 def test_contradictions_are_told_in_one_line(made, message):

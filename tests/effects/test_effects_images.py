@@ -111,21 +111,19 @@ def test_the_wavefront_of_a_filter_acts_only_in_recordings_through_it():
 
 
 @pytest.mark.slow
-def test_a_misplaced_stop_and_turned_vanes_pass_light_where_both_do():
-    agree(ours("pupil_misregistration"), truth(transmission=reference().misregistered((0.12, -0.08), 4.0)))
-
-
-@pytest.mark.slow
-def test_another_obscuration_and_vanes_of_another_width_are_those_of_another_pupil():
-    agree(ours("pupil_geometry"), truth(transmission=reference().misregistered((0, 0), 0.0, 1.4, 0.06)))
-
-
-@pytest.mark.slow
-def test_a_pupil_of_other_sizes_is_turned_and_stopped_as_such():
-    both = [made("pupil_misregistration"), made("pupil_geometry")]
-    effects = EffectSet([FixedEffect(effect, values) for effect, values in both], model().grids)
+@pytest.mark.parametrize(
+    ("names", "drawn"),
+    [
+        (["pupil_misregistration"], ((0.12, -0.08), 4.0)),
+        (["pupil_geometry"], ((0, 0), 0.0, 1.4, 0.06)),
+        (["pupil_misregistration", "pupil_geometry"], ((0.12, -0.08), 4.0, 1.4, 0.06)),
+    ],
+)
+def test_a_pupil_of_other_sizes_displaced_or_turned_is_drawn_as_such(names, drawn):
+    """A misplaced stop and turned vanes pass light where both do."""
+    effects = EffectSet([FixedEffect(*made(name)) for name in names], model().grids)
     image = model().images(vector(STATIC_NM, NOLLS), effects())[0].numpy()
-    agree(image, truth(transmission=reference().misregistered((0.12, -0.08), 4.0, 1.4, 0.06)))
+    agree(image, truth(transmission=reference().misregistered(*drawn)))
 
 
 def test_an_amplitude_aberration_multiplies_the_field():

@@ -30,24 +30,6 @@ def psf() -> PsfModel:
     return PsfModel(settings(WINDOW, SPECTRUM, pupil_samples=64), NOLLS, dtype=torch.float64)
 
 
-def images(effect, values: torch.Tensor, when=None) -> torch.Tensor:
-    return ImageModel(psf(), [effect]).predict(WAVEFRONTS, FLUX, BACKGROUND, values, when)
-
-
-def columns(effect, values: torch.Tensor, when=None) -> torch.Tensor:
-    """Derivatives of the images with respect to the effect's parameters, parameters first."""
-    whole = ImageModel(psf(), [effect])
-    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values, when)[1]
-    return jacobian[:, len(NOLLS) : -2].transpose(0, 1)
-
-
-def differences(effect, values: torch.Tensor, when=None) -> torch.Tensor:
-    steps = 1e-4 * values.abs().clamp_min(0.1)
-    moves = torch.diag(steps)
-    high, low = ([images(effect, values + s * move, when) for move in moves] for s in (1, -1))
-    return (torch.stack(high) - torch.stack(low)) / (2 * steps[:, None, None, None])
-
-
 def assert_differences(effects, starts, every=1, step=1e-4, least=0.1, tolerance=2e-5, plane="") -> None:
     """Compare derivatives by parameters of several effects with finite differences; starts may go by name."""
     whole = ImageModel(psf(), effects)
@@ -67,8 +49,7 @@ def assert_differences(effects, starts, every=1, step=1e-4, least=0.1, tolerance
 @pytest.mark.parametrize("name", SMOOTH)
 def test_derivatives_at_a_strong_level_are_finite_differences(name):
     effect, values = made(name)
-    for ours, theirs in zip(columns(effect, values), differences(effect, values), strict=True):
-        assert ours.numpy() == pytest.approx(theirs.numpy(), abs=2e-5 * float(theirs.abs().max()))
+    assert_differences([effect], values)
 
 
 @pytest.mark.slow
@@ -147,15 +128,11 @@ def test_rough_derivatives_of_faint_ghosts_are_wrong_by_a_part_of_their_light(de
 
 def test_colours_and_pixels_are_differentiated_through_pupil_otf_and_copies():
     """Dispersion depends on the mean wavelength, a bump and a ghost's focus on each."""
-    differentiated(["spectrum", "plate_scale", "atmospheric_dispersion", "ghost", "phase_bump"], 4, 1e-6)
-
-
-def differentiated(names: list[str], free: int, tolerance: float) -> None:
-    """Compare derivatives by the parameters of the sampling with finite differences."""
+    names = ["spectrum", "plate_scale", "atmospheric_dispersion", "ghost", "phase_bump"]
     effects, starts = zip(*map(made, names), strict=True)
-    assert len(EffectSet(effects, psf().grids).free_at("sampling")) == free
+    assert len(EffectSet(effects, psf().grids).free_at("sampling")) == 4
     by_name = dict(zip(names, starts, strict=True))
-    assert_differences(effects, by_name, step=1e-5, least=1.0, tolerance=tolerance, plane="sampling")
+    assert_differences(effects, by_name, step=1e-5, least=1.0, tolerance=1e-6, plane="sampling")
 
 
 def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
@@ -232,7 +209,7 @@ def test_every_effect_is_absent_at_its_null_values(name):
     with_halo_otf = 2e-5  # the plain path skips the OTF, whose grid ends elsewhere
     for effect in searched(name)[::7]:
         values = torch.tensor(effect.null_values, dtype=torch.float64)
-        absent = images(effect, values)
+        absent = ImageModel(psf(), [effect]).predict(WAVEFRONTS, FLUX, BACKGROUND, values)
         assert absent.numpy() == pytest.approx(plain.numpy(), abs=with_halo_otf * float(plain.max()))
 
 
@@ -241,9 +218,11 @@ def test_every_effect_is_absent_at_its_null_values(name):
 def test_every_effect_shows_in_the_derivative_at_its_null_values(name):
     for effect in searched(name)[::7]:
         assert all(p.null is not None for p in effect.parameters)
-        slopes = columns(effect, torch.tensor(effect.null_values, dtype=torch.float64))
+        values = torch.tensor(effect.null_values, dtype=torch.float64)
+        whole = ImageModel(psf(), [effect])
+        slopes = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
         assert torch.isfinite(slopes).all()
-        assert (slopes.abs().amax((1, 2, 3)) > 0).all()
+        assert (slopes.abs().amax((0, 2, 3)) > 0).all()
 
 
 @pytest.mark.parametrize("name", ["interpixel_crosstalk", "plate_scale", "vibration", "phase_bump"])

@@ -91,21 +91,11 @@ def test_frames_may_be_described_by_a_side_car(run, tmp_path):
         assert mine["defocus_nm"] == pytest.approx(theirs["defocus_nm"], abs=1.0)
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("--limit-nm", "inf"),
-        ("--jump-nm", "nan"),
-        ("--max-misfit", "inf"),
-        ("--gain", "nan"),
-        ("--leak", "inf"),
-        ("--speed", "nan"),
-        ("--stale-after", "nan"),
-        ("--stale-frames", "inf"),
-        ("--silent-after", "inf"),
-        ("--wait", "nan"),
-    ],
-)
+NUMBERS = "limit-nm jump-nm max-misfit gain leak speed stale-after stale-frames silent-after wait"
+
+
+@pytest.mark.parametrize("option", [f"--{name}" for name in NUMBERS.split()])
+@pytest.mark.parametrize("value", ["nan", "inf"])
 def test_what_is_no_finite_number_is_refused_in_one_line(tmp_path, option, value):
     code, line = failure("run", "--replay", "run", "--output", tmp_path / "loop", option, value)
     assert (code, line) == (2, f"irlos: error: {option} {value}: give a finite number")

@@ -89,15 +89,14 @@ def test_a_read_noise_declared_too_small_makes_no_bad_pixels():
     assert places(noisy_pixels(images, *SETTINGS)) == []
 
 
-def test_a_noisy_pixel_is_found():
+@pytest.mark.parametrize(
+    "more_e",
+    [np.random.default_rng(4).normal(0, 150, 30), 500 * (np.arange(30) % 3 == 0)],
+    ids=["", "states"],
+)
+def test_a_noisy_pixel_and_one_of_two_states_are_found(more_e):
     images = frames()
-    images[:, 5, 8] += np.random.default_rng(4).normal(0, 150, len(images))
-    assert places(noisy_pixels(images, *SETTINGS)) == [(5, 8)]
-
-
-def test_a_pixel_of_two_states_is_found():
-    images = frames()
-    images[::3, 5, 8] += 500
+    images[:, 5, 8] += more_e
     assert places(noisy_pixels(images, *SETTINGS)) == [(5, 8)]
 
 

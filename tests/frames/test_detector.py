@@ -23,7 +23,7 @@ from irlos_pipe.frames.detector import (
 from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
 from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
-from irlos_pipe.frames.recording import SIDECAR, Acquisition, CalibrationMaps, Detector, Recording
+from irlos_pipe.frames.recording import SIDECAR, CalibrationMaps, Detector
 from irlos_pipe.frames.told import cutoff_ratio, told_of
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
@@ -125,25 +125,6 @@ def test_noise_is_measured_in_few_frames_and_in_one(count):
 LEVELS_E = np.array([0.0, 3.0, 40.0, 900.0, 20_000.0])
 
 
-def recording(detector: Detector, background_variance_e2: float) -> Recording:
-    acquisition = Acquisition("psf", detector, ((1600.0, 1.0),), {}, 9.7)
-    empty = np.zeros((1, 2, 2), np.float32)
-    zero = np.zeros(1)
-    return Recording(
-        "r",
-        "cube",
-        empty,
-        zero == 0,
-        zero.astype(str),
-        empty[0] == 0,
-        zero,
-        zero,
-        zero,
-        acquisition,
-        background_variance_e2,
-    )
-
-
 @pytest.mark.parametrize("excess", [1.0, 1.47])
 def test_simulated_frames_scatter_as_the_model_says(excess):
     """Read noise counts once, as a variance: F x signal + sigma² within 1 %."""
@@ -152,7 +133,7 @@ def test_simulated_frames_scatter_as_the_model_says(excess):
     mean_e = np.repeat(LEVELS_E, 100_000)[None]
     frame = simulated.read_out(mean_e, np.full(mean_e.shape, 500.0), 1.0, rng) * 0.5
     measured = frame.reshape(len(LEVELS_E), -1).var(1)
-    noise = NoiseModel.of(recording(Detector(0.5, 3.0, excess), 0.0))
+    noise = NoiseModel.of_detector(Detector(0.5, 3.0, excess))
     assert noise.variance_e2(LEVELS_E) == pytest.approx(measured, rel=0.02)
     assert np.mean(noise.variance_e2(LEVELS_E) / measured) == pytest.approx(1, abs=0.01)
 

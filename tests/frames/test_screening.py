@@ -32,34 +32,21 @@ ACROSS = 48  # samples across the pupil
 SUB_EXPOSURES = 3
 
 
-def speckle_cube(
-    frames: int = 60,
-    size: int = 64,
-    *,
-    flux_e: float = 1e7,
-    residual_rad: float = 0.5,
-    memory: float = 0.7,
-    read_noise_e: float = 15.0,
-    stripes_e: float = 0.0,
-    seed: int = 0,
-) -> np.ndarray:
-    """Return frames (frames, size, size) [e-] of a star with `flux_e` electrons inside the window.
+def speckle_cube(frames: int, size: int = 64, seed: int = 11) -> np.ndarray:
+    """Return frames (frames, size, size) [e-] of a star with 1e7 electrons inside the window.
 
-    `residual_rad` is the RMS of the residual phase within a frame, half of its variance static, `memory` the
-    correlation of the changing phase from one exposure to the next, and `stripes_e` the RMS of an offset that
-    all pixels of a row share in one frame.
+    The phase within a frame has an RMS of 0.5 rad, half of its variance static; the changing part has a
+    correlation of 0.7 from one exposure to the next. The read noise is 15 e-.
     """
     rng = np.random.default_rng(seed)
-    static = _screen(rng) * residual_rad / np.sqrt(2)
-    moving = _screen(rng)
+    static, moving = _screen(rng), _screen(rng)
     images = np.zeros((frames, size, size))
     for image in images:
         for _ in range(SUB_EXPOSURES):
-            moving = memory * moving + np.sqrt(1 - memory**2) * _screen(rng)
-            image += _intensity(static + moving * residual_rad / np.sqrt(2), size)
-    images *= flux_e / images.sum(axis=(1, 2)).mean()
-    stripes = rng.normal(0, stripes_e, (frames, size, 1))
-    return rng.poisson(images) + rng.normal(0, read_noise_e, images.shape) + stripes
+            moving = 0.7 * moving + np.sqrt(1 - 0.7**2) * _screen(rng)
+            image += _intensity((static + moving) * 0.5 / np.sqrt(2), size)
+    images *= 1e7 / images.sum(axis=(1, 2)).mean()
+    return rng.poisson(images) + rng.normal(0, 15.0, images.shape)
 
 
 def _pupil() -> np.ndarray:
@@ -208,7 +195,7 @@ PHARO_SAMPLING_PX = 3.81  # 2.145 um, 4.646 m, 25 mas
 
 @cache
 def cube_e() -> np.ndarray:
-    return speckle_cube(40, seed=11)
+    return speckle_cube(40)
 
 
 @cache

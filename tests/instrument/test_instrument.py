@@ -136,18 +136,9 @@ def test_a_mistake_in_a_profile_is_told_with_the_file(tmp_path, profile, where, 
 PAGE = REPOSITORY / "docs/instruments.md"
 
 
-def example():
-    return re.search(r"```yaml\n(name:.*?)```", PAGE.read_text(), re.DOTALL)[1]
-
-
-@pytest.fixture
-def instrument(tmp_path):
-    path = tmp_path / "example_4m.yaml"
-    path.write_text(example())
-    return load_instrument(path)
-
-
-def test_the_example_is_the_telescope_that_the_page_describes(instrument):
+def test_the_example_is_the_telescope_that_the_page_describes(tmp_path):
+    example = re.search(r"```yaml\n(name:.*?)```", PAGE.read_text(), re.DOTALL)[1]
+    instrument = load_instrument(written(tmp_path, yaml.safe_load(example)))
     assert (petals_of(instrument.pupil).count, segments_of(instrument.pupil).count) == (3, 18)
     assert instrument.pupil.obstructions[0].placement.shift_m == pytest.approx((-1.1, 0.4))
     assert instrument.defaults["pixel_scale_mas"] == 17.6
@@ -155,12 +146,6 @@ def test_the_example_is_the_telescope_that_the_page_describes(instrument):
 
 
 # Units of facts, as names ask for them and as people write them.
-
-
-def loaded(folder, profile):
-    path = folder / "mine.yaml"
-    path.write_text(yaml.safe_dump(profile))
-    return load_instrument(path)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +187,7 @@ def test_a_unit_that_contradicts_the_name_is_told_in_one_line(tmp_path, profile,
     entries = profile["facts"][fact]
     (entries[-1] if isinstance(entries, list) else entries)["unit"] = unit
     with pytest.raises(ConfigurationError) as caught:
-        loaded(tmp_path, profile)
+        load_instrument(written(tmp_path, profile))
     assert f"fact '{fact}' should be in {wanted}, but its unit is '{unit}'" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1 and "mine.yaml" in str(caught.value)
 

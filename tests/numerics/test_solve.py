@@ -44,35 +44,10 @@ class Decays(Problem):
 
 
 class Frugal(Decays, CheapGradientProblem):
-    """The same with a cheap gradient; it counts the evaluations."""
-
-    def __init__(self, data):
-        super().__init__(data)
-        self.hessians, self.gradients = 0, 0
-
-    def normal_equations(self, p, which):
-        self.hessians += len(p)
-        return super().normal_equations(p, which)
+    """The same with a cheap gradient."""
 
     def cheap_gradient(self, p, which):
-        self.gradients += len(p)
-        return super().normal_equations(p, which)[:2]
-
-
-class Blind(CheapGradientProblem):
-    """A round bowl, of whose curvature along the second axis the Hessian knows a ten thousandth."""
-
-    lower, upper = (torch.full((2,), bound, dtype=torch.float64) for bound in (-np.inf, np.inf))
-
-    def negligible(self, value):
-        return torch.full_like(value, 1e-3)
-
-    def objective(self, p, which):
-        return 0.5 * (p**2).sum(1)
-
-    def normal_equations(self, p, which):
-        known = torch.diag(torch.tensor([1.0, 1e-4], dtype=torch.float64))
-        return self.objective(p, which), p, known.expand(len(p), 2, 2).clone()
+        return Decays.normal_equations(self, p, which)[:2]
 
 
 class Rough(Frugal):
@@ -80,14 +55,9 @@ class Rough(Frugal):
 
     def normal_equations(self, p, which):
         model, columns = self._parts(p)
-        self.hessians += len(p)
         residual = self.data[which] - model
         columns = columns * (1 + 0.01 * torch.cos(3 * torch.as_tensor(X)))
         return 0.5 * (residual**2).sum(1), -(columns @ residual[..., None])[..., 0], columns @ columns.mT
-
-    def cheap_gradient(self, p, which):
-        self.gradients += len(p)
-        return Decays.normal_equations(self, p, which)[:2]
 
 
 def curves(seed: int = 3, members: int = 5) -> np.ndarray:
@@ -146,22 +116,8 @@ def test_a_member_with_nan_is_flagged_and_leaves_the_others_alone():
 
 def test_where_iterations_are_used_up_a_tenth_of_a_standard_error_will_do():
     """Parabolas at 0.05 and 0.5 standard errors from their minimum, with one iteration."""
-
-    class Valley(Problem):
-        lower, upper = torch.full((1,), -1e9), torch.full((1,), 1e9)
-        same_unit = slice(0, 1)
-
-        def negligible(self, value):
-            return torch.full_like(value, 1e-3)
-
-        def objective(self, x, which):
-            return 0.5 * x[:, 0] ** 2
-
-        def normal_equations(self, x, which):
-            return self.objective(x, which), x.clone(), torch.ones(len(x), 1, 1, dtype=x.dtype)
-
     start = torch.tensor([[0.05], [0.5]], dtype=torch.float64)
-    assert solve(Valley(), start, max_iterations=1).status == [CONVERGED, MAX_ITERATIONS]
+    assert solve(Bent(0.0), start, max_iterations=1).status == [CONVERGED, MAX_ITERATIONS]
 
 
 class Bent(Problem):
@@ -190,19 +146,13 @@ class Bent(Problem):
         return self.objective(p, which), gradient, (1 + slope**2)[..., None]
 
 
-@pytest.mark.parametrize("bend", [0.0, 0.9, 1.3, 2.0])
-def test_curvature_that_gauss_newton_neglects_does_not_keep_it_from_converging(bend):
+@pytest.mark.parametrize(("bend", "steps"), [(-0.7, 6), (0.0, 6), (0.9, 6), (1.3, 6), (2.0, 40)])
+def test_the_curvature_that_gauss_newton_neglects_is_learnt_from_the_gradients(bend, steps):
+    """Plain Gauss–Newton steps change the distance to the minimum only by the factor |bend|."""
     solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
     assert solution.status == [CONVERGED]
-    assert abs(float(solution.values)) < 0.05
-
-
-@pytest.mark.parametrize("bend", [-0.7, 0.9, 1.3])
-def test_the_neglected_curvature_is_learnt_from_the_gradients(bend):
-    """Plain Gauss–Newton steps shrink the distance to the minimum only by the factor |bend|."""
-    solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
-    assert solution.status == [CONVERGED]
-    assert int(solution.iterations[0]) <= 6
+    assert abs(float(solution.values)) < 0.05 or bend < 0
+    assert int(solution.iterations[0]) <= steps
 
 
 def test_a_start_where_nothing_can_be_learnt_of_a_parameter_is_not_left_in_a_leap():
@@ -227,9 +177,6 @@ def test_a_start_where_nothing_can_be_learnt_of_a_parameter_is_not_left_in_a_lea
     found = solve(Blind(), torch.tensor([[0.3, 0.0]], dtype=torch.float64))
     assert float(found.values[0, 0]) == pytest.approx(1.0, abs=1e-3)
     assert abs(float(found.values[0, 1])) < 10
-
-
-# -- gradients between Hessians ----------------------------------------------------------------
 
 
 def test_what_does_not_depend_on_a_dead_parameter_has_its_error():

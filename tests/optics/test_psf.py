@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from helpers.light_path_derivatives import assert_jacobian, assert_pullback
 from helpers.optics_cases import (
     J_AND_H,
     MAS_RAD,
@@ -26,10 +27,10 @@ from helpers.reference_psf import reference
 from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.optics.light_path import AS_BUILT
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import FRAME_PUPIL_SAMPLES
 
@@ -152,55 +153,18 @@ def wavefronts() -> torch.Tensor:
     return torch.cat([vector(ncpa_nm(seed, 21), PSF_JACOBIAN_NOLLS) for seed in (1, 2)])
 
 
-@pytest.fixture(params=[False, True], ids=["without", "with OTF factors"])
-def factor(request, model):
-    effects = halo_and_jitter(model)
-    return effects(effects.starts) if request.param else AS_BUILT
-
-
-def central_difference(function, x: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
-    """Derivative of every output with respect to every element of a vector, derivatives first."""
-    moves = torch.diag(step)
-    return torch.stack([(function(x + move) - function(x - move)) / (2 * move.sum()) for move in moves])
-
-
-def test_modal_derivatives_are_finite_differences(model, factor, wavefronts):
-    _, jacobian = model.images_and_jacobian(wavefronts, factor)
-    for frame, x in enumerate(wavefronts):
-        numeric = central_difference(
-            lambda a: model.images(a[None], factor)[0], x, torch.full_like(x, STEP_NM)
-        )
-        assert jacobian[frame].numpy() == pytest.approx(
-            numeric.numpy(), abs=1e-6 * float(numeric.abs().max())
-        )
-
-
-def test_the_pullback_is_the_transpose_of_finite_differences(model, factor, wavefronts):
-    images, pullback = model.images_and_pullback(wavefronts, factor)
-    assert images.numpy() == pytest.approx(model.images(wavefronts, factor).numpy(), abs=1e-15)
-    factors = torch.randn(images.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    found = pullback(factors)
-    for frame, x in enumerate(wavefronts):
-        numeric = central_difference(
-            lambda a, frame=frame: (model.images(a[None], factor)[0] * factors[frame]).sum(),
-            x,
-            torch.full_like(x, STEP_NM),
-        )
-        assert found[frame].numpy() == pytest.approx(numeric.numpy(), abs=1e-6 * float(numeric.abs().max()))
-
-
-def test_derivatives_of_otf_parameters_are_finite_differences(model, wavefronts):
+def test_derivatives_by_modes_and_otf_parameters_are_finite_differences(model, wavefronts):
     effects = halo_and_jitter(model)
     values = effects.starts * 1.1 + 0.05
-    _, jacobian = model.images_and_jacobian(wavefronts, effects(values), effects.tangents(values))
     steps = 1e-4 * values.abs().clamp_min(1.0)
-    for frame, x in enumerate(wavefronts):
-        numeric = central_difference(lambda v, x=x: model.images(x[None], effects(v))[0], values, steps)
-        for parameter, ours, theirs in zip(
-            effects.parameters, jacobian[frame, len(PSF_JACOBIAN_NOLLS) :], numeric, strict=True
-        ):
-            tolerance = 1e-6 * float(theirs.abs().max())
-            assert ours.numpy() == pytest.approx(theirs.numpy(), abs=tolerance), parameter.name
+    assert_jacobian(model, effects, wavefronts, values, steps)
+    assert_pullback(model, effects, wavefronts, values)
+
+
+def test_derivatives_without_otf_factors_are_finite_differences(model, wavefronts):
+    none = EffectSet([], model.grids)
+    assert_jacobian(model, none, wavefronts, torch.zeros(0), [])
+    assert_pullback(model, none, wavefronts, torch.zeros(0))
 
 
 @pytest.mark.slow

@@ -14,10 +14,13 @@ from scipy.special import gamma, j0, jv, kv
 
 from irlos_pipe.effects import EffectSet, SeeingHalo
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.in_band_residual import LOWEST, InBandResidual, Residual, aliased_turbulence
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.structure_function import (
+    LOWEST,
+    InBandResidual,
+    Residual,
     ResidualBand,
+    aliased_turbulence,
     fitting_structure_nm2,
     fitting_variance_nm2,
     seeing_to_r0_m,
