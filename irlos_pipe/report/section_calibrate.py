@@ -356,15 +356,9 @@ def _in_time(of: Calibration) -> Figure | None:
             if spectra:
                 segment = min(len(frames), SEGMENT)
                 hann = np.hanning(segment + 1)[:-1]
-<<<<<<< HEAD
-                seen = mlab.psd(frames[:, mode], segment, rate_hz, "mean", hann, segment // 2)
-                power, hertz = map(np.asarray, seen)
-                row[1].plot(hertz[1:], power[1:], color=BLUE, linewidth=0.9)
-=======
                 psd = mlab.psd(frames[:, mode], segment, rate_hz, "mean", hann, segment // 2)
                 power, hertz = (np.asarray(one)[1:] for one in psd)
                 row[1].plot(hertz, power, color=BLUE, linewidth=0.9)
->>>>>>> main
                 row[1].set_xscale("log")
                 log_y(row[1], power, small=True)
                 row[1].set_title("power [nm²/Hz]", loc="left", pad=2)
