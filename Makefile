@@ -145,7 +145,7 @@ paper-quick: env ## run every experiment of the paper with small samples, minute
 	$(BIN)/irlos paper --output $(RUNS)/paper-quick --quick $(ARGS)
 
 paper-tables: env ## after make paper: renew docs/paper/ and the tables of docs/results.md (ARGS=--beside)
-	$(BIN)/python -m irlos_pipe.paper.run.results_page --take $(RUNS)/paper/tables $(ARGS)
+	$(BIN)/python -m maintenance.paper_tables --take $(RUNS)/paper/tables $(ARGS)
 
 simulate: env ## make recordings with a known truth (SPEC=on_sky, OUT=...)
 	$(BIN)/irlos simulate $(SPEC) --output $(OUT) $(ARGS)

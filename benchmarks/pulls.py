@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any, get_args
 
 import click
@@ -190,12 +191,7 @@ def _with_interval(some: Sequence[Outcome]) -> str:
     return f"{np.sqrt(squares.mean()):.2f} ({low:.2f}–{high:.2f})"
 
 
-def key_of(outcome: Outcome) -> tuple:
-    """Return what an outcome says of its case."""
-    return outcome["seed"], outcome["frames"]
-
-
-SUITE = Suite(outcome_of, key_of, table, "performance.md", "pulls")
+SUITE = Suite(outcome_of, itemgetter("seed", "frames"), table, "performance.md", "pulls")
 
 
 @click.command()

@@ -1,15 +1,17 @@
 """The documentation site; `make docs` builds it with warnings as errors."""
 
 import logging
+import sys
 from pathlib import Path
 
 import click
 
 import irlos_pipe
 from irlos_pipe.commands.main import cli
-from irlos_pipe.reference.pages import pages
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent))
+from maintenance.reference_pages import pages  # noqa: E402
 
 project = "irlos_pipe"
 author = "The irlos_pipe developers"

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -379,12 +380,9 @@ def report(outcomes: Sequence[Outcome], broken: Mapping[str, str], output: Path)
     return "\n\n".join([*tables, hours_table(of_hours)] if of_hours else tables)
 
 
-def key_of(outcome: Outcome) -> tuple:
-    """Return what an outcome says of its case."""
-    return outcome["seed"], outcome["case"]
-
-
-SUITE = Suite(outcome_of, key_of, report, "focus_tests.md", "focus_faults", inside="outcomes")
+SUITE = Suite(
+    outcome_of, itemgetter("seed", "case"), report, "focus_tests.md", "focus_faults", inside="outcomes"
+)
 
 
 @click.command()

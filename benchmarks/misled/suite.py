@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Any
 
 import click
@@ -72,12 +73,7 @@ def report(outcomes: Sequence[Outcome], *_: Any) -> str:
     return f"{table(outcomes)}\n\n{summary(outcomes)}"
 
 
-def key_of(outcome: Outcome) -> tuple:
-    """Return what an outcome says of its case."""
-    return outcome["suite_seed"], outcome["case"]
-
-
-SUITE = Suite(outcome_of, key_of, report, "reliability.md", "misled")
+SUITE = Suite(outcome_of, itemgetter("suite_seed", "case"), report, "reliability.md", "misled")
 
 
 @click.command()

@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -136,11 +137,7 @@ def report(outcomes: Sequence[Outcome], *_: Any) -> str:
     return f"{markdown(head, rows, 'lrrrrrr')}\n\nOf the mistakes that were noticed the true cause {words}"
 
 
-def key_of(outcome: Outcome) -> tuple:
-    return outcome["suite_seed"], outcome["case"]
-
-
-SUITE = Suite(outcome_of, key_of, report, "reliability.md", "mistakes")
+SUITE = Suite(outcome_of, itemgetter("suite_seed", "case"), report, "reliability.md", "mistakes")
 
 
 @click.command()

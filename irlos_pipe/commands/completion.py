@@ -1,7 +1,5 @@
 """What the shell proposes for arguments and options: names of recipes, stages, inputs, keys, arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -43,7 +41,6 @@ def recipes(context: click.Context) -> Iterable[str]:
 
 @_proposed
 def specifications(context: click.Context) -> Iterable[str]:
-    """Names of the specifications of simulations."""
     from irlos_pipe.files.shipped import SIMULATIONS, shipped_names
 
     return shipped_names(SIMULATIONS)
@@ -72,7 +69,6 @@ def settings(context: click.Context) -> Iterable[str]:
 
 @_proposed
 def explained(context: click.Context) -> Iterable[str]:
-    """All names that can be explained."""
     from irlos_pipe.reference.lookup import all_entries
 
     return sorted({entry.name for entry in all_entries()})

@@ -1,7 +1,5 @@
 """How commands end: exit codes, errors in one line, signals, and the debugger where it was asked for."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os
@@ -96,7 +94,9 @@ def _reported(error: BaseException, ctx: click.Context) -> ExitCode:
         report_error("interrupted; finished products are kept, run the same command to continue")
         return ExitCode.INTERRUPTED
     if isinstance(error, IrlosError):
-        report_error(_lines(error))
+        # of a configuration a line for each error, of anything else one
+        text = str(error) or type(error).__name__
+        report_error(text if isinstance(error, ConfigurationError) else " ".join(text.splitlines()))
         if isinstance(error, UnexpectedError):
             _debug_if_asked(ctx, error)
         return error.exit_code
@@ -110,12 +110,6 @@ def _reported(error: BaseException, ctx: click.Context) -> ExitCode:
     report_error(f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}")
     _debug_if_asked(ctx, error)
     return ExitCode.UNEXPECTED
-
-
-def _lines(error: IrlosError) -> str:
-    """All errors of a configuration, a line each; anything else in one line."""
-    text = str(error) or type(error).__name__
-    return text if isinstance(error, ConfigurationError) else " ".join(text.splitlines())
 
 
 def report_error(message: str) -> None:
@@ -139,7 +133,7 @@ def terminated_like_interrupted() -> Iterator[list[int]]:
         came.append(number)
         raise KeyboardInterrupt
 
-    def dropped(what: sys.UnraisableHookArgs) -> None:
+    def dropped(what: "sys.UnraisableHookArgs") -> None:
         if not isinstance(what.exc_value, KeyboardInterrupt):
             hook(what)
             return

@@ -1,7 +1,5 @@
 """Commands that look things up: recipes, explain, sidecar."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Literal

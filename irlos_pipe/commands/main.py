@@ -1,7 +1,5 @@
 """The command ``irlos`` with all its subcommands, which import what they need when they run."""
 
-from __future__ import annotations
-
 from itertools import chain
 
 import click

@@ -166,7 +166,6 @@ def trend(
 
 
 def _runner(engine: str, scheduler: str | None, jobs: int) -> Runner:
-    """Return what works on the tasks."""
     if engine == "dask" and scheduler:
         from irlos_pipe.night.engines import dask_runner
 

@@ -1,7 +1,5 @@
 """Commands on finished runs: status, show, compare, report, export, score."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

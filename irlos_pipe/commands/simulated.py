@@ -1,7 +1,5 @@
 """Commands that make their own data: simulate, paper."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

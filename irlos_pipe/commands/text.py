@@ -1,7 +1,5 @@
 """What commands say of runs and products: where they stand, what they hold, how they differ; and its text."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -14,18 +12,7 @@ import yaml
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.conventions.text import aligned, printable, rounded_by_error
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.printed import (
-    ArrayRow,
-    CheckRow,
-    Comparison,
-    NumberPair,
-    ProductRow,
-    RunStatus,
-    ShownProduct,
-    ShownRun,
-    ValuePair,
-    Versions,
-)
+from irlos_pipe.product import printed
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder, existing_run, is_standing
 from irlos_pipe.product.storage import read_product
@@ -52,7 +39,7 @@ def _printable(text: str) -> str:
     return "\n".join(map(printable, text.split("\n")))
 
 
-def product_text(product: ShownProduct) -> str:
+def product_text(product: printed.ShownProduct) -> str:
     """Return what a `product` contains: provenance, arrays, results, configuration, QC and log."""
     made = product.provenance
     origin = [
@@ -75,7 +62,7 @@ def product_text(product: ShownProduct) -> str:
     return _document(parts)
 
 
-def run_text(run: ShownRun) -> str:
+def run_text(run: printed.ShownRun) -> str:
     """Return the products of a `run`, each with what its stage said, and the names of the other files."""
     head = ": ".join(filter(None, (run.run, ", ".join(filter(None, (run.recipe, run.status))))))
     rows: list[tuple[str, ...]] = [("product", "arrays", "QC", "")]
@@ -90,7 +77,7 @@ def run_text(run: ShownRun) -> str:
     return _printable("\n".join(filter(None, (head, run.notice, aligned(rows), files))))
 
 
-def run_status(folder: Path) -> RunStatus:
+def run_status(folder: Path) -> printed.RunStatus:
     """Return where each product of the run in `folder` stands.
 
     Raises `InputDataError` when `folder` holds no run.
@@ -100,8 +87,10 @@ def run_status(folder: Path) -> RunStatus:
     current = all(state == CURRENT for state, _ in states.values())
     there = [path.name for path in run.product_files]
     rows = [_row(run.path / name, *states.pop(name, (FOREIGN, ""))) for name in there]
-    rows += [ProductRow(product=name, state=state, reason=why) for name, (state, why) in states.items()]
-    return RunStatus(run=str(folder), current=current, products=rows)
+    rows += [
+        printed.ProductRow(product=name, state=state, reason=why) for name, (state, why) in states.items()
+    ]
+    return printed.RunStatus(run=str(folder), current=current, products=rows)
 
 
 def _states(run: RunFolder) -> dict[str, State]:
@@ -122,13 +111,13 @@ def _states(run: RunFolder) -> dict[str, State]:
     return {step.path.name: (CURRENT, "") if step.current else (OUTDATED, step.reason) for step in steps}
 
 
-def _row(path: Path, state: str, reason: str) -> ProductRow:
+def _row(path: Path, state: str, reason: str) -> printed.ProductRow:
     told = {"product": path.name, "state": state, "reason": reason}
     try:
         product = read_product(path, arrays=False)
     except InputDataError:
-        return ProductRow(**told)
-    return ProductRow(
+        return printed.ProductRow(**told)
+    return printed.ProductRow(
         **told,
         checks=len(product.checks),
         passed=sum(check.passed for check in product.checks),
@@ -136,7 +125,7 @@ def _row(path: Path, state: str, reason: str) -> ProductRow:
     )
 
 
-def status_text(status: RunStatus) -> str:
+def status_text(status: printed.RunStatus) -> str:
     """Return one line per product of a run: whether it is up to date, its QC and when it was made."""
     rows = [("product", "state", "QC", "finished")]
     for one in status.products:
@@ -146,7 +135,7 @@ def status_text(status: RunStatus) -> str:
     return aligned(rows)
 
 
-def versions_text(found: Versions) -> str:
+def versions_text(found: printed.Versions) -> str:
     """Return one line per version of a reduction: status, software, what was changed in its settings."""
     rows = [("version", "recipe", "status", "finished", "software", "", "settings that were changed")]
     for one in found.versions:
@@ -156,13 +145,13 @@ def versions_text(found: Versions) -> str:
     return aligned(rows)
 
 
-def _array_row(array: ArrayRow) -> tuple[str, ...]:
+def _array_row(array: printed.ArrayRow) -> tuple[str, ...]:
     shape = "x".join(map(str, array.shape)) or "scalar"
     error = "with error" if array.with_error else ""
     return array.name, shape, array.type, array.unit or "-", error, array.description
 
 
-def _check_line(check: CheckRow) -> str:
+def _check_line(check: printed.CheckRow) -> str:
     low = "-inf" if math.isnan(check.low) else f"{check.low:g}"
     high = "inf" if math.isnan(check.high) else f"{check.high:g}"
     verdict = "passed" if check.passed else "FAILED"
@@ -173,7 +162,7 @@ def _yaml(content: dict) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None).rstrip()
 
 
-def comparison_text(found: Comparison, everything: bool) -> str:
+def comparison_text(found: printed.Comparison, everything: bool) -> str:
     """Return what was `found` to differ between two runs: `everything`, or the numbers that matter most."""
     differ = [one for one in found.numbers if one.difference != 0]
     most = sorted(differ, key=_rank, reverse=True)
@@ -201,7 +190,7 @@ def comparison_text(found: Comparison, everything: bool) -> str:
     return _document({title: part for title, part in parts.items() if part})
 
 
-def _rank(one: NumberPair) -> tuple[float, float]:
+def _rank(one: printed.NumberPair) -> tuple[float, float]:
     """Most significant first; without errors, by the relative difference, behind all others."""
     if math.isfinite(one.sigmas):
         return abs(one.sigmas), 0.0
@@ -209,7 +198,7 @@ def _rank(one: NumberPair) -> tuple[float, float]:
     return -1.0, abs(one.difference) / size if size > 0 else 0.0
 
 
-def _numbers_text(differ: Sequence[NumberPair], everything: bool) -> str:
+def _numbers_text(differ: Sequence[printed.NumberPair], everything: bool) -> str:
     if not differ:
         return SAME
     shown = differ if everything else differ[:SHOWN]
@@ -218,7 +207,7 @@ def _numbers_text(differ: Sequence[NumberPair], everything: bool) -> str:
     return "\n".join([aligned([head, *map(_number_row, shown)]), *more])
 
 
-def _number_row(one: NumberPair) -> tuple[str, ...]:
+def _number_row(one: printed.NumberPair) -> tuple[str, ...]:
     return (
         one.stage,
         one.name,
@@ -245,15 +234,15 @@ def _table_of(name: str) -> str:
     return table if entry.isdigit() else ""
 
 
-def _change(one: ValuePair) -> str:
+def _change(one: printed.ValuePair) -> str:
     return "only in second" if one.first is None else "only in first" if one.second is None else "differs"
 
 
-def _table(pairs: Sequence[ValuePair]) -> str:
+def _table(pairs: Sequence[printed.ValuePair]) -> str:
     return aligned(_rows(pairs)) if pairs else ""
 
 
-def _rows(pairs: Sequence[ValuePair]) -> list[tuple[str, str]]:
+def _rows(pairs: Sequence[printed.ValuePair]) -> list[tuple[str, str]]:
     return [(one.name, f"{_shown(one.first)} → {_shown(one.second)}") for one in pairs]
 
 

@@ -22,15 +22,24 @@ NOTHING = 1e-9  # size that stands for none, as of rounding
 def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
     """Covariance of all parameters of `fitted`, from the scatter between the frames of `stack`.
 
-    It is at least that of the Fisher matrix.
+    It is at least that of the Fisher matrix; parameters in which the frames do not scatter have its variance,
+    and no covariance with others.
     """
     fisher = fitted.solution.covariance[0].numpy()
     if stack.photon_limited or fitted.complete:
         return fisher
     gain = fitted.solution.covariance[0] @ (fitted.linearised[1] * stack.root)
-    scatter = stack.covariance_of(gain.mT).numpy()
-    ratio = np.sqrt(np.maximum(np.diag(fisher) / np.maximum(np.diag(scatter), 1e-300), 1.0))
-    return scatter * np.outer(ratio, ratio)
+    return _at_least(fisher, stack.covariance_of(gain.mT).numpy())
+
+
+def _at_least(fisher: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    """The covariance `scatter` with the variances of `fisher` where these are larger, both (n, n)."""
+    least, variance = np.diag(fisher), np.diag(scatter)
+    shown = variance > np.finfo(float).eps * least
+    ratio = np.sqrt(np.maximum(np.where(shown, least, 0.0) / np.where(shown, variance, 1.0), 1.0))
+    covariance = np.where(np.outer(shown, shown), scatter, 0.0) * np.outer(ratio, ratio)
+    np.fill_diagonal(covariance, np.where(shown, np.diag(covariance), least))
+    return covariance
 
 
 def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ automatic differentiation of the whole path.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import NO_TANGENTS, LightPath
+from irlos_pipe.optics.psf import PsfModel
 
 TIMES = 3  # nodes of the average over a recording: exact for images of 5th order in time
 
@@ -121,6 +123,18 @@ class ImageModel:
     def general(self) -> ImageModel:
         """The model without limits that this one may be a quick version of; here itself."""
         return self
+
+    def coarse(self) -> ImageModel:
+        """Return one without free parameters whose images err by some per cent, at a small part of the cost.
+
+        It is the model itself where its light path has nothing that can be left out, see `PsfModel.coarse`.
+        """
+        if not isinstance(self.psf, PsfModel) or not (len(self.psf.weights) > 2 or self.optics.by_mode):
+            return self
+        other = copy(self)
+        other.psf, optics = self.psf.coarse(self.optics)
+        other._last = NOTHING, optics
+        return other
 
     # -- parts -------------------------------------------------------------------------------
 

@@ -42,6 +42,35 @@ MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighted by 
 
 
 @dataclass(frozen=True)
+class SetupFit:
+    """One of several set-ups that were fitted together, see `setups`.
+
+    Attributes
+    ----------
+    name : str
+        Its recordings.
+    frames : int
+    known_nm : float
+        Noll 4 of what was introduced.
+    chi2_nu : float
+        Of its mean image.
+    focus_nm, focus_sigma_nm : float
+        Defocus beyond the known and the common one that its image by itself wants, and the standard error.
+    mean_e, model_e, sigma_e : ndarray, (rows, columns)
+    """
+
+    name: str
+    frames: int
+    known_nm: float
+    chi2_nu: float
+    focus_nm: float
+    focus_sigma_nm: float
+    mean_e: np.ndarray
+    model_e: np.ndarray
+    sigma_e: np.ndarray
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Result of a calibration.
 
@@ -93,6 +122,8 @@ class Calibration:
         What a complete model would leave of `left`, see `calibration_errors.nominal_power`.
     fit : (ImageFit, Solution) or None
         The fit of one star's mean image, for `causes`.
+    setups : sequence of SetupFit
+        Where several were fitted together.
     """
 
     options: CalibrationOptions
@@ -123,6 +154,7 @@ class Calibration:
     motion: Motion | None = None
     left_nominal: np.ndarray | None = None
     fit: Fit | None = None
+    setups: Sequence[SetupFit] = ()
 
     @property
     def sigma_nm(self) -> np.ndarray:

@@ -115,6 +115,11 @@ class ImageFit(Problem):
         """Return the same fits with the effects that are not fitted held at `values`."""
         return self._with(held=values)
 
+    @property
+    def coarse(self) -> Self:
+        """The same fits with a quicker model, where there is one that leaves little to the exact one."""
+        return self
+
     def with_tolerance(self, tolerance: float) -> Self:
         """Return the same fits, done where less than this fall of χ² is ahead, see `negligible`."""
         return self._with(tolerance=tolerance)
@@ -208,15 +213,16 @@ class ImageFit(Problem):
 
     def _gradient(self, x, which):
         """Without the prior; pixels in the precision of the images."""
-        image, pullback = self.model.predict_and_pullback(
-            x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1]
-        )
+        image, pullback = self._image_and_pullback(x, which)
         which = which.to(self.device)
         root = self.root_weight[which]
         residual = (self.images[which] - image.flatten(1)[:, None]) * root
         force = (self.loss.weight(residual) * residual * root).sum(1)
         value = self.loss.value(residual).sum((1, 2), dtype=torch.float64)
         return value.cpu(), -pullback(force.view_as(image)).cpu()
+
+    def _image_and_pullback(self, x, which):
+        return self.model.predict_and_pullback(x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1])
 
     def _normal(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)

@@ -28,6 +28,7 @@ from irlos_pipe.numerics.solution import Solution, joined, mixed
 DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 IMAGES_AT_ONCE = 128  # images in a piece: a dozen copies of them are made on the way
+CLOSE_TOLERANCE = 1e-2  # of a fit that a coarse model began: the step that ends it leaves a tenth of that
 COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with variances that follow the model
 
 
@@ -117,21 +118,25 @@ def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
 
 def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
     """A fit with the variances of the images and, unless these are requested, one with those of the model."""
-    nolls = model.psf.nolls
+    nolls, quadratic = model.psf.nolls, options.loss_function.quadratic
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
     x = layout.start(images_e.flatten(1) * good.flatten(), start_nm)
     variance = noise.variance_e2(smooth(images_e))
     problem = image_problem(model, layout, images_e, variance, good, options.alike)
     if options.noise != "data":
-        rough = problem.with_tolerance(COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE)
+        tolerance = COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE
+        rough = problem.coarse.with_tolerance(tolerance)
         x = _finite(solve(rough, x, max_iterations=options.max_iterations, report=report), x)
         report = None
         problem = _with_model_variance(problem, x, images_e, good, noise, options)
-    posed = problem if options.loss_function.quadratic else problem.with_loss(options.loss_function)
+    posed = problem if quadratic else problem.with_loss(options.loss_function)
+    if posed.coarse is not posed:
+        x = _finite(solve(posed.coarse, x, max_iterations=options.max_iterations), x)
+        posed = posed.with_tolerance(CLOSE_TOLERANCE)
     solution = solve(posed, x, max_iterations=options.max_iterations, report=report)
     ended, modes = _finite(solution, x), layout.modes
     model_e = problem.predict_all(ended)
-    covariance = solution.covariance if posed is problem else posed.robust_covariance(ended)
+    covariance = solution.covariance if quadratic else posed.robust_covariance(ended)
     return LiftResult(
         nolls,
         solution.values[:, modes],

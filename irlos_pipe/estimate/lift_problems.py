@@ -2,7 +2,8 @@
 
 Images that are noise realisations of a few frames are very similar. Their derivatives are computed once
 per frame and serve as curvature for all its realisations, whose gradients are exact and cost a fifth of
-a Jacobian; what the curvature lacks the solver learns.
+a Jacobian; what the curvature lacks the solver learns. On the way a coarse model will do, with what it lacks
+near the frame to first order: it leaves some hundredths of a standard error to the exact one.
 """
 
 from __future__ import annotations
@@ -26,10 +27,17 @@ class Alike:
     columns : tensor, (frames, modes + 2, pixels)
         Derivatives of the frames' images at unit flux with respect to modes, flux and background.
     frame : tensor of int, (images,)
+    reference_nm : tensor, (frames, modes)
+        Where they were taken.
+    lacking : tensor, (frames, modes + 2, pixels)
+        What they have more than those of the `coarse` model.
     """
 
     columns: torch.Tensor
     frame: torch.Tensor
+    reference_nm: torch.Tensor
+    coarse: ImageModel
+    lacking: torch.Tensor
 
     def of(self, which: torch.Tensor) -> Alike:
         return replace(self, frame=self.frame[which])
@@ -43,17 +51,29 @@ def alike(model: ImageModel, reference_nm: torch.Tensor, frame: torch.Tensor) ->
     """
     if model.general is not model or not model.can_pull_back:
         return None
-    one = torch.ones(len(reference_nm), dtype=torch.float64)
-    columns = model.predict_and_jacobian(reference_nm, one, torch.zeros_like(one), held=True)[1]
-    return Alike(columns.flatten(2), frame)
+    one, coarse = torch.ones(len(reference_nm), dtype=torch.float64), model.coarse()
+    exact, rough = (
+        each.predict_and_jacobian(reference_nm, one, torch.zeros_like(one), held=True)[1].flatten(2)
+        for each in (model, coarse)
+    )
+    return Alike(exact, frame, reference_nm, coarse, exact - rough)
 
 
 class AlikeFit(ImageFit):
     """`ImageFit` with the curvature of other images; single images, least squares, no free effects."""
 
+    per_member = (*ImageFit.per_member, "_hessian")
+
     def __init__(self, *arguments, alike: Alike):
         super().__init__(*arguments)
         self._alike = alike
+        every = torch.arange(len(self.images))
+        self._hessian = self._map(self._curvature, self.prior_mean, every, FRAMES_PER_GRADIENT)[0]
+
+    @property
+    def coarse(self) -> Self:
+        quick = self._alike.coarse
+        return self if self.model is quick else self._with(model=quick)
 
     def members(self, which: torch.Tensor) -> Self:
         return super().members(which)._with(_alike=self._alike.of(which))
@@ -61,15 +81,43 @@ class AlikeFit(ImageFit):
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """See `Problem.normal_equations`; the gradient is exact, the Hessian approximate."""
         value, gradient = self.gradient(x, which)
-        (hessian,) = self._map(self._curvature, x, which, FRAMES_PER_GRADIENT)
-        return value, gradient, hessian + torch.diag_embed(self.prior_precision[which])
-
-    def _curvature(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
-        columns = self._alike.columns[self._alike.frame[which]] * self.root_weight[which.to(self.device)]
-        hessian = (columns @ columns.mT).double().cpu()
         scale = torch.ones_like(x)
         scale[:, self.layout.modes] = x[:, -2, None]
-        return (hessian * scale[:, :, None] * scale[:, None, :],)
+        hessian = self._hessian[which] * scale[:, :, None] * scale[:, None, :]
+        return value, gradient, hessian + torch.diag_embed(self.prior_precision[which])
+
+    def predict_all(self, x: torch.Tensor) -> torch.Tensor:
+        """See `ImageFit.predict_all`: in the precision of gradients, by the coarse model."""
+        model_e = self.coarse._map(self.coarse._predicted, x, torch.arange(len(x)), FRAMES_PER_GRADIENT)[0]
+        return model_e.double()
+
+    def _predicted(self, x, which):
+        return (self._image_and_pullback(x, which)[0].flatten(1).cpu(),)
+
+    def _image_and_pullback(self, x, which):
+        """See `ImageFit`; the coarse model gets what it lacks near the frame."""
+        image, pullback = super()._image_and_pullback(x, which)
+        alike, modes = self._alike, self.layout.modes
+        if self.model is not alike.coarse:
+            return image, pullback
+        frame, flux = alike.frame[which], x[:, -2, None].to(image)
+        slopes = alike.lacking[frame[0] if bool((frame == frame[0]).all()) else frame]
+        ahead = torch.ones_like(x).to(image)
+        ahead[:, modes], ahead[:, -1] = x[:, modes] - alike.reference_nm[frame], 0
+        lacking = (ahead[:, None] @ slopes)[:, 0]
+
+        def to_parameters(factors: torch.Tensor) -> torch.Tensor:
+            found, pixels = pullback(factors), factors.flatten(1).to(slopes)
+            found[:, modes] += flux * (pixels[:, None] @ slopes.mT)[:, 0, modes]
+            found[:, -2] += (lacking * pixels).sum(1, dtype=torch.float64)
+            return found
+
+        return image + (flux * lacking).view_as(image), to_parameters
+
+    def _curvature(self, _, which: torch.Tensor) -> tuple[torch.Tensor]:
+        """That of images of unit flux, with the weights of each."""
+        columns = self._alike.columns[self._alike.frame[which]] * self.root_weight[which.to(self.device)]
+        return ((columns @ columns.mT).double().cpu(),)
 
 
 class PhotonFit(ImageFit):

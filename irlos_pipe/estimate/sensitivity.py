@@ -168,12 +168,12 @@ def scan(
     def dimmed(index: int) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed + 7919 * int(index))
         arguments = signal_e, factors[index], data.noise, generator, faint
-        return torch.cat([dim(data.images_e, *arguments) for _ in range(realisations)])
+        return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1).flatten(0, 1)
 
     def errors_nm(group: np.ndarray) -> np.ndarray:
         """Errors (magnitudes, trials) of some magnitudes, which take turns in the batch."""
         images_e = torch.stack([dimmed(index) for index in group], dim=1).flatten(0, 1)
-        frame = frames.repeat(realisations).repeat_interleave(len(group))
+        frame = frames.repeat_interleave(realisations * len(group))
         options = LiftOptions(noise="model", alike=like and like.of(frame))
         result = lift(model, images_e, data.good, faint, start_nm[frame], options, report=report)
         error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame.numpy()])

@@ -3,8 +3,6 @@
 And file systems without locks: many network disks are mounted without, and answer each in its own way.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os
@@ -35,7 +33,12 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
-        _sync_folder(path.parent)
+        # the rename itself survives a power cut
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
     except OSError as error:
         raise IrlosError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
@@ -60,15 +63,6 @@ def remove_leftovers(folder: Path) -> None:
     """Remove temporary files of a run that was killed (only safe for the owner of the folder)."""
     for leftover in folder.glob(f".*{TEMPORARY_SUFFIX}"):
         leftover.unlink(missing_ok=True)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the rename itself survive a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def has_locks(folder: Path) -> bool:

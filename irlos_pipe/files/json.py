@@ -1,7 +1,5 @@
 """Python and numpy values as strict JSON: NaN and infinity become null, keys become text."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Worker processes of one thread each, which never outlive the process that uses them."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -3,8 +3,6 @@
 An installed package holds them in its folder ``shipped``; in a checkout they are folders at its top.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from pathlib import Path

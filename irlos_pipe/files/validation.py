@@ -1,7 +1,5 @@
 """Check settings files; everything that is wrong is reported in lines ``file:line: message``."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence

@@ -157,7 +157,17 @@ def _refuse_aliases_and_tags(text: str) -> None:
 
 def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> Any:
     if isinstance(node, yaml.MappingNode):
-        return _build_mapping(node, key_path, lines, loader)
+        data = {}
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise _Refused(line, "a key must be a plain word or number")
+            key = _scalar(key_node, loader)
+            if key in data:
+                raise _Refused(line, f"key '{key}' is given twice (first on line {lines[(*key_path, key)]})")
+            lines[(*key_path, key)] = line
+            data[key] = _build(value_node, (*key_path, key), lines, loader)
+        return data
     if isinstance(node, yaml.SequenceNode):
         items = []
         for index, child in enumerate(node.value):
@@ -172,17 +182,3 @@ def _scalar(node: yaml.ScalarNode, loader: _Loader) -> Any:
     if isinstance(value, str) and any("\ud800" <= letter <= "\udfff" for letter in value):
         raise _Refused(node.start_mark.line + 1, "half of a surrogate pair is no letter; write the letter")
     return value
-
-
-def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> dict:
-    data = {}
-    for key_node, value_node in node.value:
-        line = key_node.start_mark.line + 1
-        if not isinstance(key_node, yaml.ScalarNode):
-            raise _Refused(line, "a key must be a plain word or number")
-        key = _scalar(key_node, loader)
-        if key in data:
-            raise _Refused(line, f"key '{key}' is given twice (first on line {lines[(*key_path, key)]})")
-        lines[(*key_path, key)] = line
-        data[key] = _build(value_node, (*key_path, key), lines, loader)
-    return data

@@ -154,5 +154,17 @@ class Recording:
 
     def accepted(self) -> Recording:
         """Return the recording with the used frames only."""
-        kept: dict[str, Any] = {name: picked(getattr(self, name), self.used) for name in PER_FRAME}
+        return self.of(self.used)
+
+    def of(self, which: np.ndarray) -> Recording:
+        """Return the recording with some of its frames, True in `which` (frames,), only."""
+        kept: dict[str, Any] = {name: picked(getattr(self, name), which) for name in PER_FRAME}
         return replace(self, **kept)
+
+    def planes(self) -> list[Recording]:
+        """Return the frames of each introduced defocus by themselves, the smallest defocus first."""
+        introduced_nm = np.unique(self.introduced_defocus_nm)
+        if len(introduced_nm) < 2:
+            return [self]
+        nearest = sorted(introduced_nm, key=lambda nm: (abs(nm), nm))
+        return [self.of(self.introduced_defocus_nm == nm) for nm in nearest]

@@ -27,6 +27,7 @@ ODD = "detail finer than the optics make"
 REASON_TYPE = "<U40"
 MIN_FRAMES_FOR_FLUX = 5
 MIN_FRAMES_TO_COMBINE = 3
+SMALLEST_SQUARE = 6  # side of the smallest square that a spread star fills [px]
 COMBINED_VARIANCE = 0.25  # variance over that of the others: the mean of five or more frames has less
 
 
@@ -111,6 +112,28 @@ def _peaks(images_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return above.max(axis=1) / np.maximum(scatter, 1e-9), edge
 
 
+def spread_stars(images_e: np.ndarray, least_snr: float) -> np.ndarray:
+    """Find the images (frames, rows, columns) of a star whose light is spread over many pixels, (frames,).
+
+    As of a star far out of focus. In a square, on one of several scales, the flux over what surrounds it
+    within twice its side is at least `least_snr` times the noise of this difference; a gradient cancels.
+    """
+    found = np.zeros(len(images_e), dtype=bool)
+    for place, image in enumerate(images_e.astype(np.float64)):
+        fine = both_ways(image, FINE)
+        fine = fine[np.isfinite(fine)]
+        noise = 1.4826 * np.median(np.abs(fine)) / np.sum(FINE**2) if fine.size else np.inf
+        side = SMALLEST_SQUARE
+        while 2 * side <= min(image.shape) and not found[place]:
+            inner, both = (
+                scipy.ndimage.uniform_filter(image, size)[side:-side, side:-side] for size in (side, 2 * side)
+            )
+            above = (inner - both).max(initial=0.0) * 4 / 3
+            found[place] = above > 0 and above * side >= least_snr * noise * np.sqrt(4 / 3)
+            side *= 2
+    return found
+
+
 def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np.ndarray:
     """Add frames without the star, with the star about to leave the window, made of others, or of odd flux.
 
@@ -122,12 +145,15 @@ def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np
     if used.size == 0:
         return reasons
     typical = np.median(images_e[used[sample_frames(len(used))]], axis=0)
-    if star_peaks(typical[None]).snr[0] < limits.star_snr:
+    bright = star_peaks(typical[None]).snr[0] >= limits.star_snr
+    if not (bright or spread_stars(typical[None], limits.star_snr)[0]):
         return also(reasons, np.ones(len(reasons), dtype=bool), NO_STAR)
     peaks = star_peaks(images_e)
     if np.median(peaks.snr[used]) > 2 * limits.star_snr:
-        reasons = also(reasons, peaks.snr < limits.star_snr, NO_STAR)
-        reasons = also(reasons, peaks.edge_px < limits.edge_px, AT_EDGE)
+        doubtful = (peaks.snr < limits.star_snr) | (peaks.edge_px < limits.edge_px)
+        doubtful[doubtful] = ~spread_stars(images_e[doubtful], limits.star_snr)
+        reasons = also(reasons, doubtful & (peaks.snr < limits.star_snr), NO_STAR)
+        reasons = also(reasons, doubtful, AT_EDGE)
     reasons = also(reasons, combined_frames(images_e, reasons == ""), COMBINED)
     return also(reasons, flux_outliers(frame_flux(images_e), reasons == "", limits), FLUX)
 

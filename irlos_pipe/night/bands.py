@@ -1,7 +1,5 @@
 """A number, the band in which it is expected from the nights before, and the test of a whole wavefront."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -31,16 +29,13 @@ class Band:
 
     @property
     def low(self) -> float:
-        """Lower end."""
         return max(self.centre - self.half_width, self.lowest)
 
     @property
     def high(self) -> float:
-        """Upper end."""
         return self.centre + self.half_width
 
     def holds(self, value: float) -> bool:
-        """Whether a value lies within the band."""
         return self.low <= value <= self.high
 
 
@@ -70,7 +65,6 @@ class History:
 
     @property
     def centre(self) -> float:
-        """Median over the nights."""
         return float(np.median(self.medians))
 
     @property
@@ -161,7 +155,6 @@ class WavefrontTest:
 
     @property
     def holds(self) -> bool:
-        """Whether the wavefront is that of the nights before."""
         return self.chi2 <= self.limit
 
     def __str__(self) -> str:

@@ -3,8 +3,6 @@
 Everything in it can be read from the products: if the file is missing, the next `irlos night` makes it again.
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
@@ -123,7 +121,6 @@ class Verdict:
 
     @property
     def group(self) -> str:
-        """Name of the group in its night."""
         return self.run.split("/")[1]
 
 
@@ -216,7 +213,6 @@ class Database:
         return list(found.values())
 
     def verdicts(self) -> list[Verdict]:
-        """Return the verdicts of `diagnose` in order of time."""
         rows = self.connection.execute(
             "SELECT run, night, target, verdict, effects FROM runs"
             f" WHERE {SOUND} AND verdict IS NOT NULL"

@@ -1,7 +1,5 @@
 """What can be done with some files: the one reduction that they make, sorted as those of a night are."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -102,7 +100,6 @@ def found_recordings(path: Path, as_json: bool) -> str:
 
 
 def _rows(file: Path) -> Iterator[dict[str, str]]:
-    """What is known of every recording in a file."""
     stated, command = stated_instruments([file]), f"irlos reduce {shlex.quote(str(file))}"
     instrument = stated_instrument(stated)[1] if stated else load_instrument("irlos")
     described = {one.name: one for one in _described([file])[0]}

@@ -1,7 +1,5 @@
 """Which recordings are reduced together: calibration cubes, ramps and their calibration, derotator series."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections import defaultdict
@@ -36,7 +34,6 @@ class Group:
 
     @property
     def first(self) -> Description:
-        """The recording that represents the group."""
         return next(iter(self.inputs.values()))[0]
 
 

@@ -1,7 +1,5 @@
 """The numbers of a run that are followed from night to night."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -35,7 +33,6 @@ class Measurements:
 
     @property
     def checks_failed(self) -> list[str]:
-        """QC checks that failed."""
         return [f"{stage}: {check.name}" for stage, check in self.checks if not check.passed]
 
 

@@ -1,7 +1,5 @@
 """The page of a night, night_<date>.html: recordings, reductions, trend."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
@@ -157,12 +155,10 @@ def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
 
 
 def _group(series: Series) -> str:
-    """The group of the latest point."""
     return series.last.run.split("/")[1]
 
 
 def _gaps(trend: Trend) -> dict[tuple[str, str], float]:
-    """Values by run and name."""
     return {(point.run, point.name): point.value for point in trend.points}
 
 
@@ -271,7 +267,6 @@ def main_series(trend: Trend, name: str) -> Series | None:
 
 
 def _left_out(night: Night) -> Section | None:
-    """What was not reduced, and why."""
     left = [*night.not_reduced, *night.unusable]
     rows = [(one.recording.name, one.recording.role or MISSING, _wrapped(one.reason)) for one in left]
     marks = ["bad" if one.alarming else "" for one in left]
@@ -280,7 +275,6 @@ def _left_out(night: Night) -> Section | None:
 
 
 def _recordings(night: Night) -> Section | None:
-    """The recordings in order of time."""
     ordered = sorted(night.recordings, key=lambda one: (one.start_unix_s or 0.0, one.name))
     rows = list(_recording_rows(ordered))
     title, folded = plural(len(rows), "recording"), len(rows) > FEW_ROWS

@@ -4,8 +4,6 @@ Work is done in a hidden folder, ``.<recipe>.new``; when that is complete it tak
 by two renames, which any disk can do. A run that is killed between them is completed by the next one.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from contextlib import suppress
@@ -75,7 +73,6 @@ class PublishedRun:
             self._remove(self._hidden(ending))
 
     def discard(self) -> None:
-        """Remove the work folder."""
         self._remove(self.work_folder)
 
     def _fill_work_folder(self) -> None:

@@ -1,7 +1,5 @@
 """Tasks, a recipe on the recordings of a group each, and working on one; its errors concern it alone."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -38,7 +36,6 @@ class Task:
     limit_s: float = 0.0  # longest time that it may take [s]; no limit if 0
 
     def load(self) -> Recipe:
-        """Return the validated recipe."""
         return load_recipe(self.recipe, self.settings, self.inputs)
 
 
@@ -67,7 +64,6 @@ class Reduced:
 
     @property
     def failed(self) -> bool:
-        """Whether there are no new products."""
         return self.action == FAILED
 
 
@@ -189,7 +185,6 @@ def _reduce(task: Task, last: str | None) -> Reduced:
 
 
 def _outcome(task: Task, run: RunFolder, action: str) -> Reduced:
-    """Read status and failed checks from the files of a run."""
     try:
         status = read_run_results(run.results).status
         checks = json.loads(run.quality.read_bytes())["checks"]

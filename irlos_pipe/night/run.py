@@ -1,7 +1,5 @@
 """Run a night or an archive of nights: reduce what is new or out of date, leave the rest alone."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -11,23 +9,12 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.night import reduce
 from irlos_pipe.night.database import NAME, Database, copied, opened
 from irlos_pipe.night.grouping import Group, group_recordings
 from irlos_pipe.night.numbers import read_measurements
 from irlos_pipe.night.page import is_finished, write_index, write_page
 from irlos_pipe.night.recordings import LeftOut, date_in_path, discover, known_recordings, night_of
-from irlos_pipe.night.reduce import (
-    Job,
-    Reduced,
-    Runner,
-    Task,
-    calibrates,
-    failure,
-    jobs_of,
-    planned,
-    reduce_group,
-    unchanged,
-)
 from irlos_pipe.night.settings import NightSettings
 from irlos_pipe.night.state import Night, RunState, read_acknowledged
 from irlos_pipe.night.trend import make_trend
@@ -54,7 +41,7 @@ class Request:
     acknowledge: bool = False  # what is wrong is known from now on, and not reported again
 
 
-def run_night(request: Request, runner: Runner) -> RunState:
+def run_night(request: Request, runner: reduce.Runner) -> RunState:
     """Bring the products of all recordings of a `request` up to date, and write the page of every night.
 
     The `runner` says where tasks are worked on, see `engines`. Ramps come last, when it is known which
@@ -79,7 +66,7 @@ def run_night(request: Request, runner: Runner) -> RunState:
     return state
 
 
-def plan_night(request: Request) -> tuple[RunState, list[tuple[Job, list[Step] | None]]]:
+def plan_night(request: Request) -> tuple[RunState, list[tuple[reduce.Job, list[Step] | None]]]:
     """Return what is found of a `request`, and every job with the plan of its stages; nothing is written.
 
     There is no plan where there are no products: all stages would be run. Errors are those of `run_night`.
@@ -89,7 +76,7 @@ def plan_night(request: Request) -> tuple[RunState, list[tuple[Job, list[Step] |
     with copied(request.tree) as database:
         _find(request, state, database)
     jobs = [job for night in state.nights.values() for job in night.jobs]
-    return state, [(job, planned(job.task, job.task.load())) for job in jobs]
+    return state, [(job, reduce.planned(job.task, job.task.load())) for job in jobs]
 
 
 def _require_usable(request: Request) -> None:
@@ -125,7 +112,7 @@ def _find(request: Request, state: RunState, database: Database) -> None:
 
 def _assign(request: Request, state: RunState, groups: Sequence[Group], left_out: Sequence[LeftOut]) -> None:
     """Give every night its jobs, and what is left out."""
-    for job in jobs_of(groups, request.settings, request.tree, request.device):
+    for job in reduce.jobs_of(groups, request.settings, request.tree, request.device):
         state.night(job.group.night).jobs.append(job)
     without = [one for one in groups if not request.settings.recipes_of(one.kind)]
     state.leave_out([*left_out, *(LeftOut(one.first, NO_RECIPE.format(one.kind)) for one in without)])
@@ -136,7 +123,7 @@ def _grouped(
 ) -> tuple[list[Group], list[LeftOut]]:
     """The groups, ramps with calibrations that neither failed by the database nor are `broken`."""
     settings = request.settings
-    judging = [recipe.stem for recipe in settings.recipes_of("calibration") if calibrates(recipe)]
+    judging = [recipe.stem for recipe in settings.recipes_of("calibration") if reduce.calibrates(recipe)]
     failed = database.failed_calibrations(judging) | dict(broken or {})
     recordings = [one for night in state.nights.values() for one in night.recordings]
     return group_recordings(recordings, settings, known_recordings(database), failed)
@@ -149,7 +136,7 @@ def _choose_calibrations(request: Request, state: RunState) -> None:
         for night in state.nights.values()
         for job in night.jobs
         if job.group.kind == "calibration"
-        and calibrates(job.task.recipe)
+        and reduce.calibrates(job.task.recipe)
         and night.reduced[job.task.name].failed
     }
     with opened(request.tree) as database:
@@ -172,7 +159,9 @@ def _nothing_text(request: Request, state: RunState) -> str:
     return f"{where}: no recordings"
 
 
-def _work_on(request: Request, state: RunState, runner: Runner, requested: Callable[[Job], bool]) -> None:
+def _work_on(
+    request: Request, state: RunState, runner: reduce.Runner, requested: Callable[[reduce.Job], bool]
+) -> None:
     """Work on the jobs that are `requested` and not up to date; one that fails does not stop others."""
     jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if requested(job)}
     for reduced in list(filter(None, (_without_work(job.task) for job in jobs.values()))):
@@ -184,22 +173,22 @@ def _work_on(request: Request, state: RunState, runner: Runner, requested: Calla
             todo += tasks
     if jobs:
         RUN.info("%s, %d of them up to date", plural(len(jobs), "reduction"), len(jobs) - len(todo))
-    for number, reduced in enumerate(runner(reduce_group, todo) if todo else (), 1):
+    for number, reduced in enumerate(runner(reduce.reduce_group, todo) if todo else (), 1):
         why = "; ".join(reduced.reasons) or reduced.problem
         what = reduced.action + (f": {why}" if why else f" in {reduced.seconds:.1f} s")
         RUN.info("%d of %d: %s: %s", number, len(todo), reduced.name, what)
         _record(request, state, jobs[reduced.name], reduced)
 
 
-def _without_work(task: Task) -> Reduced | None:
+def _without_work(task: reduce.Task) -> reduce.Reduced | None:
     """The outcome of a task that is up to date or cannot be planned; None if there is work to do."""
     try:
-        return unchanged(task)
+        return reduce.unchanged(task)
     except IrlosError as error:
-        return failure(task, str(error).splitlines()[0])
+        return reduce.failure(task, str(error).splitlines()[0])
 
 
-def _record(request: Request, state: RunState, job: Job, reduced: Reduced) -> None:
+def _record(request: Request, state: RunState, job: reduce.Job, reduced: reduce.Reduced) -> None:
     """Keep the outcome of a job, and store its numbers unless they are stored."""
     group, first = job.group, job.group.first
     try:

@@ -1,7 +1,5 @@
 """Settings of `irlos night`: recipes by kind of group, how recordings are grouped, when a number alarms."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -92,7 +90,6 @@ class NightSettings(_Section):
     band: BandSettings = Field(default=BandSettings())
 
     def recipes_of(self, kind: Kind) -> list[Path]:
-        """Return the recipes that reduce a kind of group."""
         return [Path(path) for path in self.recipes[kind]]
 
 

@@ -1,7 +1,5 @@
 """How long NCPAs stay as they are: the structure function, its confidence interval, a time of validity."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

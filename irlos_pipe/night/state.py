@@ -1,7 +1,5 @@
 """What a run of `irlos night` found and did, night by night; filled in during the run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,8 +25,6 @@ def page_path(tree: Path, date: str) -> Path:
 
 @dataclass
 class Night:
-    """One night."""
-
     date: str  # date of its evening, ISO
     recordings: list[Description] = field(default_factory=list)
     jobs: list[Job] = field(default_factory=list)
@@ -44,7 +40,6 @@ class Night:
 
     @property
     def unfinished(self) -> list[Job]:
-        """Jobs without an outcome so far."""
         return [job for job in self.jobs if job.task.name not in self.reduced]
 
     @property
@@ -84,7 +79,6 @@ class Night:
 
     @property
     def known(self) -> list[str]:
-        """Failures and doubts that are acknowledged."""
         return [line for line in (*self._failures, *self._doubts) if _as_line(line) in self.acknowledged]
 
     @property
@@ -120,17 +114,13 @@ def _as_line(problem: str) -> str:
 
 @dataclass
 class RunState:
-    """All nights of a run, by date."""
-
     nights: dict[str, Night] = field(default_factory=dict)
     acknowledged: frozenset[str] = frozenset()
 
     def night(self, date: str) -> Night:
-        """Return the night of a date, a new one if there was none."""
         return self.nights.setdefault(date, Night(date, acknowledged=self.acknowledged))
 
     def leave_out(self, some: Iterable[LeftOut]) -> None:
-        """Add to every night what is left out of it."""
         for one in some:
             self.night(one.recording.night).left_out.append(one)
 

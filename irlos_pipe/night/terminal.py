@@ -1,7 +1,5 @@
 """What `irlos night` and `irlos trend` print: summaries that fit a terminal, everything as JSON or CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator, Sequence

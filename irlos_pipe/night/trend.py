@@ -12,16 +12,7 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.night.bands import (
-    Band,
-    History,
-    Point,
-    WavefrontTest,
-    band_of,
-    excess_scatter,
-    histories,
-    wavefront_test,
-)
+from irlos_pipe.night import bands
 from irlos_pipe.night.database import Verdict, existing
 from irlos_pipe.night.settings import BandSettings, Limits
 from irlos_pipe.night.stability import Structure, Validity, structure_function, with_confidence
@@ -45,27 +36,23 @@ Owner = tuple[str, str]  # recipe, configuration
 class Series:
     """One number of one recipe and one configuration in order of time, and the limits it is given."""
 
-    points: tuple[Point, ...]
+    points: tuple[bands.Point, ...]
     limits: Limits | None = None
 
     @property
     def name(self) -> str:
-        """That of the number, which ends in its unit."""
         return self.last.name
 
     @property
     def owner(self) -> Owner:
-        """Recipe and configuration."""
         return self.last.recipe, self.last.configuration
 
     @property
-    def last(self) -> Point:
-        """The latest point."""
+    def last(self) -> bands.Point:
         return self.points[-1]
 
     @property
     def alarms(self) -> bool:
-        """Whether any point is not as expected."""
         return any(one.alarm for one in self.points)
 
 
@@ -73,17 +60,16 @@ class Series:
 class Trend:
     """What the nights of a tree show."""
 
-    points: tuple[Point, ...] = ()  # all numbers, series after series, in order of time
+    points: tuple[bands.Point, ...] = ()  # all numbers, series after series, in order of time
     # Every calibration with enough nights before it, in order of time: the modes from Noll 4 together, as the
     # RMS change, and the test of it.
-    wavefronts: tuple[tuple[Point, WavefrontTest], ...] = ()
+    wavefronts: tuple[tuple[bands.Point, bands.WavefrontTest], ...] = ()
     verdicts: tuple[Verdict, ...] = ()
     rule: BandSettings = field(default_factory=BandSettings)
     names: tuple[str, ...] = ()  # numbers to show; all if empty
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """The points of every number."""
         limits = self.rule.limits
         found = (Series(tuple(members), limits.get(key[0])) for key, members in groupby(self.points, _key))
         return tuple(one for one in found if not self.names or one.name in self.names)
@@ -91,7 +77,7 @@ class Trend:
     @cached_property
     def stabilities(self) -> dict[Owner, tuple[Structure, Validity]]:
         """Structure function of the NCPAs, and how long they hold, by recipe and configuration."""
-        modes: dict[Owner, list[list[Point]]] = {}
+        modes: dict[Owner, list[list[bands.Point]]] = {}
         for (name, *owner), members in groupby(self.points, _key):
             if is_mode(name):
                 found = modes.setdefault((owner[0], owner[1]), [])
@@ -109,7 +95,6 @@ class Trend:
         ]
 
     def until(self, night: str) -> Trend:
-        """Return the trend as it was after a night."""
         return replace(
             self,
             points=tuple(one for one in self.points if one.night <= night),
@@ -119,7 +104,6 @@ class Trend:
 
     @property
     def last_night(self) -> str:
-        """The latest night with a number; "" without one."""
         return max((series.last.night for series in self.series), default="")
 
 
@@ -145,35 +129,35 @@ def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until:
     return replace(trend, names=tuple(names), verdicts=(), wavefronts=()) if names else trend
 
 
-def make_trend(points: Sequence[Point], verdicts: Sequence[Verdict], rule: BandSettings) -> Trend:
+def make_trend(points: Sequence[bands.Point], verdicts: Sequence[Verdict], rule: BandSettings) -> Trend:
     """Give `points` their bands and alarms by the `rule`; they and `verdicts` are in order of time."""
     ordered = sorted(points, key=lambda one: (*_natural(one.name), *_owner(one)))
-    before = {key: histories(list(members), rule.nights) for key, members in groupby(ordered, _key)}
+    before = {key: bands.histories(list(members), rule.nights) for key, members in groupby(ordered, _key)}
     excess = _excesses(before)
     judged = [_judged(one, before[_key(one)][one.night], excess, rule) for one in ordered]
     return Trend(tuple(judged), tuple(_wavefronts(judged, rule)), tuple(verdicts), rule)
 
 
-def _excesses(before: Mapping[tuple[str, ...], Mapping[str, History]]) -> dict[tuple[str, ...], float]:
+def _excesses(before: Mapping[tuple[str, ...], Mapping[str, bands.History]]) -> dict[tuple[str, ...], float]:
     """By how much the modes scatter beyond their errors, by recipe, configuration and night."""
-    modes: dict[tuple[str, ...], list[History]] = {}
+    modes: dict[tuple[str, ...], list[bands.History]] = {}
     for (name, *owner), by_night in before.items():
         if is_mode(name) and name not in TIP_TILT:
             for night, history in by_night.items():
                 modes.setdefault((*owner, night), []).append(history)
     return {
-        who: excess_scatter([one for one in found if len(one.medians) == len(found[0].medians)])
+        who: bands.excess_scatter([one for one in found if len(one.medians) == len(found[0].medians)])
         for who, found in modes.items()
     }
 
 
 def _judged(
-    one: Point, before: History, excess: Mapping[tuple[str, ...], float], rule: BandSettings
-) -> Point:
+    one: bands.Point, before: bands.History, excess: Mapping[tuple[str, ...], float], rule: BandSettings
+) -> bands.Point:
     """The point with its band, and with what is said of it beyond its limits or band."""
     lowest = 0.0 if one.name in NEVER_NEGATIVE else -np.inf
     own = excess.get((*_owner(one), one.night)) if _of_wavefront(one) else None
-    band = band_of(before, one.sigma, rule, own, lowest)
+    band = bands.band_of(before, one.sigma, rule, own, lowest)
     alarm = _beyond(one.value, rule.limits.get(one.name, (None, None)))
     if not alarm and band and one.name not in OF_THE_SKY and not band.holds(one.value):
         alarm = f"{one.value:.4g} outside {band.low:.4g} to {band.high:.4g} ({band.nights} earlier nights)"
@@ -189,9 +173,11 @@ def _beyond(value: float, limits: Limits) -> str:
     return f"{value:.4g} outside the limits {begin}to {end}"
 
 
-def _wavefronts(points: Sequence[Point], rule: BandSettings) -> list[tuple[Point, WavefrontTest]]:
+def _wavefronts(
+    points: Sequence[bands.Point], rule: BandSettings
+) -> list[tuple[bands.Point, bands.WavefrontTest]]:
     """Every calibration with the bands of its modes, in order of time."""
-    runs: dict[str, list[tuple[Point, Band]]] = {}
+    runs: dict[str, list[tuple[bands.Point, bands.Band]]] = {}
     for one in filter(_of_wavefront, points):
         if one.band and one.sigma is not None:
             runs.setdefault(one.run, []).append((one, one.band))
@@ -199,13 +185,15 @@ def _wavefronts(points: Sequence[Point], rule: BandSettings) -> list[tuple[Point
     for members in runs.values():
         if len(members) > 1:
             modes, found_bands = zip(*members, strict=True)
-            test = wavefront_test([one.value for one in modes], found_bands, rule)
+            test = bands.wavefront_test([one.value for one in modes], found_bands, rule)
             whole = replace(modes[0], name=WAVEFRONT, value=test.change_nm, sigma=None, band=None)
             found.append((replace(whole, alarm="" if test.holds else str(test)), test))
     return sorted(found, key=lambda one: (one[0].unix_s, one[0].run))
 
 
-def _stability(modes: Sequence[Sequence[Point]], rule: BandSettings) -> tuple[Structure, Validity] | None:
+def _stability(
+    modes: Sequence[Sequence[bands.Point]], rule: BandSettings
+) -> tuple[Structure, Validity] | None:
     """Structure function of the modes that all runs of a recipe have, without tip and tilt."""
     by_run = [{point.run: point for point in points} for points in modes]
     common = set.intersection(*map(set, by_run))
@@ -219,12 +207,12 @@ def _stability(modes: Sequence[Sequence[Point]], rule: BandSettings) -> tuple[St
     return with_confidence(found, times, value, sigma, rule.valid_change_nm) if len(found.pairs) else None
 
 
-def _key(one: Point) -> tuple[str, ...]:
+def _key(one: bands.Point) -> tuple[str, ...]:
     """What the points of a series have in common."""
     return one.name, *_owner(one)
 
 
-def _owner(one: Point) -> Owner:
+def _owner(one: bands.Point) -> Owner:
     return one.recipe, one.configuration
 
 
@@ -242,7 +230,7 @@ def label(name: str) -> str:
     return f"{' '.join(words)} [{unit}]"
 
 
-def _of_wavefront(one: Point) -> bool:
+def _of_wavefront(one: bands.Point) -> bool:
     return is_mode(one.name) and one.name not in TIP_TILT
 
 

@@ -1,7 +1,5 @@
 """Plots of a trend: numbers against time with their bands, and the structure function of the NCPAs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -92,7 +90,13 @@ def _panel(axes: Axes, series: Series) -> None:
             axes.axhline(limit, color=ORANGE, linewidth=0.8, linestyle="--")
     out = [bool(one.alarm) for one in series.points]
     axes.plot(times[out], values[out], "o", color=ORANGE, markersize=8, fillstyle="none")
-    _limit(axes, values - errors, values + errors, ends.ravel())
+    ends = ends.ravel()
+    low, high = float(np.min(values - errors)), float(np.max(values + errors))
+    span = high - low or 0.1 * abs(high) or 1.0
+    near = ends[(low - WIDEST_BAND * span < ends) & (ends < high + WIDEST_BAND * span)].tolist()
+    low, high = min([low, *near]), max([high, *near])
+    room = 0.1 * (high - low) or span
+    axes.set_ylim(low - room, high + room)
     axes.locator_params(axis="y", nbins=4)
 
 
@@ -103,16 +107,6 @@ def _line(axes: Axes, series: Series) -> None:
         nights.setdefault(one.night, []).append((one.unix_s, one.value))
     moments, medians = np.array([np.median(members, axis=0) for members in nights.values()]).T
     axes.plot(np.array(list(map(_moment, moments))), medians, color=BLUE, linewidth=0.7)
-
-
-def _limit(axes: Axes, lows: np.ndarray, highs: np.ndarray, ends: np.ndarray) -> None:
-    """Scale the axis to values and band; over few nights a band may be too wide to be shown whole."""
-    low, high = float(np.min(lows)), float(np.max(highs))
-    span = high - low or 0.1 * abs(high) or 1.0
-    near = ends[(low - WIDEST_BAND * span < ends) & (ends < high + WIDEST_BAND * span)].tolist()
-    low, high = min([low, *near]), max([high, *near])
-    room = 0.1 * (high - low) or span
-    axes.set_ylim(low - room, high + room)
 
 
 def draw_structures(figure: Figure | SubFigure, trend: Trend) -> None:

@@ -100,6 +100,7 @@ class PsfModel:
         wavelengths, weights = np.array(settings.spectrum, float).T
         self.wavelengths_m = wavelengths * NM
         self.weights = weights / weights.sum()
+        self.colours: Sequence[int] = range(len(self.weights))  # those whose light is propagated
         self.pupil_grid = pupil_grid(settings) if grid is None else grid
         self._set_pupil(self.pupil_grid)
         self._set_products(self.pupil_grid)
@@ -117,6 +118,15 @@ class PsfModel:
         )
         other.focal_plane, other._colours = self._focal_plane(other.settings), {}
         return other
+
+    def coarse(self, optics: Optics) -> tuple[PsfModel, Optics]:
+        """Return what stands for `optics`: every third wavelength, without what `Optics.by_mode` adds."""
+        other, count = copy(self), len(self.weights)
+        other.colours = range(min(1, count - 1), count, 3)
+        sampling = optics.sampling or self.grids.sampling
+        sampling = sampling._replace(weights=sampling.weights / sampling.weights[[*other.colours]].sum())
+        copies = tuple(one._replace(sampling=sampling) for one in optics.copies)
+        return other, optics._replace(sampling=sampling, copies=copies, by_mode=())
 
     @property
     def limits_nm(self) -> torch.Tensor:
@@ -226,7 +236,7 @@ class PsfModel:
         follow = [rough and _is_faint(one) for one in optics.copies]
         copies = zip(optics.copies, own, [None] * len(own), follow, strict=True)
         lights = [(optics, tangents, _together(optics, follow), False), *copies]
-        return [_Path(*light, index) for light in lights for index in range(len(self.weights))]
+        return [_Path(*light, index) for light in lights for index in self.colours]
 
     def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]

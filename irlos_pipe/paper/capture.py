@@ -4,13 +4,10 @@ A sample is a ramp: one set of NCPAs, known as well as a calibration knows them,
 random defocus, pointing and AO residual. Every frame is estimated from every start.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import torch
-from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 from pydantic import Field
 
@@ -208,20 +205,7 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
         "Elongation and scan: where the iteration starts; zero and default: where it ends. Most wrong "
         "estimates lie near the opposite defocus, whose image is the most similar one."
     )
-    return [
-        ex.lines(
-            "capture-success", "Success against defocus",
-            "Frames whose defocus is found. Dotted: ranges that the paper states from zero, and asked for.",
-            bins, "middle_nm", "part",
-            colour="start", labels=("true defocus [nm RMS]", "captured [%]"), yscale="linear",
-            marks=[side * one for one in (PAPER_NM, sizes["required_nm"]) for side in (-1, 1)],
-        ),
-        ex.Figure(_against_truth(drawn, 1.1 * sizes["reach_nm"]), "Starts and estimates", against),
-    ]  # fmt: skip
-
-
-def _against_truth(drawn: ex.Drawn, reach_nm: float) -> Markup:
-    """One panel per start; what lies beyond is drawn at the edge."""
+    reach_nm = 1.1 * sizes["reach_nm"]
     rows = drawn.rows()
 
     def draw(figure: Canvas) -> None:
@@ -233,7 +217,16 @@ def _against_truth(drawn: ex.Drawn, reach_nm: float) -> Markup:
             axes.set(title=f"{start}, {'start' if column == 'start_nm' else 'estimate'}", aspect="equal")
         figure.supxlabel("true defocus [nm RMS]")
 
-    return svg("capture-against-truth", (5.2, 5.4), draw)
+    return [
+        ex.lines(
+            "capture-success", "Success against defocus",
+            "Frames whose defocus is found. Dotted: ranges that the paper states from zero, and asked for.",
+            bins, "middle_nm", "part",
+            colour="start", labels=("true defocus [nm RMS]", "captured [%]"), yscale="linear",
+            marks=[side * one for one in (PAPER_NM, sizes["required_nm"]) for side in (-1, 1)],
+        ),
+        ex.Figure(svg("capture-against-truth", (5.2, 5.4), draw), "Starts and estimates", against),
+    ]  # fmt: skip
 
 
 EXPERIMENT = ex.Experiment(

@@ -4,8 +4,6 @@ The cube that is calibrated has the diversity; the star shown has not. The corre
 accepts: Noll 4–30 of the estimate, subtracted from the wavefront. Tip and tilt are the loop's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

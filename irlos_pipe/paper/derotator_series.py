@@ -4,8 +4,6 @@ Random NCPAs and the phase bump lie before the derotator, other NCPAs behind it;
 are split into what turns and what does not.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -18,13 +16,7 @@ from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, 
 from irlos_pipe.estimate.derotator import Series, Split, try_both_senses, usable_modes
 from irlos_pipe.optics.zernike import partner, rotation_matrix, zernike_basis
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.calibrations import (
-    DEFAULT,
-    METHOD_NAMES,
-    VARIANTS,
-    ObservedCube,
-    frames_per_method,
-)
+from irlos_pipe.paper.common import calibrations
 from irlos_pipe.paper.common.observation import on_spartas_scale
 from irlos_pipe.paper.common.scenes import BY_MIRROR
 from irlos_pipe.report.images import common_limit_nm, wavefront_grid
@@ -113,11 +105,11 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 def rows(star: ex.Sample) -> ex.Rows:
     """Simulate one cube and calibrate it by both methods, each with its number of frames."""
-    frames = frames_per_method(star.sizes.frames, star.sizes.published_frames)
-    cube = ObservedCube.of(scene_of(star, max(frames.values())))
+    frames = calibrations.frames_per_method(star.sizes.frames, star.sizes.published_frames)
+    cube = calibrations.ObservedCube.of(scene_of(star, max(frames.values())))
     for method, count in frames.items():
         own = cube.first(count)
-        fit = own.calibrated(VARIANTS[method].closed())
+        fit = own.calibrated(calibrations.VARIANTS[method].closed())
         yield {
             "method": method,
             "frames": count,
@@ -201,7 +193,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     def errors(group, method):
         split, result = found[method], results[method]
         return {
-            "label": METHOD_NAMES[method], "frames": int(group.frames.iloc[0]), **in_all,
+            "label": calibrations.METHOD_NAMES[method], "frames": int(group.frames.iloc[0]), **in_all,
             **{name: result[name] for name in ("sense", "delta_chi2", "chi2_nu", "freedom")},
             **asdict(split.consistency),
             **split_errors(split.series, split.split, truth),
@@ -220,7 +212,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     def angles(group, method):
         measured = {name: results[method][name] for name in ("measured_nm", "residual_nm")}
         columns = group[["angle_deg", "delta_nm", "chi2_nu"]]
-        return columns.assign(**measured, label=METHOD_NAMES[method]).to_dict("records")
+        return columns.assign(**measured, label=calibrations.METHOD_NAMES[method]).to_dict("records")
 
     tables = {"methods": errors, "parts": parts, "angles": angles, "modes": modes}
     return {name: ex.grouped(rows, ["method"], summary) for name, summary in tables.items()}
@@ -228,8 +220,8 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
 def checks(tables: ex.Tables) -> list[ex.Check]:
     """The default's parts err as quoted."""
-    modes = tables["modes"].query(f"method == '{DEFAULT}' and noll <= {HIGHEST_REPORTED_NOLL}")
-    default, found = tables["methods"].query(f"method == '{DEFAULT}'").iloc[0], []
+    modes = tables["modes"].query(f"method == '{calibrations.DEFAULT}' and noll <= {HIGHEST_REPORTED_NOLL}")
+    default, found = tables["methods"].query(f"method == '{calibrations.DEFAULT}'").iloc[0], []
     for part in PARTS:
         quoted_nm, error_nm = math.hypot(*modes.sigma_nm[modes.part == part]), default[f"{part}_error_nm"]
         pull = error_nm / quoted_nm if quoted_nm > 0 else math.nan
@@ -273,7 +265,7 @@ def arrays(rows: ex.Frame, ctx: ex.Context) -> dict[str, ex.Quantity]:
         seen = {noll: value for noll, value in getattr(truth, f"{part}_nm").items() if noll > 3}
         map_nm = map_of(pupil, list(seen), np.array(list(seen.values())))
         found[f"truth/maps/{part}_nm"] = ex.Quantity(map_nm, "nm", "simulated, without tip and tilt")
-    (images,) = ex.stacked(rows[rows.method == DEFAULT], "mean_image_e")
+    (images,) = ex.stacked(rows[rows.method == calibrations.DEFAULT], "mean_image_e")
     found["mean_image_e"] = ex.Quantity(images, "e-", "of a frame")
     for method, split in splits(rows).items():
         found |= {f"{method}/{name}": quantity for name, quantity in split.arrays(pupil).items()}
@@ -286,12 +278,12 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
     found: ex.Blocks = []
     for method in methods:
         images = drawn.array("mean_image_e") if method == methods[0] else None
-        title = f"Every angle, {METHOD_NAMES[method]}"
+        title = f"Every angle, {calibrations.METHOD_NAMES[method]}"
         found += maps_figure(drawn.run, drawn.stage, title, images, prefix=f"{method}/")
     caption = (
         "Symmetric modes, of which only the sum of both parts is measured, are in the simulated map only."
     )
-    sources = {"simulated": "truth"} | {METHOD_NAMES[name]: name for name in methods}
+    sources = {"simulated": "truth"} | {calibrations.METHOD_NAMES[name]: name for name in methods}
     for part, text in PARTS.items():
         maps = np.stack([drawn.array(f"{source}/maps/{part}_nm") for source in sources.values()])
         drawing = wavefront_grid(f"series-{part}", list(sources), {"": maps}, common_limit_nm(maps[0]))

@@ -6,8 +6,6 @@ It is a stage, so that a recipe runs it; `docs/extending.md` says how to add one
 need of the pipeline from here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -157,15 +155,20 @@ class Experiment:
         object.__setattr__(self, "Results", type(f"{self.NAME}_results", (ExperimentResults,), own))
 
     def run(self, ctx: Context) -> StageOutput:
-        """Compute the rows of all samples, summarise and judge them."""
         samples = list(self.samples(ctx))
         rows = frame(
-            {"sample": one.name} | {key: value for key, value in one.of.items() if _is_scalar(value)} | row
+            {"sample": one.name}
+            | {key: value for key, value in one.of.items() if isinstance(value, (str, bool, int, float))}
+            | row
             for one, own in zip(samples, run_samples(self.rows, samples, ctx, self.unit), strict=True)
             for row in own
         )
         tables = self.tables(rows, ctx)
-        arrays = _row_arrays(rows) | dict(self.arrays(rows, ctx) if self.arrays else {})
+        arrays = {
+            f"rows/{name}": Quantity(_array(column), UNITS.get(name.rpartition("_")[2], ""), "of every row")
+            for name, column in rows.items()
+            if not any(isinstance(value, np.ndarray) for value in column)
+        } | dict(self.arrays(rows, ctx) if self.arrays else {})
         results = self.Results(tables={name: table.to_dict("records") for name, table in tables.items()})
         first = self.listings[0].table(tables, ranges=False)
         summary = aligned([first.columns, *first.rows]).splitlines()
@@ -181,18 +184,6 @@ class Experiment:
         blocks = [*self.figures(Drawn(run, self.NAME, tables)), *shown]
         first = next(iter(tables.values())).to_dict("records")[0] if tables else {}
         return Section(self.NAME, self.title, filled(self.lead, first), blocks)
-
-
-def _is_scalar(value: Any) -> bool:
-    return isinstance(value, (str, bool, int, float))
-
-
-def _row_arrays(rows: Frame) -> dict[str, Quantity]:
-    return {
-        f"rows/{name}": Quantity(_array(column), UNITS.get(name.rpartition("_")[2], ""), "of every row")
-        for name, column in rows.items()
-        if not any(isinstance(value, np.ndarray) for value in column)
-    }
 
 
 def _array(column: Frame) -> np.ndarray:

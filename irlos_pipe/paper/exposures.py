@@ -4,8 +4,6 @@ Frames of the shortest exposure follow one another without a gap; longer ones ar
 So all cubes of a sample show the same star and AO residual for the same time, each with its own noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from pydantic import Field

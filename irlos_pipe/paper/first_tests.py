@@ -5,8 +5,6 @@ target 2 was recorded in a second run with another reference of the stage. The t
 lessons of the test get numbers: the gain by elongation prior, kernel, more modes and NCPAs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ The NCPAs of a sample are calibrated from a cube of the narrow H band; the ramp 
 has the same NCPAs and other residuals. Every variant of LIFT sees the same frames.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -5,8 +5,6 @@ tip and tilt of every petal among its parameters, or knows nothing of petals. Al
 same NCPAs and the same pattern; they differ in the size of the pattern, in band and in exposure.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ One sample is one cube with its own NCPAs and its own AO residual. Beside the se
 power spectrum can have another shape than the model of the default assumes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

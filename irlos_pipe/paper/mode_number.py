@@ -1,7 +1,5 @@
 """Error of Noll 2–30 against the number of estimated modes, where 50 were introduced (paper, appendix B)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Standard deviation per mode (paper, appendix A): many modes estimated on cubes with 50 simulated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

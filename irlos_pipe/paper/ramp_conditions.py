@@ -4,8 +4,6 @@ The pair is the real one: a cube through the narrow filter with the astigmatism 
 J and H through the lens. All ramps of a sample have the same NCPAs, AO residual and stream of noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -25,20 +23,9 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common import ramps
 from irlos_pipe.paper.common.calibrations import DEFAULT
 from irlos_pipe.paper.common.observation import conditions_of, settings_of
-from irlos_pipe.paper.common.ramps import (
-    NINE,
-    RAMP_STREAM,
-    TTF,
-    LiftVariant,
-    ObservedRamp,
-    calibrated,
-    observe,
-    offsets_nm,
-    ramp_scene,
-    true_modes_nm,
-)
 from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
@@ -55,7 +42,7 @@ NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # exposure and star of the paper's s
 
 
 @dataclass(frozen=True)
-class Way(LiftVariant):
+class Way(ramps.LiftVariant):
     """One way to estimate a ramp, with AO residual and jitter as calibrated or expected.
 
     With `colour`, dispersion and the slope of the star's spectrum are fitted to all frames together, and up
@@ -74,14 +61,14 @@ WAYS = {
     "wavefronts": Way("chromatic and lens's wavefront fitted too, to Noll 66", last_noll=66),
     "low_wavefronts": Way("the same, to Noll 21", last_noll=21),
     "plain": Way("neither dispersion nor colour", colour=False),
-    "nine": Way("default, nine modes", NINE),
-    "astigmatism": Way("default, Noll 6 free", (*TTF, 6)),
-    "nine_astigmatism": Way("default, nine modes and Noll 6", tuple(sorted((*NINE, 6)))),
+    "nine": Way("default, nine modes", ramps.NINE),
+    "astigmatism": Way("default, Noll 6 free", (*ramps.TTF, 6)),
+    "nine_astigmatism": Way("default, nine modes and Noll 6", tuple(sorted((*ramps.NINE, 6)))),
     "tilt_calibrated": Way("default, tip and tilt as calibrated", tilt="calibrated"),
     "tilt_centroid": Way("default, tip and tilt of the centroid", tilt="centroid"),
-    "plain_nine": Way("nine modes", NINE, colour=False),
+    "plain_nine": Way("nine modes", ramps.NINE, colour=False),
     "uncalibrated": Way("without NCPAs", ncpa="", colour=False),
-    "uncalibrated_nine": Way("without NCPAs, nine modes", NINE, ncpa="", colour=False),
+    "uncalibrated_nine": Way("without NCPAs, nine modes", ramps.NINE, ncpa="", colour=False),
 }
 
 
@@ -161,7 +148,7 @@ def effects_of(
     return found
 
 
-def fit_way(ramp: ObservedRamp, way: Way) -> RampFit:
+def fit_way(ramp: ramps.ObservedRamp, way: Way) -> RampFit:
     """Estimate all frames of a ramp in one way, with the model and the sampling of the stage `lift`."""
     model = PsfModel(settings_of(ramp.scene, ramp.given_nm(way)).for_single_frames(), way.modes)
     start_nm = ramp.start_nm(way, model)
@@ -218,13 +205,13 @@ def samples(ctx: ex.Context) -> ex.Samples:
 def rows(star: ex.Sample) -> ex.Rows:
     """Estimate every ramp in every way of its condition."""
     cube = cube_of(star)
-    knowledge = calibrated(cube, [DEFAULT])
+    knowledge = ramps.calibrated(cube, [DEFAULT])
     for key in star.sizes.conditions:
         condition = CONDITIONS[key]
         ramp = ramp_of(star, cube, condition)
         exposed = expose(ramp)
-        observed = observe(ramp, exposed, knowledge)
-        true_nm, introduced_nm = true_modes_nm(ramp, exposed), ramp.introduced_per_frame_nm
+        observed = ramps.observe(ramp, exposed, knowledge)
+        true_nm, introduced_nm = ramps.true_modes_nm(ramp, exposed), ramp.introduced_per_frame_nm
         for name in condition.ways:
             way = WAYS[name]
             fit = fit_way(observed, way)
@@ -249,14 +236,14 @@ def cube_of(star: ex.Sample) -> Scene:
 def ramp_of(star: ex.Sample, cube: Scene, condition: Condition) -> Scene:
     """Return the ramp under a condition, through the lens with frames of a second, or through the filter."""
     sizes = star.sizes
-    introduced_nm = offsets_nm(sizes.reach_nm, sizes.offsets, sizes.frames_per_offset)
+    introduced_nm = ramps.offsets_nm(sizes.reach_nm, sizes.offsets, sizes.frames_per_offset)
     if condition.bands == "J+H":
-        ramp = ramp_scene(cube, sizes.ramp_mag_j, introduced_nm)
+        ramp = ramps.ramp_scene(cube, sizes.ramp_mag_j, introduced_nm)
         return replace(ramp, effects=effects_of(condition, star.seed, star.facility))
     return replace(
         cube,
         role="defocus_ramp",
-        seed=(*star.seed, RAMP_STREAM),
+        seed=(*star.seed, ramps.RAMP_STREAM),
         frames=len(introduced_nm),
         exposure_s=NARROW_EXPOSURE_S,
         mag_j=NARROW_MAG_J,

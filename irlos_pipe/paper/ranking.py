@@ -5,8 +5,6 @@ Starts are those of the stage `calibrate`: none knows more than the diversity. T
 the NCPAs are drawn from as prior, which makes no difference at m_J 7 (`methods`, without prior).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The monitor's seeing is log-normal; SPARTA's follows from it by a linear relatio
 scatter, as the two look at different air. Of the paper's figure only the tendency is known.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Annotated
 

@@ -6,14 +6,11 @@ have no tip, tilt and defocus: a loop drives those to zero by itself, and its ow
 The 2x2 mode that the full pupil replaces runs on the same drifts, with the same star and sky.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 from pydantic import Field
 
@@ -310,7 +307,19 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
     ]  # fmt: skip
     default = best_loops(loops, DEFAULT)
     if len(default):
-        series = _series(drawn, default)
+        chosen = [default.iloc[0], *(row for _, row in default[default.diverged == 0].iloc[-1:].iterrows())]
+
+        def draw(figure: Canvas) -> None:
+            panels = figure.subplots(len(chosen), sharex=True, sharey=True, squeeze=False)[:, 0]
+            for axes, row, ink in zip(panels, chosen, (BLUE, ORANGE), strict=False):
+                axes.plot(drawn.array("drift_nm")[0, 0], color=FAINT, linewidth=2.2, label="open loop")
+                residual_nm = drawn.array("residual_nm")[0, 0, int(row.loop)]
+                axes.plot(residual_nm, color=ink, linewidth=1.1, label=f"closed, m_J {row.mag_j:g}")
+                axes.legend(loc="upper left", ncols=2)
+                axes.set_ylabel("defocus [nm RMS]")
+            panels[-1].set_xlabel("time [s]")
+
+        series = svg("loop-series", (5.2, 4.2), draw)
         found.insert(0, ex.Figure(series, "Bright and faint star", "First sky. Grey: the drift."))
     own = loops[(loops.sensor == DEFAULT) & (loops.exposures == 1)].sort_values("gain", kind="stable")
     scanned = own[own.groupby("mag_j").gain.transform("size") > 1]
@@ -321,23 +330,6 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
             labels=("gain", "residual defocus [nm RMS]"), marks=[sky.largest_stable_gain],
         ))  # fmt: skip
     return found
-
-
-def _series(drawn: ex.Drawn, default: ex.Frame) -> Markup:
-    """The brightest star, and the faintest whose loop has never diverged."""
-    chosen = [default.iloc[0], *(row for _, row in default[default.diverged == 0].iloc[-1:].iterrows())]
-
-    def draw(figure: Canvas) -> None:
-        panels = figure.subplots(len(chosen), sharex=True, sharey=True, squeeze=False)[:, 0]
-        for axes, row, ink in zip(panels, chosen, (BLUE, ORANGE), strict=False):
-            axes.plot(drawn.array("drift_nm")[0, 0], color=FAINT, linewidth=2.2, label="open loop")
-            residual_nm = drawn.array("residual_nm")[0, 0, int(row.loop)]
-            axes.plot(residual_nm, color=ink, linewidth=1.1, label=f"closed, m_J {row.mag_j:g}")
-            axes.legend(loc="upper left", ncols=2)
-            axes.set_ylabel("defocus [nm RMS]")
-        panels[-1].set_xlabel("time [s]")
-
-    return svg("loop-series", (5.2, 4.2), draw)
 
 
 EXPERIMENT = ex.Experiment(

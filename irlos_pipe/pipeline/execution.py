@@ -1,7 +1,5 @@
 """Run the stages of a plan one after the other, each leaving its product on disk."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,8 +27,6 @@ from irlos_pipe.stages.ingest.results import IngestResults
 
 @dataclass
 class Job:
-    """A plan being carried out."""
-
     recipe: Recipe
     folder: Path
     files: list[InputFile]
@@ -44,7 +40,6 @@ class Job:
         self.finished |= {step.name for step in self.steps if step.current and step.action is not Action.RUN}
 
     def perform(self) -> None:
-        """Carry out all steps in order."""
         for step in self.steps:
             RUN.info(step.describe())
             if step.action is Action.RUN:

@@ -1,7 +1,5 @@
 """The files behind the inputs of a run, and their checksums."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -22,8 +20,6 @@ LISTS = "lists"  # key of the lists of files among the absolute paths of the cac
 
 @dataclass(frozen=True)
 class InputFile:
-    """One file of an input."""
-
     # ``<input>/<folder or file given>/<path below it>``: the same wherever the data lie. Files next to what
     # was given, such as a side-car, count from its parent folder.
     label: str

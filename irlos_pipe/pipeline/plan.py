@@ -1,7 +1,5 @@
 """What a run will do, stage by stage, and why; decided before anything is touched."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -28,8 +26,6 @@ MAX_REASONS = 3  # shown for one stage
 
 
 class Action(Enum):
-    """What happens to a stage."""
-
     RUN = "run"
     SKIP = "skip"
     USE = "use as it is"
@@ -47,8 +43,6 @@ class Selection:
 
 @dataclass(frozen=True)
 class Step:
-    """One stage of a plan."""
-
     name: str
     path: Path  # the stage's product
     key: str  # of the product as it is to be
@@ -58,7 +52,6 @@ class Step:
     current: bool  # whether the product on disk has this key
 
     def describe(self) -> str:
-        """Return one line for people."""
         redone = self.action is Action.RUN and self.reason != NO_PRODUCT
         return f"{self.name}: {'redone because ' if redone else ''}{self.reason}"
 
@@ -78,7 +71,13 @@ def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selectio
         parts = key_parts(STAGES[name], recipe, files, upstream)
         path = RunFolder(folder).product(index + 1, name)
         if index < first:
-            steps.append(_used_step(name, path, parts, recipe.stages[first]))
+            try:  # its product is used whether or not it is up to date
+                stored = _stored(name, path)
+            except InputDataError as error:
+                raise _unusable(name, recipe.stages[first], str(error)) from error
+            outdated = changes(stored["parts"], parts)
+            reason = f"used as it is, though {outdated}" if outdated else UP_TO_DATE
+            steps.append(Step(name, path, stored["key"], stored["parts"], Action.USE, reason, True))
         else:
             steps.append(_step(name, path, parts, selected=index <= last, force=selection.force))
     return steps
@@ -128,17 +127,6 @@ def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:
     return first, last
 
 
-def _used_step(name: str, path: Path, parts: dict[str, Any], first: str) -> Step:
-    """A stage before ``--from``: its product is used whether or not it is up to date."""
-    try:
-        stored = _stored(name, path)
-    except InputDataError as error:
-        raise _unusable(name, first, str(error)) from error
-    outdated = changes(stored["parts"], parts)
-    reason = f"used as it is, though {outdated}" if outdated else UP_TO_DATE
-    return Step(name, path, stored["key"], stored["parts"], Action.USE, reason, True)
-
-
 def _unusable(name: str, first: str, why: str) -> ConfigurationError:
     return ConfigurationError(
         f"--from {first}: the product of '{name}' cannot be used ({why}); "
@@ -178,7 +166,6 @@ def _amiss(file: Path, stored: Mapping[str, Any]) -> str:
 
 
 def _stored(name: str, path: Path) -> dict[str, Any]:
-    """Return the provenance of a product on disk."""
     product = read_product(path, arrays=False)
     needed = {"key", "parts", "files", "summary", "failures"}
     if product.stage != name or not needed <= product.provenance.keys():

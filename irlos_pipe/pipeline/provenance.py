@@ -1,7 +1,5 @@
 """Where a product comes from: software, machine, time and command."""
 
-from __future__ import annotations
-
 import os
 import platform
 import socket
@@ -48,7 +46,6 @@ def _git_revision(checkout: Path) -> str:
 
 
 def machine() -> dict[str, Any]:
-    """Return the computer the software runs on."""
     return {"host": socket.gethostname(), "platform": platform.platform(), "pid": os.getpid()}
 
 
@@ -58,5 +55,4 @@ def now() -> str:
 
 
 def command_line() -> str:
-    """Return the command that started this process."""
     return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])

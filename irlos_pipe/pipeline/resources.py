@@ -1,7 +1,5 @@
 """The device, the threads and the progress bars of a run."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

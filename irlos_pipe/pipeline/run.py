@@ -1,43 +1,88 @@
 """Plan a recipe, run what is not up to date, and sum up; also into numbered versions of a folder."""
 
-from __future__ import annotations
-
 import errno
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
-from irlos_pipe.conventions.errors import InputDataError, IrlosError, UnexpectedError
+from irlos_pipe.conventions.errors import ExitCode, InputDataError, IrlosError, UnexpectedError
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline.execution import Job
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember
-from irlos_pipe.pipeline.outcome import Outcome, assess
 from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
-from irlos_pipe.product.results import provenance_of
-from irlos_pipe.product.run_table import (
-    is_complete,
-    link_latest,
-    new_version,
-    require_free_for_versions,
-    version_folders,
-)
-from irlos_pipe.product.runfolder import (
-    RunFolder,
-    inputs_stamp,
-    owned_folder,
-    remember_standing,
-    require_free,
-    require_outside_inputs,
-)
+from irlos_pipe.product import run_table, runfolder
+from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import RunResults, provenance_of
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import files_of
+
+EXIT_CODES = {
+    "ok": ExitCode.DONE,
+    "qc_failed": ExitCode.QUALITY,
+    "partial": ExitCode.PARTIAL,
+    "failed": ExitCode.UNEXPECTED,
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a run."""
+
+    status: str  # ``ok``, ``qc_failed``, ``partial`` or ``failed``
+    results: dict[str, Any]  # content of results.json
+    quality: dict[str, Any]  # content of qc.json
+    summary: dict[str, list[str]] = field(default_factory=dict)  # lines for people by stage
+    report: Path | None = None
+    report_error: str = ""  # why the report could not be built
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command; a report that could not be built is an error of its own."""
+        return EXIT_CODES[self.status] or int(bool(self.report_error))
+
+
+def assess(recipe: Recipe, products: Mapping[str, Product], error: str = "") -> Outcome:
+    """Sum up the up-to-date `products` of a run, which an `error` may have stopped."""
+    status = "failed" if error else _status(products)
+    results = RunResults(
+        schema="irlos-results",
+        schema_version=1,
+        recipe=recipe.name,
+        status=status,
+        **({"notice": recipe.notice, "samples": list(recipe.samples)} if recipe.samples else {}),
+        instrument=recipe.instrument.name,
+        stages={name: product.results for name, product in products.items()},
+        **({"error": error} if error else {}),
+    )
+    checks = [
+        {"stage": name, **check.as_dict()} for name, product in products.items() for check in product.checks
+    ]
+    quality = {
+        "schema": "irlos-qc",
+        "schema_version": 1,
+        "recipe": recipe.name,
+        "passed": all(check["passed"] for check in checks),
+        "checks": checks,
+    }
+    summary = {name: provenance_of(product).summary for name, product in products.items()}
+    return Outcome(status, results.as_json(), quality, summary)
+
+
+def _status(products: Mapping[str, Product]) -> str:
+    # A failed limit outranks lost exposures: it says that the result may not be used.
+    if any(not check.passed for product in products.values() for check in product.checks):
+        return "qc_failed"
+    if any(provenance_of(product).failures for product in products.values()):
+        return "partial"
+    return "ok"
 
 
 def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
@@ -46,8 +91,8 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
     Raises `ConfigurationError` when the selection or the output folder cannot be used, and `InputDataError`
     or `NothingToDo` when input files cannot be read, or there are none.
     """
-    require_free(folder)
-    require_outside_inputs(folder, recipe.inputs)
+    runfolder.require_free(folder)
+    runfolder.require_outside_inputs(folder, recipe.inputs)
     readers = filter(None, (files_of(STAGES[name]) for name in recipe.stages))
     files = input_files(recipe.inputs, folder, next(readers, None))
     return files, make_plan(recipe, folder, files, selection)
@@ -64,10 +109,10 @@ def run_recipe(
     products of finished stages stay.
     """
     selection = selection or Selection()
-    inputs = inputs_stamp(path for paths in recipe.inputs.values() for path in paths)
+    inputs = runfolder.inputs_stamp(path for paths in recipe.inputs.values() for path in paths)
     # Planned once before the folder is made, so that a mistake leaves no empty folder behind.
     files, _ = plan_run(recipe, folder, selection)
-    with owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
+    with runfolder.owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
         steps = with_repairs(make_plan(recipe, folder, files, selection))
         TRACE.info("command: %s", command_line())
         if any(step.action is Action.RUN for step in steps):
@@ -82,11 +127,11 @@ def run_recipe(
             job.perform()
         outcome = _concluded(job, run)
         if all(step.action in (Action.RUN, Action.SKIP) for step in steps):
-            remember_standing(run, inputs)
+            runfolder.remember_standing(run, inputs)
         return outcome
 
 
-def _concluded(job: Job, run: RunFolder) -> Outcome:
+def _concluded(job: Job, run: runfolder.RunFolder) -> Outcome:
     outcome = assess(job.recipe, job.summaries())
     changed = _write_outcome(outcome, run)
     ran = any(step.action is Action.RUN for step in job.steps)
@@ -97,14 +142,14 @@ def _concluded(job: Job, run: RunFolder) -> Outcome:
     return replace(outcome, report=run.report if run.report.is_file() else None)
 
 
-def _write_outcome(outcome: Outcome, run: RunFolder) -> bool:
+def _write_outcome(outcome: Outcome, run: runfolder.RunFolder) -> bool:
     """Write the files for scripts; True when their content changed."""
     files = {run.results: outcome.results, run.quality: outcome.quality}
     changed = [write_if_changed(path, json_text(content).encode()) for path, content in files.items()]
     return any(changed)
 
 
-def _report_error(run: RunFolder) -> str:
+def _report_error(run: runfolder.RunFolder) -> str:
     """Build the report; returns what went wrong, as the products are good without it."""
     try:
         from irlos_pipe.report.build import write_report
@@ -117,7 +162,7 @@ def _report_error(run: RunFolder) -> str:
 
 
 @contextmanager
-def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
+def _failure_recorded(job: Job, run: runfolder.RunFolder) -> Iterator[None]:
     """Leave a results.json that says what stopped the run, next to the products that were finished."""
     try:
         yield
@@ -130,14 +175,14 @@ def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
         raise
 
 
-def _set_others_aside(run: RunFolder, steps: Sequence[Step]) -> None:
+def _set_others_aside(run: runfolder.RunFolder, steps: Sequence[Step]) -> None:
     """Nobody should take what another recipe left for a result of this one."""
     ours = {step.path for step in steps}
     for path in sorted(set(run.product_files) - ours):
         run.set_aside([*_files_beside(path), path.name])
 
 
-def _set_outdated_aside(job: Job, run: RunFolder) -> None:
+def _set_outdated_aside(job: Job, run: runfolder.RunFolder) -> None:
     """After an error: further files of what was to be made again, and a report that says all is well."""
     for step in job.steps:
         if step.name not in job.finished and step.path.is_file():
@@ -196,11 +241,11 @@ def version_for(recipe: Recipe, folder: Path, selection: Selection) -> Path:
     Raises `ConfigurationError` when the folder cannot hold versions, or the selection cannot be used, and
     `InputDataError` or `NothingToDo` when input files cannot be read, or there are none.
     """
-    require_free_for_versions(folder)
-    there = version_folders(folder)
+    run_table.require_free_for_versions(folder)
+    there = run_table.version_folders(folder)
     if there and not selection.force and _only_adds(recipe, there[-1], selection):
         return there[-1]
-    return new_version(folder)
+    return run_table.new_version(folder)
 
 
 def run_numbered(
@@ -215,17 +260,17 @@ def run_numbered(
     """
     selection = selection or Selection()
     plan_run(recipe, version_for(recipe, folder, selection), selection)  # a mistake leaves no folder behind
-    with owned_folder(folder):
+    with runfolder.owned_folder(folder):
         version = version_for(recipe, folder, selection)
         outcome = run_recipe(recipe, version, selection, resources)
-        if is_complete(RunFolder(version)):
-            link_latest(folder, version)
+        if run_table.is_complete(runfolder.RunFolder(version)):
+            run_table.link_latest(folder, version)
         return outcome
 
 
 def _only_adds(recipe: Recipe, version: Path, selection: Selection) -> bool:
     """Whether a run into a version would make only products that are not there."""
-    run = RunFolder(version)
+    run = runfolder.RunFolder(version)
     if not run.recipe.is_file():
         return True
     _, steps = plan_run(recipe, version, selection)

@@ -1,7 +1,5 @@
 """Log messages of a run: to run.log, and those of each stage into its product."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Iterator
@@ -21,7 +19,6 @@ WARNINGS = logging.getLogger("py.warnings")
 
 
 def stage_logger(name: str) -> logging.Logger:
-    """Return the logger a stage writes to."""
     return ROOT.getChild(f"stage.{name}")
 
 

@@ -1,7 +1,5 @@
 """What people see: messages on stderr, the table at the end on stdout."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from collections.abc import Iterator, Sequence
@@ -54,7 +52,6 @@ def outcome_text(outcome: Outcome, as_json: bool) -> str:
 
 
 def quality_line(outcome: Outcome) -> str:
-    """Return how many checks passed."""
     checks = outcome.quality["checks"]
     return f"{sum(check['passed'] for check in checks)} of {len(checks)} checks passed"
 

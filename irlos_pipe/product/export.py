@@ -1,7 +1,5 @@
 """Copy arrays out of a product into FITS or CSV, for people who do not read HDF5."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 import warnings
@@ -93,19 +91,17 @@ def _add_scale(hdu: fits.hdu.base.ExtensionHDU, recordings: Sequence[Recorded]) 
 
 def _hdu(name: str, values: np.ndarray, quantity: Quantity) -> fits.hdu.base.ExtensionHDU:
     if values.dtype.kind == "U" or values.ndim == 0:
-        hdu = fits.BinTableHDU.from_columns([_column(values)], name=name)
+        flat = np.char.encode(values.ravel(), "utf-8") if values.dtype.kind == "U" else values.ravel()
+        code = {"b": "L", "i": "K", "u": "K", "f": "D"}.get(
+            flat.dtype.kind, f"{max(flat.dtype.itemsize, 1)}A"
+        )
+        hdu = fits.BinTableHDU.from_columns([fits.Column(name="value", format=code, array=flat)], name=name)
     else:
         # FITS images know no booleans.
         hdu = fits.ImageHDU(values.astype(np.uint8) if values.dtype == bool else values, name=name)
         hdu.header["BUNIT"] = quantity.unit
     hdu.header.add_comment(ascii_text(quantity.description))
     return hdu
-
-
-def _column(values: np.ndarray) -> fits.Column:
-    flat = np.char.encode(values.ravel(), "utf-8") if values.dtype.kind == "U" else values.ravel()
-    code = {"b": "L", "i": "K", "u": "K", "f": "D"}.get(flat.dtype.kind, f"{max(flat.dtype.itemsize, 1)}A")
-    return fits.Column(name="value", format=code, array=flat)
 
 
 def _csv_bytes(product: Product, quantities: dict[str, Quantity]) -> bytes:
@@ -214,10 +210,6 @@ def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
         flat_field=aotpy.Image("flat", _inverse(values["flat"])),
         bad_pixel_map=aotpy.Image("bad", (~values["pixel_mask"].astype(bool)).astype(np.uint8)),
     )
-    return _file(_system(aotpy, detector, acquisition, seen, start_s))
-
-
-def _system(aotpy: Any, detector: Any, acquisition: dict[str, Any], seen: Recorded, start_s: float) -> Any:
     system = aotpy.AOSystem(ao_mode="LTAO", name=str(seen.cards.get("INSTRUME", seen.instrument)))
     system.main_telescope = aotpy.MainTelescope(uid=str(seen.cards.get("TELESCOP", "telescope")))
     if np.isfinite(start_s):
@@ -228,19 +220,15 @@ def _system(aotpy: Any, detector: Any, acquisition: dict[str, Any], seen: Record
     camera = aotpy.ScoringCamera(uid="IRLOS", detector=detector, wavelength=wavelength_m)
     system.sources.append(source)
     system.scoring_cameras.append(camera)
-    return system
-
-
-def _inverse(flat: np.ndarray) -> np.ndarray:
-    return np.divide(1, flat, out=np.zeros(flat.shape, np.float32), where=flat > 0)
-
-
-def _file(system: Any) -> bytes:
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # aotpy warns of every table that is empty
         path = Path(folder) / "aot.fits"
         system.write_to_file(path)
         return path.read_bytes()
+
+
+def _inverse(flat: np.ndarray) -> np.ndarray:
+    return np.divide(1, flat, out=np.zeros(flat.shape, np.float32), where=flat > 0)
 
 
 def _sidecar(product: Product, prefix: str) -> dict[str, Any]:

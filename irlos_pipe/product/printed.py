@@ -1,7 +1,5 @@
 """What commands print with ``--json``: models whose fields are the keys; the schema is made from them."""
 
-from __future__ import annotations
-
 from math import nan
 from pathlib import Path
 from typing import Any, Literal

@@ -144,11 +144,19 @@ class Product:
             raise ConfigurationError(f"arrays of different lengths do not fit into one table: {told}")
         table = QTable(meta={"stage": self.stage})
         for name in chosen:
-            _add(table, name, arrays[name])
+            quantity = arrays[name]
+            from astropy.units import Quantity as WithUnit
+
+            unit = quantity.astropy_unit
+            for label, values in ((name, quantity.value), (f"{name}_error", quantity.error)):
+                if values is not None:
+                    column = np.atleast_1d(values)
+                    plain = unit is None or (column.dtype.kind in "iu" and not quantity.unit)  # as an index
+                    table[label] = column if plain else WithUnit(column, unit)
+                    table[label].info.description = quantity.description
         return table
 
     def __repr__(self) -> str:
-        """Return what came out and what the product holds, in lines."""
         passed = sum(check.passed for check in self.checks)
         head = f"Product of '{self.stage}': {passed} of {len(self.checks)} checks passed"
         names = list(self.arrays)
@@ -192,15 +200,3 @@ def name_in(arrays: Arrays, name: str) -> str | None:
 def _of_first_length(arrays: Mapping[str, Quantity]) -> list[str]:
     flat = [name for name, one in arrays.items() if np.ndim(one.value) == 1]
     return [name for name in flat if len(arrays[name].value) == len(arrays[flat[0]].value)]
-
-
-def _add(table: QTable, name: str, quantity: Quantity) -> None:
-    from astropy.units import Quantity as WithUnit
-
-    unit = quantity.astropy_unit
-    for label, values in ((name, quantity.value), (f"{name}_error", quantity.error)):
-        if values is not None:
-            column = np.atleast_1d(values)
-            plain = unit is None or (column.dtype.kind in "iu" and not quantity.unit)  # as an index
-            table[label] = column if plain else WithUnit(column, unit)
-            table[label].info.description = quantity.description

@@ -6,8 +6,6 @@ results.json takes the same model, never the keys as text. NaN in memory is null
 default, so that a product of an older version, which lacks a key, can still be read.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Mapping

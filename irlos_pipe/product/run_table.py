@@ -136,7 +136,7 @@ def compare_runs(first: Path, second: Path) -> Comparison:
     Raises `InputDataError` when one of them is not the folder of a run, or cannot be read.
     """
     runs = existing_run(first), existing_run(second)
-    one, other = (_values(run) for run in runs)
+    one, other = (dict(leaves(read_run_results(run.results).stages)) for run in runs)
     files = _pairs(*map(_files, runs))
     numbers = list(_numbers(one, other))
     return Comparison(
@@ -160,10 +160,6 @@ def _pairs(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[ValuePai
         ValuePair(name=".".join(path), first=before, second=after)
         for path, (before, after) in changed_values(first, second).items()
     ]
-
-
-def _values(run: RunFolder) -> dict[Place, Leaf]:
-    return dict(leaves(read_run_results(run.results).stages))
 
 
 def _stated(run: RunFolder) -> dict[str, Any]:
@@ -198,24 +194,20 @@ def _numbers(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Itera
     for path, one in first.items():
         other = second.get(path)
         if other is not None and _is_number(one.value) and _is_number(other.value):
-            yield _number(path, one, other)
-
-
-def _number(path: Place, first: Leaf, second: Leaf) -> NumberPair:
-    stage, *rest = path
-    difference = second.value - first.value
-    both = math.hypot(first.error, second.error)
-    return NumberPair(
-        stage=stage,
-        name=".".join(rest),
-        unit=unit_of(".".join(rest)),
-        first=first.value,
-        second=second.value,
-        first_error=first.error,
-        second_error=second.error,
-        difference=difference,
-        sigmas=difference / both if both > 0 else math.nan,
-    )
+            stage, *rest = path
+            difference = other.value - one.value
+            both = math.hypot(one.error, other.error)
+            yield NumberPair(
+                stage=stage,
+                name=".".join(rest),
+                unit=unit_of(".".join(rest)),
+                first=one.value,
+                second=other.value,
+                first_error=one.error,
+                second_error=other.error,
+                difference=difference,
+                sigmas=difference / both if both > 0 else math.nan,
+            )
 
 
 def _modes(numbers: Iterable[NumberPair]) -> Iterator[ModesPair]:
@@ -390,15 +382,10 @@ def is_complete(run: RunFolder) -> bool:
     return not results.error and set(stages) <= set(results.stages)
 
 
-def _latest_version(folder: Path) -> Path | None:
-    """Return the newest complete version in a `folder`; None without one."""
-    return next((path for path in reversed(version_folders(folder)) if is_complete(RunFolder(path))), None)
-
-
 def versions_in(folder: Path) -> Versions:
     """Return what is known of the versions in a `folder`."""
     paths = version_folders(folder)
-    latest = _latest_version(folder)
+    latest = next((path for path in reversed(version_folders(folder)) if is_complete(RunFolder(path))), None)
     pairs = zip([None, *paths], paths, strict=False)
     rows = [_row(path, before, latest=path == latest) for before, path in pairs]
     return Versions(folder=str(folder), versions=rows)

@@ -15,8 +15,6 @@ Nothing but ``provenance`` and ``log`` depends on when and where the file was ma
 everything but the arrays stand in front.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -120,14 +118,10 @@ def require_self_contained(group: h5py.Group, depth: int = 0) -> None:
         if isinstance(item, h5py.Group):
             require_self_contained(item, depth + 1)
         elif isinstance(item, h5py.Dataset):
-            _require_stored(item)
-
-
-def _require_stored(dataset: h5py.Dataset) -> None:
-    if dataset.external or dataset.is_virtual:
-        raise ValueError(f"the data of '{dataset.name}' are in another file")
-    if dataset.nbytes > MAX_COMPRESSION * dataset.id.get_storage_size():
-        raise ValueError(f"'{dataset.name}' announces {dataset.nbytes} bytes that are not stored")
+            if item.external or item.is_virtual:
+                raise ValueError(f"the data of '{item.name}' are in another file")
+            if item.nbytes > MAX_COMPRESSION * item.id.get_storage_size():
+                raise ValueError(f"'{item.name}' announces {item.nbytes} bytes that are not stored")
 
 
 class _Sections(BaseModel):
@@ -145,7 +139,14 @@ def write_product(product: Product, path: Path) -> None:
 
     Raises `IrlosError` when the file cannot be written; an earlier file of that name is then unchanged.
     """
-    sections = _sections(product)
+    checks = [check.as_dict() for check in product.checks]
+    sections = {
+        "results": product.results,
+        "checks": checks,
+        "config": product.config,
+        "provenance": product.provenance,
+        "log": product.log,
+    }
     head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "stage": product.stage}
     metadata = json_text(head | {"arrays": list(product.arrays)} | sections, indent=None).encode()
     # HDF5 builds the file in memory: it cannot recover from a disk that fills up half way.
@@ -153,7 +154,10 @@ def write_product(product: Product, path: Path) -> None:
     with h5py.File(buffer, "w", userblock_size=block_bytes(metadata)) as file:
         file.attrs.update(head)
         for name, quantity in product.arrays.items():
-            _write_quantity(file, name, quantity)
+            dataset = _write_array(file, f"arrays/{name}", np.asarray(quantity.value))
+            dataset.attrs.update(unit=quantity.unit, description=quantity.description)
+            if quantity.error is not None:
+                _write_array(file, f"errors/{name}", np.asarray(quantity.error)).attrs["unit"] = quantity.unit
         for section, content in sections.items():
             file.create_dataset(section, data=json_text(content), track_times=False)
     seal(buffer.getbuffer(), metadata)
@@ -280,24 +284,6 @@ def _product(metadata: Mapping[str, Any], arrays: Mapping[str, Quantity]) -> Pro
     sections = {name: metadata[name] for name in _Sections.model_fields}
     checks = _Sections.model_validate(sections).checks
     return Product(metadata["stage"], arrays, **sections | {"checks": checks})
-
-
-def _sections(product: Product) -> dict[str, Any]:
-    checks = [check.as_dict() for check in product.checks]
-    return {
-        "results": product.results,
-        "checks": checks,
-        "config": product.config,
-        "provenance": product.provenance,
-        "log": product.log,
-    }
-
-
-def _write_quantity(file: h5py.File, name: str, quantity: Quantity) -> None:
-    dataset = _write_array(file, f"arrays/{name}", np.asarray(quantity.value))
-    dataset.attrs.update(unit=quantity.unit, description=quantity.description)
-    if quantity.error is not None:
-        _write_array(file, f"errors/{name}", np.asarray(quantity.error)).attrs["unit"] = quantity.unit
 
 
 def _write_array(file: h5py.File, name: str, value: np.ndarray) -> h5py.Dataset:

@@ -236,7 +236,22 @@ def table_content(table: Table, suffix: str, origin: Origin) -> bytes:
         table = replace(table, note=f"QC FAILED, DO NOT APPLY ({', '.join(failed)}). {table.note}")
     cards = header_cards(replace(origin, category=table.category), table.facts)
     if suffix == ".fits":
-        return _fits(table, cards)
+        columns = [
+            fits.Column(
+                column.name.removesuffix(f"_{column.unit}").upper(),
+                "J" if column.values.dtype.kind == "i" else "D",
+                unit=column.unit or None,
+                array=column.values,
+            )
+            for column in table.columns
+        ]
+        hdu = fits.BinTableHDU.from_columns(columns, name=table.name)
+        for number, column in enumerate(table.columns, 1):
+            if column.description:
+                hdu.header[f"TCOMM{number}"] = ascii_text(column.description)
+        if table.note:
+            hdu.header["COMMENT"] = ascii_text(table.note)
+        return fits_content([hdu], cards)
     written = ([format(value, one.pattern) for value in one.values.tolist()] for one in table.columns)
     return csv_content(cards, [one.name for one in table.columns], written, table.note)
 
@@ -259,27 +274,6 @@ def csv_content(
     return text.getvalue().encode()
 
 
-def _fits(table: Table, cards: Sequence[Card]) -> bytes:
-    columns = [
-        fits.Column(
-            _plain_name(column), "J" if column.values.dtype.kind == "i" else "D",
-            unit=column.unit or None, array=column.values,
-        )
-        for column in table.columns
-    ]  # fmt: skip
-    hdu = fits.BinTableHDU.from_columns(columns, name=table.name)
-    for number, column in enumerate(table.columns, 1):
-        if column.description:
-            hdu.header[f"TCOMM{number}"] = ascii_text(column.description)
-    if table.note:
-        hdu.header["COMMENT"] = ascii_text(table.note)
-    return fits_content([hdu], cards)
-
-
-def _plain_name(column: Column) -> str:
-    return column.name.removesuffix(f"_{column.unit}").upper()
-
-
 # -- FITS files with full headers and checksums --------------------------------------------------------
 
 
@@ -292,7 +286,12 @@ def fits_content(hdus: Sequence[fits.hdu.base.ExtensionHDU], cards: Iterable[Car
     primary = fits.PrimaryHDU()
     for card in cards:
         for one in _in_words(card):
-            _set_card(primary.header, one)
+            plain = _is_plain(one)
+            keyword = one.key if plain else f"HIERARCH {one.key}"
+            room = _room(one)
+            value = _fitting(one.value, room)
+            left = room - len(_written(value)) - 3
+            primary.header[keyword] = (value, ascii_text(one.comment)[: max(left, 0)])
     stream = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
@@ -304,15 +303,6 @@ def ascii_text(text: str) -> str:
     """Return a `text` in the letters that FITS has."""
     plain = text.translate(SPELT).encode("ascii", "replace").decode()
     return "".join(letter if letter.isprintable() else "?" for letter in plain)
-
-
-def _set_card(header: fits.Header, card: Card) -> None:
-    plain = _is_plain(card)
-    keyword = card.key if plain else f"HIERARCH {card.key}"
-    room = _room(card)
-    value = _fitting(card.value, room)
-    left = room - len(_written(value)) - 3
-    header[keyword] = (value, ascii_text(card.comment)[: max(left, 0)])
 
 
 def _is_plain(card: Card) -> bool:

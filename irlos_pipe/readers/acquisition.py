@@ -152,7 +152,8 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     frame.
     """
     path = sidecar_path(raw.path)
-    layers: dict[str, Mapping[str, Any]] = {RECIPE: recipe.flat(), SIDECAR: read_sidecar(path).flat()}
+    side = read_sidecar(path)
+    layers: dict[str, Mapping[str, Any]] = {RECIPE: recipe.flat(), SIDECAR: side.flat()}
     layers |= {
         HEADER: _of_header(raw.header, {**layers[SIDECAR], **layers[RECIPE]}),
         MODE: raw.of_mode,
@@ -171,6 +172,9 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     _resolve_exposure(known)
     reads = _reads(known)
     defocus = _per_frame(known, raw)
+    without_magnitude = any("mag_j" in one.model_fields_set and one.mag_j is None for one in (recipe, side))
+    if without_magnitude and sources.get("mag_j") not in (RECIPE, SIDECAR):
+        values["mag_j"], sources["mag_j"] = None, SIDECAR
     warnings = _warnings(raw, known)
     monitor = _seeing_monitor(layers, known)
     if monitor != SPARTA:

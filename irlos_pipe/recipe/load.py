@@ -1,7 +1,5 @@
 """A recipe: which stages run on which inputs with which settings, checked before anything runs."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Sets of frames: text files with a path and a tag per line, as ESO's tools hand them to a recipe."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from os.path import expandvars

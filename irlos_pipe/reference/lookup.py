@@ -1,7 +1,5 @@
 """Everything that can be explained, from the places that define it, and how it is looked up."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import textwrap

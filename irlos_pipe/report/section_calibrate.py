@@ -46,6 +46,7 @@ from irlos_pipe.report.images import (
     symmetric_scale,
 )
 from irlos_pipe.report.run_data import RunData, StageData, frame_times
+from irlos_pipe.report.section_lift import image_strip, residual_limit
 from irlos_pipe.report.text import (
     MISSING,
     is_known,
@@ -86,6 +87,7 @@ def calibrate_section(run: RunData) -> Section:
     of = run.of(CalibrateResults)
     blocks = of.blocks(
         _images,
+        _planes,
         _profile,
         _cuts,
         partial(power_figure, name="cal-power", looks={"": LEFT}),
@@ -96,7 +98,7 @@ def calibrate_section(run: RunData) -> Section:
         _orders,
         _bars,
         _in_time,
-        lambda of: Stack(shown(*(table(of.results) for table in (_effects, _cubes, _methods)))),
+        lambda of: Stack(shown(*(table(of.results) for table in (_setups, _effects, _cubes, _methods)))),
     )
     return Section(of.stage, "NCPA calibration", _lead(of), blocks)
 
@@ -104,6 +106,8 @@ def calibrate_section(run: RunData) -> Section:
 def _lead(of: Calibration) -> str:
     results, names = of.results, ", ".join(recording.name for recording in of.recordings)
     mean = "; every recording by itself, mean over them" if results.cubes else ""
+    if results.setups:
+        mean = f"; {len(results.setups)} set-ups fitted together, images are those of the first"
     return (
         f"{results.method} on {plural(results.frames, 'used frame')}"
         f"{f' of {names}' if names else ''}{mean}; diversity not included in the coefficients."
@@ -125,6 +129,36 @@ def _images(of: Calibration) -> list[Views]:
         image_views("cal-images", images, mas, _good_pixels(of), "two-thirds"),
         residual_views("cal-residual", residual, sigma, float(np.nanmax(model, initial=0.0)), mas, "third"),
     ]
+
+
+def _planes(of: Calibration) -> Figure | None:
+    """Image, model and residual of every set-up."""
+    if not of.results.setups:
+        return None
+    measured, model = of["setup_images_e"], of["setup_models_e"]
+    order = np.argsort([one.introduced_nm for one in of.results.setups], kind="stable")
+    known_nm = np.array([of.results.setups[one].introduced_nm for one in order])
+    measured, model = measured[order], model[order]
+    drawing = image_strip(known_nm, measured, model, residual_limit(measured, model), name="cal-planes")
+    caption = "Every set-up over the peak of its model, by its known defocus; residual: measured − model."
+    return Figure(drawing, "Set-ups fitted together", caption, "full", "cal-planes")
+
+
+def _setups(results: CalibrateResults) -> Table | None:
+    if not results.setups:
+        return None
+    return Table.of(
+        results.setups,
+        {
+            "recording": lambda one: one.name,
+            "known defocus [nm]": lambda one: number(one.introduced_nm, "+.1f"),
+            "frames": lambda one: number(one.frames, "d"),
+            "χ²/ν": lambda one: number(one.chi2_nu, ".2f"),
+            "wants more [nm]": lambda one: with_error(one.focus_nm, one.focus_sigma_nm, "+.1f"),
+        },
+        "Set-ups fitted together",
+        "Wants more: defocus beyond the known and the common one by which its image alone would fit better.",
+    )
 
 
 def _sigma(of: Calibration) -> np.ndarray | None:
@@ -305,7 +339,7 @@ def _bars(of: Calibration) -> Figure | None:
 def _in_time(of: Calibration) -> Figure | None:
     """The largest modes against time, one row for each, and the power spectrum of each."""
     frames, nolls, adopted = (of[name] for name in ("frames_nm", "noll", "zernike_nm"))
-    if len(frames) < 2:
+    if len(frames) < 2 or of.results.setups:
         return None
     largest = np.argsort(-np.abs(np.nan_to_num(adopted)))[:MODES_IN_TIME]
     time_s, rate_hz = frame_times(of.recordings)

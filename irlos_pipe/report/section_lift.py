@@ -196,11 +196,17 @@ def _strip(of: Ramp) -> Figure | None:
 
 
 def image_strip(
-    offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float, bar_px: int = 0
+    offsets_nm: np.ndarray,
+    measured: np.ndarray,
+    model: np.ndarray,
+    limit: float,
+    bar_px: int = 0,
+    name: str = "ramp-images",
 ) -> Markup:
     """Draw measured, model and residual (offsets, rows, columns) over the peak of each model.
 
-    The scale of the residual ends at `limit`; a bar in the first image is `bar_px` long.
+    The scale of the residual ends at `limit`; a bar in the first image is `bar_px` long. `name` is that of
+    the drawing.
     """
     chosen = np.unique(np.linspace(0, len(offsets_nm) - 1, min(STRIP_COLUMNS, len(offsets_nm))).astype(int))
     peaks = np.max(model[chosen], axis=(1, 2), initial=0.0, where=np.isfinite(model[chosen]))[:, None, None]
@@ -223,7 +229,7 @@ def image_strip(
             axes.set_title(number(offset, "+.0f", "nm"))
         grid[0, 0].plot([2, 2 + bar_px], [2, 2], color="white", linewidth=2)
 
-    return svg("ramp-images", (1.0 + CELL_IN * len(chosen), 0.3 + 3 * CELL_IN), draw)
+    return svg(name, (1.0 + CELL_IN * len(chosen), 0.3 + 3 * CELL_IN), draw)
 
 
 def residual_limit(measured: np.ndarray, model: np.ndarray) -> float:

@@ -1,7 +1,5 @@
 """Simulated scenes, in memory. They share no line of optics with the model that is fitted to their images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from irlos_pipe.conventions.errors import ConfigurationError

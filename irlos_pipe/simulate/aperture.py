@@ -3,8 +3,6 @@
 Points are counted; the edges of the drawing are not used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, singledispatch
@@ -12,16 +10,8 @@ from functools import lru_cache, singledispatch
 import numpy as np
 from scipy import ndimage
 
+from irlos_pipe.conventions import pupil_parts
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.conventions.pupil_parts import (
-    AmplitudeMap,
-    Circle,
-    Hexagon,
-    Part,
-    Polygon,
-    Samples,
-    anticlockwise_from_first,
-)
 
 FINEST_CELL_M = 0.002  # cell of the brute-force drawing: a twentieth of a vane
 EDGE_CELL_M = 0.001  # its cell at the edges of drawn parts: a third of the gap between two segments
@@ -98,7 +88,7 @@ def passed(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndar
 
 
 def _in_aperture(
-    geometry: PupilGeometry, aperture: Sequence[Part], x_m: np.ndarray, y_m: np.ndarray
+    geometry: PupilGeometry, aperture: Sequence[pupil_parts.Part], x_m: np.ndarray, y_m: np.ndarray
 ) -> np.ndarray:
     """Amplitude inside the `aperture`, or the disc where none is drawn, and outside the central hole."""
     radius2 = x_m**2 + y_m**2
@@ -108,7 +98,7 @@ def _in_aperture(
     return open_to_light * _in_parts(aperture, x_m, y_m)
 
 
-def _in_parts(parts: Sequence[Part], x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+def _in_parts(parts: Sequence[pupil_parts.Part], x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     inside = np.zeros(np.broadcast_shapes(x_m.shape, y_m.shape))
     for piece in (piece for part in parts for piece in part.pieces):
         (x0, y0), reach_m = piece.placement.shift_m, piece.radius_m + FINEST_CELL_M
@@ -122,24 +112,24 @@ def _in_parts(parts: Sequence[Part], x_m: np.ndarray, y_m: np.ndarray) -> np.nda
 
 
 @singledispatch
-def _inside(piece: Part, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+def _inside(piece: pupil_parts.Part, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     """Amplitude of a piece at points about its own origin."""
     raise NotImplementedError(f"the simulator does not know the pupil part {type(piece).__name__}")
 
 
 @_inside.register
-def _(piece: Circle, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+def _(piece: pupil_parts.Circle, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     return x_m**2 + y_m**2 <= piece.diameter_m**2 / 4
 
 
 @_inside.register
-def _(piece: Hexagon, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+def _(piece: pupil_parts.Hexagon, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     strips = [np.abs(x_m * np.cos(a) + y_m * np.sin(a)) for a in np.deg2rad([30.0, 90.0, 150.0])]
     return np.maximum.reduce(np.broadcast_arrays(*strips)) <= piece.flat_to_flat_m / 2
 
 
 @_inside.register
-def _(piece: Polygon, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+def _(piece: pupil_parts.Polygon, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     """Where the closed line winds round the point, counted by its crossings of the ray towards +x."""
     turns = np.zeros(np.broadcast_shapes(x_m.shape, y_m.shape), dtype=int)
     for (x0, y0), (x1, y1) in zip(piece.corners_m, np.roll(piece.corners_m, -1, axis=0), strict=True):
@@ -150,7 +140,7 @@ def _(piece: Polygon, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
 
 
 @_inside.register
-def _(piece: AmplitudeMap, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+def _(piece: pupil_parts.AmplitudeMap, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     finer = _finer(piece.samples)
     x_m, y_m = np.broadcast_arrays(x_m, y_m)
     origin = ((len(piece.samples.values) - 1) / 2 + DARK_RIM) * FINER
@@ -159,7 +149,7 @@ def _(piece: AmplitudeMap, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _finer(samples: Samples) -> np.ndarray:
+def _finer(samples: pupil_parts.Samples) -> np.ndarray:
     """Map in a dark frame with `FINER` samples in place of one, of the same spectrum."""
     padded = np.pad(samples.values, DARK_RIM)
     size, cycles = len(padded), np.fft.fftfreq(len(padded))
@@ -232,7 +222,7 @@ def _petal_map(geometry: PupilGeometry) -> np.ndarray:
     petals = 1 + np.flatnonzero(sizes > LEAST_SHARE * lit.sum())
     rows, columns = np.array(ndimage.center_of_mass(lit, labels, petals)).T
     middle = (len(u) - 1) / 2
-    order = anticlockwise_from_first(np.stack([columns - middle, rows - middle], axis=1))
+    order = pupil_parts.anticlockwise_from_first(np.stack([columns - middle, rows - middle], axis=1))
     numbers = np.full(labels.shape, -1)
     for number, place in enumerate(order):
         numbers[labels == petals[place]] = number

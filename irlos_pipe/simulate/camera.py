@@ -5,8 +5,6 @@ above D/λ, less than Nyquist's of the pixels, so samples one pixel apart carry 
 factor on it, exact but for what comes in over the edge of the window, for which a margin is computed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, reduce

@@ -17,8 +17,6 @@ The response of a pixel (3) thus acts before the non-linearity (5): dividing by 
 exactly for a linear detector only, as in reality.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple

@@ -5,8 +5,6 @@ scene states them; everything else is truth, errors of the two included, because
 finds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ for the mirror as it is believed to be. What the mirror then does differs by its
 its actuators may be shifted and turned against the pupil.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache

@@ -1,7 +1,5 @@
 """A scene: star, telescope, sky, aberrations, effects and detector of one recording."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -122,7 +120,6 @@ class Scene:
 
     @property
     def reads(self) -> int:
-        """Return the number of reads that are added up to a frame."""
         return self.detector.reads(self.exposure_s)
 
     @property

@@ -1,7 +1,5 @@
 """The pupil on a grid, and the Zernikes on it (R. J. Noll, JOSA 66, 207, 1976)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

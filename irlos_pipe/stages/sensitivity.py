@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from irlos_pipe.stages.lift.input import Ramp
 
 NAME = "sensitivity"
-VERSION = 10
+VERSION = 11
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 CURVE = {

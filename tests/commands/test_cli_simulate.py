@@ -1,7 +1,5 @@
 """`irlos simulate` as its user meets it, and from there through the reduction to the score."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

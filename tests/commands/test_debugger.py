@@ -1,7 +1,5 @@
 """--pdb opens the debugger on a fault of the software, at a terminal and nowhere else."""
 
-from __future__ import annotations
-
 import os
 import pty
 import subprocess

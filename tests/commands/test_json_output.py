@@ -1,7 +1,5 @@
 """What commands print with --json keeps to the schema that is shipped, and says what the text says."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from typing import Any

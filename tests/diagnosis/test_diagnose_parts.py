@@ -28,7 +28,7 @@ from scipy import stats
 from irlos_pipe.diagnosis.checks.drift import measure_drift, motion_ratio
 from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
-from irlos_pipe.diagnosis.effect_sizes import detectable, determined
+from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
 from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnosis.search.scores import (
@@ -303,3 +303,17 @@ def test_petals_are_told_as_differences_with_the_errors_of_these():
         scatter = np.std([one[key] for one in drawn], axis=0)
         assert sigma[key] == pytest.approx(scatter, rel=0.03), key
         assert np.all(scatter < 4)
+
+
+def test_parameters_in_which_the_frames_do_not_scatter_have_the_variance_of_fisher_and_nothing_overflows():
+    fisher = np.diag([4.0, 1e200, 9.0, 1e30])
+    series = np.random.default_rng(3).standard_normal((3, 50)) * [[4.0], [0.0], [1.0]]
+    scatter = np.zeros((4, 4))
+    scatter[:3, :3] = np.cov(series)
+    scatter[3, 3] = 5e-324
+    with np.errstate(all="raise"):
+        found = _at_least(fisher, scatter)
+    assert np.diag(found) == pytest.approx([scatter[0, 0], 1e200, 9.0, 1e30])
+    assert found[0, 2] == pytest.approx(scatter[0, 2] * 3 / np.sqrt(scatter[2, 2]))
+    sigma = np.sqrt(np.diag(found))
+    assert np.all(np.linalg.eigvalsh(found / np.outer(sigma, sigma)) > 0)

@@ -1,7 +1,5 @@
 """``PYTHONPATH=tests python -m faults --kills 100``: kill runs, fill their disks, and see what is left."""
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import shutil
@@ -16,7 +14,7 @@ import numpy as np
 from helpers.journal import Journal
 
 from faults.harness import Harness, after_harm
-from faults.runs import End
+from faults.runs import End, signalled
 
 SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 KILL, DISK, SIGNAL, WRITER = "kill -9", "full disk", "signal", "beside a writer"
@@ -108,7 +106,7 @@ def _harmed(harness: Harness, tree: Path, harm: Harm) -> End:
     if name == KILL:
         return harness.killed(tree, at)
     if name == SIGNAL:
-        return harness.signalled(tree, at * harness.seconds, SIGNALS[number % len(SIGNALS)])
+        return signalled(harness.bench, tree, at * harness.seconds, SIGNALS[number % len(SIGNALS)])
     return harness.filled(tree, round(SMALLEST_BYTES * (harness.largest / SMALLEST_BYTES) ** at))
 
 

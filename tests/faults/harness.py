@@ -1,11 +1,9 @@
 """A night, what an undisturbed run makes of it, and what is left of runs that come to harm."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
-from faults.runs import End, Patches, end_at, make_night, no_file_above, rewritten, run, signalled
+from faults.runs import End, Patches, end_at, make_night, no_file_above, rewritten, run
 from faults.tree import broken, content, leftovers
 from irlos_pipe.pipeline.provenance import software_versions
 
@@ -32,10 +30,6 @@ class Harness:
     def killed(self, tree: Path, part: float) -> End:
         """Kill a run after a part of the work (0 to 1) of the undisturbed one."""
         return run(self.bench, tree, end_at(part * self.end.cpu_s))
-
-    def signalled(self, tree: Path, after_s: float, number: int) -> End:
-        """Ask a run to end; one that is not yet at work ends at once."""
-        return signalled(self.bench, tree, after_s, number)
 
     def beside_a_writer(self, tree: Path) -> tuple[End, list[str]]:
         """Run while a recording is cut and written again; return what is wrong then, and when it rests."""

@@ -1,7 +1,5 @@
 """A small night, and ``irlos night`` on it in a process that may come to harm."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal
@@ -33,21 +31,11 @@ class Patches:
 
 @dataclass(frozen=True)
 class End:
-    """How a process ended.
+    """How a process ended."""
 
-    Attributes
-    ----------
-    code : int
-        Exit code; minus the signal that killed it.
-    stderr : str
-        What it wrote there.
-    cpu_s : float
-        Processor time that it used [s].
-    """
-
-    code: int
-    stderr: str
-    cpu_s: float
+    code: int  # exit code; minus the signal that killed it
+    stderr: str  # what it wrote there
+    cpu_s: float  # processor time that it used [s]
 
 
 def make_night(folder: Path, patches: object = Patches) -> night_bench.NightBench:
@@ -146,18 +134,7 @@ def no_file_above(size: int) -> Callable[[], None]:
 
 
 def _run_as_child(bench: night_bench.NightBench, tree: Path, harm: Callable[[], None], stderr: int) -> None:
-    _become_a_run(stderr)
-    harm()
-    recipes = [word for recipe in bench.recipes for word in ("--recipe", recipe)]
-    try:
-        cli(["night", str(bench.archive), "--output", str(tree), *recipes], prog_name="irlos")
-    except SystemExit as end:
-        sys.stderr.flush()
-        os._exit(end.code or 0)
-
-
-def _become_a_run(stderr: int) -> None:
-    """Nothing of the parent's terminal, signals and drawing; tasks one after the other in this process."""
+    # nothing of the parent's terminal, signals and drawing; tasks one after the other in this process
     os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -167,3 +144,10 @@ def _become_a_run(stderr: int) -> None:
     cli_night._runner = lambda *_: lambda work, tasks: map(work, tasks)
     for name in ("series_drawing", "structure_drawing"):
         setattr(trend_plots, name, lambda *_: Markup("<svg></svg>"))
+    harm()
+    recipes = [word for recipe in bench.recipes for word in ("--recipe", recipe)]
+    try:
+        cli(["night", str(bench.archive), "--output", str(tree), *recipes], prog_name="irlos")
+    except SystemExit as end:
+        sys.stderr.flush()
+        os._exit(end.code or 0)

@@ -1,7 +1,5 @@
 """What a tree of results holds: what must be the same after any fault, and what must never be seen."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path

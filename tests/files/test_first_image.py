@@ -1,7 +1,5 @@
 """The first image of a FITS file."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import textwrap

@@ -127,6 +127,17 @@ def test_a_frame_without_the_star_is_rejected():
     assert judged(cube) == only(4, screening.NO_STAR)
 
 
+@pytest.mark.parametrize("across_px", [20, 40, 56])
+def test_a_star_spread_over_many_pixels_is_one_although_none_of_them_stands_out(across_px):
+    """A pupil far out of focus: 1e5 electrons in a ring, noise of 20 e- in every pixel."""
+    y, x = np.indices((64, 64)) - 31.5
+    disc = (np.hypot(y, x) < across_px / 2) & (np.hypot(y, x) > 0.15 * across_px / 2)
+    sharp = 1e5 / 18 * np.exp(-(np.hypot(y, x) ** 2) / 6)
+    planes = np.array([disc * 1e5 / disc.sum(), sharp, sharp, sharp, np.zeros((64, 64))])
+    planes += np.random.default_rng(1).normal(0, 20, planes.shape)
+    assert judged(planes.astype(np.float32)) == ["", "", "", "", screening.NO_STAR]
+
+
 @pytest.mark.parametrize("gradient", [0.0, 1.0])
 def test_noise_and_a_gradient_are_no_star(gradient):
     noise = np.random.default_rng(0).normal(0, 1, (20, 32, 32)) + gradient * np.arange(32)

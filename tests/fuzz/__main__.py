@@ -1,7 +1,5 @@
 """``PYTHONPATH=tests python -m fuzz --cases 1000 --seed 0``: judge that many cases and sum up."""
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import shutil

@@ -1,7 +1,5 @@
 """What a case is, and the list of all kinds of cases."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,27 +9,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Case:
-    """A command line on a spoiled input.
+    """A command line on a spoiled input."""
 
-    Attributes
-    ----------
-    summary : str
-        What was done to the input.
-    arguments : tuple of str
-        After ``irlos``; files are written to ``<folder>/out`` only.
-    reference : str
-        Name of the unspoiled recording whose result must come out; empty if nothing is to be compared.
-    plausible : bool
-        The input is as valid as before and says something else: nobody can notice.
-    place : bool
-        The place for the results is spoiled: exit code 1 or 75 in one line is right as well.
-    """
-
-    summary: str
-    arguments: tuple[str, ...]
-    reference: str = ""
-    plausible: bool = False
-    place: bool = False
+    summary: str  # what was done to the input
+    arguments: tuple[str, ...]  # after ``irlos``; files are written to ``<folder>/out`` only
+    reference: str = ""  # unspoiled recording whose result must come out; empty if none is compared
+    plausible: bool = False  # the input is as valid as before and says something else: nobody can notice
+    place: bool = False  # the place for the results is spoiled: exit code 1 or 75 in one line is right, too
 
 
 Maker = Callable[[Path, np.random.Generator], Case]
@@ -47,6 +31,12 @@ def kind(maker: Maker) -> Maker:
 def draw(name: str, seed: int, folder: Path) -> Case:
     """Write the inputs of a case into an empty folder; kind and seed determine it."""
     return KINDS[name](folder, np.random.default_rng([seed, sorted(KINDS).index(name)]))
+
+
+def run_of(folder: Path, *options: str, recipe: Path | None = None) -> tuple[str, ...]:
+    """Return the arguments that run the recipe of a case."""
+    path = recipe or folder / "recipe.yaml"
+    return ("run", str(path), "--output", str(folder / "out"), "--jobs", "1", "--device", "cpu", *options)
 
 
 def pick(rng: np.random.Generator, choices: list):

@@ -1,7 +1,5 @@
 """What happens to bytes on disks, on lines and in editors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fuzz.case import pick

@@ -1,8 +1,7 @@
 """Recordings: damaged bytes, absurd header values, turned axes, impossible pixels, bombs."""
 
-from __future__ import annotations
-
 import gzip
+import io
 import itertools
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 from astropy.io import fits
 
 from fuzz import pristine
-from fuzz.case import Case, kind, pick
+from fuzz.case import Case, kind, pick, run_of
 from fuzz.damage import damaged
 
 CARD, BLOCK = 80, 2880
@@ -115,9 +114,7 @@ def _some_recording(folder: Path, rng: np.random.Generator) -> tuple[str, Path]:
 
 
 def _ingested(folder: Path, summary: str, reference: str = "", plausible: bool = False) -> Case:
-    recipe = pristine.write_recipe(folder)
-    arguments = ("run", str(recipe), "--output", str(folder / "out"), "--jobs", "1", "--device", "cpu")
-    return Case(summary, arguments, reference, plausible)
+    return Case(summary, run_of(folder, recipe=pristine.write_recipe(folder)), reference, plausible)
 
 
 def _spoil_card(content: bytearray, rng: np.random.Generator) -> str:
@@ -187,8 +184,6 @@ def _damaged_tiles(path: Path, rng: np.random.Generator) -> str:
 
 
 def _tiled() -> bytes:
-    import io
-
     stream = io.BytesIO()
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(pristine.adu().astype(np.int32))]).writeto(stream)
     return stream.getvalue()

@@ -1,7 +1,5 @@
 """Limits on time and memory, and a witness of every file that is opened for writing."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

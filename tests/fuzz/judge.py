@@ -1,7 +1,5 @@
 """What no input may ever bring about."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import traceback
@@ -28,23 +26,15 @@ FLAGS = ("warning", "rejected", "missing", "bad pixels")
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a case ended.
-
-    Attributes
-    ----------
-    finding : str
-        What must not happen; empty if all is well.
-    compared : bool
-        The result was compared with that of the unspoiled input.
-    """
+    """How a case ended."""
 
     kind: str
     seed: int
     summary: str
     exit_code: int
-    finding: str
+    finding: str  # what must not happen; empty if all is well
     output: str = ""
-    compared: bool = False
+    compared: bool = False  # whether the result was compared with that of the unspoiled input
 
 
 def judged(kind: str, seed: int) -> Verdict:
@@ -107,10 +97,6 @@ def _silently_wrong(case: Case, result: Result, folder: Path) -> str:
         ours, true = pristine.measured(product), pristine.reference(case.reference)
     except IrlosError:
         return ""  # whoever reads it gets an error
-    return _difference(ours, true)
-
-
-def _difference(ours: pristine.Measured, true: pristine.Measured) -> str:
     if ours.mean_e.shape != true.mean_e.shape:
         return f"silently another window: {ours.mean_e.shape}"
     good = ours.mask & true.mask

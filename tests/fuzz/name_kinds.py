@@ -1,7 +1,5 @@
 """Names that lead elsewhere or cannot be shown: of files, inputs, recipes, recordings."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -9,7 +7,7 @@ import numpy as np
 import yaml
 
 from fuzz import pristine
-from fuzz.case import Case, kind, pick
+from fuzz.case import Case, kind, pick, run_of
 
 ODD = (
     "..", ".", "../../escape", "/tmp/irlos-escape", "a/b", "a//b", "~root", "$HOME", "-rf", "--help", "a b",
@@ -31,7 +29,8 @@ def file_name(folder: Path, rng: np.random.Generator) -> Case:
     path = pristine.write("recorder", folder / "in" / "sky")
     path.rename(path.with_name(f"{name}.fits"))
     (folder / "in" / "sky").rename(folder / "in" / name)
-    return Case(f"file {name!r}", _run(folder), "recorder")
+    pristine.write_recipe(folder)
+    return Case(f"file {name!r}", run_of(folder), "recorder")
 
 
 @kind
@@ -52,7 +51,7 @@ def recipe_name(folder: Path, rng: np.random.Generator) -> Case:
         ],
     )
     (folder / "recipe.yaml").write_text(yaml.safe_dump(content))
-    return Case(f"{content}", _run(folder), "recorder")
+    return Case(f"{content}", run_of(folder), "recorder")
 
 
 @kind
@@ -84,10 +83,3 @@ def argument(folder: Path, rng: np.random.Generator) -> Case:
         ("run", place, "--output", str(folder / "out")),
     ]
     return Case(f"argument {place[:60]!r}", pick(rng, commands))
-
-
-def _run(folder: Path) -> tuple[str, ...]:
-    recipe = folder / "recipe.yaml"
-    if not recipe.exists():
-        pristine.write_recipe(folder)
-    return ("run", str(recipe), "--output", str(folder / "out"), "--jobs", "1", "--device", "cpu")

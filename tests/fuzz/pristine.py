@@ -1,7 +1,5 @@
 """The unspoiled inputs, and what the pipeline makes of them; each made once per process."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,18 +23,10 @@ FOLDER = b"@FOLDER@"
 
 @dataclass(frozen=True)
 class Measured:
-    """What ingest makes of a recording.
+    """What ingest makes of a recording, (rows, columns) each."""
 
-    Attributes
-    ----------
-    mean_e : ndarray, (rows, columns)
-        Mean of the used frames [e-].
-    mask : ndarray of bool, (rows, columns)
-        True for good pixels.
-    """
-
-    mean_e: np.ndarray
-    mask: np.ndarray
+    mean_e: np.ndarray  # mean of the used frames [e-]
+    mask: np.ndarray  # True for good pixels
 
 
 @cache
@@ -92,7 +82,11 @@ def run_files() -> dict[str, bytes]:
     with _finished_run("recorder") as folder:
         place = str(folder).encode()
         files = [path for path in (folder / "out").iterdir() if path.is_file() and path.stat().st_size]
-        return {path.name: _relocated(path, place, FOLDER) for path in files}
+        content = {path: path.read_bytes() for path in files}  # products name no place of inputs
+        return {
+            path.name: one if path.suffix == ".h5" else one.replace(place, FOLDER)
+            for path, one in content.items()
+        }
 
 
 def write_run(folder: Path) -> Path:
@@ -112,9 +106,3 @@ def _finished_run(name: str) -> Iterator[Path]:
         write(name, folder / "in" / "sky")
         run_recipe(load_recipe(write_recipe(folder)), folder / "out")
         yield folder
-
-
-def _relocated(path: Path, old: bytes, new: bytes) -> bytes:
-    """Content of a file; text files with another place in it, as products name no place of inputs."""
-    content = path.read_bytes()
-    return content if path.suffix == ".h5" else content.replace(old, new)

@@ -1,7 +1,5 @@
 """Products and folders of runs: damaged, with links to elsewhere, with sections that make no sense."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +9,7 @@ import h5py
 import numpy as np
 
 from fuzz import pristine
-from fuzz.case import Case, kind, pick
+from fuzz.case import Case, kind, pick, run_of
 from fuzz.damage import damaged
 
 PRODUCT = "01_ingest.h5"
@@ -141,7 +139,7 @@ def _looked_at(run: Path, folder: Path, summary: str, rng: np.random.Generator) 
     """Look at the run with one of the commands that read products."""
     array = ("--array", "recordings/cube/sky/images_e")
     export = ("export", str(run / PRODUCT), *array, "--output", str(run / "out.fits"))
-    again = ("run", str(folder / "recipe.yaml"), "--output", str(run), "--jobs", "1", "--device", "cpu")
+    again = run_of(folder)
     commands = [("show", str(run / PRODUCT)), ("status", str(run)), ("report", str(run)), export, again]
     command = pick(rng, commands)
     return Case(summary, command, "recorder" if command is again else "")

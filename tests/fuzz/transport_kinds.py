@@ -1,7 +1,5 @@
 """What packers, archives, browsers and other people's software make of a recording on its way."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import io
@@ -12,7 +10,7 @@ import numpy as np
 from astropy.io import fits
 
 from fuzz import pristine
-from fuzz.case import Case, kind, pick
+from fuzz.case import Case, kind, pick, run_of
 from fuzz.damage import damaged
 from fuzz.tree_kinds import NIGHT_RECIPE
 
@@ -186,9 +184,8 @@ def _command(folder: Path, rng: np.random.Generator, name: str) -> tuple[str, ..
     """Run, check, describe or plan it."""
     recipe = pristine.write_recipe(folder)
     output = ("--output", str(folder / "out"))
-    run = ("run", str(recipe), *output, "--jobs", "1", "--device", "cpu")
     if (draw := rng.random()) < 0.55:
-        return run
+        return run_of(folder)
     if draw < 0.7:
         return ("validate", str(recipe))
     if draw < 0.85 and name:

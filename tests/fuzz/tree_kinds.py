@@ -1,7 +1,5 @@
 """Folders: links, pipes, copies and torn files among recordings, outputs of others, spoiled databases."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import shutil
@@ -16,7 +14,7 @@ from click.testing import CliRunner
 from helpers import sparta_files
 
 from fuzz import pristine
-from fuzz.case import Case, kind, pick
+from fuzz.case import Case, kind, pick, run_of
 from fuzz.damage import damaged
 from irlos_pipe.commands.main import cli
 from irlos_pipe.night.database import NAME
@@ -45,7 +43,7 @@ def folder_entries(folder: Path, rng: np.random.Generator) -> Case:
     path = pristine.write("recorder", folder / "in" / "sky")
     done = [_clutter(path, rng) for _ in range(rng.integers(1, 4))]
     (folder / "recipe.yaml").write_text(pristine.RECIPE.format(path="in"))
-    return Case(", ".join(done), _run(folder), "recorder", plausible=True)
+    return Case(", ".join(done), run_of(folder), "recorder", plausible=True)
 
 
 @kind
@@ -76,7 +74,7 @@ def output_entries(folder: Path, rng: np.random.Generator) -> Case:
         _remove(out / str(name))
         IN_OUTPUT[how](out / str(name), folder / "mine")
         done.append(f"{name}:{how}")
-    return Case(", ".join(done), _run(folder), place=True)
+    return Case(", ".join(done), run_of(folder), place=True)
 
 
 @kind
@@ -158,11 +156,6 @@ IN_OUTPUT: dict[str, Change] = {
     "_link_to_folder": lambda target, mine: target.symlink_to(mine),
     **PLAIN,
 }
-
-
-def _run(folder: Path) -> tuple[str, ...]:
-    recipe, out = folder / "recipe.yaml", folder / "out"
-    return ("run", str(recipe), "--output", str(out), "--jobs", "1", "--device", "cpu")
 
 
 def _night(folder: Path) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """Side-cars, recipes, instrument profiles and simulation specs: slips of the pen, damage, bombs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -9,7 +7,7 @@ import numpy as np
 import yaml
 
 from fuzz import pristine
-from fuzz.case import Case, kind, pick
+from fuzz.case import Case, kind, pick, run_of
 from fuzz.damage import damaged
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +34,7 @@ def sidecar(folder: Path, rng: np.random.Generator) -> Case:
     """Spoil the side-car of a recording."""
     pristine.write("recorder", folder / "in" / "sky")
     summary = _spoil(folder / "in" / "sky" / "acquisition.yaml", rng)
-    arguments = _run(pristine.write_recipe(folder), folder)
+    arguments = run_of(folder, recipe=pristine.write_recipe(folder))
     return Case(f"side-car: {summary}", arguments, "recorder", plausible=True)
 
 
@@ -49,7 +47,7 @@ def recipe(folder: Path, rng: np.random.Generator) -> Case:
     names = yaml.safe_load(source.read_text())["inputs"]
     inputs = [f"--input={name}={folder / 'in'}" for name in names]
     summary = _spoil(path, rng)
-    arguments = pick(rng, [("validate", str(path)), _run(path, folder, "--dry-run")])
+    arguments = pick(rng, [("validate", str(path)), run_of(folder, "--dry-run", recipe=path)])
     return Case(f"{source.name}: {summary}", (*arguments, *inputs))
 
 
@@ -59,7 +57,9 @@ def setting(folder: Path, rng: np.random.Generator) -> Case:
     pristine.write("cube", folder / "in")
     text = f"{pick(rng, SETTINGS)}{pick(rng, ['=', '=', '=', ''])}{pick(rng, list(ABSURD))}"
     option = pick(rng, ["--set", "--set", "--input", "--from", "--seed"])
-    return Case(f"{option} {text[:60]}", _run(pristine.write_recipe(folder), folder, f"{option}={text}"))
+    return Case(
+        f"{option} {text[:60]}", run_of(folder, f"{option}={text}", recipe=pristine.write_recipe(folder))
+    )
 
 
 @kind
@@ -70,7 +70,7 @@ def profile(folder: Path, rng: np.random.Generator) -> Case:
     summary = _spoil(path, rng)
     recipe = pristine.write_recipe(folder)
     recipe.write_text(f"{recipe.read_text()}instrument: ./irlos.yaml\n")
-    return Case(f"profile: {summary}", _run(recipe, folder))
+    return Case(f"profile: {summary}", run_of(folder, recipe=recipe))
 
 
 @kind
@@ -92,7 +92,7 @@ def bomb(folder: Path, rng: np.random.Generator) -> Case:
     target = pick(rng, [recipe, folder / "in" / "sky" / "acquisition.yaml"])
     name = pick(rng, list(BOMBS))
     target.write_bytes(BOMBS[name]().encode("utf-8", "surrogatepass"))
-    return Case(f"{target.name}: {name}", _run(recipe, folder), "recorder")
+    return Case(f"{target.name}: {name}", run_of(folder, recipe=recipe), "recorder")
 
 
 def _laughs() -> str:
@@ -131,10 +131,6 @@ def _copy(source: Path, folder: Path) -> Path:
     path = folder / source.name
     path.write_bytes(source.read_bytes())
     return path
-
-
-def _run(recipe: Path, folder: Path, *options: str) -> tuple[str, ...]:
-    return ("run", str(recipe), "--output", str(folder / "out"), "--jobs", "1", "--device", "cpu", *options)
 
 
 def _spoil(path: Path, rng: np.random.Generator) -> str:

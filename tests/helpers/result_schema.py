@@ -14,12 +14,6 @@ def schema_problems(content: dict[str, Any]) -> list[str]:
     return [f"{error.json_path}: {error.message}" for error in _validator().iter_errors(content)]
 
 
-def section_problems(stage: str, section: dict[str, Any]) -> list[str]:
-    """Return the same of the section of one stage."""
-    head = {"schema": "irlos-results", "schema_version": 1, "recipe": "test", "status": "ok"}
-    return schema_problems(head | {"stages": {stage: section}})
-
-
 @cache
 def _validator() -> Any:
     import jsonschema

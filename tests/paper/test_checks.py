@@ -8,10 +8,10 @@ import math
 import pytest
 from helpers.paths import REPOSITORY
 
-from irlos_pipe.paper.common.table import read_tables
 from irlos_pipe.product.product import Check, Product
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import judged
+from maintenance.paper_tables import read_tables
 
 FILES = {"derotator_series": "derotator"}
 

@@ -1,7 +1,5 @@
 """`irlos paper`: every recipe of a folder run on its own, one report and one file of numbers on all."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """Exposures of many reads. Truth: the simulator's own sum of single reads, Monte Carlo; counting by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -2,8 +2,6 @@
 copy of all frames in a step shows as one of it per frame, a copy in double precision as two.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

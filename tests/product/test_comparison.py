@@ -1,7 +1,5 @@
 """Two runs side by side; truth: what the made-up runs differ in."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Typed results. Truth: the JSON that the contract states, written and read back."""
 
-from __future__ import annotations
-
 import json
 import math
 

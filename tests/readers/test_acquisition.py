@@ -59,6 +59,13 @@ def test_every_key_of_the_side_car_arrives(tmp_path):
     assert resolved.warnings == ()
 
 
+def test_a_source_that_has_no_magnitude_is_nothing_to_warn_of(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", mag_j=None)
+    resolved = resolve(recording(tmp_path, header={"mag_j": 9.0}), NOTHING, IRLOS)
+    assert resolved.acquisition.mag_j is None
+    assert not any("mag_j" in line for line in resolved.warnings)
+
+
 def test_recipe_wins_over_side_car_over_header_over_profile(tmp_path):
     write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec", "exposure_s")
     header = {"mag_j": 11.0, "seeing_arcsec": 0.9}

@@ -13,8 +13,8 @@ from irlos_pipe.product.product import name_in
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.reference import COMMANDS, RESULTS
-from irlos_pipe.reference.schema import commands_schema, results_schema, text_of
 from irlos_pipe.stages import LIGHT_PATH, STAGES
+from maintenance.schema import commands_schema, results_schema, text_of
 
 pytestmark = pytest.mark.slow
 
@@ -57,7 +57,7 @@ def runs(tmp_path_factory) -> list[Path]:
 
 def test_the_shipped_schemas_are_those_of_the_models():
     for file, schema in ((RESULTS, results_schema()), (COMMANDS, commands_schema())):
-        assert file.read_text(encoding="utf-8") == text_of(schema), "python -m irlos_pipe.reference.schema"
+        assert file.read_text(encoding="utf-8") == text_of(schema), "python -m maintenance.schema"
         jsonschema.Draft202012Validator.check_schema(schema)
 
 

@@ -5,8 +5,6 @@ frames (Monte Carlo), and convolutions written out by hand. The photon-transfer 
 by regressing variance on mean, as an observer does.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Truth: repetition, and finer sampling in time and wavelength.
 """
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

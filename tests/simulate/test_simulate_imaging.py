@@ -4,8 +4,6 @@ Truth: HCIPy on a pupil grid three to six times finer (independent code, `refere
 pattern integrated over pixels by scipy; HCIPy's Zernikes; symmetry and energy.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -2,6 +2,7 @@
 
 import logging
 
+import numpy as np
 import pytest
 from astropy.io import fits
 from helpers.sparta_files import counts, star, write_recorder, write_sidecar
@@ -10,7 +11,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers import find
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.stages.ingest.sources import read_sources
+from irlos_pipe.stages.ingest.sources import read_sources, source_problems
 from irlos_pipe.stages.ingest.stage import Config
 from irlos_pipe.stages.ingest.work import ingest
 
@@ -64,3 +65,25 @@ def test_a_copy_of_a_recording_is_left_out_and_named(tmp_path, caplog, copy):
     assert [record.levelname for record in caplog.records if "a copy of" in record.getMessage()] == [
         "WARNING"
     ]
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"pixel_scale_mas": 9.7, "introduced_defocus_nm": [0.0, 50.0, -50.0]}, ""),
+        ({"pixel_scale_mas": 60.0}, "λ/D at 1600 nm and D = 8 m is 0.69 px"),
+        # the slope of 1 um RMS at the rim, 8 sqrt(3) 1e-6 / 8 rad, is 357 mas, and the disc twice this
+        (
+            {"pixel_scale_mas": 9.7, "introduced_defocus_nm": 1000.0},
+            "+1000 nm RMS spreads the star over 74 px",
+        ),
+    ],
+)
+def test_an_image_that_pixels_or_window_cannot_hold_is_said_before_any_work(tmp_path, caplog, keys, said):
+    fits.writeto(tmp_path / "cube.fits", np.ones((3, 40, 40), np.int32))
+    write_sidecar(tmp_path / "acquisition.yaml", **keys)
+    for find_out in (source_problems, lambda *given: read_sources(*given, LOG)):
+        caplog.clear()
+        find_out({"cube": [tmp_path]}, lambda _: AcquisitionKeys(), IRLOS)
+        lines = [one.getMessage() for one in caplog.records if "λ/D" in one.msg or "spreads" in one.msg]
+        assert (len(lines) == 1 and said in lines[0]) if said else not lines

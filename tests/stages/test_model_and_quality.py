@@ -8,12 +8,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers import made_run
 from helpers.effect_cases import CONDITIONS
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.declaration import Refraction
+from irlos_pipe.estimate.calibration import SetupFit
 from irlos_pipe.estimate.calibration_errors import NominalChi2
 from irlos_pipe.estimate.cube import Motion
 from irlos_pipe.estimate.residual import Mirrored
@@ -23,7 +23,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.readers.acquisition import altitude_deg
-from irlos_pipe.stages.calibrate.input import by_setup, require_calibration, require_joint
+from irlos_pipe.stages.calibrate.input import by_setup, require_joint
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.correct import _checks
 from irlos_pipe.stages.model.effects import refraction_mas, refraction_of, with_colour
@@ -45,6 +45,7 @@ GOOD = {
     "motion": None,
     "mean_image_e": np.zeros((40, 48)),
     "effects": {"seeing_halo": {}},
+    "setups": (),
 }
 
 
@@ -55,6 +56,15 @@ def _failed(limits: Limits | None = None, **changes) -> dict[str, str]:
 
 def moved(most_px: float) -> Motion:
     return Motion(most_px * np.linspace(-1, 1, 20)[:, None] * [1.0, 0.5], 0.01)
+
+
+def planes(wrong_nm: float) -> list[SetupFit]:
+    """Planes 100 nm apart, of which one by itself wants another defocus."""
+    none = np.zeros((2, 2))
+    return [
+        SetupFit("a", 1, nm, 1.0, wrong_nm if nm == 100.0 else 3.0, 2.0, none, none, none)
+        for nm in (-100.0, 0.0, 100.0)
+    ]
 
 
 CHI2, TWIN = "chi2 of the mean image", "twin solution"
@@ -74,6 +84,7 @@ BENCH = {"nominal": NominalChi2(1.01, 0.04)}
         ({"motion": moved(5.1)}, "motion of the star", "drifts, by 10.2 px"),
         ({"window_resolutions": 5.6}, "window", "outside"),
         ({"errors_from": "few_frames", "frames_nm": [None] * 3}, "frames", "too few"),
+        ({"setups": planes(-90.0)}, "planes", "+100 nm wants -90.0"),
         # though the RMS of the twin is larger
         *(({"twin": TwinCheck(0, 100, 120, 200, one)}, TWIN, "sign") for one in (-60.0, 0.0, 3.9)),
     ],
@@ -93,18 +104,12 @@ def test_a_cube_that_contradicts_what_was_told_fails_and_says_why(changes, check
         {"chi2_nu": 252.0, "limits": Limits(max_chi2_nu=1000.0)},  # a limit of the recipe
         {"kurtosis": float("nan")},
         {"motion": moved(4.9)},
+        {"setups": planes(40.0)},
         {"errors_from": "noise", "frames_nm": [None] * 3},
     ],
 )
 def test_a_cube_within_its_errors_passes(changes):
     assert _failed(**changes) == {}
-
-
-def test_frames_of_different_introduced_defocus_are_refused():
-    cubes = [made_run.recording(f"cube_{nm:g}", "calibration", 2, nm) for nm in (0.0, 100.0)]
-    with pytest.raises(InputDataError, match="introduced_defocus_nm differs"):
-        require_calibration(cubes)
-    require_calibration(cubes[1:])
 
 
 # Which recordings are calibrated together, and which are refused with one line.
@@ -148,6 +153,15 @@ def test_recordings_of_one_band_filter_diversity_and_focus_belong_together():
     assert names(by_setup(named)) == [["d"], ["e"], ["f"]]
 
 
+def test_frames_of_different_known_defocus_are_planes_the_sharpest_first():
+    planes = by_setup([recording("a", focus_nm=(200.0, -100.0, 200.0)), recording("b", focus_nm=(200.0,))])
+    assert names(planes) == [["a"], ["a", "b"]]
+    assert [[one.introduced_defocus_nm.tolist() for one in plane] for plane in planes] == [
+        [[-100.0]],
+        [[200.0, 200.0], [200.0]],
+    ]
+
+
 def test_a_filter_wavefront_says_of_which_filter_or_lens():
     groups = by_setup(CUBES)
     require_joint(context("chromatic_ncpa", {"filter_ncpa": {"of": "lens"}}), groups, "long_exposure")
@@ -156,19 +170,10 @@ def test_a_filter_wavefront_says_of_which_filter_or_lens():
             require_joint(context(entry), groups, "long_exposure")
 
 
-@pytest.mark.parametrize(
-    ("other", "message"),
-    [
-        (recording("x", BROAD, pupil_rotation_deg=10.0), "x: rotation of the pupil of a are others"),
-        (
-            recording("x", BROAD, focus_nm=(0.0, 100.0)),
-            "x: the introduced defocus changes from frame to frame",
-        ),
-    ],
-)
-def test_what_cannot_be_one_wavefront_is_refused(other, message):
-    with pytest.raises(InputDataError, match=message):
-        require_joint(context(), by_setup([replace(CUBES[0]), other]), "long_exposure")
+def test_what_cannot_be_one_wavefront_is_refused():
+    other = recording("x", BROAD, pupil_rotation_deg=10.0)
+    with pytest.raises(InputDataError, match="x: rotation of the pupil of a are others"):
+        require_joint(context(), by_setup([CUBES[0], other]), "long_exposure")
 
 
 # Which recordings have dispersion and the star's colour in their model.

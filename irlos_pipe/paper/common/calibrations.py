@@ -118,7 +118,6 @@ class ObservedCube:
 
     @property
     def settings(self) -> PsfSettings:
-        """Return the settings of the PSF model that an observer knows."""
         return settings_of(self.scene)
 
     @property

@@ -1,7 +1,5 @@
 """Many samples of one function, in worker processes; finished ones outlive an interruption."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """Focus loops closed side by side on the same sky and drift: what they see, and with which sensor."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Focus ramps: the variants of LIFT that are compared, and LIFT on a simulated ramp."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """What the experiments simulate: calibration cubes in narrow H, stars in J and H, corrected stars."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

@@ -5,8 +5,6 @@ further columns ``x_p16`` and ``x_p84`` (percentiles); with a range in which it 
 (90 %, by bootstrap over the samples).
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -169,26 +167,6 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def read_tables(path: Path) -> dict[str, Frame]:
-    """Return the tables of a file that `csv_of_tables` made."""
-    records: dict[str, list[Record]] = {}
-    for row in read_csv(path):
-        own = records.setdefault(row.pop("table"), [])
-        own.append({key: _value(text) for key, text in row.items()})
-    return {name: frame(rows) for name, rows in records.items()}
-
-
-def _value(text: str) -> Any:
-    if text in ("True", "False"):
-        return text == "True"
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text or None
-
-
 # -- tables for people -------------------------------------------------------------------------------
 
 
@@ -225,18 +203,6 @@ class Listing:
             body = [[*own, *(further.get(head, MISSING) for head in heads)] for own, further in found.items()]
         marks = [_mark(row[self.limit[0]], row[self.limit[1]]) for row in records] if self.limit else ()
         return Table(columns, body, self.title, filled(self.caption, records[0]) if records else "", marks)
-
-    def markdown(self, tables: Tables) -> str:
-        """Return the table as Markdown, the first column to the left, the others to the right."""
-        shown = self.table(tables, ranges=False)
-        rules = ["---", *["---:"] * (len(shown.columns) - 1)]
-        text = markdown(shown.columns, rules, shown.rows)
-        return f"{text}\n\n{shown.caption}" if shown.caption else text
-
-
-def markdown(columns: Sequence[str], rules: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as Markdown; `rules` stand below the names of the columns."""
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows))
 
 
 def _mark(value: float, limit: float) -> str:

@@ -3,8 +3,6 @@
 An experiment that fails does not stop the others.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The effects that a scene can contain: one file per plane of the light path."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any

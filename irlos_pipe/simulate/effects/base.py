@@ -7,8 +7,6 @@ has. A new effect is one class in the file of its plane; the order of classes th
 act.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Effects of the detector; the dark, the flat and the map of dead pixels do not show them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """Effects on the light that arrives: colours, scale, a companion, ghosts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

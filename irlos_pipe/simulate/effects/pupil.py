@@ -1,7 +1,5 @@
 """Effects on where light passes the pupil, and steps of the wavefront between its parts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ In motion the image runs through the distribution of its positions, which blurs 
 finite piece of the motion, so that it is displaced a little.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args

@@ -1,7 +1,5 @@
 """Effects on the smooth wavefront: modes, bumps, drifts, colour, focus stage and the lens that it moves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

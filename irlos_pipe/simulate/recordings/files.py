@@ -3,8 +3,6 @@
 Worker processes need no more of a spec than this, and load no model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,26 +66,24 @@ def write_files(
         if planned.side_car:
             path.with_suffix(".yaml").write_text(yaml_text(side_car(planned)))
         return
-    _write_table(planned.scene, path, frames_adu)
+    pixels = int(np.prod(planned.scene.window))
+    names = ("FrameCounter", "Seconds", "USeconds", "WindowSizeX", "WindowSizeY")
+    columns = [fits.Column(name, "J") for name in names]
+    if planned.scene.reads == 1:
+        columns.append(fits.Column("Pixels", f"{pixels}I", bzero=UNSIGNED))
+    else:
+        columns.append(fits.Column("Pixels", f"{pixels}J"))
+    header = fits.BinTableHDU.from_columns(columns, nrows=0, name="IRPixelFrame").header
+    header["NAXIS2"] = planned.scene.frames
+    fits.PrimaryHDU(header=_primary_header(planned.scene)).writeto(path)
+    _append_streamed(
+        path, header, (_row(planned.scene, index, frame) for index, frame in enumerate(frames_adu))
+    )
     maps = {"DARK": readout.dark_adu(rng), "FLAT": readout.flat(rng), "DEAD": readout.dead()}
     for kind, image in maps.items():
         if image is not None:
             fits.PrimaryHDU(image).writeto(folder / f"IRAcq.DET1.{kind}.fits")
     (folder / "acquisition.yaml").write_text(yaml_text(side_car(planned)))
-
-
-def _write_table(scene: Scene, path: Path, frames_adu: Iterable[np.ndarray]) -> None:
-    pixels = int(np.prod(scene.window))
-    names = ("FrameCounter", "Seconds", "USeconds", "WindowSizeX", "WindowSizeY")
-    columns = [fits.Column(name, "J") for name in names]
-    if scene.reads == 1:
-        columns.append(fits.Column("Pixels", f"{pixels}I", bzero=UNSIGNED))
-    else:
-        columns.append(fits.Column("Pixels", f"{pixels}J"))
-    header = fits.BinTableHDU.from_columns(columns, nrows=0, name="IRPixelFrame").header
-    header["NAXIS2"] = scene.frames
-    fits.PrimaryHDU(header=_primary_header(scene)).writeto(path)
-    _append_streamed(path, header, (_row(scene, index, frame) for index, frame in enumerate(frames_adu)))
 
 
 def _row(scene: Scene, index: int, frame_adu: np.ndarray) -> np.ndarray:

@@ -177,7 +177,6 @@ class LensletKeys(Section):
 
     @property
     def tilts_mas(self) -> tuple[tuple[float, float], ...]:
-        """Displacements (x, y) of the images."""
         return tuple(zip(self.x_mas, self.y_mas, strict=True))
 
 
@@ -199,7 +198,6 @@ class SkyKeys(Sky):
 
     @property
     def residual(self) -> Sky:
-        """The AO residual alone."""
         return Sky(**{field.name: getattr(self, field.name) for field in fields(Sky)})
 
 

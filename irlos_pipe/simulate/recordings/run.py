@@ -1,7 +1,5 @@
 """Simulate the recordings of a spec: skip what is there, make the rest, show nothing half done."""
 
-from __future__ import annotations
-
 import errno
 import json
 import logging

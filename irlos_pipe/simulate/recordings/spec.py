@@ -1,7 +1,5 @@
 """A simulation spec: what is recorded under which conditions, checked before anything is computed."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -40,12 +40,6 @@ def require_calibration(recordings: Sequence[Recording]) -> None:
                 f"{one.name}: its role is {one.acquisition.role}; a calibration takes recordings of role "
                 f"{', '.join(ROLES)}: give another one, or correct the role in the side-car"
             )
-    introduced_nm = np.unique(np.concatenate([one.introduced_defocus_nm for one in recordings]))
-    if len(introduced_nm) > 1:
-        raise InputDataError(
-            f"{recordings[0].name}: introduced_defocus_nm differs within what is calibrated together "
-            f"({introduced_nm[0]:g} to {introduced_nm[-1]:g} nm); a calibration takes frames of one defocus"
-        )
 
 
 @dataclass(frozen=True)
@@ -86,14 +80,15 @@ COMMON = {
 
 
 def by_setup(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """Return `recordings` with the same band, filter, diversity and introduced defocus together."""
+    """Return frames of `recordings` of the same band, filter, diversity and introduced defocus together."""
     groups: dict[tuple, list[Recording]] = {}
     for recording in recordings:
         acquisition = recording.acquisition
         diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
-        focus = tuple(np.unique(recording.introduced_defocus_nm).tolist())
-        key = acquisition.spectrum, elements_of(acquisition), diversity, focus
-        groups.setdefault(key, []).append(recording)
+        for plane in recording.planes():
+            focus = tuple(np.unique(plane.introduced_defocus_nm).tolist())
+            key = acquisition.spectrum, elements_of(acquisition), diversity, focus
+            groups.setdefault(key, []).append(plane)
     return list(groups.values())
 
 
@@ -103,7 +98,7 @@ def require_joint(ctx: StageContext, groups: Sequence[Sequence[Recording]], meth
     Raises
     ------
     InputDataError
-        If they differ in more than band, filter, diversity and focus, or the focus changes within one.
+        If they differ in more than band, filter, diversity and focus.
     ConfigurationError
         For a `method` of one set-up, and a `filter_ncpa` that does not say of which filter or lens.
     """
@@ -115,15 +110,10 @@ def require_joint(ctx: StageContext, groups: Sequence[Sequence[Recording]], meth
                 f"{group[0].name}: {' and '.join(differing)} of {first.name} are others; set-ups calibrated "
                 "together may differ in band, filter, diversity and introduced defocus only"
             )
-        if len(np.unique(group[0].introduced_defocus_nm)) > 1:
-            raise InputDataError(
-                f"{group[0].name}: the introduced defocus changes from frame to frame; set-ups calibrated "
-                "together need recordings of one defocus each"
-            )
     if method != DEFAULT_METHOD:
         raise ConfigurationError(
-            f"calibrate.method {method} takes recordings of one set-up, and those given differ in band, "
-            f"filter or diversity; use {DEFAULT_METHOD}, or calibrate.each"
+            f"calibrate.method {method} takes frames of one set-up, and those given differ in band, "
+            f"filter, diversity or introduced defocus; use {DEFAULT_METHOD}"
         )
     names = sorted({name for group in groups for name in elements_of(group[0].acquisition) if name})
     for entry in ctx.model.entries():
@@ -183,4 +173,4 @@ def _setup(
     if warning := colour_warning(own, group):
         ctx.log.warning(warning)
     frames = pooled_frames(group, good_pixels(listed, group[0].window), conditions.settings)
-    return Setup(frames, conditions.settings, common, own)
+    return Setup(frames, conditions.settings, common, own, tuple(one.name for one in group))

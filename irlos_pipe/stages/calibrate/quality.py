@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import kind_of
-from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.estimate.calibration import Calibration, SetupFit
 from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
 from irlos_pipe.estimate.cube import Motion
 from irlos_pipe.estimate.residual import Mirrored
@@ -18,6 +21,7 @@ from irlos_pipe.stages.calibrate.stage import Limits
 UNSTEADY = {name for name, kind in CATALOGUE.items() if kind.speckles or kind.blurs == "motion"}
 LOWEST_KURTOSIS = 1.3  # of the frames: two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
+NEARER = 0.5  # part of the way to the next plane
 MISFIT = "chi2 of the mean image"
 
 
@@ -32,6 +36,8 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
         checks.append(_frames(limits, result))
     if result.twin is not None:
         checks.append(_twin(result))
+    if len({one.known_nm for one in result.setups}) > 1:
+        checks.append(_planes(result.setups))
     if result.mirrored is not None and result.mirrored.tells:
         checks.append(_orientation(result.mirrored))
     return [replace(one, name=f"{prefix}{one.name}") for one in checks]
@@ -125,6 +131,22 @@ def _orientation(found: Mirrored) -> Check:
         f"told, 1 the mirrored one{why}"
     )
     return Check("orientation", found.amplitude, "", None, found.limit, message)
+
+
+def _planes(planes: Sequence[SetupFit]) -> Check:
+    """Whether every plane is where it was declared, and not nearer to another or to its own twin."""
+    known_nm = np.array([one.known_nm for one in planes])
+    apart_nm = np.abs(known_nm[:, None] - known_nm)
+    steps_nm = np.where(apart_nm > 0, apart_nm, np.inf).min(axis=1)
+    parts = np.array([abs(one.focus_nm) for one in planes]) / steps_nm
+    worst = int(parts.argmax())
+    why = ": its declared defocus is wrong, or its sign" if parts[worst] > NEARER else ""
+    message = (
+        f"the plane declared at {known_nm[worst]:+.0f} nm wants {planes[worst].focus_nm:+.1f} ± "
+        f"{planes[worst].focus_sigma_nm:.1f} nm of defocus by itself, the next plane is "
+        f"{steps_nm[worst]:.0f} nm away{why}"
+    )
+    return Check("planes", float(parts[worst]), "", None, NEARER, message)
 
 
 def _twin(result: Calibration) -> Check:

@@ -27,7 +27,7 @@ ARRAYS = {
     "zernike_nm": ("nm ±", "mode", "static wavefront without the diversity"),
     "modes_nm": ("nm", "mode", "modes without the part of effects in the pupil"),
     "covariance_nm2": ("nm2", "mode, mode", "covariance of the modes; `errors_from` says what it is from"),
-    "frames_nm": ("nm", "frame, mode", "coefficients of every frame"),
+    "frames_nm": ("nm", "frame, mode", "coefficients of every frame; of several set-ups one after the other"),
     "frame_status": ("", "fit", "outcome of every fit"),
     "iterations": ("", "fit", "iterations of every fit"),
     "mean_image_e": ("e- ±", "y, x", "mean of the used frames"),
@@ -38,6 +38,8 @@ ARRAYS = {
     "left_nominal": ("", "frequency", "the same as a model that lacks nothing would leave it"),
     "effects/<effect>": ("", "parameter", "parameters of the effect, as it declares them"),
     "cubes/<name>/<array>": ("", "", "arrays of one recording, with calibrate.each"),
+    "setup_images_e": ("e- ±", "set-up, y, x", "mean image of each of several set-ups fitted together"),
+    "setup_models_e": ("e-", "set-up, y, x", "its model"),
 }
 CHECKS = {
     "converged fits": ("part of the fits that converged", "min_converged"),
@@ -64,6 +66,11 @@ CHECKS = {
     ),
     "twin solution": (
         "whether the sign of the even modes is known: 1 if the twin, which has it reversed, is excluded",
+        "",
+    ),
+    "planes": (
+        "defocus that a plane by itself wants, beyond the declared and the common one, over the distance to "
+        "the next plane: from a half on it is nearer to another",
         "",
     ),
 }
@@ -163,6 +170,20 @@ class Lenslets(ResultsPart):
     centroids_sigma_nm: ByNoll = item({}, DITTO)
 
 
+class SetupRow(ResultsPart):
+    """One of several set-ups, such as planes of known defocus, that were fitted together."""
+
+    name: str = item("", "Its recordings.")
+    introduced_nm: Number = item(nan, "Noll 4 of what is known of its wavefront.")
+    frames: int = item(0, "Used frames.")
+    chi2_nu: Number = item(nan, "Reduced χ² of its mean image.")
+    focus_nm: Number = item(
+        nan,
+        "Defocus beyond the known and the common one that its image by itself wants, and the standard error.",
+    )
+    focus_sigma_nm: Number = item(nan, DITTO)
+
+
 class CauseRow(ResultsPart):
     """A fact or effect that would explain why a check failed, see `estimate.causes`."""
 
@@ -205,6 +226,7 @@ class CalibrateResults(Estimate, StageResults):
     wavelength_nm: Number = item(nan, "Mean wavelength of its recordings, at which the NCPAs are stated.")
     twin: Twin | None = item(None, "None without a twin solution, and for the mean over cubes.")
     compare: list[Estimate] = item([], "Estimates with other methods.")
+    setups: list[SetupRow] = item([], "Set-ups that were fitted together; empty for one.")
     cubes: list[CubeRow] = []
     causes: list[CauseRow] = item(
         [], "What would explain the checks that failed, most likely first; empty where none did."

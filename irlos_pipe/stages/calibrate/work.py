@@ -42,6 +42,7 @@ from irlos_pipe.stages.calibrate.results import (
     CubeRow,
     Estimate,
     Lenslets,
+    SetupRow,
     Tail,
     Twin,
 )
@@ -64,7 +65,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     used = [r for r in recordings if r.frames]
     if not used:
         raise InputDataError(_no_frame(recordings[0]))
-    if any(differences(used[0], other, SETUP_KEYS) for other in used[1:]):
+    if _of_several_setups(used):
         return _jointly(ctx, used)
     first = recordings[0].acquisition
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
@@ -83,15 +84,27 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     return replace(output, results=results, summary=[*output.summary, *_lenslet_lines(row)])
 
 
+def _of_several_setups(recordings: Sequence[Recording]) -> bool:
+    """Whether frames differ in what is known of their wavefront or light, and are fitted jointly."""
+    introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
+    return len(np.unique(introduced_nm)) > 1 or any(
+        differences(recordings[0], other, SETUP_KEYS) for other in recordings[1:]
+    )
+
+
 def _jointly(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
+    if ctx.config.compare:
+        ctx.log.warning("calibrate.compare is left out: methods are compared on frames of one set-up")
+    return _joint_output(ctx, _joint_fit(ctx, recordings), [], recordings[0].acquisition)
+
+
+def _joint_fit(ctx: StageContext[Config], recordings: list[Recording]) -> Calibration:
     """One wavefront, and what of it belongs to wavelength, filter or lens, from several set-ups."""
     groups, options = by_setup(recordings), ctx.config.options(ctx.instrument.facility.ncpa_law)
     require_joint(ctx, groups, options.method)
-    if ctx.config.compare:
-        ctx.log.warning("calibrate.compare is left out: methods are compared on recordings of one set-up")
-    result = calibrate_setups(setups_of(ctx, groups, options), options, device=ctx.device)
+    result = calibrate_setups(setups_of(ctx, groups, options), options, device=ctx.device, note=ctx.log.info)
     ctx.log.info("%d set-ups together: chi2/nu %.2f, %.1f s", len(groups), result.chi2_nu, result.seconds)
-    return _joint_output(ctx, result, [], groups[0][0].acquisition)
+    return result
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
@@ -101,7 +114,14 @@ def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput
     if not usable:
         raise InputDataError(failures[0])
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
-    cubes = [Cube(one.name, one.acquisition, _calibrate(ctx, [one], options)) for one in usable]
+    cubes = [
+        Cube(
+            one.name,
+            one.acquisition,
+            _joint_fit(ctx, [one]) if _of_several_setups([one]) else _calibrate(ctx, [one], options),
+        )
+        for one in usable
+    ]
     return _each_output(ctx, cubes, failures)
 
 
@@ -177,6 +197,7 @@ def _joint_output(
         twin=None if result.twin is None else Twin.filled_from(result.twin),
         untested=untested_by_cubes(acquisition.diversity, _undetermined(result)),
         compare=[Estimate(**_estimate(other)) for other in others],
+        setups=[SetupRow.filled_from(one, introduced_nm=one.known_nm) for one in result.setups],
     )
     summary = _summary(result, others)
     return StageOutput(_arrays(result), results, checks_of(ctx.config, result), summary=summary)
@@ -346,6 +367,12 @@ def _arrays(
         "model_image_e": result.model_image_e,
         **{f"effects/{name}": parameters for name, parameters in result.effect_values.items()},
     }
+    if result.setups:
+        images, models, sigma = (
+            np.array([getattr(one, name) for one in result.setups])
+            for name in ("mean_e", "model_e", "sigma_e")
+        )
+        values |= {"setup_images_e": (images, sigma), "setup_models_e": models}
     wanted = {name: one for name, one in values.items() if not only or name.partition("/")[0] in only}
     return declared(ARRAYS, wanted, note, below=below)
 

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.reads import adds_up
+from irlos_pipe.conventions.units import MAS_PER_RAD, NM, resolution_px
 from irlos_pipe.frames.blocks import mean_frame
 from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.frames.recording import CalibrationMaps
@@ -144,9 +146,10 @@ def source_problems(
             found += [(name, line) for line in wrong]
             with failing_alone(found, name, file, logging.getLogger(__name__)):
                 for raw in () if wrong else read_recordings(file, instrument):
-                    for line in raw.warnings:
+                    then = _instrument_then(instrument, raw.start_unix_s)
+                    resolved = resolve(raw, keys_for(name), then)
+                    for line in (*raw.warnings, *image_doubts(raw, resolved, then)):
                         logging.getLogger(__name__).warning(line)
-                    resolve(raw, keys_for(name), _instrument_then(instrument, raw.start_unix_s))
     return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
 
 
@@ -169,12 +172,45 @@ def _named(recordings: Sequence[RawRecording], taken: set[str]) -> Iterator[RawR
 def _source(
     input_name: str, raw: RawRecording, keys: AcquisitionKeys, instrument: Instrument, log: logging.Logger
 ) -> Source:
-    resolved = resolve(raw, keys, _instrument_then(instrument, raw.start_unix_s))
+    then = _instrument_then(instrument, raw.start_unix_s)
+    resolved = resolve(raw, keys, then)
     for note in raw.notes:
         log.info(note)
-    for line in (*raw.warnings, *resolved.warnings):
+    for line in (*raw.warnings, *resolved.warnings, *image_doubts(raw, resolved, then)):
         log.warning(line)
     return Source(input_name, raw, resolved)
+
+
+SAMPLED_PX = 2.0  # pixels per λ/D from which an image holds all detail that the optics make
+CROWDED = 0.8  # part of the window beyond which a star that fills it is cut
+
+
+def image_doubts(raw: RawRecording, resolved: Resolved, instrument: Instrument) -> Iterator[str]:
+    """Yield a sentence where pixels are too coarse for the image, or the window too small for its defocus.
+
+    By what is declared alone. A defocus of a nm RMS (Noll 4) has a slope of 8√3 a/D at the rim of the pupil,
+    and spreads a star over a disc of twice this angle.
+    """
+    acquisition, diameter_m = resolved.acquisition, instrument.pupil.diameter_m
+    if acquisition.role == "dark" or acquisition.lenslets > 1:
+        return
+    scale_mas = acquisition.pixel_scale_mas
+    shortest_nm = min(nm for nm, weight in acquisition.spectrum if weight > 0)
+    pixels = resolution_px(shortest_nm * NM, diameter_m, scale_mas)
+    if pixels < SAMPLED_PX:
+        yield (
+            f"{raw.name}: undersampled: λ/D at {shortest_nm:g} nm and D = {diameter_m:g} m is {pixels:.2g} "
+            f"px of {scale_mas:g} mas; finer detail than {SAMPLED_PX:g} px is lost, and with it what "
+            "determines modes"
+        )
+    known_nm = acquisition.diversity.get(DEFOCUS, 0.0) + resolved.introduced_defocus_nm
+    largest_nm = known_nm[np.abs(known_nm).argmax()]
+    spread_px = 16 * np.sqrt(3) * abs(largest_nm) * NM / diameter_m * MAS_PER_RAD / scale_mas
+    if spread_px > CROWDED * min(raw.window):
+        yield (
+            f"{raw.name}: the declared defocus of {largest_nm:+.0f} nm RMS spreads the star over "
+            f"{spread_px:.0f} px, and the window has {min(raw.window)}: light is cut off, or a unit is wrong"
+        )
 
 
 def _instrument_then(instrument: Instrument, unix_s: float) -> Instrument:

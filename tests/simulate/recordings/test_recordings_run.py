@@ -1,7 +1,5 @@
 """Running a simulation: what is made, what is skipped and why, and that nothing half done is ever seen."""
 
-from __future__ import annotations
-
 import hashlib
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Simulation specs: what is accepted, what is refused, how it is told. Expectations are written by hand."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
