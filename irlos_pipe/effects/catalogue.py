@@ -1,7 +1,5 @@
 """The effects that recipes, models and results can name, and their page of the documentation."""
 
-from __future__ import annotations
-
 import inspect
 import textwrap
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Copies of the star: `companion`, a second source, and `ghost`, an image that the optics make."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Self
 

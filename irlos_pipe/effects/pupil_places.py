@@ -1,7 +1,5 @@
 """One place in the pupil that differs from all others: `phase_bump` and `pupil_spot`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Self

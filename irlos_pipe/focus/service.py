@@ -1,7 +1,5 @@
 """The running loop: source, exposures, records and command put together until nothing more comes."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

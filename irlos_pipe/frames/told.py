@@ -5,8 +5,6 @@ on it. Of the detector's constants, what a person or a header says stands; a val
 gives way to the frames where these contradict it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

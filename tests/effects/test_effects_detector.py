@@ -1,7 +1,5 @@
 """Detector effects, and what effects tell about themselves. Truth: sums over kernels by scipy, analysis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Derivatives with respect to effect parameters. Truth: finite differences of the predicted images."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Instrument profiles."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

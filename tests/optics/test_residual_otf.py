@@ -1,7 +1,5 @@
 """Images that move with the coma of the AO residual. Truth: finite differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
