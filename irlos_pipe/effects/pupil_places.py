@@ -47,7 +47,6 @@ class PupilPlace(PupilEffect):
         raise NotImplementedError
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """See `Effect.candidates`: one per position on a grid and per width."""
         steps = np.arange(-0.5 + STEP / 2, 0.5, STEP)
         places = [(x, y, width) for width in WIDTHS for y in steps for x in steps if np.hypot(x, y) < 0.5]
         return [

@@ -62,12 +62,10 @@ class Told:
 
     @property
     def wrong(self) -> bool:
-        """Whether it is beyond doubt."""
         return not self.impossible[0] <= self.value <= self.impossible[1]
 
     @property
     def warned(self) -> bool:
-        """Whether it is worth a warning."""
         return self.wrong or not self.doubtful[0] <= self.value <= self.doubtful[1]
 
 

@@ -148,8 +148,8 @@ def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
     assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
 
 
-@pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.slow
+@pytest.mark.parametrize("name", SMOOTH)
 def test_modes_flux_and_background_are_differentiated_through_the_effect(name):
     effect, values = made(name)
     whole = ImageModel(psf(), [effect])
