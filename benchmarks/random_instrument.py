@@ -300,8 +300,8 @@ def tables(outcomes: Sequence[Outcome], *_) -> str:
     """Return what came of the `outcomes`: together, by seeing, and one by one where they were diagnosed."""
     both = [one for one in outcomes if one["diagnosed"]]
     columns = {
-        f"as told, {len(outcomes)} draws": _all(outcomes, "plain"),
-        f"as told, the {len(both)} diagnosed": _all(both, "plain"),
+        f"as declared, {len(outcomes)} draws": _all(outcomes, "plain"),
+        f"as declared, the {len(both)} diagnosed": _all(both, "plain"),
         f"with `diagnose`, {len(both)} draws": _all(both, "diagnosed"),
     }
     rows = [[what, asked, *map(text, columns.values())] for what, asked, text in ROWS]
@@ -381,7 +381,7 @@ HEAD = "draw", "seeing", "residual", "error", "pull", "light", "names, grade"
 
 def _by_seeing(outcomes: Sequence[Outcome]) -> Iterator[list[Any]]:
     for seeing in SEEINGS_ARCSEC:
-        for which, name in (("plain", "as told"), ("diagnosed", "with `diagnose`")):
+        for which, name in (("plain", "as declared"), ("diagnosed", "with `diagnose`")):
             some = _all([one for one in outcomes if one["seeing_arcsec"] == seeing and one[which]], which)
             error, pull = _number("error_nm", np.median)(some), _number("pull", _rms)(some)
             yield [f"{seeing:g}″", name, len(some), error, pull, sum(some.bad), sum(some.red)]

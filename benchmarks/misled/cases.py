@@ -35,7 +35,7 @@ TOLD: dict[str, Change] = {
     "diversity of wrong sign": {"diversity": -1.0},
     "diversity 15 % off": {"diversity": 1.15},
     "diversity of Noll 5": {"noll": 5},
-    "diversity not told": {"diversity": 0.0},
+    "diversity not declared": {"diversity": 0.0},
     "exposure in minutes": {"exposure_s": 60.0},
     "role of a ramp": {"role": "defocus_ramp"},
 }
@@ -102,7 +102,7 @@ RAMP_TOLD: dict[str, Change] = {
     "offsets 60 nm beside": {"beside_nm": 60.0},
     "two offsets exchanged": {"order": (0, 1, 3, 2, 4)},
     "offsets in the wrong order": {"order": (4, 3, 2, 1, 0)},
-    "one offset told as its neighbour": {"order": (0, 1, 3, 3, 4)},
+    "one offset declared as its neighbour": {"order": (0, 1, 3, 3, 4)},
     "diversity of wrong sign in the ramp": {"diversity": -1.0},
     "diversity of wrong sign in ramp and cube": {"diversity": -1.0, "both": True},
     "diversity halved in the ramp": {"diversity": 0.5},

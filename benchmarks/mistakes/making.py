@@ -289,3 +289,10 @@ MISTAKES: dict[str, tuple[tuple[str, ...], Callable[[Rng], Taken]]] = {
     "three frames": (("frames",), lambda rng: replace(counts(lambda adu: adu[:3]), sky=True)),
     "one frame": (("frames",), lambda rng: replace(counts(lambda adu: adu[:1]), sky=True)),
 }
+# What physics cannot tell from one cube: mistake, and a word of the line by which the report says so.
+UNDECIDABLE = {
+    "diversity in Noll 5": "mode of the diversity", "diversity in um": "mode of the diversity",
+    "lens missing": "mode of the diversity",
+    "diversity sign": "sign of the even modes", "transposed": "transposed", "turned by 180": "turned by 180",
+    "flipped": "mirrored", "turned by 90": "transposed", "forgotten dark": "dark that is smooth",
+}  # fmt: skip

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import harness
 from benchmarks.harness import Outcome, Rate, Suite, file_name, markdown
-from benchmarks.mistakes.making import MISTAKES, SCALES_MAS, made
+from benchmarks.mistakes.making import MISTAKES, SCALES_MAS, UNDECIDABLE, made
 from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.pipeline.resources import silent_progress
 from irlos_pipe.product.product import Product
@@ -24,7 +24,7 @@ from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext
 
-REPORTED_SEED, TRIAL_SEED = 27182818, 57721566  # nothing may rest on the cases of the former
+REPORTED_SEED, TRIAL_SEED = 26535897, 57721566  # nothing may rest on the cases of the former
 WRONG_SIGMA = 5.0
 
 
@@ -47,7 +47,7 @@ class Case:
 
 
 def all_cases(seed: int, draws: int) -> list[Case]:
-    return [Case(t, m, draw, seed) for m in MISTAKES for t in SCALES_MAS for draw in range(draws)]
+    return [Case(t, m, draw, seed) for draw in range(draws) for m in MISTAKES for t in SCALES_MAS]
 
 
 def outcome_of(case: Case, *_) -> Outcome:
@@ -119,6 +119,12 @@ def looks_right(outcome: Outcome) -> bool:
     return not outcome["failed"] and outcome["sigmas"] > WRONG_SIGMA
 
 
+def said_before(outcome: Outcome) -> bool:
+    """Whether the report says before its numbers that such images cannot tell this mistake."""
+    word = UNDECIDABLE.get(outcome["mistake"])
+    return word is not None and any(word in line for line in outcome["untested"])
+
+
 def report(outcomes: Sequence[Outcome], *_: Any) -> str:
     """Return the table of mistakes, and the rates over those that were noticed."""
     rows = []
@@ -126,15 +132,28 @@ def report(outcomes: Sequence[Outcome], *_: Any) -> str:
         group = [one for one in outcomes if one["mistake"] == mistake]
         noticed = [one for one in group if one["failed"]]
         first, three = (sum(named(one, most) for one in noticed) for most in (1, 3))
-        silent = sum(map(looks_right, group))
+        silent = [said_before(one) for one in group if looks_right(one)]
+        harmless = len(group) - len(noticed) - len(silent)
         rows.append(
-            (mistake, len(group), len(noticed), first, three, silent, len(group) - len(noticed) - silent)
+            (
+                mistake,
+                len(group),
+                len(noticed),
+                first,
+                three,
+                sum(silent),
+                len(silent) - sum(silent),
+                harmless,
+            )
         )
-    head = ("mistake", "cubes", "noticed", "named first", "among three", "looks right, is wrong", "harmless")
+    head = (
+        "mistake", "cubes", "noticed", "named first", "among three", "wrong, said before",
+        "wrong without a word", "harmless",
+    )  # fmt: skip
     noticed = [one for one in outcomes if one["failed"] and one["true"]]
     rates = [Rate.of(named(one, most) for one in noticed).text for most in (1, 3)]
     words = f"is named first in {rates[0]}, among the first three in {rates[1]}."
-    return f"{markdown(head, rows, 'lrrrrrr')}\n\nOf the mistakes that were noticed the true cause {words}"
+    return f"{markdown(head, rows, 'lrrrrrrr')}\n\nOf the mistakes that were noticed the true cause {words}"
 
 
 SUITE = Suite(outcome_of, itemgetter("suite_seed", "case"), report, "reliability.md", "mistakes")

@@ -13,7 +13,6 @@ from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, alternatives, gap_between, preference
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
-from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit, other_forms
@@ -63,11 +62,8 @@ class Search:
     # Effects of the final model that make it fit better and are not sure enough to be named.
     adjusted: Sequence[str] = ()
     nearest: Accepted | None = None  # the name that comes nearest, where none was found after all
-    # The last fit of all visible modes; None where the wavefront was not opened.
-    all_modes: Opening | None = None
     # Whether the facts of the instrument were free, as more was wrong than single names could tell.
     tolerant: bool = False
-    correlated: bool = False  # whether the fit knew how errors of pixels are correlated
 
     @cached_property
     def remaining(self) -> Excess:
@@ -87,13 +83,6 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     best = ranked[0]
     before = best.origin
     if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
-        return None
-    return _preferred(ranked, cube)
-
-
-def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
-    """The best of the `ranked` names if it is significant and the held-out frames agree, or None."""
-    if not ranked or not detected(ranked[0], cube, options.sure):
         return None
     return _preferred(ranked, cube)
 

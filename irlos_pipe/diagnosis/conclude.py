@@ -61,7 +61,7 @@ def conclude(
     gap = gap_between(before, after)
     judgement = judged(search, noise, fine, gap, options)
     search, why = judgement.search, judgement.why_unknown
-    covariances = _covariances(search)
+    covariances = Covariances(search.final.stack, search.final.fitted)
     steps = [*_drift_steps(cube, search, options), *_steps(search, judgement.shares, covariances)]
     final, after = (search.null, before) if why else (plain, after)
     left_fine = fine_structure(search.null) if why else fine
@@ -103,7 +103,7 @@ def conclude(
         held_out=cube.training.held_out,
         nolls=final.fitted.problem.layout.nolls,
         modes_nm=_both(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
-        modes_sigma_nm=(Covariances(final.stack, [final.fitted]) if why else covariances).modes_sigma_nm(),
+        modes_sigma_nm=(Covariances(final.stack, final.fitted) if why else covariances).modes_sigma_nm(),
         pictures=_pictures((before, after), search.null, final),
     )
 
@@ -215,7 +215,7 @@ def _nearest(search: Search) -> Step | None:
     if search.nearest is None:
         return None
     refit = search.nearest.refit
-    covariance = Covariances(refit.optimum.stack, [refit.fitted]).of(refit.label)
+    covariance = Covariances(refit.optimum.stack, refit.fitted).of(refit.label)
     step = _step(search.nearest, refit.label, refit.fitted, covariance)
     return replace(step, share=share_at_its_place(refit, refit.optimum))
 
@@ -244,14 +244,6 @@ def _sizes(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str
         "shown": base.shown(values),
         "shown_sigma": public_sigma(base, values, covariance, shown=True),
     }
-
-
-def _covariances(search: Search) -> Covariances:
-    """Of the effects of the final model: jointly with all visible modes, where these were fitted apart."""
-    models = (
-        [search.final.fitted] if search.all_modes is None else [search.all_modes.fitted, search.final.fitted]
-    )
-    return Covariances(search.final.stack, models)
 
 
 def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,43 +61,26 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
 
 
 class Covariances:
-    """Covariances of the effects and modes of a model.
+    """Covariances of the effects and modes of a model."""
 
-    Of several fits of the model that with most further parameters comes first; the last one has all effects.
-    """
+    def __init__(self, stack: Stacks, fitted: Fitted):
+        self.stack, self.fitted = stack, fitted
 
-    def __init__(self, stack: Stacks, models: Sequence[Fitted]):
-        self.stack, self.models = stack, models
-        self._found: dict[int, np.ndarray] = {}
+    @cached_property
+    def _whole(self) -> np.ndarray:
+        return parameter_covariance(self.stack, self.fitted)
 
     def of(self, label: str) -> np.ndarray:
         """Of all parameters of the effect with a `label`; zero for what is held."""
-        free = self.models[-1].effect(label).parameters
-        number, fitted = next(pair for pair in enumerate(self.models) if _frees(pair[1], label, free))
-        covariance = self._whole(number)
-        effect, columns = fitted.effect(label), fitted.columns_of(label)
+        effect, columns = self.fitted.effect(label), self.fitted.columns_of(label)
         full = np.zeros((len(effect.base.parameters), len(effect.base.parameters)))
-        own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
+        own = determined(effect.parameters, self._whole[np.ix_(columns, columns)])
         full[np.ix_(effect.free, effect.free)] = own
         return full
 
     def modes_sigma_nm(self) -> np.ndarray:
-        """Errors of the last model's modes, jointly with those that the first has beyond them, (modes,)."""
-        variances = np.diag(self._whole(0))[self.models[0].problem.layout.modes]
-        return np.sqrt(variances[: len(self.models[-1].problem.layout.nolls)])
-
-    def _whole(self, number: int) -> np.ndarray:
-        """Of all parameters of one of the models."""
-        if number not in self._found:  # of many modes and frames it takes a while
-            self._found[number] = parameter_covariance(self.stack, self.models[number])
-        return self._found[number]
-
-
-def _frees(fitted: Fitted, label: str, free: Sequence[Parameter]) -> bool:
-    """Whether a model has an effect with a `label` and these parameters."""
-    if label not in fitted.problem.effects.labels:
-        return False
-    return [one.name for one in fitted.effect(label).parameters] == [one.name for one in free]
+        """Errors of the modes, (modes,)."""
+        return np.sqrt(np.diag(self._whole)[self.fitted.problem.layout.modes])
 
 
 def detectable(score: Score) -> dict[str, Any]:

@@ -20,6 +20,7 @@ import torch
 from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.acceptance import Accepted, Search
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
+from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Errors, Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.forward import Task, placed_families
@@ -36,13 +37,13 @@ from irlos_pipe.diagnosis.posterior import (
     fitted_as,
 )
 from irlos_pipe.diagnosis.records import Alternative, Ranked
-from irlos_pipe.diagnosis.refit import FAR, Refit
+from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Score, score_family, scored, whitened_shapes
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import direction_of, rests
-from irlos_pipe.diagnosis.tolerant import everyday
-from irlos_pipe.effects import Effect, FixedEffect, in_other_forms
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import on_every_side
+from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
@@ -53,8 +54,7 @@ PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
 MOST_RIVALS = 2  # that are told besides a name
 LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
-MOST_FAR = 2  # effects that have entered, after which a model has to be near the data
-TURNED = 6  # iterations from another side
+FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
 AGAINST = 0.0  # Vuong's statistic of frames that no fit has seen, below which they object to a name
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
 FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
@@ -66,11 +66,8 @@ class EvidenceTask(Task):
 
     kind: str  # of the noise
 
-    def beyond(self, search: Search, effects: Sequence[Effect]) -> Search | None:
-        """Begin again from `effects` where a plain `search` left much.
-
-        None where so much stays missing that the errors of the model are none that a covariance tells.
-        """
+    def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
+        """Begin again from `effects` where a plain `search` left much."""
         drift = search.drift
         moving = [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
         declared = [*effects, *moving]
@@ -96,13 +93,12 @@ class EvidenceTask(Task):
             laplace, label, odds = best
             entered[label] = odds
             laplace = self._settled(laplace)
-            if len(entered) == MOST_FAR and _misfit(self.cube.training, laplace) > FAR:
-                return None
             if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                 break
         laplace = self._deepest(laplace) if entered else laplace
-        named = self._named(search, laplace, declared, entered, found)
-        return None if named.remaining.chi2_nu > FAR_OFF else named
+        if _misfit(self.cube.training, laplace) > FAR_OFF:
+            laplace = self._nearest(laplace)
+        return self._named(search, laplace, declared, entered, found)
 
     # -- fits ------------------------------------------------------------------------------------
 
@@ -125,13 +121,23 @@ class EvidenceTask(Task):
                 return laplace
             laplace = other
 
+    def _nearest(self, laplace: Laplace) -> Laplace:
+        """The model of least squares: where much stays missing, what a fit leaves is no noise that would tell
+        how pixels are correlated, and the model that is nearest to the images is wanted."""
+        training = self.cube.training
+        covariance = laplace.posterior.covariance.alone(_misfit(training, laplace) * _alike_px(laplace))
+        return replace(laplace.posterior, covariance=covariance).minimised(laplace.x, FIRST)
+
     def _turned(self, laplace: Laplace) -> Laplace:
         """The best of a fit and others in which what has a distance and a direction begins elsewhere.
 
-        To first order opposite sides are degenerate, and where it has come to rest the image has a kink.
+        To first order opposite sides are degenerate, and where it has come to rest the image has a kink. An
+        error of the model, which grows by what a wrong side misses, would hide that: here there is none. All
+        else follows first, or the kink would draw back what has just begun elsewhere.
         """
         fitted, posterior = laplace.fitted, laplace.posterior
-        ends = [(laplace.x, posterior.half_chi2(laplace.x))]
+        sharp = replace(posterior, covariance=replace(posterior.covariance, model_rms=0.0))
+        ends = [sharp.descended(laplace.x, TURNED, roughly=True)]
         for label in fitted.problem.effects.labels:
             angle = direction_of(fitted, label)
             if angle is None:
@@ -142,7 +148,8 @@ class EvidenceTask(Task):
             for side in on_every_side(fitted.effect(label)) if rests(fitted, label) else [opposite]:
                 x = fitted.x.clone()
                 x[0, columns] = torch.as_tensor(side)
-                ends.append(posterior.descended(x, TURNED, roughly=True))
+                x, _ = sharp.descended(x, FOLLOWING, roughly=True, held=columns)
+                ends.append(sharp.descended(x, TURNED, roughly=True))
             self.report(1)
         return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN)
 
@@ -203,8 +210,9 @@ class EvidenceTask(Task):
         """
         rough = Laplace(laplace.posterior, laplace.x, coarse=True)
         missing, _ = placed_families(self.moments, rough.fitted.effects)
+        listed = any(effect.found_by == "pixels" for effect in rough.fitted.effects)
         found = []
-        for family in missing:
+        for family in [*missing, *([] if listed else bad_pixel_family(rough))]:
             score = score_family(rough, family)
             if isinstance(family.effect.base, PupilPlace):
                 before = [one for one in known if one.name == score.name][-1:]
@@ -242,7 +250,6 @@ class EvidenceTask(Task):
             adjusted,
             nearest,
             tolerant=True,
-            correlated=True,
         )
 
     def _judged(
@@ -384,12 +391,15 @@ class _Final:
 
 def _allowing(stack: Stacks, laplace: Laplace) -> Stacks:
     """The data, with the errors of flat and model in the variances that the fit has found."""
+    flat = laplace.posterior.covariance.flat_rms
+    return stack.with_errors(Errors(max(1.0, _misfit(stack, laplace)), _alike_px(laplace), flat))
+
+
+def _alike_px(laplace: Laplace) -> float:
+    """Number of pixels that what a model misses changes alike: those of an Airy disc."""
     settings = laplace.settings
     across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
-    errors = Errors(
-        alike_px=max(1.0, np.pi / 4 * across_px**2), flat_rms=laplace.posterior.covariance.flat_rms
-    )
-    return stack.with_errors(replace(errors, misfit=max(1.0, _misfit(stack, laplace))))
+    return max(1.0, np.pi / 4 * across_px**2)
 
 
 def _misfit(stack: Stacks, laplace: Laplace) -> float:
@@ -428,11 +438,31 @@ def _refined(laplace: Laplace, score: Score) -> Score:
             values[places] = np.clip(at[places] + move, lower, upper)
             if _is_lit(laplace, base, values):
                 tried.append(FixedEffect(base, values, free).only_in(score.candidate.acts_in))
-        found = max(
-            scored(laplace, score.trials, (score.candidate.acts_in,), tried), key=lambda one: one.log_odds
-        )
-        if found.log_odds > best.log_odds:
-            best, at = found, found.candidate.all_values(found.candidate.null_values).numpy()
-        else:
+        found = scored(laplace, score.trials, (score.candidate.acts_in,), tried) if tried else []
+        better = max([best, *found], key=lambda one: one.log_odds)
+        if better is best:
             step *= FINER
+        else:
+            best, at = better, better.candidate.all_values(better.candidate.null_values).numpy()
     return replace(best, trials=score.trials, log_odds=best.log_odds - math.log(score.trials))
+
+
+def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> list[Effect]:
+    """Facts of the instrument and mild effects, their values free, but for those that a mode imitates.
+
+    They are stated for the first of the `recordings`. Of the two that scale the image one is free, the pixels
+    unless it is `present` as the wavelength: jointly they drift far from what is true, a little here and a
+    little there. The other is a rival in the end.
+    """
+    model, found = {effect.name for effect in present}, []
+    held = PlateScale.name if Spectrum.name in model else Spectrum.name
+    for name, kind in CATALOGUE.items():
+        if not (kind.fact or kind.mild) or name in model or name == held:
+            continue
+        try:
+            effect = kind.under(recordings[0])
+        except ValueError:
+            continue  # it means nothing for this instrument
+        if not effect.imitated_in(recordings):
+            found.append(effect)
+    return found

@@ -60,7 +60,8 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, o
 
     `fine` is the structure that the final model leaves, `gap` that of the models without and with the names.
     """
-    left = is_left(search, noise, gap, options.sure)
+    far_off = bool(search.accepted) and search.remaining.chi2_nu > FAR_OFF
+    left = far_off or much_is_left(search, noise.kind, options.sure)
     if left and (noise.kind == PHOTONS or not closes(gap)):  # on sky some χ² is always left
         search = without_ordinary_facts(search)
     if left and noise.kind != PHOTONS:
@@ -106,20 +107,6 @@ def _unexplained(search: Search, left: bool) -> str:
         return f"nothing in the catalogue explains χ²/ν {after:.2f}"
     last = search.final.fitted.problem.layout.nolls[-1]
     return f"no name is sure, and modes beyond Noll {last} {lower}"
-
-
-def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
-    """Whether something is missing besides the names: by χ², or by the held-out frames.
-
-    `gap` is that of the models without and with the names.
-    """
-    left = much_is_left(search, noise.kind, sure)
-    if left or not search.accepted:
-        return left
-    far_off = search.remaining.chi2_nu > FAR_OFF
-    # Speckles, by many facts and modes, where the fit does not know how they are correlated.
-    followed = noise.kind == SPECKLES and bool(search.adjusted) and not search.correlated
-    return far_off or (followed and not closes(gap))
 
 
 def closes(gap: Gap) -> bool:

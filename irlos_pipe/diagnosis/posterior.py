@@ -5,11 +5,13 @@ may be there, pointing, flux and background. Their priors are Gaussian and prope
 their evidence. The errors of the mean images have a covariance, as speckles and what a model misses change
 neighbouring pixels alike:
 
-    C = photons + (f · light)² + S^½ (speckles + (s · light)²) S^½ + the frames' own covariance
+    C = photons + (f · light)² + S^½ (speckles + s² · light · peak) S^½ + the frames' own covariance
 
-with the error f of the flat, which is that of every pixel by itself, the error s of the model relative to
-its light, and the correlation S of speckles, that of the light in an Airy disc. The law of the modes and
-s and f are hyper-parameters: they maximise the evidence, all parameters following linearly.
+with the error f of the flat, which is that of every pixel by itself, the error s of the model at the peak of
+the image, and the correlation S of speckles, that of the light in an Airy disc. Light that a model has in the
+wrong place interferes with the star's as speckles do, so its variance follows the light (Aime and Soummer
+2004, ApJ 612, L85). The law of the modes and s and f are hyper-parameters: they maximise the evidence, all
+parameters following linearly.
 
 With H = Jᵀ C⁻¹ J + P at the optimum, P the precisions of the priors, the evidence by Laplace is
 
@@ -151,6 +153,14 @@ class Covariance:
         pairs = zip(stack.parts, views, strict=True)
         return cls([_Scatter.of(part, view.psf.settings, by_frames=by_frames) for part, view in pairs])
 
+    def alone(self, louder: float) -> Covariance:
+        """Of pixels each by itself, with the variance of so many times their photons', and the flat's."""
+        scatter = []
+        for one in self.scatter:
+            nothing = {"speckles_e2": torch.zeros_like(one.light_e), "sample_e": one.sample_e[:, :0]}
+            scatter.append(replace(one, photons_e2=louder * one.photons_e2, **nothing))
+        return replace(self, scatter=scatter, model_rms=0.0)
+
     @cached_property
     def root(self) -> torch.Tensor:
         """One over the standard errors that pixels have each by itself, 0 for those not seen, (pixels,)."""
@@ -163,7 +173,7 @@ class Covariance:
         found, begin = [], 0
         for one in self.scatter:
             at = slice(begin, begin + len(one.light_e))
-            rms = (one.speckles_e2 + (self.model_rms * one.light_e) ** 2).sqrt()
+            rms = (one.speckles_e2 + self.model_rms**2 * one.light_e.max() * one.light_e).sqrt()
             whole = torch.cat([one.correlated * rms[:, None], one.sample_e], 1) * self.root[at, None]
             values, vectors = torch.linalg.eigh(whole.mT @ whole)
             used = values > FAINTEST_AXIS
@@ -286,15 +296,16 @@ class Posterior:
         return Laplace(self, self.descended(x, iterations)[0])
 
     def descended(
-        self, x: torch.Tensor, iterations: int, *, roughly: bool = False
+        self, x: torch.Tensor, iterations: int, *, roughly: bool = False, held: Sequence[int] = ()
     ) -> tuple[torch.Tensor, float]:
         """Parameters and half of χ² and priors there, after so many `iterations` by Levenberg and Marquardt.
 
         A trial costs an image. Derivatives are rough while far off, or all the way. Parameters that push
-        against a bound are held.
+        against a bound stay there, those `held` where they are.
         """
         value, damping, coarse = self.half_chi2(x), 1e-3, True
-        lower, upper = self.exact.lower, self.exact.upper
+        lower, upper = self.exact.lower.clone(), self.exact.upper.clone()
+        lower[..., held] = upper[..., held] = x[0, held]
         for _ in range(iterations):
             *_, gradient, hessian = self._equations(x, coarse)
             step_of, ahead = _steps(x, gradient, hessian, lower, upper)

@@ -22,7 +22,6 @@ HOPELESS = 0.1  # part of the fall of χ² by a name that leaves nothing; what p
 NOTHING_LEFT = 5.0  # significance of the excess below which nothing is left to explain
 FAR = 10.0  # χ²/ν from which the model may be at a false minimum
 RETRIED = 2  # of the most promising families, if none leaves nothing; what a detector adds is fitted quickly
-RANKING = 15  # iterations with free facts, after which nine tenths of the fall of χ² are known
 SIDE_BY_SIDE = 2  # fits at once, after which others may prove hopeless
 PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
 EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ² from which another family is its rival
@@ -139,14 +138,6 @@ def refits(
     found = _once_more(fitter, found, _leading(several), _from_elsewhere)
     found = _joined(fitter, found, other_forms(fitter, _leaders(found), wider=True))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
-
-
-def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> list[Refit]:
-    """Fit what scores propose in float32, for a few iterations; the best first."""
-    near = ordered_map(partial(_near, fitter, origin, iterations=RANKING), scores)
-    found = [one for one in near if np.isfinite(one.fitted.chi2)]
-    seen = [one for one in found if one.beyond_chance]
-    return sorted([*found, *other_forms(fitter, _leaders(seen), wider=True)], key=lambda one: -one.merit)
 
 
 def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:

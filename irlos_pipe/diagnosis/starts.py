@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import torch
 
 from irlos_pipe.conventions.modes import TIP_TILT
-from irlos_pipe.diagnosis.fitted import Fitted, begun_at
-from irlos_pipe.effects import Effect
-from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.effects.base import AT_REST, direction_among
 from irlos_pipe.numerics.problem import ROUNDING
-from irlos_pipe.optics.zernike import noll_to_nm
 
-STARTS, START_NM = 2, 60.0  # further wavefronts; RMS of their first radial order, falling with the order
 DIRECTIONS = 8  # in which the fit is searched for a fall from no distance, where the image has a kink
 
 
@@ -26,33 +23,6 @@ def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:
         if noll not in TIP_TILT:
             x[0, place] = zernike_nm.get(noll, 0.0)
     return replace(near, solution=replace(near.solution, values=x))
-
-
-def other_wavefronts(near: Fitted, known_nm: Mapping[int, float]) -> list[Fitted]:
-    """`near` with other wavefronts: none, some at random, less in every radial order, and a known one.
-
-    `known_nm` is that of another recording, Noll index to nm RMS; empty if there is none.
-    """
-    generator = torch.Generator().manual_seed(STARTS)
-    nolls = near.problem.layout.nolls
-    falling = torch.tensor(
-        [min(1.0, 2.0 / noll_to_nm(noll)[0]) ** 1.5 for noll in nolls], dtype=torch.float64
-    )
-    wavefronts = [known_nm] if known_nm else []
-    for size in (0.0, *[START_NM] * (STARTS - 1)):
-        drawn = torch.randn(len(nolls), generator=generator, dtype=torch.float64) * size * falling
-        wavefronts.append(dict(zip(nolls, drawn.tolist(), strict=True)))
-    return [with_wavefront(near, one) for one in wavefronts]
-
-
-def on_other_sides(fitted: Fitted) -> list[list[Effect]]:
-    """The effects of a model, to begin where it is but for one of them, which begins elsewhere."""
-    effects = fitted.continued_by_label()
-    return [
-        [*(effects | {label: begun_at(effects[label], values)}).values()]
-        for label in effects
-        for values in other_sides(fitted, label)
-    ]
 
 
 def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
@@ -76,28 +46,9 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     return [other]
 
 
-def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
-    """The same effects, by label; what came to rest in a fit begins where that falls, see `other_sides`."""
-    shared = [label for label in fitted.problem.effects.labels if label in effects]
-    resting = [label for label in shared if rests(fitted, label)]
-    places = ((label, values) for label in resting for values in other_sides(fitted, label))
-    released = {label: begun_at(effects[label], values) for label, values in places}
-    return [*({**effects} | released).values()]
-
-
 def direction_of(fitted: Fitted, label: str) -> int | None:
     """Which free parameter of an effect is its direction; None of one without a distance and a direction."""
     return direction_among(fitted.effect(label).parameters)
-
-
-def all_around(effects: Sequence[Effect]) -> list[list[Effect]]:
-    """The effects as they are, and with what has a distance and a direction begun on every side."""
-    turned = [
-        [*effects[:place], begun_at(effect, values), *effects[place + 1 :]]
-        for place, effect in enumerate(effects)
-        for values in on_every_side(effect)
-    ]
-    return [[*effects], *turned]
 
 
 def rests(fitted: Fitted, label: str) -> bool:

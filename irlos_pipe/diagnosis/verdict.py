@@ -175,8 +175,8 @@ def _weaker(diagnosis: Diagnosis) -> str:
         return ""
     return (
         f" Too few frames to hold some out ({diagnosis.frames[0]}): pixels that no fit has seen judge, "
-        "errors come from the noise as told, scaled by the misfit, and neither speckles that did not average "
-        "out nor changes with time can be distinguished from what the model lacks."
+        "errors come from the declared noise, scaled by the misfit, and neither speckles that did not "
+        "average out nor changes with time can be distinguished from what the model lacks."
     )
 
 

@@ -9,23 +9,19 @@ from typing import TypeVar
 
 import torch
 
-from irlos_pipe.diagnosis.acceptance import Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.evidence import EvidenceTask
-from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Report, Task
 from irlos_pipe.diagnosis.grade import much_is_left
 from irlos_pipe.diagnosis.moments import Moments
-from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import together
 from irlos_pipe.diagnosis.splitting import hold_out_of
-from irlos_pipe.diagnosis.tolerant import CONVERGED, TolerantTask
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Adjusted, Diagnosis, Step
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Effect
@@ -62,18 +58,10 @@ def diagnose(
     fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
     task = Task(cube, fitter, moments, options, report)
     everything = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
-    tolerant = TolerantTask(cube, fitter, moments, options, report, noise.kind)
 
-    def completed(search: Search) -> Search:
-        """The search, gone on with where it leaves much."""
-        if not much_is_left(search, noise.kind, options.sure):
-            return search
-        return everything.beyond(search, effects) or tolerant.beyond(search, effects)
-
-    plain = task.searched(effects)
-    search = completed(plain)
-    if search is not plain and not search.correlated and (deeper := deeper_null(search, effects, fitter)):
-        search = completed(task.searched_from(deeper))
+    search = task.searched(effects)
+    if much_is_left(search, noise.kind, options.sure):
+        search = everything.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     diagnosis = with_opposite_sides(diagnosis, fitter, search.final, options.sure)
     if search.tolerant:
@@ -92,17 +80,3 @@ def with_opposite_sides(diagnosis: Diagnosis, fitter: Fitter, final: Optimum, su
 
     steps, adjusted = map(completed, diagnosis.steps), map(completed, diagnosis.adjusted)
     return replace(diagnosis, steps=list(steps), adjusted=list(adjusted))
-
-
-def deeper_null(search: Search, declared: Sequence[Effect], fitter: Fitter) -> Fitted | None:
-    """Return the model as it was in a far deeper minimum than that from which a search began.
-
-    What a false minimum misses is missing in no model. None if the search has added anything to the effects
-    `declared`, or if the model is no better from where the search ended.
-    """
-    null, final = search.null, search.final.fitted
-    if added(final, declared):
-        return None
-    fitted = fitter.fit(final.continued(), final)
-    deeper = Optimum(null.stack, fitted).excess.chi2_nu < CONVERGED * null.excess.chi2_nu
-    return fitted if deeper else None

@@ -170,6 +170,9 @@ class CorrelatedNoise(DetectorEffect):
         return [e_rms]
 
 
+MOST_E = 1e6  # signal of a pixel, more than any detector holds
+
+
 class BadPixels(DetectorEffect):
     """Hot, dead or stuck pixels that the map of dead pixels does not list.
 
@@ -190,7 +193,8 @@ class BadPixels(DetectorEffect):
     def __init__(self, pixels: Sequence[Sequence[int]] = ()):
         self.pixels = tuple((int(row), int(column)) for row, column in pixels)
         self.parameters = tuple(
-            Parameter(f"excess_{row}_{column}_e", "e-", 0.0) for row, column in self.pixels
+            Parameter(f"excess_{row}_{column}_e", "e-", 0.0, plausible=(-MOST_E, MOST_E))
+            for row, column in self.pixels
         )
 
     @classmethod

@@ -238,7 +238,7 @@ class PupilMisregistration(RedrawnPupil):
 
 
 class PupilSizes(RedrawnPupil):
-    """The hole of the pupil and the vanes are larger or smaller than told.
+    """The hole of the pupil and the vanes are larger or smaller than declared.
 
     Drawings of instruments disagree, stops are oversized, and what a camera's stop covers is not what the
     telescope's mirror does. The sizes are absolute. Vanes of several widths are all wider in the same
@@ -298,7 +298,7 @@ class PupilSizes(RedrawnPupil):
             for name, declared in self.told_m.items()
             if _text(name, float(public[name])) != _text(name, declared)
         ]
-        return " and ".join(changed) or "a pupil as told"
+        return " and ".join(changed) or "a pupil as declared"
 
 
 def _size(name: str, declared_m: float) -> Parameter:

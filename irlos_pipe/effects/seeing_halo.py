@@ -266,7 +266,7 @@ class ScaledHalo(OtfEffect):
 
 
 class AoCutoff(OtfEffect):
-    """The correction of the AO ends at another spatial frequency than told, and the halo begins there.
+    """The correction of the AO ends at another spatial frequency than declared, and the halo begins there.
 
     Between the two cut-offs there is turbulence in place of what the AO is expected to leave inside its band,
     or the reverse. Elsewhere the residual is that of `seeing_halo`.
@@ -274,13 +274,13 @@ class AoCutoff(OtfEffect):
     It is looked for where the image shows the edge of the corrected field, λ times the cut-off from the star.
     Errors do not hold how far the residual inside the band is from the expected one: some per cent.
 
-    Parameters: `band` with the cut-off as told, `law`, AO residual against seeing.
+    Parameters: `band` with the cut-off as declared, `law`, AO residual against seeing.
     """
 
     name = "ao_cutoff"
     formula = (
-        "T(b) = exp(−½ (2π/λ)² (D(b; cut-off) − D(b; cut-off as told))); D: turbulence beyond the cut-off, a "
-        "residual as f^−2 inside"
+        "T(b) = exp(−½ (2π/λ)² (D(b; cut-off) − D(b; cut-off as declared))); D: turbulence beyond the "
+        "cut-off, a residual as f^−2 inside"
     )
     fact = True
     public = (number("per_m", "1/m, the cut-off, not its change", 1e-3, 1e6),)

@@ -97,7 +97,7 @@ class DiversityError(OpdMap):
     """
 
     name = "diversity_error"
-    formula = "Φ → Φ + nm · Σ d_k Z_k / |d|; d: the diversity as told, Noll k"
+    formula = "Φ → Φ + nm · Σ d_k Z_k / |d|; d: the declared diversity, Noll k"
     mild = True
     public = (number("nm", "nm RMS, more than introduced", -500.0, 500.0),)
     sentence = "{nm:.0f} nm more diversity"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -43,27 +43,13 @@ MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighted by 
 
 @dataclass(frozen=True)
 class SetupFit:
-    """One of several set-ups that were fitted together, see `setups`.
+    """One of several set-ups that were fitted together, see `setups`; images are (rows, columns)."""
 
-    Attributes
-    ----------
-    name : str
-        Its recordings.
-    frames : int
-    known_nm : float
-        Noll 4 of what was introduced.
-    chi2_nu : float
-        Of its mean image.
-    focus_nm, focus_sigma_nm : float
-        Defocus beyond the known and the common one that its image by itself wants, and the standard error.
-    mean_e, model_e, sigma_e : ndarray, (rows, columns)
-    """
-
-    name: str
+    name: str  # of its recordings
     frames: int
-    known_nm: float
-    chi2_nu: float
-    focus_nm: float
+    known_nm: float  # Noll 4 of what was introduced
+    chi2_nu: float  # of its mean image
+    focus_nm: float  # defocus beyond the known and the common one that its image by itself wants
     focus_sigma_nm: float
     mean_e: np.ndarray
     model_e: np.ndarray
@@ -171,6 +157,7 @@ def calibrate(
     start_nm: np.ndarray | None = None,
     device: str = "cpu",
     report: Report | None = None,
+    note: Callable[[str], None] = lambda line: None,
 ) -> Calibration:
     """Estimate the static aberrations of a cube, or of a single image.
 
@@ -184,6 +171,8 @@ def calibrate(
         (see `open_minima`).
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
+    note : callable
+        Called with a line after every step, for a log.
 
     Raises
     ------
@@ -199,6 +188,7 @@ def calibrate(
     task = CubeFit(frames, psf, options, start_nm, report)
     steady = [effect for effect in effects if not drifts(effect)]
     fit = _fit_steady(task, steady)
+    note(f"Noll 2 to {psf.nolls[-1]} fitted")
     if (
         not frames.show_scatter
         and METHODS[options.method].effects
@@ -214,9 +204,11 @@ def calibrate(
         closed, opened = _from_found_effects(task, closed, opened)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
+        note("all modes fitted")
     nominal = None
     if opened is not None and start_nm is None:
         opened, nominal = _likelier(task, closed, opened)
+        note("other minima compared")
     twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
         fit, tail = (opened.problem, opened.solution), opened.law

@@ -57,17 +57,10 @@ def errors_of(
     used = frames_nm[np.isfinite(frames_nm).all(1)]
     if frames.show_scatter:
         return max(1.0, misfit) * covariance_of_mean(used), "frames"
-    return of_few_frames(used, covariance_from_noise(problem, solution))
-
-
-def of_few_frames(series: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, ErrorsFrom]:
-    """Return the covariance of the mean of a `series` (frames, parameters), and where it comes from.
-
-    That of the `noise` alone, (parameters, parameters), unless the frames scatter beyond it.
-    """
-    if not _scatter_beyond(series, noise):
-        return noise, "noise"
-    return noise + widening(len(series)) ** 2 * np.cov(series, rowvar=False) / len(series), "few_frames"
+    covariance = covariance_from_noise(problem, solution)
+    if not _scatter_beyond(used, covariance):
+        return covariance, "noise"
+    return covariance + widening(len(used)) ** 2 * np.cov(used, rowvar=False) / len(used), "few_frames"
 
 
 def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:

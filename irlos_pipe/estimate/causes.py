@@ -50,6 +50,7 @@ AS_PROMISING = 0.3  # of the best promise: others are not refitted once enough i
 REFITS, STEPS = 4, 4  # suspects that are refitted, and their steps
 PLACES = 4  # at which a second star is looked for
 BEST, FURTHER, AFRESH = 2, 10, 15  # those that are followed, their steps, and those of fits without modes
+TRIAL, TRIAL_MODES = 6, 20  # steps and modes of fits that begin without modes, the best of which go on
 MOST_MODES = 65  # modes that are free in a refit
 FAR = 0.1  # relative error of the scale from which the end of the spectrum says where to begin
 TURNS_DEG = (-25.0, -12.0, 12.0, 25.0)
@@ -185,11 +186,12 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
 
     def scale(v: np.ndarray) -> str:
         factor = 1 + v[0]
-        return (
-            f"pixels of {mas * factor:.4g} mas instead of {mas:.4g} mas (or, which looks the same, a "
-            f"wavelength of {nm / factor:.5g} nm instead of {nm:.5g} nm, or a pupil of "
-            f"{metres * factor:.3g} m instead of {metres:.3g} m)"
-        )
+        pixels = f"pixels of {mas * factor:.4g} mas instead of {mas:.4g} mas"
+        pupil = f"a pupil of {metres * factor:.3g} m instead of {metres:.3g} m"
+        light = f"a wavelength of {nm / factor:.5g} nm instead of {nm:.5g} nm"
+        if abs(v[0]) > FAR:
+            return f"{pupil}, thus a profile of another telescope (or, which looks the same, {pixels})"
+        return f"{pixels} (or, which looks the same, {light}, or {pupil})"
 
     def size(v: np.ndarray) -> float:
         return mas * (1 + float(v[0]))
@@ -197,21 +199,25 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
     far = [[asked.cutoff - 1]] if abs(asked.cutoff - 1) > FAR else []
     yield Suspect("plate_scale", "pixel_scale_mas", scale, size, mas, "mas", Scale(mas), None, far)
     for words, pupil in _distinct(geometry):
-        yield Suspect("orientation", "pupil.flip", _text(f"images {words}"), settings=_with(settings, pupil))
+        yield Suspect(
+            "orientation", "pupil.flip", _text(f"images {words}"), settings=replace(settings, geometry=pupil)
+        )
     for name, pupil in asked.pupils.items():
         ratio = asked.cutoff * metres / pupil.diameter_m
         text = _text(f"the pupil of the profile {name} instead of that of {asked.profile}")
-        starts, other = [[0.0], [ratio - 1 if np.isfinite(ratio) else 0.0]], _with(settings, pupil)
+        starts, other = [[0.0], [ratio - 1 if np.isfinite(ratio) else 0.0]], replace(settings, geometry=pupil)
         yield Suspect("profile", "instrument", text, effect=Scale(mas), settings=other, starts=starts)
     if geometry.vanes or not geometry.plain:
         turn = FixedEffect(PupilMisregistration(), [0.0, 0.0, 0.0], free=("rotation_deg",))
         starts, key = [[angle] for angle in TURNS_DEG], "pupil_rotation_deg"
         turned = "a pupil turned by {:+.1f}°".format
-        yield Suspect("pupil_rotation", key, lambda v: turned(*v), _first, 0.0, "deg", turn, None, starts)
+        yield Suspect(
+            "pupil_rotation", key, lambda v: turned(*v), lambda v: float(v[0]), 0.0, "deg", turn, None, starts
+        )
     light = Backdrop(settings.window)
     yield Suspect("background", "dark", light.words, light.range_e, 0.0, "e-", light, figure=PROFILE)
     if geometry.vanes:
-        bare = _with(settings, replace(geometry, vanes=()))
+        bare = replace(settings, geometry=replace(geometry, vanes=()))
         yield Suspect("pupil_geometry", "pupil.vanes", _text("a pupil without vanes"), settings=bare)
     if span:
         width = FixedEffect(Spectrum(nm), [0.0] * 3, free=("stretch",))
@@ -225,27 +231,24 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
     listed: list[tuple[Callable[[], Effect], str, str]] = [
         (TipTiltJitter, "motion", "model.effects"),
         (lambda: SeeingHalo.under(asked.conditions), "seeing_halo", "model.effects"),
-        (lambda: PupilSizes(geometry), "pupil_geometry", "pupil"),
         (InterpixelCrosstalk, "interpixel_crosstalk", "model.effects"),
         (DetectorNonlinearity, "detector_nonlinearity", "detector.saturation_adu"),
         (lambda: Vibration("gaussian"), "motion", "model.effects"),
         (Anamorphism, "anamorphism", "model.effects"),
-        (lambda: stop, "pupil_misregistration", "pupil"),
         (
             lambda: Neighbour(_brightest(problem, null), mas * max(settings.window)),
             "companion",
             "model.effects",
         ),
     ]
+    if geometry.plain:  # drawing others again takes minutes
+        listed.insert(2, (lambda: PupilSizes(geometry), "pupil_geometry", "pupil"))
+        listed.insert(-1, (lambda: stop, "pupil_misregistration", "pupil"))
     for make, name, key in listed:
         with suppress(ValueError):  # it means nothing here
             effect = make()
             if effect.name not in present:
                 yield _lacking(name, key, effect)
-
-
-def _first(v: np.ndarray) -> float:
-    return float(v[0])
 
 
 def _lacking(name: str, key: str, effect: Effect) -> Suspect:
@@ -261,10 +264,6 @@ def _lacking(name: str, key: str, effect: Effect) -> Suspect:
 
 def _text(words: str) -> Callable[[np.ndarray], str]:
     return lambda _: words
-
-
-def _with(settings: PsfSettings, pupil: PupilGeometry) -> PsfSettings:
-    return replace(settings, geometry=pupil)
 
 
 def _distinct(geometry: PupilGeometry) -> list[tuple[str, PupilGeometry]]:
@@ -341,9 +340,12 @@ def causes_of_misfit(problem: ImageFit, x: torch.Tensor, asked: Asked) -> list[C
         blank = x.clone()
         blank[:, 2 : len(problem.layout.nolls)] = 0.0
         every += _other_diversities(problem.model.psf.settings)
-        for suspect in [one for one in every if one.settings is not None]:
+        trial, tried = _fewer(problem, blank, TRIAL_MODES), []
+        for suspect in [one for one in every if one.settings is not None or one.name == "plate_scale"]:
             with suppress(ValueError):
-                best = add(suspect, _Fit.of(problem, blank, suspect, suspect.begun[-1]).further(AFRESH))
+                tried.append((suspect, _Fit.of(*trial, suspect, suspect.begun[-1]).further(TRIAL)))
+        for suspect, fit in sorted(tried, key=lambda one: one[1].chi2)[:REFITS]:
+            best = add(suspect, fit.with_modes(problem, blank, suspect).further(AFRESH - TRIAL))
     found.sort(key=lambda one: (every.index(one[1]) if one[0] > best - ALIKE else len(every), -one[0]))
     rows = [fit.cause(suspect, part) for part, suspect, fit in found if part > WORTH_NAMING]
     first = {row.name: row for row in reversed(rows)}
@@ -352,18 +354,20 @@ def causes_of_misfit(problem: ImageFit, x: torch.Tensor, asked: Asked) -> list[C
 
 def _with_few_modes(problem: ImageFit, x: torch.Tensor) -> tuple[ImageFit, torch.Tensor]:
     """The fit without its highest modes, where there are many: they imitate what is declared wrongly."""
-    layout, count = problem.layout, len(problem.layout.nolls)
-    if count <= MOST_MODES:
+    if len(problem.layout.nolls) <= MOST_MODES:
         return problem, x
-    kept, sigma, psf = MOST_MODES, layout.prior_sigma_nm, problem.model.psf
+    fit = _Fit(*_fewer(problem, x, MOST_MODES), ()).further(AFRESH)
+    return fit.problem, fit.x
+
+
+def _fewer(problem: ImageFit, x: torch.Tensor, kept: int) -> tuple[ImageFit, torch.Tensor]:
+    """The fit with its first modes only, and where it is."""
+    layout, count = problem.layout, len(problem.layout.nolls)
+    kept, sigma, psf = min(kept, count), layout.prior_sigma_nm, problem.model.psf
     fewer = replace(layout, nolls=layout.nolls[:kept], prior_sigma_nm=None if sigma is None else sigma[:kept])
     path = _light_path(psf, psf.settings, fewer.nolls)
-    fit = _Fit(
-        _fit(problem, ImageModel(path, problem.model.effects.effects), fewer),
-        torch.cat([x[:1, :kept], x[:1, count:]], dim=1),
-        (),
-    ).further(AFRESH)
-    return fit.problem, fit.x
+    model = ImageModel(path, problem.model.effects.effects)
+    return _fit(problem, model, fewer), torch.cat([x[:1, :kept], x[:1, count:]], dim=1)
 
 
 def _light_path(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPath:
@@ -413,6 +417,13 @@ class _Fit:
         if solution.status[0] == INVALID:
             return self
         return _Fit(self.problem, solution.values, self.own, solution.covariance[0].numpy())
+
+    def with_modes(self, problem: ImageFit, x: torch.Tensor, suspect: Suspect) -> _Fit:
+        """The fit of few modes as that of a `problem` with more, which stand as in `x`."""
+        few, at = len(self.problem.layout.nolls), x.clone()
+        rest = [column for column in range(few, self.x.shape[1]) if column not in self.own]
+        at[:, :few], at[:, len(problem.layout.nolls) :] = self.x[:, :few], self.x[:, rest]
+        return _Fit.of(problem, at, suspect, self.x[0, list(self.own)].numpy())
 
     @cached_property
     def chi2(self) -> float:

@@ -135,6 +135,7 @@ HISTORY = 20
 GRADIENT_TOLERANCE = 1e-2  # per standard error of a parameter
 
 
+@torch.enable_grad()
 def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int = 300) -> Solution:
     """Minimise the sum of all members' objectives with PyTorch's L-BFGS (strong Wolfe line search).
 

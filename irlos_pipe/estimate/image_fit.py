@@ -29,7 +29,15 @@ MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing i
 Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 
-class ImageFit(Problem):
+class ModesFit(Problem):
+    """A fit of images whose first parameters are those of a `layout`, with priors (batch, parameters)."""
+
+    layout: Layout
+    prior_mean: torch.Tensor
+    prior_precision: torch.Tensor
+
+
+class ImageFit(ModesFit):
     """Images against those of an `ImageModel`; never changed, methods return changed copies.
 
     Parameters

@@ -28,6 +28,7 @@ from irlos_pipe.numerics.solution import Solution, joined, mixed
 DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 IMAGES_AT_ONCE = 128  # images in a piece: a dozen copies of them are made on the way
+ALIKE_AT_ONCE = 32  # of those that are alike, which take long: some for every worker
 CLOSE_TOLERANCE = 1e-2  # of a fit that a coarse model began: the step that ends it leaves a tenth of that
 COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with variances that follow the model
 
@@ -101,7 +102,8 @@ def lift(
     def piece(some: torch.Tensor) -> LiftResult:
         return _lift(model, images_e[some], good, noise, start_nm[some], options.of(some), report)
 
-    pieces = torch.arange(len(images_e)).tensor_split(max(1, -(-len(images_e) // IMAGES_AT_ONCE)))
+    size = ALIKE_AT_ONCE if options.alike else IMAGES_AT_ONCE
+    pieces = torch.arange(len(images_e)).tensor_split(max(1, -(-len(images_e) // size)))
     result = LiftResult.joined(ordered_map(piece, pieces))
     stuck = _at_limit(model, result.zernike_nm)
     if not (beyond and stuck.any()):

@@ -98,7 +98,8 @@ class MeanImage(Scheme):
         return light_path(settings, nolls, device=device, dtype=torch.float64, rough_derivatives=True)
 
     def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
-        return check_twin(problem, solution.values[:1], float(solution.objective[0]), law)
+        known_nm = problem.model.psf.settings.known.total_nm
+        return check_twin(problem, solution.values[:1], float(solution.objective[0]), law, known_nm)[0]
 
 
 class EveryFrame(Scheme):

@@ -77,11 +77,11 @@ class OpenFit(CheapGradientProblem, ImageFit):
 
     Attributes
     ----------
-    coarse : ImageModel or None
+    few_colours : ImageModel or None
         From which the Hessian of steps is, where it may be rough; images and gradients are exact.
     """
 
-    coarse: ImageModel | None = None
+    few_colours: ImageModel | None = None
     kept: tuple[torch.Tensor, ...] = ()  # the last place with its normal equations without the prior
 
     def hastened(self) -> OpenFit:
@@ -90,7 +90,7 @@ class OpenFit(CheapGradientProblem, ImageFit):
         settings = psf.settings.with_fewer_colours(JOINED)
         options = {"device": psf.device, "dtype": psf.dtype, "rough_derivatives": True}
         coarse = light_path(settings, psf.nolls, **options)
-        return self._with(coarse=ImageModel(coarse, self.model.effects.effects))
+        return self._with(few_colours=ImageModel(coarse, self.model.effects.effects))
 
     def roughly(self) -> OpenFit:
         """Return the same fit to a loose tolerance, nothing kept of it."""
@@ -116,7 +116,7 @@ class OpenFit(CheapGradientProblem, ImageFit):
             return super().normal_equations(x, which)
         if not (self.kept and torch.equal(self.kept[0], x)):
             nothing = torch.zeros_like(self.prior_precision)
-            free = self._with(model=self.coarse or self.model, prior_precision=nothing, has_prior=False)
+            free = self._with(model=self.few_colours or self.model, prior_precision=nothing, has_prior=False)
             self.kept = x.clone(), *ImageFit.normal_equations(free, x, which)
         _, value, gradient, hessian = self.kept
         precision, offset = self.prior_precision[which], x - self.prior_mean[which]

@@ -21,6 +21,7 @@ from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
+from irlos_pipe.estimate.calibration_errors import public_errors
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.lift import LiftResult, image_problem, lift, smooth
 from irlos_pipe.estimate.lift_options import LiftOptions
@@ -66,8 +67,8 @@ class RampFit:
     shared : SharedFit or None
         Where effect parameters were fitted to the whole ramp.
     start_nm : tensor, (frames, modes)
-    errors : mapping of str to float
-        Root sum of the squared errors of the parameters that were fitted to the whole ramp, by effect.
+    sigma : dict
+        Standard errors of the public parameters that were fitted to the whole ramp, by effect.
     """
 
     result: LiftResult
@@ -75,7 +76,7 @@ class RampFit:
     effects: dict[str, dict[str, float]]
     shared: SharedFit | None
     start_nm: torch.Tensor
-    errors: Mapping[str, float] = field(default_factory=dict)
+    sigma: dict[str, dict] = field(default_factory=dict)
 
     @property
     def defocus_nm(self) -> np.ndarray:
@@ -124,12 +125,8 @@ def fit_ramp(
         complete = tabulated(complete, start_nm)
     result = lift(complete, data.images_e, data.good, data.noise, start_nm, options, report=report)
     result = second_try(complete, data, result, options)
-    errors = {
-        label: float(shared.covariance.diagonal()[list(free.columns_of(label))].sum().sqrt())
-        for label in free.labels
-        if shared
-    }
-    return RampFit(result, complete, held.describe(NOTHING), shared, start_nm, errors)
+    sigma = public_errors(free, shared.values, shared.covariance.numpy()) if shared else {}
+    return RampFit(result, complete, held.describe(NOTHING), shared, start_nm, sigma)
 
 
 def _fit_effects(model: LightPath, data: RampData, start_nm: torch.Tensor, effects: EffectSet) -> SharedFit:

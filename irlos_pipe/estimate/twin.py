@@ -9,25 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.image_fit import ModesFit
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.zernike import noll_to_nm
-
-
-class Fitted(Protocol):
-    """A problem of one member, with what it knows of its parameters."""
-
-    layout: Layout  # of the first parameters
-    prior_mean: torch.Tensor  # (1, parameters)
-    prior_precision: torch.Tensor
-
 
 DECISIVE = 10.0  # evidence from which a sign counts as known: odds of 150 to 1
 
@@ -77,36 +67,37 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
     return twin
 
 
-def check_twin(problem: ImageFit, x: torch.Tensor, objective: float, law: NcpaLaw | None = None) -> TwinCheck:
-    """Refit the first member of a problem from its twin and compare.
+def check_twin(
+    problem: ModesFit,
+    x: torch.Tensor,
+    objective: float,
+    law: NcpaLaw | None,
+    known_nm: Mapping[int, float],
+    max_iterations: int = 30,
+) -> tuple[TwinCheck, Solution]:
+    """Refit a problem from its twin and compare; returns the twin as well.
 
     The `problem` has one member, whose solution `x` (1, parameters) has this `objective`; `law` is that of
-    the instrument's NCPAs.
+    the instrument's NCPAs, `known_nm` the known wavefront by Noll index.
     """
     modes, nolls = problem.layout.modes, problem.layout.nolls
     start = x.clone()
-    start[:, modes] = twin_of(x[:, modes], nolls, problem.model.psf.settings.known.total_nm)
-    return compared(problem, x, objective, solve(problem, start, max_iterations=30), law)
-
-
-def compared(
-    problem: Fitted, x: torch.Tensor, objective: float, twin: Solution, law: NcpaLaw | None = None
-) -> TwinCheck:
-    """Return the comparison of a solution `x` of a problem with its refitted `twin`, see `check_twin`."""
-    shape = [i for i, noll in enumerate(problem.layout.nolls) if noll > 3]
+    start[:, modes] = twin_of(x[:, modes], nolls, known_nm)
+    twin = solve(problem, start, max_iterations=max_iterations)
+    shape = [i for i, noll in enumerate(nolls) if noll > 3]
     size = [float(v[0, shape].square().sum().sqrt()) for v in (x, twin.values, twin.values - x)]
     delta = 2 * float(twin.objective[0] - objective)
     by_data = delta - _square(twin.values, problem) + _square(x, problem)
     evidence = by_data + _law_square(twin.values, problem, law) - _law_square(x, problem, law)
-    return TwinCheck(delta, size[0], size[1], size[2], evidence)
+    return TwinCheck(delta, size[0], size[1], size[2], evidence), twin
 
 
-def _square(x: torch.Tensor, problem: Fitted) -> float:
+def _square(x: torch.Tensor, problem: ModesFit) -> float:
     """χ² of the parameters under the prior of the fit."""
     return float((problem.prior_precision[0] * (x[0] - problem.prior_mean[0]).square()).sum())
 
 
-def _law_square(x: torch.Tensor, problem: Fitted, law: NcpaLaw | None) -> float:
+def _law_square(x: torch.Tensor, problem: ModesFit, law: NcpaLaw | None) -> float:
     """χ² of the coefficients under the instrument's law; 0 without one."""
     if law is None:
         return 0.0

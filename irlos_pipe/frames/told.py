@@ -40,6 +40,7 @@ OVERFLOWED = "have values 2^16 too low: counts have overflowed an integer"
 # The end of the spectrum.
 RINGS_PER_PX = 2.0  # rings of the spectrum per sample: half a sample wide
 BEYOND = 1.25  # times the expected cut-off, from where there is only noise
+LAST_PER_PX = 0.45  # frequency beyond which noise must be left to be seen
 ABOVE_NOISE = 3.0  # ring means that count as signal, over those of the noise
 LOBE = 2.0  # half of the width of the main lobe of the taper (Hann), in samples of the spectrum
 LEAST_SNR = 1e3  # amplitude at zero frequency over noise, below which the end of the spectrum is not seen
@@ -117,7 +118,9 @@ def _times(recording: Recording, step_s: float) -> Iterator[Told]:
     )
     cadence = rate_hz * step_s
     told = f"the clock of the recorder has {1 / step_s:.4g} frames per second"
-    yield Told("cadence", cadence, CADENCE_DOUBTFUL, ANY, f"{told}, told are {rate_hz:.4g}: times hang on it")
+    yield Told(
+        "cadence", cadence, CADENCE_DOUBTFUL, ANY, f"{told}, {rate_hz:.4g} are declared: times hang on it"
+    )
 
 
 def _noise(recording: Recording, noise: MeasuredNoise) -> Iterator[Told]:
@@ -164,14 +167,17 @@ def _keys(recording: Recording) -> Iterator[Told]:
         yield Told("introduced defocus", largest or math.nan, (SMALLEST_NM, math.inf), ANY, text)
 
 
-def cutoff_ratio(mean_e: np.ndarray, good: np.ndarray, expected_per_px: float) -> float:
+def cutoff_ratio(
+    mean_e: np.ndarray, good: np.ndarray, expected_per_px: float, beyond_per_px: float | None = None
+) -> float:
     """Return the highest spatial frequency with signal in `mean_e` over `expected_per_px`, D/λ.
 
     The noise level is that of the highest frequencies of the image itself, so that hot pixels and an unequal
     response, whose spectrum is flat, do not count as signal; only `good` pixels are looked at. NaN where
-    nothing lies beyond the cut-off, or the image is too faint to judge.
+    nothing lies beyond the cut-off, or the image is too faint to judge. There is only noise `beyond_per_px`.
     """
-    if BEYOND * expected_per_px > 0.45 or min(mean_e.shape) < 16:
+    beyond_per_px = beyond_per_px or BEYOND * expected_per_px
+    if beyond_per_px > LAST_PER_PX or min(mean_e.shape) < 16:
         return float("nan")
     filled = np.where(good, mean_e, median_filter(mean_e, 5))
     taper = np.outer(*(np.hanning(side + 2)[1:-1] for side in mean_e.shape))
@@ -182,7 +188,7 @@ def cutoff_ratio(mean_e: np.ndarray, good: np.ndarray, expected_per_px: float) -
     ring = np.round(frequency / width).astype(int)
     count = np.bincount(ring.ravel())
     rings = np.bincount(ring.ravel(), power.ravel()) / np.maximum(count, 1)
-    noise = float(np.median(power[(frequency > BEYOND * expected_per_px) & (frequency < 0.5)])) / np.log(2)
+    noise = float(np.median(power[(frequency > beyond_per_px) & (frequency < 0.5)])) / np.log(2)
     if not np.sqrt(power[0, 0]) > LEAST_SNR * np.sqrt(noise) > 0:
         return float("nan")
     inside = (count > 0) & (np.arange(len(rings)) * width < 0.5)

@@ -195,7 +195,7 @@ def _reduction(job: Job, reduced: Reduced | None) -> tuple[str, tuple[str, ...]]
 
 def _wrapped(text: str) -> Markup:
     """Long text that may be broken into several lines of a cell."""
-    return Markup('<span class="why">{}</span>').format(text)
+    return Markup('<span class="why">{}</span>').format(text) if text else Markup("")
 
 
 def _verdicts(trend: Trend, date: str) -> Section | None:

@@ -90,10 +90,10 @@ def _panel(axes: Axes, series: Series) -> None:
             axes.axhline(limit, color=ORANGE, linewidth=0.8, linestyle="--")
     out = [bool(one.alarm) for one in series.points]
     axes.plot(times[out], values[out], "o", color=ORANGE, markersize=8, fillstyle="none")
-    ends = ends.ravel()
     low, high = float(np.min(values - errors)), float(np.max(values + errors))
     span = high - low or 0.1 * abs(high) or 1.0
-    near = ends[(low - WIDEST_BAND * span < ends) & (ends < high + WIDEST_BAND * span)].tolist()
+    every = ends.ravel()
+    near = every[(low - WIDEST_BAND * span < every) & (every < high + WIDEST_BAND * span)].tolist()
     low, high = min([low, *near]), max([high, *near])
     room = 0.1 * (high - low) or span
     axes.set_ylim(low - room, high + room)

@@ -24,14 +24,15 @@ _pool: ContextVar[ThreadPoolExecutor | None] = ContextVar("pool", default=None)
 def workers(count: int) -> Iterator[None]:
     """Use `count` threads for pieces of batches while the block lasts, and one inside matrix products.
 
-    The latter is a setting of the process, and stays.
+    The latter is a setting of the process, and stays. Gradients are recorded where they are asked for only.
     """
     torch.set_num_threads(1)
     # The number of threads inside a product is one of each thread as well as of the process.
     pool = ThreadPoolExecutor(count, "irlos", torch.set_num_threads, (1,)) if count > 1 else None
     token = _pool.set(pool)
     try:
-        yield
+        with torch.no_grad():
+            yield
     finally:
         _pool.reset(token)
         if pool is not None:

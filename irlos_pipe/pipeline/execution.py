@@ -21,7 +21,7 @@ from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.product.table import Origin, table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageContext, StageOutput, depends_on, reads
+from irlos_pipe.stages.base import StageContext, StageOutput, arrays_only, depends_on, reads
 from irlos_pipe.stages.ingest.results import IngestResults
 
 
@@ -58,9 +58,10 @@ class Job:
         log = stage_logger(step.name)
         started, clock = now(), time.perf_counter()
         context = self._context(step, log)
-        with collected(log) as lines, limited_threads(self.resources.jobs):
-            output = STAGES[step.name].run(context)
-        if "inputs" in depends_on(STAGES[step.name]):
+        stage = STAGES[step.name]
+        with collected(log) as lines, limited_threads(self.resources.jobs, arrays_only=arrays_only(stage)):
+            output = stage.run(context)
+        if "inputs" in depends_on(stage):
             require_unchanged(self.files)
         seconds = round(time.perf_counter() - clock, 3)
         self._write(step, output, {"started": started, "finished": now(), "seconds": seconds}, lines)
@@ -76,13 +77,17 @@ class Job:
             self.recipe.instrument,
             self.recipe.inputs,
             self._read_by(name),
-            resolve_device(self.resources.device),
+            self._device(name),
             self.recipe.seed,
             self.resources.jobs,
             self.resources.progress,
             log,
             RunFolder(self.folder).scratch(name, step.key),
         )
+
+    def _device(self, name: str) -> str:
+        wanted = self.resources.device
+        return "cpu" if wanted == "auto" and arrays_only(STAGES[name]) else resolve_device(wanted)
 
     def _read_by(self, name: str) -> dict[str, Product]:
         """Products of the earlier stages that a stage reads, each opened once."""
@@ -106,7 +111,7 @@ class Job:
             "failures": list(output.failures),
             "inputs": self.files,
             "seed": self.recipe.seed,
-            "device": resolve_device(self.resources.device),
+            "device": self._device(step.name),
             "jobs": self.resources.jobs,
             "software": software_versions(),
             "machine": machine(),

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from io import StringIO
@@ -12,22 +12,41 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.pipeline.runlog import RUN
+from irlos_pipe.pipeline.runlog import RUN, TRACE
 
 silent_progress = partial(tqdm, disable=True)
-terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
+EVERY_S = 30  # between messages
 
 
 class _Logged(tqdm):
-    """Progress where there is no terminal: now and then a message with an estimate of what is left."""
+    """Progress where there is no terminal: now and then a message with an estimate of what is left.
+
+    Of more steps than were expected it has the number and the time.
+    """
+
+    log = RUN
 
     def display(self, msg: str | None = None, pos: int | None = None) -> None:
-        if msg is None and 0 < self.n < self.total:
-            left_s = self.format_dict["elapsed"] * (self.total - self.n) / self.n
-            RUN.info("%s: %d of %d, about %.0f s left", self.desc, self.n, self.total, left_s)
+        if msg is None and 0 < self.n != self.total:
+            elapsed_s, ahead = self.format_dict["elapsed"], self.total - self.n
+            rest = f" of {self.total}, about {elapsed_s * ahead / self.n:.0f} s left"
+            self.log.info("%s: %d%s", self.desc, self.n, rest if ahead > 0 else f" steps, {elapsed_s:.0f} s")
 
 
-logged_progress = partial(_Logged, mininterval=30, miniters=1, file=StringIO())
+class _Shown(_Logged):
+    """A bar on the terminal, with the same messages in run.log only."""
+
+    log, said_s = TRACE, 0.0
+
+    def display(self, msg: str | None = None, pos: int | None = None) -> None:
+        if self.format_dict["elapsed"] > self.said_s + EVERY_S:
+            self.said_s = self.format_dict["elapsed"]
+            super().display(msg)
+        tqdm.display(self, msg, pos)
+
+
+terminal_progress = partial(_Shown, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
+logged_progress = partial(_Logged, mininterval=EVERY_S, miniters=1, file=StringIO())
 
 
 @dataclass(frozen=True)
@@ -68,12 +87,15 @@ def resolve_device(wanted: str) -> str:
 
 
 @contextmanager
-def limited_threads(jobs: int) -> Iterator[None]:
+def limited_threads(jobs: int, *, arrays_only: bool = False) -> Iterator[None]:
     """Use `jobs` threads while the block lasts; results do not depend on their number.
 
-    NumPy and SciPy use one: sums of several differ in the last bits.
+    NumPy and SciPy use one: sums of several differ in the last bits. Work with them alone does not wait for
+    PyTorch, and has one thread.
     """
-    from irlos_pipe.numerics.parallel import workers
+    with threadpool_limits(1, user_api="blas"), ExitStack() as stack:
+        if not arrays_only:
+            from irlos_pipe.numerics.parallel import workers
 
-    with workers(jobs), threadpool_limits(1, user_api="blas"):
+            stack.enter_context(workers(jobs))
         yield

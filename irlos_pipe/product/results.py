@@ -62,7 +62,8 @@ class StageResults(ResultsPart):
 
     stage: ClassVar[str]
     untested: list[str] = item(
-        [], "What the data cannot tell and stands as told: the first key of the section, before any number."
+        [],
+        "What the data cannot tell and stands as declared: the first key of the section, before any number.",
     )
 
 

@@ -176,7 +176,7 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     without_magnitude = any("mag_j" in one.model_fields_set and one.mag_j is None for one in (recipe, side))
     if without_magnitude and sources.get("mag_j") not in (RECIPE, SIDECAR):
         values["mag_j"], sources["mag_j"] = None, SIDECAR
-    warnings = _warnings(raw, known)
+    warnings = _warnings(raw, known, instrument.name)
     monitor = _seeing_monitor(layers, known)
     if monitor != SPARTA:
         warnings = (*warnings, _put_on_sparta_scale(raw, values, monitor, instrument))
@@ -305,7 +305,7 @@ def _per_frame(known: _KnownKeys, raw: RawRecording) -> np.ndarray:
     return np.broadcast_to(values, (raw.frames,)).copy()
 
 
-def _warnings(raw: RawRecording, known: _KnownKeys) -> tuple[str, ...]:
+def _warnings(raw: RawRecording, known: _KnownKeys, profile: str) -> tuple[str, ...]:
     """One line per source from which values had to be taken, and one for what stays unknown."""
     lines = []
     loud = [
@@ -313,10 +313,10 @@ def _warnings(raw: RawRecording, known: _KnownKeys) -> tuple[str, ...]:
         for key, value in sorted(known.values.items())
         if isinstance(value, float) and not (KNOWN[key].mute or key in HARMLESS)
     ]
-    for source in (HEADER, MODE, PROFILE):
+    for source, words in {HEADER: HEADER, MODE: MODE, PROFILE: f"{PROFILE} {profile}"}.items():
         taken = [f"{key} = {known.values[key]:.6g}" for key in loud if known.sources[key] == source]
         if taken:
-            lines.append(f"{raw.name}: taken from the {source}: {', '.join(taken)}")
+            lines.append(f"{raw.name}: taken from the {words}: {', '.join(taken)}")
     if "mag_j" not in known.values and known.values["role"] != "dark":
         lines.append(f"{raw.name}: mag_j is not known; magnitudes can only come from the measured flux")
     return tuple(lines)

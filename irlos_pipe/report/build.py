@@ -31,6 +31,7 @@ from irlos_pipe.report.section_modes import modes_section
 from irlos_pipe.report.section_run import finished, ingest_section, origin_section, quality_section
 from irlos_pipe.report.section_sensitivity import sensitivity_section
 from irlos_pipe.stages import EXPERIMENTS, STAGES
+from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 
 # Results first, in the order in which they build on one another; what went in comes behind.
@@ -68,6 +69,7 @@ def write_report(run_folder: Path) -> Path:
         answer=answer(run),
         failures=failures(run, places),
         causes=causes(run, places),
+        no_causes=run.results(CalibrateResults).no_causes,
         key_numbers=tiles,
         warnings=warnings(run),
         untested=_untested(run),

@@ -254,7 +254,7 @@ def meaning_section(tiles: Sequence[KeyNumber], sections: Sequence[Section]) -> 
     labels |= {key: key.replace("_", " ").capitalize() for key in linked if key not in labels}
     rows = [(label, _meaning(key), key) for key, label in labels.items()]
     anchors = [f"{MEANING}{key}" for key in labels]
-    table = Table(("", "meaning", "name"), rows, prose=True, anchors=anchors)
+    table = Table(("number", "meaning", "name"), rows, prose=True, anchors=anchors)
     lead = "irlos explain NAME says more of each, and of every other number, check and figure."
     return Section("meaning", "What the numbers mean", lead, [table]) if rows else None
 

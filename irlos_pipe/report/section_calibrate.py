@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import scipy
+from matplotlib import mlab
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Canvas
@@ -46,14 +46,13 @@ from irlos_pipe.report.images import (
     symmetric_scale,
 )
 from irlos_pipe.report.run_data import RunData, StageData, frame_times
-from irlos_pipe.report.section_lift import image_strip, residual_limit
+from irlos_pipe.report.section_lift import effects_table, image_strip, residual_limit
 from irlos_pipe.report.text import (
     MISSING,
     is_known,
     mode_label,
     mode_name,
     number,
-    parameter_rows,
     plural,
     with_error,
 )
@@ -98,7 +97,7 @@ def calibrate_section(run: RunData) -> Section:
         _orders,
         _bars,
         _in_time,
-        lambda of: Stack(shown(*(table(of.results) for table in (_setups, _effects, _cubes, _methods)))),
+        lambda of: Stack(shown(*(table(of.results) for table in (_setups, _fitted, _cubes, _methods)))),
     )
     return Section(of.stage, "NCPA calibration", _lead(of), blocks)
 
@@ -144,9 +143,7 @@ def _planes(of: Calibration) -> Figure | None:
     return Figure(drawing, "Set-ups fitted together", caption, "full", "cal-planes")
 
 
-def _setups(results: CalibrateResults) -> Table | None:
-    if not results.setups:
-        return None
+def _setups(results: CalibrateResults) -> Table:
     return Table.of(
         results.setups,
         {
@@ -263,7 +260,7 @@ def _correlations(of: Calibration) -> Figure | None:
         return None
     frames = of.results.frames
     chance = f" {plural(frames, 'frame')} give ±{frames**-0.5:.2f} by chance." if frames > 1 else ""
-    caption = f"Of the errors of the reported modes: dark pairs are hardly told apart.{chance}"
+    caption = f"Of the errors of the reported modes: dark pairs are hardly distinguished.{chance}"
     edges = (nolls[0] - 0.5, nolls[-1] + 0.5)
 
     def draw(axes: Axes) -> None:
@@ -358,10 +355,12 @@ def _in_time(of: Calibration) -> Figure | None:
             row[0].locator_params(axis="y", nbins=4)
             if spectra:
                 segment = min(len(frames), SEGMENT)
-                hertz, power = scipy.signal.welch(frames[:, mode], rate_hz, nperseg=segment)
-                row[1].plot(hertz[1:], power[1:], color=BLUE, linewidth=0.9)
+                hann = np.hanning(segment + 1)[:-1]
+                psd = mlab.psd(frames[:, mode], segment, rate_hz, "mean", hann, segment // 2)
+                power, hertz = (np.asarray(one)[1:] for one in psd)
+                row[1].plot(hertz, power, color=BLUE, linewidth=0.9)
                 row[1].set_xscale("log")
-                log_y(row[1], power[1:], small=True)
+                log_y(row[1], power, small=True)
                 row[1].set_title("power [nm²/Hz]", loc="left", pad=2)
         for axes, label in zip(grid[-1], (x_label, "frequency [Hz]"), strict=False):
             axes.set_xlabel(label)
@@ -371,13 +370,8 @@ def _in_time(of: Calibration) -> Figure | None:
     return figure("cal-time", (1.4 * WIDTH_IN, 0.5 + 0.9 * len(largest)), draw, title, caption)
 
 
-def _effects(results: CalibrateResults) -> Table:
-    rows = [
-        ("" if place else effect_link(effect), *row)
-        for effect, values in results.effects.items()
-        for place, row in enumerate(parameter_rows(values, results.effects_sigma.get(effect)))
-    ]
-    return Table(("effect", "parameter", "value", "unit"), rows, "Estimated with the NCPAs", EFFECTS)
+def _fitted(results: CalibrateResults) -> Table:
+    return effects_table("Estimated with the NCPAs", results.effects, results.effects_sigma, EFFECTS)
 
 
 def _cubes(results: CalibrateResults) -> Table:

@@ -84,7 +84,7 @@ CLEAR_Z = "3 is clear"
 FOUND = (
     "Significance: of the fall of χ² by the fit. Explained: part of the excess over noise; where it acts: of "
     "its own signal, where that lies. z: by how much data that no fit has seen prefer the model with the "
-    "name, 3 is clear. Petals and segments are told as differences from their mean."
+    "name, 3 is clear. Petals and segments are given as differences from their mean."
 )
 HELD_OUT = "Mean of the held-out frames; of all frames where pixels were held out."
 LEADING = (
@@ -94,10 +94,6 @@ LEADING = (
 REST = (
     "Measured − predicted after, on a scale of its own. The ring is as large as the strongest part and "
     "stands about it."
-)
-RAMP = (
-    "Σ|measured − predicted| / Σ measured of frames that no fit has seen. Noise alone is estimated from the "
-    "scatter of all frames of an offset, image motion included, which is refitted: it is an upper limit."
 )
 RAMP = (
     "Frames in order of time. Below: what the estimates miss of the commanded defocus, and of that with "

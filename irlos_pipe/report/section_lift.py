@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.ramp import travel_direction
+from irlos_pipe.product.results import EffectValues
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown
 from irlos_pipe.report.curves import chi2_figure
 from irlos_pipe.report.drawing import BESIDE, BLUE, FAINT, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
+from irlos_pipe.report.first_screen import effect_link
 from irlos_pipe.report.images import (
     BRIGHTNESS,
     PERCENTILE,
@@ -21,7 +26,7 @@ from irlos_pipe.report.images import (
     symmetric_scale,
 )
 from irlos_pipe.report.run_data import RunData, StageData
-from irlos_pipe.report.text import MISSING, number, plural, with_error
+from irlos_pipe.report.text import MISSING, number, parameter_rows, plural, with_error
 from irlos_pipe.stages.lift.input import own_text
 from irlos_pipe.stages.lift.results import DECISIVE, LiftResults, Point, Twin
 from irlos_pipe.stages.prior import PriorResults
@@ -46,6 +51,8 @@ TWIN = (
     "The defocus is held at each value, and everything else fitted. Without diversity the curve would have a "
     "second minimum, as deep as the first, near the same defocus of the other sign."
 )
+HIGH_ORDER = HighOrderNcpa.name  # what common modes of a ramp are
+EFFECTS = "One value for all frames, with its standard error, grown by the misfit."
 LAW = (
     "The law is that of a star without NCPAs, over the range in which it is used (shaded). The "
     "elongation sees the NCPAs as well: their defocus moves the points sideways, their "
@@ -58,7 +65,8 @@ Prior = StageData[PriorResults]
 def lift_section(run: RunData) -> Section:
     of = run.of(LiftResults)
     results, own = of.results, own_text(of.results.effects)
-    ncpas = "in the known wavefront" if results.calibrated else "left out"
+    common = "fitted to all frames together" if HIGH_ORDER in results.effects_sigma else "left out"
+    ncpas = "in the known wavefront" if results.calibrated else common
     lead = (
         f"Noll {', '.join(map(str, results.modes))} of {plural(len(results.points), 'frame')}; "
         f"NCPAs {ncpas}{f', to which {own}' if own else ''}."
@@ -138,7 +146,21 @@ def _tables(of: Ramp) -> Stack:
         "Median per offset",
         folded=len(results.offsets) > MOST_OFFSETS,
     )
-    return Stack(shown(variants, offsets))
+    fitted = {name: values for name, values in results.effects.items() if name in results.effects_sigma}
+    table = effects_table("Fitted to the ramp", fitted, results.effects_sigma, EFFECTS)
+    return Stack(shown(variants, table, offsets))
+
+
+def effects_table(
+    title: str, effects: Mapping[str, EffectValues], sigma: Mapping[str, EffectValues], caption: str
+) -> Table:
+    """Return the parameters of `effects` with their errors `sigma`, by effect."""
+    rows = [
+        ("" if place else effect_link(effect), *row)
+        for effect, values in effects.items()
+        for place, row in enumerate(parameter_rows(values, sigma.get(effect)))
+    ]
+    return Table(("effect", "parameter", "value", "unit"), rows, title, caption)
 
 
 def _chi2(of: Ramp) -> Figure | None:

@@ -62,6 +62,7 @@ def ingest_section(run: RunData) -> Section:
     assumed = Counter(key for row in rows for key, source in row.sources.items() if source == PROFILE)
     listed = ", ".join(f"{key} ({plural(count, 'recording')})" for key, count in sorted(assumed.items()))
     lead = f"{plural(len(rows), 'recording')}, {plural(sum(row.frames for row in rows), 'frame')}."
+    profile = f"profile {run.instrument}".strip()
     stated = all("instrument" in row.sources for row in rows)
     lead += f" Instrument {run.instrument}{'' if stated else ', which no side-car states'}." * bool(
         run.instrument
@@ -70,7 +71,7 @@ def ingest_section(run: RunData) -> Section:
     blocks = shown(
         [_frames(run, owner) for owner in owners],
         Table(("recording", "frames", "reason"), reasons, "Rejected frames"),
-        Text(f"Not in the data, taken from the instrument profile: {listed}.") if listed else None,
+        Text(f"Not in the data, taken from the instrument {profile}: {listed}.") if listed else None,
     )
     return Section("ingest", "Recordings", lead, [table, *blocks])
 

@@ -78,6 +78,7 @@ class Stage(Protocol):
       inputs, found without running the stage;
     - ``DEPENDS_ON``: the parts of `KEY_PARTS` it depends on (default all of them). A change of
       any other part does not redo it;
+    - ``ARRAYS_ONLY``: True if it needs no PyTorch, for which it does not wait;
     - ``checks_of(results)``: the checks of its results, by which an experiment's numbers are judged again
       where they are collected: they may be older than the checks.
     """
@@ -102,6 +103,11 @@ def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
     """Return the names of those of the `earlier` stages whose products `stage` reads."""
     wanted = getattr(stage, "READS", None)
     return tuple(name for name in earlier if wanted is None or name in wanted or name in needs(stage))
+
+
+def arrays_only(stage: Stage) -> bool:
+    """Whether a `stage` works with NumPy alone."""
+    return bool(getattr(stage, "ARRAYS_ONLY", False))
 
 
 def files_of(stage: Stage) -> Callable[[Path], list[Path]] | None:

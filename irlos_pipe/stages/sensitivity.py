@@ -42,9 +42,7 @@ CURVE = {
 }
 ARRAYS = {f"curves/<n>/{name}": what for name, what in CURVE.items()}
 BYTES_PER_PIXEL = 40  # memory for every image that is estimated at once; 24 to 29 were measured with 48x48 px
-MANY = (
-    20_000  # estimates from which a scan takes minutes; a processor makes some hundred per second of 64x64 px
-)
+MANY = 20_000  # estimates from which a scan takes minutes: a processor makes 50 to 500 per second
 
 
 class Config(StageConfig):
@@ -72,7 +70,6 @@ class Config(StageConfig):
     limit_failures: float = Field(
         0.1, ge=0, le=1, description="largest part of failures at the limiting magnitude"
     )
-
     noise: Literal["reads", "recorded"] = Field(
         "reads",
         description="noise of the dimmed frames: of all the reads of an exposure, with sky and dark current; "

@@ -48,7 +48,7 @@ def main(source: str, folder: str) -> None:
     side_car = {
         "role": "defocus_ramp",
         "target": "fluorescent bead",
-        "mag_j": 0.0,
+        "mag_j": None,
         "pixel_scale_mas": PIXEL_MAS,
         "spectrum": [{"wavelength_nm": WAVELENGTH_NM, "weight": 1.0}],
         "diversity": {"source": "none", "zernike": {}},

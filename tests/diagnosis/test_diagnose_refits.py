@@ -32,7 +32,7 @@ from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import Refit, other_forms, quick_refits, refits
+from irlos_pipe.diagnosis.refit import Refit, other_forms, refits
 from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.view import View
@@ -151,13 +151,12 @@ def test_what_a_direction_without_size_does_not_determine_has_no_error_and_spoil
     assert (found[1] == 0).all() and (found[:, 1] == 0).all()
 
 
-@pytest.mark.parametrize(("fraction", "names"), [(0.0, {"companion"}), (0.02, {"companion", "ghost"})])
-def test_a_copy_of_the_star_is_tried_out_of_focus_unless_chance_makes_it(fraction, names):
+def test_a_copy_of_the_star_is_tried_out_of_focus():
     companion = CATALOGUE["companion"].under(CONDITIONS)
-    training = cube(image(effect=companion, values=(fraction, 150.0, 40.0))).training
+    training = cube(image(effect=companion, values=(0.02, 150.0, 40.0))).training
     origin = optimum(training)
-    found = quick_refits(fitter_of(training), origin, scores(origin, only("companion")))
-    assert {one.name for one in found} == names
+    found = refits(fitter_of(training), origin, scores(origin, only("companion")))
+    assert {one.name for one in found} == {"companion", "ghost"}
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from irlos_pipe.diagnosis.acceptance import Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
 from irlos_pipe.diagnosis.grade import (
     copies_in_a_row,
-    is_left,
     judged,
     one_place_twice,
     without_ordinary_facts,
@@ -40,10 +39,10 @@ def name(effect: str, ordinary: bool, closed: float = 0.9) -> SimpleNamespace:
     return SimpleNamespace(name=effect, label="", ordinary=ordinary, refit=refit, gap=gap(closed))
 
 
-def search(left: float, *names: SimpleNamespace, adjusted: tuple[str, ...] = ()) -> Search:
-    """From an excess χ² of 5000 to what the names leave, beside what was adjusted."""
+def search(left: float, *names: SimpleNamespace) -> Search:
+    """From an excess χ² of 5000 to what the names leave."""
     final = model(left, *(one.name for one in names))
-    return Search(model(5000.0), final, None, [*names], [], [], adjusted)
+    return Search(model(5000.0), final, None, [*names], [], [])
 
 
 def gap(closed: float, before: float = 0.06) -> Gap:
@@ -55,23 +54,6 @@ def gap(closed: float, before: float = 0.06) -> Gap:
 @pytest.mark.parametrize("closed", [0.0, 0.4, 1.0])
 def test_of_squares_noise_and_what_is_missing_add(closed):
     assert gap(closed).closed == pytest.approx(closed)
-
-
-@pytest.mark.parametrize(
-    ("kind", "found", "left"),
-    [
-        (SPECKLES, gap(0.5), True),
-        (SPECKLES, gap(0.8), False),
-        (SPECKLES, gap(0.5, before=0.035), False),  # it comes near the floor
-        (PHOTONS, gap(0.5), False),  # χ² sees all there
-    ],
-)
-def test_names_that_leave_much_to_held_out_speckles_are_not_all(kind, found, left):
-    noise = NoiseVerdict(kind, 1.0, 1.0)
-    one = name("vibration", False)
-    assert is_left(search(0.0, one, adjusted=("pupil_geometry",)), noise, found, SURE) is left
-    assert not is_left(search(0.0, one), noise, found, SURE)  # a single name follows no speckles
-    assert not is_left(search(0.0), noise, found, SURE)  # without a name nothing was closed
 
 
 def test_what_any_instrument_has_is_adjusted_and_not_named_where_something_is_left():

@@ -145,8 +145,8 @@ def test_a_hastened_fit_has_the_same_images_and_gradient_and_nearly_the_same_hes
     data = torch.full((1, 1, 24 * 24), 900.0, dtype=torch.float64)
     fit = OpenFit(model, Layout(model.psf.nolls), data, data)
     quick = fit.hastened()
-    assert quick.coarse is not None
-    assert len(quick.coarse.psf.settings.spectrum) == 2
+    assert quick.few_colours is not None
+    assert len(quick.few_colours.psf.settings.spectrum) == 2
     x, which = small_problems()[2], torch.arange(1)
     for own, other in zip(quick.cheap_gradient(x, which), fit.cheap_gradient(x, which), strict=True):
         assert torch.equal(own, other)

@@ -7,13 +7,18 @@ from functools import cache
 
 import numpy as np
 import pytest
+import torch
 from helpers.optics_cases import PRIOR, READ_NOISE, draw_frames, everything, ncpa_nm, settings
 from helpers.reference_psf import reference
 
 from irlos_pipe.effects import TipTiltJitter
+from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.lift_options import LiftOptions
+from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.setups import Setup, SetupsFit, _part, calibrate_setups
+from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront
 from irlos_pipe.stages.calibrate.quality import checks_of
 from irlos_pipe.stages.calibrate.stage import Limits
@@ -88,3 +93,20 @@ def test_planes_of_one_recording_share_star_and_sky_and_nothing_of_their_frames(
     count = len(PLANES_NM)
     assert sizes[("bench",)] == 63 + 4 * count + 1  # Noll 4 to 66
     assert sizes[()] == sizes[("bench",)] + count - 1
+
+
+@pytest.mark.slow
+def test_common_modes_of_a_ramp_are_within_the_errors_that_are_quoted():
+    modes, pulls = tuple(range(5, MODES + 1)), []
+    for seed in range(4):
+        frames = [one.frames for one in planes(seed, 1e5)]
+        data = RampData(
+            torch.cat([one.images_e for one in frames]), frames[0].good, READ_NOISE, np.array(PLANES_NM)
+        )
+        model = PsfModel(settings(WINDOW, diversity={}).for_single_frames(), (2, 3, 4))
+        start = start_from_defocus(model, data, data.introduced_nm)
+        found = fit_ramp(model, data, start, LiftOptions(), [HighOrderNcpa(modes)])
+        values, sigma = (one["high_order_ncpa"]["zernike_nm"] for one in (found.effects, found.sigma))
+        truth = ncpa_nm(seed, MODES, 60.0)
+        pulls += [(values[key] - truth[int(key)]) / sigma[key] for key in values]
+    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.4

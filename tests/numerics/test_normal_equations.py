@@ -287,7 +287,7 @@ def test_fits_are_the_same_to_the_bit_for_any_number_of_workers():
 def test_derivatives_by_torch_func_survive_the_workers(count):
     model = PsfModel(cases.settings(24, cases.J_AND_H), TTF, dtype=torch.float64)
     at = torch.tensor([[10.0, -20.0, 30.0]], dtype=torch.float64)
-    with workers(count):
+    with workers(count), torch.enable_grad():
         automatic = torch.func.jacfwd(lambda x: model.images(x)[0])(at)[:, :, 0]
         _, jacobian = model.images_and_jacobian(at)
     assert torch.allclose(automatic.permute(2, 0, 1), jacobian[0], rtol=1e-8, atol=1e-14)

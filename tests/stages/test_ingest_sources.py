@@ -75,7 +75,7 @@ def test_a_copy_of_a_recording_is_left_out_and_named(tmp_path, caplog, copy):
         # the slope of 1 um RMS at the rim, 8 sqrt(3) 1e-6 / 8 rad, is 357 mas, and the disc twice this
         (
             {"pixel_scale_mas": 9.7, "introduced_defocus_nm": 1000.0},
-            "+1000 nm RMS spreads the star over 74 px",
+            "1000 nm RMS spreads the star over 74 px",
         ),
     ],
 )

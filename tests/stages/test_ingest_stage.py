@@ -198,7 +198,7 @@ def test_one_frame_has_the_noise_that_its_corners_show(tmp_path):
 def test_one_frame_without_a_noise_level_is_refused_unless_it_is_told(tmp_path):
     adu = counts(star(16, 16, flux_e=6e7), 1)
     write_recorder(tmp_path / "rec", adu, keys=PROFILE_NOISE)
-    with pytest.raises(InputDataError, match="one frame, and its noise is not told") as caught:
+    with pytest.raises(InputDataError, match="one frame, and its noise is not declared") as caught:
         run(tmp_path)
     assert "\n" not in str(caught.value)
     write_recorder(tmp_path / "rec", adu)

@@ -29,7 +29,12 @@ def measured(path):
 
 @pytest.mark.parametrize(
     ("name", "data", "diameter_m"),
-    [("beads", "ramp", 2 * 0.85), ("nirc2", "cube", 10.95), ("pharo", "cube", 4.646)],
+    [
+        ("beads", "ramp", 2 * 0.85),
+        ("mirror_bead", "calibration", 2 * 1.2),
+        ("nirc2", "cube", 10.95),
+        ("pharo", "cube", 4.646),
+    ],
 )
 def test_the_recipes_are_complete_but_for_their_data(tmp_path, name, data, diameter_m):
     recipe = load_recipe(MEASURED / f"{name}.yaml", (), [f"{data}={tmp_path}"])

@@ -84,7 +84,7 @@ BENCH = {"nominal": NominalChi2(1.01, 0.04)}
         ({"motion": moved(5.1)}, "motion of the star", "drifts, by 10.2 px"),
         ({"window_resolutions": 5.6}, "window", "outside"),
         ({"errors_from": "few_frames", "frames_nm": [None] * 3}, "frames", "too few"),
-        ({"setups": planes(-90.0)}, "planes", "+100 nm wants -90.0"),
+        ({"setups": planes(-90.0)}, "planes", "+100 nm by itself wants -90.0"),
         # though the RMS of the twin is larger
         *(({"twin": TwinCheck(0, 100, 120, 200, one)}, TWIN, "sign") for one in (-60.0, 0.0, 3.9)),
     ],

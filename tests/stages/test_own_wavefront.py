@@ -106,7 +106,10 @@ def test_it_is_tried_where_frames_misfit_and_kept_where_it_explains_that(
 
 @pytest.mark.parametrize(("own_nm", "told"), [(40.0, True), (15.0, False)])
 def test_a_wavefront_beyond_the_errors_says_that_the_calibration_is_of_another_time(own_nm, told):
-    fit = SimpleNamespace(effects={"filter_ncpa": {"zernike_nm": {"5": own_nm}}}, errors={"filter_ncpa": 3.0})
+    fit = SimpleNamespace(
+        effects={"filter_ncpa": {"zernike_nm": {"5": own_nm}}},
+        sigma={"filter_ncpa": {"zernike_nm": {"5": 3.0}}},
+    )
     text = older_text(fit, 4.0)  # three times 5 nm are excused
     assert ("40 ± 5 nm RMS" in text and "not of this time" in text) is told
     assert older_text(SimpleNamespace(effects={}), 4.0) == ""

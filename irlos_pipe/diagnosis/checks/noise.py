@@ -40,7 +40,7 @@ class NoiseVerdict:
     @property
     def text(self) -> str:
         if self.kind == UNSEEN:
-            return "as told: one frame shows no scatter"
+            return "as declared: one frame shows no scatter"
         ratios = f"{self.bright_ratio:.2f} in bright, {self.faint_ratio:.2f} in faint pixels"
         return f"{self.kind}, variance over prediction {ratios}" + (
             "" if self.holds else "; the noise model does not hold"

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import FittedModel, Optimum
 from irlos_pipe.diagnosis.search.scores import Family
 from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
 from irlos_pipe.diagnosis.verdict import Step
@@ -28,7 +28,7 @@ MOST = 20  # pixels of the family at most
 OFF = 0.1  # part of the star's signal in the pixel, below which the model may be to blame
 
 
-def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
+def outstanding_pixels(optimum: FittedModel) -> list[tuple[int, int]]:
     """(row, column) of the pixels that nothing smooth explains, the worst first."""
     problem = optimum.fitted.problem
     left = 1 - (optimum.basis**2).sum(1)
@@ -47,7 +47,7 @@ def smallest_excess(optimum: Optimum) -> dict[str, dict[str, float]]:
     return {BadPixels.name: {"excess_e": float(pull * error[error.isfinite()].median())}}
 
 
-def bad_pixel_family(optimum: Optimum) -> list[Family]:
+def bad_pixel_family(optimum: FittedModel) -> list[Family]:
     """The joint family of these pixels; none where there are none."""
     pixels = outstanding_pixels(optimum)
     looked_at = int((optimum.root > 0).sum())

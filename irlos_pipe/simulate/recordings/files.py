@@ -34,6 +34,7 @@ class Planned:
     layout: str
     mode: str  # mode string of a MUSE file
     side_car: bool = True  # whether one is written; a MUSE file may do without
+    instrument: str = ""  # profile that the side-car states
 
     @property
     def size_bytes(self) -> int:
@@ -190,8 +191,9 @@ def _iso_time(unix_s: int) -> str:
 def side_car(planned: Planned) -> dict[str, Any]:
     """Return the side-car of a `planned` recording: what an observer knows, nothing of the truth."""
     scene, commanded_nm = planned.scene, planned.commanded_nm
-    stated = {
+    stated: dict[str, Any] = {
         "role": scene.role,
+        "instrument": planned.instrument or None,
         "target": scene.target,
         "mag_j": scene.mag_j,
         "exposure_s": scene.exposure_s,

@@ -107,7 +107,10 @@ def truth_content(planned: Planned, wavefronts: Wavefronts) -> dict[str, Any]:
 
 def made_from(planned: Planned) -> dict[str, Any]:
     """Return all that a `planned` recording depends on, in JSON types."""
-    return jsonable({"version": VERSION, "recording": planned})
+    made = jsonable({"version": VERSION, "recording": planned})
+    if not planned.instrument:  # as before side-cars stated it
+        del made["recording"]["instrument"]
+    return made
 
 
 def _wavefront_fits(wavefronts: Wavefronts) -> bytes:

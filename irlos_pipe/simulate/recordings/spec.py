@@ -39,6 +39,7 @@ BANDS = {
     "h": (Band.of(H),),
     "j_h": (Band.of(J, 0.5), Band.of(H, 0.5)),
 }
+STANDARD = "irlos"  # profile without a word of one, which no side-car states
 PRESENT = "2024-02-11"  # day of recordings whose start is not given
 SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
 WHOLE = {"ncpa", "rotating"}  # replaced as a whole: half of a draw and half of a list make no sense
@@ -199,7 +200,7 @@ class SpecKeys(Shared):
 
     simulation: str = Field(min_length=1, description="name of the simulation")
     title: str = Field("", description="one line for people")
-    instrument: str = Field("irlos", description="instrument profile: a name, or the path of a YAML file")
+    instrument: str = Field(STANDARD, description="instrument profile: a name, or the path of a YAML file")
     seed: int = Field(0, ge=0, lt=2**63, description="seed of everything random")
     recordings: dict[str, RecordingKeys] = Field(min_length=1, description="name: section of each recording")
 
@@ -298,7 +299,7 @@ def plan_recordings(spec: Spec) -> list[Planned]:
 
 def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[Planned]:
     """Recordings of one section of the spec, which starts as declared or by its place (`slot`) there."""
-    scene, hidden = spec.scenes[name], keys.hidden
+    scene, hidden, profile = spec.scenes[name], keys.hidden, spec.head["instrument"]
     rng = np.random.default_rng([spec.seed, number(name), number("focus stage")])
     duration_s = MOVE_S + int(np.ceil(scene.frames * scene.period_s))
     first_s = FIRST_START_UNIX_S + slot * SLOT_S
@@ -315,7 +316,8 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
             start_unix_s=first_s + after_s,
             first_counter=FIRST_COUNTER + after_s * LOOP_HZ % COUNTER_WRAP,
         )
-        yield Planned(member.name, own, member.commanded_nm, hidden, keys.layout, keys.mode, keys.side_car)
+        how = keys.layout, keys.mode, keys.side_car, "" if profile == STANDARD else profile
+        yield Planned(member.name, own, member.commanded_nm, hidden, *how)
 
 
 def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:

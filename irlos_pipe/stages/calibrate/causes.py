@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.causes import NAN, Asked, Cause, causes_of_misfit, improbable_diversity
+from irlos_pipe.estimate.causes import ENOUGH, NAN, Asked, Cause, causes_of_misfit, improbable_diversity
 from irlos_pipe.frames.measured_noise import SIGNIFICANT
-from irlos_pipe.frames.told import GAIN, OVERFLOWED, READ_NOISE, SMALLEST_NM, cutoff_ratio
+from irlos_pipe.frames.told import (
+    BEYOND,
+    GAIN,
+    LAST_PER_PX,
+    OVERFLOWED,
+    READ_NOISE,
+    SMALLEST_NM,
+    cutoff_ratio,
+)
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import results_of
@@ -36,19 +45,25 @@ BEFORE = ("overflow", "gain", "frames", "mixed_frames")  # what explains any mis
 
 
 def causes_of(
-    ctx: StageContext[Config], conditions: Conditions, result: Calibration, checks: Sequence[Check]
+    ctx: StageContext[Config],
+    conditions: Conditions | None,
+    result: Calibration,
+    checks: Sequence[Check],
+    name: str = "",
 ) -> list[CauseRow]:
-    """Return the causes of the failed ones of `checks` and of those of the recordings."""
+    """Return the causes of the failed ones of `checks` and of those of the recordings, or the one `name`."""
     product = ctx.products["ingest"]
-    prefix = f"ingest/{ctx.config.input}/"
-    failed = [one for one in (*product.checks, *checks) if not one.passed]
-    failed = [one for one in failed if one.name.startswith(prefix) or not one.name.startswith("ingest/")]
+    places = f"ingest/{ctx.config.input}/{f'{name}/' * bool(name)}", f"{name}: " if name else ""
+    failed = [one for one in product.checks if not one.passed and one.name.startswith(places[0])]
+    own = (one for one in checks if not one.passed and one.name.startswith(places[1]))
+    failed += [replace(one, name=one.name.removeprefix(places[1])) for one in own]
     if not failed:
         return []
-    rows = [row for row in results_of(IngestResults, product).inputs if row.input == ctx.config.input]
+    inputs = results_of(IngestResults, product).inputs
+    rows = [row for row in inputs if row.input == ctx.config.input and name in ("", row.name)]
     found = [cause for row in rows for cause in _of_frames(row)]
     sure = any(one.name == "overflow" for one in found)
-    if result.fit is not None and not sure:
+    if result.fit is not None and conditions is not None and not sure:
         asked = _asked(ctx, conditions, result)
         names, diversity_nm = {one.name for one in failed}, conditions.diversity_nm.values()
         other = improbable_diversity(dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)), asked)
@@ -58,19 +73,28 @@ def causes_of(
             found += other
     plain = [(PLAIN.get(one.name.rpartition("/")[2]), one.message) for one in failed]
     said = [Cause(kind[0], message, figure=kind[1]) for kind, message in plain if kind]
-    found = sorted([*found, *said], key=lambda one: one.name not in BEFORE)
+    dark = any(one.name == "background" and one.explains >= ENOUGH for one in found)  # it bends the gain
+    before = [one for one in BEFORE if not (dark and one == "gain")]
+    found = sorted(
+        [*found, *said], key=lambda one: 2 * (dark and one.name == "gain") or one.name not in before
+    )
     first = {one.name: one for one in reversed(found)}  # of each name the likeliest
-    return [CauseRow.filled_from(one) for one in found if first[one.name] is one]
+    says = f"{name}: " if name else ""
+    return [CauseRow.filled_from(one, says=f"{says}{one.says}") for one in found if first[one.name] is one]
 
 
 def _asked(ctx: StageContext[Config], conditions: Conditions, result: Calibration) -> Asked:
     settings = conditions.settings
     expected = cutoff_per_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
     good = np.isfinite(result.sigma_image_e)
+    cutoff = cutoff_ratio(result.mean_image_e, good, expected)
+    if np.isnan(cutoff):  # the declared pupil may be much too large: does detail end far below it?
+        cutoff = cutoff_ratio(result.mean_image_e, good, expected, LAST_PER_PX)
+        cutoff = cutoff if cutoff * expected * BEYOND < LAST_PER_PX else NAN
     return Asked(
         conditions,
         result.nominal.value,
-        cutoff_ratio(result.mean_image_e, good, expected),
+        cutoff,
         ctx.instrument.name,
         {one: load_instrument(one).pupil for one in SHIPPED if one != ctx.instrument.name},
     )

@@ -70,7 +70,7 @@ def _noise(result: Calibration) -> Check:
     ratio = result.noise_ratio
     why = ": e_per_adu is too small, or the read noise too large" if ratio < LOWEST_NOISE_RATIO else ""
     message = (
-        f"the frames scatter by {ratio:.2f} times the variance that detector and star are told to have{why}"
+        f"the frames scatter by {ratio:.2f} times the variance that the declared detector and star give{why}"
     )
     return Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
 
@@ -128,7 +128,7 @@ def _orientation(found: Mirrored) -> Check:
     why = ": the images are mirrored, or the pupil of the profile is" if found.seen else ""
     message = (
         f"the image shows {found.amplitude:.2f} ± {found.sigma:.2f} of the mirrored pupil; 0 is the pupil as "
-        f"told, 1 the mirrored one{why}"
+        f"declared, 1 the mirrored one{why}"
     )
     return Check("orientation", found.amplitude, "", None, found.limit, message)
 
@@ -138,15 +138,14 @@ def _planes(planes: Sequence[SetupFit]) -> Check:
     known_nm = np.array([one.known_nm for one in planes])
     apart_nm = np.abs(known_nm[:, None] - known_nm)
     steps_nm = np.where(apart_nm > 0, apart_nm, np.inf).min(axis=1)
-    parts = np.array([abs(one.focus_nm) for one in planes]) / steps_nm
-    worst = int(parts.argmax())
-    why = ": its declared defocus is wrong, or its sign" if parts[worst] > NEARER else ""
+    parts = np.abs([one.focus_nm for one in planes]) / steps_nm
+    at = int(parts.argmax())
+    why = ": its declared defocus is wrong, or its sign" if parts[at] > NEARER else ""
     message = (
-        f"the plane declared at {known_nm[worst]:+.0f} nm wants {planes[worst].focus_nm:+.1f} ± "
-        f"{planes[worst].focus_sigma_nm:.1f} nm of defocus by itself, the next plane is "
-        f"{steps_nm[worst]:.0f} nm away{why}"
+        f"the plane declared at {known_nm[at]:+.0f} nm by itself wants {planes[at].focus_nm:+.1f} ± "
+        f"{planes[at].focus_sigma_nm:.1f} nm more, the next plane is {steps_nm[at]:.0f} nm away{why}"
     )
-    return Check("planes", float(parts[worst]), "", None, NEARER, message)
+    return Check("planes", float(parts[at]), "", None, NEARER, message)
 
 
 def _twin(result: Calibration) -> Check:

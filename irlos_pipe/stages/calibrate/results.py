@@ -48,7 +48,7 @@ CHECKS = {
         "that the model lacks something",
         "max_chi2_nu",
     ),
-    "noise as told": ("scatter of the frames over the variance that detector and star are told to have", ""),
+    "noise as told": ("scatter of the frames over the variance that the declared detector and star give", ""),
     "window": ("smaller side of the window in λ/D", "min_window"),
     "motion of the star": (
         "how far the star moves from frame to frame, over the smaller side of the window; before they are "
@@ -61,7 +61,7 @@ CHECKS = {
         "",
     ),
     "orientation": (
-        "how much of the mirrored pupil the mean image shows: 0 as told, 1 if the images are mirrored",
+        "how much of the mirrored pupil the mean image shows: 0 as declared, 1 if the images are mirrored",
         "",
     ),
     "twin solution": (
@@ -231,6 +231,7 @@ class CalibrateResults(Estimate, StageResults):
     causes: list[CauseRow] = item(
         [], "What would explain the checks that failed, most likely first; empty where none did."
     )
+    no_causes: str = item("", "Why there are none though a check failed.")
     lenslets: Lenslets | None = item(
         None, "What the images of a 2x2 mode determine; None for other recordings."
     )

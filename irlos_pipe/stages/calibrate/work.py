@@ -11,6 +11,7 @@ import torch
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL, TIP_TILT
+from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import mean_of, measured, rows_of
@@ -57,7 +58,12 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], ctx.config.input)]
     for alike in [[one] for one in recordings] if ctx.config.each else [recordings]:
         require_calibration(alike)
-    return _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
+    output = _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
+    results = output.results
+    known = isinstance(results, CalibrateResults) and (results.causes or results.no_causes)
+    if known or all(check.passed for check in output.checks):
+        return output
+    return replace(output, results=results.model_copy(update={"no_causes": SETUPS_NOT_TESTED}))
 
 
 def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
@@ -76,7 +82,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         for method in ctx.config.compare
         if method != ctx.config.method
     ]
-    output = _with_causes(ctx, _joint_output(ctx, result, others, first), cube, result)
+    output = _with_causes(ctx, _joint_output(ctx, result, others, first), cube.conditions, result)
     if first.lenslets == 1:
         return output
     row = _lenslets(ctx, result, cube)
@@ -142,9 +148,8 @@ def _calibrated(
     """One method on a cube that begins with the recording `name`."""
     total = scheme_of(options).fits(cube.frames)
     with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
-        result = calibrate(
-            cube.frames, cube.settings, options, cube.effects, device=ctx.device, report=bar.update
-        )
+        context = {"device": ctx.device, "report": bar.update, "note": ctx.log.info}
+        result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
     ctx.log.info(
         "%s, %s: %.1f nm RMS, chi2/nu %.2f, %.1f s",
         name,
@@ -157,13 +162,17 @@ def _calibrated(
 
 
 def _with_causes(
-    ctx: StageContext[Config], output: StageOutput, cube: CubeInput, result: Calibration
+    ctx: StageContext[Config],
+    output: StageOutput,
+    conditions: Conditions | None,
+    result: Calibration,
+    name: str = "",
 ) -> StageOutput:
-    """The output with what would explain the checks that failed."""
-    causes = causes_of(ctx, cube.conditions, result, output.checks)
+    """The output with what would explain the checks that failed, of `each` those of the recording `name`."""
+    causes = causes_of(ctx, conditions, result, output.checks, name)
     if not causes and all(check.passed for check in output.checks):
         return output
-    why = causes[0].says if causes else "nothing that was tried explains it; irlos run diagnose tries more"
+    why = causes[0].says if causes else NOTHING_EXPLAINS if result.fit else NOT_TESTED
     lines = [f"Cause {place}         {one.says}" for place, one in enumerate(causes, start=1)]
     for line in lines:
         ctx.log.warning(line)
@@ -173,12 +182,15 @@ def _with_causes(
         else one
         for one in output.checks
     ]
-    results = output.results.model_copy(update={"causes": causes}) if causes else output.results
+    results = output.results.model_copy(update={"causes": causes, "no_causes": "" if causes else why})
     return replace(output, results=results, checks=checks, summary=[*output.summary, *lines])
 
 
 # -- what is reported --------------------------------------------------------------------------------
 
+NOTHING_EXPLAINS = "nothing that was tried explains it; irlos run diagnose tries more"
+NOT_TESTED = "causes are computed for the mean image of one star only; irlos run diagnose tries more"
+SETUPS_NOT_TESTED = "causes are not computed for several set-ups together; calibrate.each looks for them"
 LABEL_WIDTH = 24  # letters before the numbers in lines for the terminal; the longest effect has 22
 HIGHER = DEFOCUS  # first mode of the wavefront without tip and tilt
 MEAN = ("noll", "zernike_nm", "modes_nm", "covariance_nm2", "effects")  # arrays of the mean over cubes
@@ -242,7 +254,20 @@ def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Seq
         untested=untested_by_cubes(cubes[0].acquisition.diversity, next(filter(None, why), "")),
     )
     checks = [check for cube in cubes for check in checks_of(ctx.config, cube.result, f"{cube.name}: ")]
-    return StageOutput(arrays, results, checks, summary=_mean_summary(mean, cubes), failures=failures)
+    output = StageOutput(arrays, results, checks, summary=_mean_summary(mean, cubes), failures=failures)
+    if all(check.passed for check in checks):
+        return output
+    failed = [
+        cube
+        for cube in cubes
+        for check in checks
+        if not check.passed and check.name.startswith(f"{cube.name}: ")
+    ]
+    worst = max(failed, key=lambda one: one.result.chi2_nu / one.result.nominal.value)
+    kept = recordings_from_product(ctx.products["ingest"], ctx.config.input)
+    (own,) = (one.accepted() for one in kept if one.name == worst.name)
+    conditions = cube_input(ctx, [own], worst.result.options).conditions if worst.result.fit else None
+    return _with_causes(ctx, output, conditions, worst.result, worst.name)
 
 
 def _mean_calibration(results: Sequence[Calibration]) -> Calibration:

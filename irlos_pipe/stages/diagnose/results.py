@@ -190,7 +190,7 @@ class RestRow(ResultsPart):
     )
     finer_than_diffraction: bool = item(False, "Whether a part of it is finer than the telescope can make.")
     flat_rms: Number = item(
-        0.0, "Relative error of the flat that would make what is finer; 0 where none is told apart."
+        0.0, "Relative error of the flat that would make what is finer; 0 where none is distinguished."
     )
     text: str = item("", "All of it in a sentence.")
 

@@ -39,7 +39,7 @@ CHECKS = {
     "bad_pixels": ("part of the window that is masked", "max_bad_pixel_fraction"),
     "centring": ("distance of the star from the window's centre", "max_centre_offset_fraction"),
     "flux": ("signal of the star above the level of the sky, or dark", ""),
-    "told": ("what was told of the recording and its frames contradict beyond doubt", ""),
+    "told": ("what was declared of the recording and its frames contradict beyond doubt", ""),
 }
 
 
@@ -77,7 +77,7 @@ class RecordingRow(ResultsPart):
     )
     frames_missing: int = item(0, DITTO)
     flux_e: Number = item(nan, "Median over the used frames of the sum over the window [e-].")
-    mag_j: Number = item(nan, "J magnitude of the star, as told.")
+    mag_j: Number = item(nan, "J magnitude of the star, as declared.")
     reasons: dict[str, int] = item({}, "Rejected frames by reason.")
     saturated_frames: int = item(0, "Frames that are rejected for pixels at the saturation level.")
     bad_pixels: list[tuple[int, int]] = item(
@@ -109,7 +109,7 @@ class RecordingRow(ResultsPart):
     )
     sources: dict[str, str] = item({}, "Where each key of the acquisition came from.")
     observed: Observed = item(Observed(), "What products hand on of it.")
-    doubts: list[str] = item([], "What was told and the frames, or plain sense, put in doubt.")
+    doubts: list[str] = item([], "What was declared and the frames, or plain sense, put in doubt.")
 
     @property
     def frames_used(self) -> int:

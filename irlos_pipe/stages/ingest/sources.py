@@ -186,30 +186,28 @@ CROWDED = 0.8  # part of the window beyond which a star that fills it is cut
 
 
 def image_doubts(raw: RawRecording, resolved: Resolved, instrument: Instrument) -> Iterator[str]:
-    """Yield a sentence where pixels are too coarse for the image, or the window too small for its defocus.
+    """Yield a sentence where, by what is declared, pixels or window are wrong for the image.
 
-    By what is declared alone. A defocus of a nm RMS (Noll 4) has a slope of 8√3 a/D at the rim of the pupil,
-    and spreads a star over a disc of twice this angle.
+    A defocus of a nm RMS (Noll 4) spreads a star over a disc of twice its slope at the rim, 8√3 a/D.
     """
     acquisition, diameter_m = resolved.acquisition, instrument.pupil.diameter_m
     if acquisition.role == "dark" or acquisition.lenslets > 1:
         return
-    scale_mas = acquisition.pixel_scale_mas
+    scale_mas, window_px = acquisition.pixel_scale_mas, min(raw.window)
     shortest_nm = min(nm for nm, weight in acquisition.spectrum if weight > 0)
     pixels = resolution_px(shortest_nm * NM, diameter_m, scale_mas)
     if pixels < SAMPLED_PX:
         yield (
             f"{raw.name}: undersampled: λ/D at {shortest_nm:g} nm and D = {diameter_m:g} m is {pixels:.2g} "
-            f"px of {scale_mas:g} mas; finer detail than {SAMPLED_PX:g} px is lost, and with it what "
-            "determines modes"
+            f"px of {scale_mas:g} mas; finer detail than {SAMPLED_PX:g} px is lost, which determines modes"
         )
     known_nm = acquisition.diversity.get(DEFOCUS, 0.0) + resolved.introduced_defocus_nm
-    largest_nm = known_nm[np.abs(known_nm).argmax()]
-    spread_px = 16 * np.sqrt(3) * abs(largest_nm) * NM / diameter_m * MAS_PER_RAD / scale_mas
-    if spread_px > CROWDED * min(raw.window):
+    largest_nm = np.abs(known_nm).max()
+    spread_px = 16 * np.sqrt(3) * largest_nm * NM / diameter_m * MAS_PER_RAD / scale_mas
+    if spread_px > CROWDED * window_px:
         yield (
-            f"{raw.name}: the declared defocus of {largest_nm:+.0f} nm RMS spreads the star over "
-            f"{spread_px:.0f} px, and the window has {min(raw.window)}: light is cut off, or a unit is wrong"
+            f"{raw.name}: the declared defocus of {largest_nm:.0f} nm RMS spreads the star over "
+            f"{spread_px:.0f} px of a window of {window_px}: light is cut off, or a unit is wrong"
         )
 
 

@@ -23,6 +23,7 @@ __all__ = ["ARRAYS", "CHECKS", "Config", "Results", "files_of", "problems", "run
 
 NAME = "ingest"
 VERSION = 12
+ARRAYS_ONLY = True
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 WORK = LateModule("irlos_pipe.stages.ingest.work")

@@ -134,8 +134,9 @@ def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
     told = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
     if not told and not cleaned.noise.floor_e2 > 0:
         raise InputDataError(
-            f"{source.raw.path}: one frame, and its noise is not told nor can it be measured, for the star "
-            "fills the window; add detector.read_noise_e to the side-car (of dark, sky and read-out together)"
+            f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
+            "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
+            "and read-out together)"
         )
 
 
@@ -240,7 +241,7 @@ def _observed(recording: Recording, raw: RawRecording, instrument: str) -> Obser
 def _contradiction_check(recording: Recording, told: Sequence[Told]) -> Check:
     """Return the check that fails where the frames of a `recording` contradict a declaration, by `told`."""
     wrong = [one.text for one in told if one.wrong]
-    message = "; ".join(wrong) or "nothing that was told is contradicted by the frames beyond doubt"
+    message = "; ".join(wrong) or "nothing that was declared is contradicted by the frames beyond doubt"
     name = f"ingest/{recording.input}/{recording.name}/told"
     return Check(name, float(len(wrong)), "1", None, 0.0, message)
 

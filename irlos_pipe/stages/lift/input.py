@@ -224,7 +224,8 @@ def older_text(fit: RampFit, calibration_nm: float) -> str:
     if FilterNcpa.name not in fit.effects:
         return ""
     size_nm = _size(fit.effects[FilterNcpa.name][FilterNcpa.table])
-    error_nm = float(np.hypot(fit.errors.get(FilterNcpa.name, 0.0), calibration_nm))
+    own_nm = _size(fit.sigma.get(FilterNcpa.name, {}).get(FilterNcpa.table, {}))
+    error_nm = float(np.hypot(own_nm, calibration_nm))
     if size_nm < EXCUSED * error_nm:
         return ""
     return (

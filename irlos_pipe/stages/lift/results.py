@@ -121,7 +121,7 @@ class LiftResults(StageResults):
     summary: Line = Line()
     offsets: list[Offset] = []
     effects: dict[str, EffectValues] = item(
-        {}, "Effects that the fit used or found, and standard errors of those of the focus stage."
+        {}, "Effects that the fit used or found, and standard errors of those that were fitted to the ramp."
     )
     effects_sigma: dict[str, EffectValues] = item({}, DITTO)
     effects_fitted_jointly: bool = item(False, "Whether effects were fitted to all frames together.")

@@ -73,7 +73,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         summary=Line.filled_from(summary),
         offsets=_offsets(summary),
         effects=fit.effects | focus.effects,
-        effects_sigma=focus.sigma,
+        effects_sigma=fit.sigma | focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
         compare={name: Line.filled_from(other) for name, other in others.items()},
         twin=_twin(ramp, typical, curve),
@@ -300,7 +300,7 @@ def _misfit(config: Config, errors: FrameErrors) -> Check:
     nominal = errors.nominal_chi2_nu if known else config.unknown_nominal_chi2_nu
     limit = config.max_chi2_ratio * nominal
     why = (
-        ": the model lacks something, or orientation, spectrum, scale or seeing are not as told"
+        ": the model lacks something, or orientation, spectrum, scale or seeing are not as declared"
         if errors.chi2_nu > limit
         else ""
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 BY_CUBES = (
-    "the sign of the even modes, which is that of the diversity as told: {diversity}",
+    "the sign of the even modes, which is that of the declared diversity: {diversity}",
     "size and mode of the diversity: an error of theirs is taken for one of the NCPAs",
     "images transposed or turned by 180°: they fit as well, with other modes",
     "wavelength and pixel scale wrong by the same factor",
@@ -31,6 +31,6 @@ def untested_by_cubes(diversity_nm: Mapping[int, float], mirrored: str = "") -> 
 
     `mirrored` says why it is not known whether images are mirrored; empty where it is.
     """
-    told = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
+    declared = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
     more = [MIRRORED.format(why=mirrored)] if mirrored else []
-    return [*(line.format(diversity=told) for line in BY_CUBES), *more]
+    return [*(line.format(diversity=declared) for line in BY_CUBES), *more]

@@ -1,4 +1,4 @@
-"""Backward elimination against refits of a linear model, and errors of the flat by Monte Carlo."""
+"""Errors of the flat by Monte Carlo."""
 
 import numpy as np
 import pytest
@@ -7,42 +7,11 @@ import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.diagnosis.checks.fine_structure import flat_rms
 from irlos_pipe.diagnosis.cube import Stack
-from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.without import needed
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
-SURE = 5.0
 SETTINGS = PsfSettings(PupilGeometry(8.0), (64, 64), 9.7, ((1600.0, 1.0),), KnownWavefront())
-
-
-def sigma(rise: float, count: int) -> float:
-    return gaussian_sigma(max(rise, 1e-12), count, np.inf)
-
-
-def test_of_two_columns_that_look_alike_one_remains():
-    rng = np.random.default_rng(0)
-    first = rng.standard_normal(500)
-    design = np.stack([first, first + 0.01 * rng.standard_normal(500), rng.standard_normal(500)], axis=1)
-    data = 2.0 * first + rng.standard_normal(500)
-    covariance = np.linalg.inv(design.T @ design)
-    kept = needed({"a": [0], "b": [1], "c": [2]}, covariance @ design.T @ data, covariance, sigma, SURE)
-    assert len(kept) == 1 and kept[0] in ("a", "b")
-
-
-def test_what_remains_is_significant_in_a_refit_without_the_rest():
-    rng = np.random.default_rng(1)
-    design = rng.standard_normal((400, 6)) @ rng.standard_normal((6, 6))
-    data = design[:, :2] @ [3.0, -2.0] + rng.standard_normal(400)
-    covariance = np.linalg.inv(design.T @ design)
-    columns = {str(i): [i] for i in range(6)}
-    kept = [int(name) for name in needed(columns, covariance @ design.T @ data, covariance, sigma, SURE)]
-    chosen = design[:, kept]
-    inverse = np.linalg.inv(chosen.T @ chosen)
-    estimate = inverse @ chosen.T @ data
-    assert {0, 1} <= set(kept)
-    assert np.all(np.abs(estimate) / np.sqrt(np.diag(inverse)) > SURE)
 
 
 def cube(flat: float, seed: int) -> tuple[Stack, torch.Tensor]:
