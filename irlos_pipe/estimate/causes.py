@@ -214,8 +214,7 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
         yield Suspect(
             "pupil_rotation", key, lambda v: turned(*v), lambda v: float(v[0]), 0.0, "deg", turn, None, starts
         )
-    light = Backdrop(settings.window)
-    yield Suspect("background", "dark", light.words, light.range_e, 0.0, "e-", light, figure=PROFILE)
+    yield _dark(settings)
     if geometry.vanes:
         bare = replace(settings, geometry=replace(geometry, vanes=()))
         yield Suspect("pupil_geometry", "pupil.vanes", _text("a pupil without vanes"), settings=bare)
@@ -249,6 +248,11 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
             effect = make()
             if effect.name not in present:
                 yield _lacking(name, key, effect)
+
+
+def _dark(settings: PsfSettings) -> Suspect:
+    light = Backdrop(settings.window)
+    return Suspect("background", "dark", light.words, light.range_e, 0.0, "e-", light, figure=PROFILE)
 
 
 def _lacking(name: str, key: str, effect: Effect) -> Suspect:
@@ -350,6 +354,15 @@ def causes_of_misfit(problem: ImageFit, x: torch.Tensor, asked: Asked) -> list[C
     rows = [fit.cause(suspect, part) for part, suspect, fit in found if part > WORTH_NAMING]
     first = {row.name: row for row in reversed(rows)}
     return [row for row in rows if first[row.name] is row]
+
+
+def dark_left_in(problem: ImageFit, x: torch.Tensor) -> list[Cause]:
+    """Return a dark that was not subtracted, if it is there: taken for photons it makes χ²/ν too small."""
+    problem, x = _with_few_modes(problem, x)
+    dark = _dark(problem.model.psf.settings)
+    fit = _Fit.of(problem, x, dark, dark.begun[0]).further(STEPS)
+    part = 1 - fit.chi2 / _Fit(problem, x, ()).chi2
+    return [fit.cause(dark, part)] if part > WORTH_NAMING else []
 
 
 def _with_few_modes(problem: ImageFit, x: torch.Tensor) -> tuple[ImageFit, torch.Tensor]:

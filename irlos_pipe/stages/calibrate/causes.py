@@ -10,7 +10,15 @@ import numpy as np
 from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.causes import ENOUGH, NAN, Asked, Cause, causes_of_misfit, improbable_diversity
+from irlos_pipe.estimate.causes import (
+    ENOUGH,
+    NAN,
+    Asked,
+    Cause,
+    causes_of_misfit,
+    dark_left_in,
+    improbable_diversity,
+)
 from irlos_pipe.frames.measured_noise import SIGNIFICANT
 from irlos_pipe.frames.told import (
     BEYOND,
@@ -69,15 +77,17 @@ def causes_of(
         other = improbable_diversity(dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)), asked)
         if names & {MISFIT, ERROR} and result.chi2_nu > result.nominal.most:
             found += [*causes_of_misfit(result.fit[0], result.fit[1].values[:1], asked), *other]
+        elif MISFIT in names:
+            found += dark_left_in(result.fit[0], result.fit[1].values[:1])
         elif "twin solution" in names or any(0 < abs(nm) < SMALLEST_NM for nm in diversity_nm):
             found += other
     plain = [(PLAIN.get(one.name.rpartition("/")[2]), one.message) for one in failed]
     said = [Cause(kind[0], message, figure=kind[1]) for kind, message in plain if kind]
-    dark = any(one.name == "background" and one.explains >= ENOUGH for one in found)  # it bends the gain
-    before = [one for one in BEFORE if not (dark and one == "gain")]
-    found = sorted(
-        [*found, *said], key=lambda one: 2 * (dark and one.name == "gain") or one.name not in before
-    )
+    low = result.chi2_nu < result.nominal.value
+    dark = any(one.name == "background" and (low or one.explains >= ENOUGH) for one in found)
+    bent = ("gain", "read_noise") if dark else ()  # a dark is no light that scatters
+    before = [one for one in BEFORE if one not in bent]
+    found = sorted([*found, *said], key=lambda one: 2 * (one.name in bent) or one.name not in before)
     first = {one.name: one for one in reversed(found)}  # of each name the likeliest
     says = f"{name}: " if name else ""
     return [CauseRow.filled_from(one, says=f"{says}{one.says}") for one in found if first[one.name] is one]
