@@ -48,12 +48,13 @@ class Entry:
     gpu: bool = False  # run only where PyTorch finds a CUDA device
 
 
+WORKERS = [count for count in (1, 2, 4, 8, 16) if count <= (os.cpu_count() or 1)]
+SCAN = "irlos sensitivity scan, 3 and 9 modes, halo"
 GROUPS: dict[str, tuple[Entry, ...]] = {
     "ncpa": (
         Entry("fft_lbfgs", "padded FFT, autograd, L-BFGS, L1", 12, 3),
         Entry("solvephase_lm", "solvephase, LM per frame, weighted", 60, 3),
-        Entry("dip_global", "irlos dip_global, L1", CUBE, 30),
-        Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
+        *(Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=count) for count in WORKERS),
         Entry("lift_slices", "irlos lift_slices, weighted", CUBE, 30),
         Entry("dip_global_cuda", "irlos dip_global, L1, CUDA", CUBE, 30, gpu=True),
     ),
@@ -74,7 +75,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("long_exposure", "irlos long_exposure, calibration-sky, 230 modes", 200, 200),
         Entry("long_exposure_cuda", "irlos long_exposure, the same, CUDA", 200, 200, gpu=True),
         Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
-        Entry("sensitivity_scan", "irlos sensitivity scan, 3 and 9 modes, halo", 924, 88, threads=2),
+        *(Entry("sensitivity_scan", SCAN, 924, 88, threads=count) for count in WORKERS),
         Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),
         Entry("model_jacobian", "irlos model, images and 29 derivatives", 160, 32),
         Entry("stream_10000", "irlos run, ingest to long_exposure, one cube", 10_000, 600),
@@ -194,6 +195,7 @@ COLUMNS: dict[str, Callable[[dict], str]] = {
     "frames": lambda entry: str(entry["frames"]),
     "wall s": lambda entry: f"{entry['wall_s']:.2f}",
     "CPU s": lambda entry: f"{entry['cpu_s']:.2f}",
+    "serial": lambda entry: f"{entry['caller_s'] / entry['cpu_s']:.0%}" if entry["threads"] > 1 else "",
     f"s for {CUBE}": lambda entry: f"{'' if entry['frames'] == CUBE else '~'}{entry['cube_s']:.1f}",
     "CPU ms/frame": lambda entry: f"{1e3 * entry['cpu_s'] / entry['frames']:.2f}",
     "speed-up": lambda entry: f"{entry['speed_up']:.1f}",
@@ -228,6 +230,7 @@ def _notes(results: dict) -> list[str]:
     common = results["common_frames"]
     return [
         f"~ extrapolated linearly to {CUBE} frames from those that were fitted.",
+        "serial: part of the processor time in the thread that gives the workers their pieces.",
         "speed-up: processor time per frame of the first line over that of the line.",
         f"CUDA: {results['cuda']}, by wall clock." if results["cuda"] else "CUDA: no device here, no line.",
         "error: total RMS of Noll 2-30 of the mean estimate against the truth, over all frames of the line",

@@ -8,8 +8,6 @@ loop integrates with a leak, ``c ← (1 − leak) c + gain · m``. Beyond, it ju
 more than a limit, and waits until the jump shows in the frames.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ The counter of the recorder says which exposure a read belongs to, not the time 
 that come late, twice or out of order neither spoil an exposure nor stop the loop, and no clock is needed.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

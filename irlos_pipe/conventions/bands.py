@@ -1,7 +1,5 @@
 """The photometric bands of IRLOS, as boxes [nm]."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from irlos_pipe.conventions.keys import key

@@ -1,7 +1,5 @@
 """Telescope, adaptive optics and site of an instrument: the facts that its profile states."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple

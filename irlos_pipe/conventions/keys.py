@@ -3,8 +3,6 @@
 The standard library alone, so that science can say it; pydantic reads it where the files are checked.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import MISSING, field

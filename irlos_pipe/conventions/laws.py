@@ -1,7 +1,5 @@
 """Laws of an instrument that its profile states by a few numbers: NCPAs by mode, AO residual by seeing."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar

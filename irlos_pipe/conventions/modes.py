@@ -1,7 +1,5 @@
 """Noll indices: tip and tilt, defocus, and the reported modes, the 29 modal offsets that SPARTA takes."""
 
-from __future__ import annotations
-
 TIP_TILT = (2, 3)  # the position of the star, which says nothing about the optics
 DEFOCUS = 4
 HIGHEST_REPORTED_NOLL = 30

@@ -1,7 +1,5 @@
 """Reads of the detector that are added up to an exposure."""
 
-from __future__ import annotations
-
 from irlos_pipe.conventions.errors import ConfigurationError
 
 TOLERANCE = 0.02  # relative error by which whole reads may miss the exposure

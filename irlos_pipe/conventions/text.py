@@ -1,7 +1,5 @@
 """Pieces of messages for people: suggestions, counts of what is left out, tables of text."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """Conversions between the units of the interfaces and SI."""
 
-from __future__ import annotations
-
 import math
 from typing import Protocol, Self, TypeVar
 

@@ -264,7 +264,6 @@ class FixedEffect(Effect):
 
     @property
     def further_paths(self) -> Sequence[tuple[PupilMode | None, Effect]]:
-        """See `Effect.further_paths`: with the same parameters held."""
         return [(mode, self._of_other(one)) for mode, one in self.base.further_paths]
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:

@@ -1,54 +1,38 @@
 """The effects that recipes, models and results can name, and their page of the documentation."""
 
-from __future__ import annotations
-
 import inspect
 import textwrap
 from collections.abc import Sequence
 
 import numpy as np
 
+import irlos_pipe.effects.colour as colour
+import irlos_pipe.effects.companion as companion
+import irlos_pipe.effects.detector as detector
+import irlos_pipe.effects.focus_stage as focus_stage
+import irlos_pipe.effects.lenslet_images as lenslet_images
+import irlos_pipe.effects.motion as motion
+import irlos_pipe.effects.pupil_places as pupil_places
+import irlos_pipe.effects.pupil_steps as pupil_steps
+import irlos_pipe.effects.redrawn_pupil as redrawn_pupil
+import irlos_pipe.effects.seeing_halo as seeing_halo
+import irlos_pipe.effects.wavefront as wavefront
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.colour import Anamorphism, AtmosphericDispersion, PlateScale, Spectrum
-from irlos_pipe.effects.companion import Companion, Ghost
 from irlos_pipe.effects.declaration import Conditions, Public
-from irlos_pipe.effects.detector import (
-    BackgroundGradient,
-    BadPixels,
-    CorrelatedNoise,
-    DetectorNonlinearity,
-    InterpixelCrosstalk,
-)
-from irlos_pipe.effects.focus_stage import (
-    FocusStageHysteresis,
-    FocusStageOffset,
-    FocusStageScale,
-    HighAperture,
-)
-from irlos_pipe.effects.lenslet_images import LensletImages
-from irlos_pipe.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
-from irlos_pipe.effects.pupil_steps import LowWindEffect, SegmentPiston
-from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
-from irlos_pipe.effects.seeing_halo import AoCutoff, SeeingHalo, UnevenResidual
-from irlos_pipe.effects.wavefront import (
-    AmplitudeAberration,
-    ChromaticNcpa,
-    DiversityError,
-    FilterNcpa,
-    HighOrderNcpa,
-    NcpaDrift,
-)
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect
     for effect in (
-        TipTiltJitter, Vibration, SeeingHalo, UnevenResidual, AoCutoff, AtmosphericDispersion, Spectrum,
-        PlateScale, Anamorphism, DiversityError, PupilMisregistration, PupilSizes, AmplitudeAberration,
-        PupilSpot, LowWindEffect, SegmentPiston, HighOrderNcpa, PhaseBump, NcpaDrift, ChromaticNcpa,
-        FilterNcpa, Companion, Ghost, InterpixelCrosstalk, DetectorNonlinearity, BackgroundGradient,
-        CorrelatedNoise, BadPixels, FocusStageOffset, FocusStageScale, FocusStageHysteresis, HighAperture,
-        LensletImages,
+        motion.TipTiltJitter, motion.Vibration, seeing_halo.SeeingHalo, seeing_halo.UnevenResidual,
+        seeing_halo.AoCutoff, colour.AtmosphericDispersion, colour.Spectrum, colour.PlateScale,
+        colour.Anamorphism, wavefront.DiversityError, redrawn_pupil.PupilMisregistration,
+        redrawn_pupil.PupilSizes, wavefront.AmplitudeAberration, pupil_places.PupilSpot,
+        pupil_steps.LowWindEffect, pupil_steps.SegmentPiston, wavefront.HighOrderNcpa,
+        pupil_places.PhaseBump, wavefront.NcpaDrift, wavefront.ChromaticNcpa, wavefront.FilterNcpa,
+        companion.Companion, companion.Ghost, detector.InterpixelCrosstalk, detector.DetectorNonlinearity,
+        detector.BackgroundGradient, detector.CorrelatedNoise, detector.BadPixels,
+        focus_stage.FocusStageOffset, focus_stage.FocusStageScale, focus_stage.FocusStageHysteresis,
+        focus_stage.HighAperture, lenslet_images.LensletImages,
     )
 }  # fmt: skip
 

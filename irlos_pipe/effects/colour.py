@@ -150,7 +150,6 @@ class Spectrum(SamplingEffect):
         return {"wavelength_nm": self.mean_nm + shift, "slope": slope, "width": 1 + stretch}
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: the corrected and the declared centre."""
         return super().phrase({**public, "told_nm": self.mean_nm})
 
     def values_of(
@@ -166,7 +165,6 @@ class Unseen(SamplingEffect):
         self.name, self.order, self.parameters = effect.name, effect.order, effect.parameters
 
     def apply(self, values: Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
-        """See `SamplingEffect.apply`: nothing changes."""
         return sampling
 
 
@@ -184,9 +182,7 @@ class PlateScale(SamplingEffect):
     public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
     look_alike = "spectrum in a narrow band; two stars of known distance distinguish them"
     reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"
-    parameters = (
-        Parameter("fraction", "", 0.0, prior_sigma=0.02, lower=-0.05, upper=0.05, plausible=(-0.03, 0.03)),
-    )
+    parameters = (Parameter("fraction", "", 0.0, 0.0, 0.02, -0.05, 0.05, plausible=(-0.03, 0.03)),)
 
     def __init__(self, told_mas: float):
         self.told_mas = told_mas
@@ -196,12 +192,10 @@ class PlateScale(SamplingEffect):
         return cls(conditions.settings.pixel_scale_mas)
 
     def shown(self, values: np.ndarray) -> dict[str, Any]:
-        """See `Effect.shown`: the corrected scale, too."""
         public = self.describe(values)
         return {"pixel_scale_mas": self.told_mas * (1 + public["fraction"])} | public
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: the corrected and the declared scale."""
         corrected_mas = public.get("pixel_scale_mas", self.told_mas * (1 + public["fraction"]))
         return f"pixels of {corrected_mas:.3f} mas instead of {self.told_mas:.3f} mas"
 
@@ -234,15 +228,7 @@ class Anamorphism(SamplingEffect):
     look_alike = "a pupil wider across that direction; two stars of known places distinguish them"
     reference = "Maire et al. 2016, SPIE 9908, 990834: 0.60 % in SPHERE"
     parameters = tuple(
-        Parameter(
-            name,
-            "",
-            0.0,
-            prior_sigma=USUAL_STRAIN,
-            lower=-LARGEST_STRAIN,
-            upper=LARGEST_STRAIN,
-            plausible=(-0.08, 0.08),
-        )
+        Parameter(name, "", 0.0, 0.0, USUAL_STRAIN, -LARGEST_STRAIN, LARGEST_STRAIN, 0.0, (-0.08, 0.08))
         for name in ("along_x", "along_diagonal")
     )
 
@@ -259,5 +245,4 @@ class Anamorphism(SamplingEffect):
         return [fraction * float(np.cos(twice)), fraction * float(np.sin(twice))]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: the size in per cent."""
         return super().phrase({**public, "percent": 100 * public["fraction"]})

@@ -1,7 +1,5 @@
 """Copies of the star: `companion`, a second source, and `ghost`, an image that the optics make."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Self
 
@@ -40,7 +38,6 @@ class CopiesOfStar(OtfEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> Self:
-        """Within half the window's width of the star on every side."""
         return cls((0.01, conditions.reach_mas / 3, 0.0), conditions.reach_mas)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
@@ -58,12 +55,10 @@ class CopiesOfStar(OtfEffect):
         return [*super().unusual(values), *(["sep_mas"] if close else [])]
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
-        """See `Effect.displaced`: as sharp as the star."""
         further = [0.0] * (len(self.parameters) - 3)
         return FixedEffect(self, [0.0, x_mas, y_mas, *further], free=("flux_ratio",))
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[FixedEffect]:
-        """See `Effect.candidates`: one per position on a grid over half the window about the star."""
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
         return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]
@@ -99,7 +94,6 @@ class Companion(CopiesOfStar):
 
     @classmethod
     def together(cls, effects: Sequence[Effect]) -> Effect:
-        """See `Effect.together`: the images of all add to that of the star."""
         return _Companions(effects)
 
     def values_of(self, flux_ratio: float, sep_mas: float, pa_deg: float) -> list[float]:
@@ -176,7 +170,6 @@ class Ghost(CopiesOfStar):
 
     @classmethod
     def together(cls, effects: Sequence[Effect]) -> Effect:
-        """See `Effect.together`: every ghost is one of the star."""
         return _Ghosts(effects)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
@@ -186,7 +179,6 @@ class Ghost(CopiesOfStar):
     def values_of(
         self, flux_ratio: float, sep_mas: float, pa_deg: float, defocus_nm: float = 0.0, blur_mas: float = 0.0
     ) -> list[float]:
-        """See `Effect.values_of`: by default as sharp as the star."""
         return [flux_ratio, *components(sep_mas, pa_deg), defocus_nm, blur_mas**2]
 
 

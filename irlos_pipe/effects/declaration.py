@@ -1,7 +1,5 @@
 """What effects declare of themselves as data: planes, numbers with units and limits, circumstances."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

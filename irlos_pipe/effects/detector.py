@@ -44,7 +44,6 @@ class InterpixelCrosstalk(DetectorEffect):
         return images_e + values[0] * (received.reshape(images_e.shape) - images_e)
 
     def pushed(self, values: Tensor, images_e: Tensor, changes: Tensor) -> Tensor:
-        """See `DetectorEffect.pushed`: linear."""
         return self.apply(values, changes)
 
 

@@ -53,7 +53,6 @@ class LensletImages(OtfEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> LensletImages:
-        """See `Effect.under`: without lenslets it means nothing."""
         if conditions.settings.lenslets == 1:
             raise ValueError("there are no lenslets before the sensor; leave it out")
         return cls()
@@ -77,7 +76,6 @@ class LensletImages(OtfEffect):
         return found
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: the RMS over images and axes, and that of the light."""
         places, flux = np.concatenate([public["x_mas"], public["y_mas"]]), np.array(public["flux"])
         sizes = {"rms_mas": np.sqrt(np.mean(places**2)), "percent": 100 * np.sqrt(np.mean(flux**2))}
         return super().phrase({**public, **sizes})

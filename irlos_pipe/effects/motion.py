@@ -104,7 +104,6 @@ class Vibration(OtfEffect):
 
     @classmethod
     def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
-        """See `Effect.variants`: one per shape."""
         return tuple(cls.under(conditions, shape=shape) for shape in SHAPES)
 
     def apply(self, values: Tensor, factor: Tensor, grid: OtfGrid) -> Tensor:
@@ -121,7 +120,6 @@ class Vibration(OtfEffect):
         return [sigma_mas**2, float(np.deg2rad(angle_deg))]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """See `Effect.candidates`: one per direction."""
         angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
         return [FixedEffect(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]
 

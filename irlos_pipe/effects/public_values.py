@@ -20,13 +20,11 @@ class Measured(float):
     sigma: float
 
     def __new__(cls, value: float, sigma: float) -> Measured:
-        """Return the value with its error."""
         made = super().__new__(cls, value)
         made.sigma = float(sigma)
         return made
 
     def __format__(self, pattern: str) -> str:
-        """Format as `rounded_by_error` does."""
         return rounded_by_error(float(self), self.sigma, pattern)
 
 

@@ -1,7 +1,5 @@
 """One place in the pupil that differs from all others: `phase_bump` and `pupil_spot`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Self
@@ -49,7 +47,6 @@ class PupilPlace(PupilEffect):
         raise NotImplementedError
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """See `Effect.candidates`: one per position on a grid and per width."""
         steps = np.arange(-0.5 + STEP / 2, 0.5, STEP)
         places = [(x, y, width) for width in WIDTHS for y in steps for x in steps if np.hypot(x, y) < 0.5]
         return [

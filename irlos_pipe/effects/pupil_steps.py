@@ -129,7 +129,6 @@ class RedrawnAndDivided(Several, DrawnEffect):
         return slopes
 
     def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
-        """See `PupilEffect.opd_nm`: parts turn with the pupil."""
         drawn = self._drawn(values[self._drawing], grid)
         maps = [
             base.opd_where(own, _index_on(type(base), grid, drawn), grid) for base, own in self._each(values)
@@ -231,7 +230,6 @@ class PupilSteps(DividedPupil):
 
     @classmethod
     def options_for(cls, **public: Any) -> dict[str, Any]:
-        """See `Effect.options_for`: how many parts the values are for."""
         counts = {len(values) for values in public.values()}
         if len(counts) > 1:
             raise ValueError(

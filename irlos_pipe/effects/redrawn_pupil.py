@@ -50,7 +50,6 @@ class RedrawnPupil(DrawnEffect):
 
     @classmethod
     def together(cls, effects: Sequence[Effect]) -> Effect:
-        """See `Effect.together`: one drawing with all of them."""
         return RedrawnTogether(effects)
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
@@ -91,7 +90,6 @@ class RedrawnTogether(Several, RedrawnPupil):
         self._owners = [(number, index) for number, one in enumerate(effects) for index in one.free]
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
-        """See `RedrawnPupil.redrawn`: one after the other."""
         for effect, own in self._each(values):
             drawing = effect.redrawn(own, drawing)
         return drawing
@@ -234,7 +232,6 @@ class PupilMisregistration(RedrawnPupil):
         return [float(np.hypot(dx_m, dy_m)), float(np.arctan2(dy_m, dx_m)), rotation_deg]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """See `Effect.candidates`: one per direction of the shift, and the rotation."""
         angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
         shifts = [FixedEffect(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]
         return [*shifts, FixedEffect(self, [0.0, 0.0, 0.0], free=("rotation_deg",))]

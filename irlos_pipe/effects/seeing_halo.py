@@ -118,7 +118,6 @@ class SeeingHalo(OtfEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> SeeingHalo:
-        """See `Effect.under`: it means nothing on a bench without atmosphere."""
         require_residual(conditions)
         return cls(
             conditions.band, conditions.residual_law, conditions.seeing_arcsec, conditions.seeing_measured
@@ -294,18 +293,10 @@ class AoCutoff(OtfEffect):
         self.band, self.r0_m = band, seeing_to_r0_m(seeing_arcsec)
         in_band_nm2 = in_band_wfe_nm(band, law, seeing_arcsec) ** 2
         self._in_band_nm2 = in_band_nm2 / (2 * np.pi * np.log(declared / band.low_per_m))  # times f^-2
+        near, far = declared / FARTHEST, declared * FARTHEST
+        lowest, sigma = max(near, band.low_per_m), OFF * declared
         self.parameters = (
-            Parameter(
-                "per_m",
-                "1/m",
-                declared,
-                declared,
-                OFF * declared,
-                max(declared / FARTHEST, band.low_per_m),
-                declared * FARTHEST,
-                declared,
-                (declared / FARTHEST, declared * FARTHEST),
-            ),
+            Parameter("per_m", "1/m", declared, declared, sigma, lowest, far, declared, (near, far)),
         )
 
     @classmethod
@@ -336,7 +327,6 @@ class AoCutoff(OtfEffect):
         return [self.apply(values, factor, grid) * _scale(grid) * slope[place] for _ in wanted]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`: with the declared cut-off."""
         return f"{super().phrase(public)} instead of {self.band.cutoff_per_m:g}"
 
     def _between_nm2(self, lengths_m: np.ndarray, cutoff_per_m: float) -> np.ndarray:
@@ -398,7 +388,6 @@ class UnevenResidual(OtfEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> UnevenResidual:
-        """See `Effect.under`: it means nothing on a bench without atmosphere."""
         require_residual(conditions)
         return cls(conditions.band, conditions.residual_law, conditions.seeing_arcsec)
 

@@ -58,7 +58,6 @@ class ZernikeTable(Effect):
         return {self.rms_name: float(np.linalg.norm(values))} | self.describe(values)
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """See `Effect.phrase`; the size is the RMS of all modes together."""
         rms = float(np.linalg.norm(list(public[self.table].values())))
         return self.sentence.format(size=public.get(self.rms_name, rms))
 
@@ -206,7 +205,6 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
 
     @classmethod
     def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> AmplitudeAberration:
-        """See `Effect.under`: by default the modes up to spherical, Noll 2 to 11."""
         return cls(nolls)
 
     def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
@@ -239,7 +237,6 @@ class NcpaDrift(ZernikeTable, TimeEffect):
 
     @classmethod
     def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> NcpaDrift:
-        """See `Effect.under`: by default Noll 2 to 11."""
         return cls(nolls)
 
     def apply(self, values: Tensor, modes_nm: Tensor, nolls: tuple[int, ...], when: Tensor) -> Tensor:
@@ -304,11 +301,9 @@ class ChromaticNcpa(_Table):
     def under(
         cls, conditions: Conditions, nolls: Sequence[int] = (), reference_nm: float | None = None
     ) -> ChromaticNcpa:
-        """See `Effect.under`: by default about the wavelength of the NCPAs."""
         return cls(nolls or cls.default, reference_nm or conditions.reference_nm, conditions.ncpa_law)
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
-        """See `Effect.shown_by`: bands that are broad or apart."""
         reach = [nm for one in recordings for nm, _ in one.settings.spectrum]
         return max(reach) - min(reach) > BROAD_NM
 
@@ -347,7 +342,6 @@ class FilterNcpa(_Table):
 
     @classmethod
     def under(cls, conditions: Conditions, nolls: Sequence[int] = (), of: str = "") -> FilterNcpa:
-        """See `Effect.under`: by default of the filter and the lens of the recording together."""
         elements = (of,) if of else conditions.elements
         return cls(nolls or cls.default, elements, conditions.ncpa_law)
 
@@ -367,11 +361,9 @@ class FilterNcpa(_Table):
         return self.elements <= set(conditions.elements)
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
-        """See `Effect.shown_by`: recordings with and without the elements."""
         return len({self.lies_in(one) for one in recordings}) == 2
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
-        """See `Effect.seen_in`: nothing, in recordings without the elements."""
         return self if self.lies_in(here) else _Absent(self)
 
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:

@@ -124,7 +124,7 @@ class ImageFit(ModesFit):
         return self._with(held=values)
 
     @property
-    def coarse(self) -> Self:
+    def quicker(self) -> Self:
         """The same fits with a quicker model, where there is one that leaves little to the exact one."""
         return self
 

@@ -127,13 +127,13 @@ def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -
     problem = image_problem(model, layout, images_e, variance, good, options.alike)
     if options.noise != "data":
         tolerance = COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE
-        rough = problem.coarse.with_tolerance(tolerance)
+        rough = problem.quicker.with_tolerance(tolerance)
         x = _finite(solve(rough, x, max_iterations=options.max_iterations, report=report), x)
         report = None
         problem = _with_model_variance(problem, x, images_e, good, noise, options)
     posed = problem if quadratic else problem.with_loss(options.loss_function)
-    if posed.coarse is not posed:
-        x = _finite(solve(posed.coarse, x, max_iterations=options.max_iterations), x)
+    if posed.quicker is not posed:
+        x = _finite(solve(posed.quicker, x, max_iterations=options.max_iterations), x)
         posed = posed.with_tolerance(CLOSE_TOLERANCE)
     solution = solve(posed, x, max_iterations=options.max_iterations, report=report)
     ended, modes = _finite(solution, x), layout.modes

@@ -71,7 +71,7 @@ class AlikeFit(ImageFit):
         self._hessian = self._map(self._curvature, self.prior_mean, every, FRAMES_PER_GRADIENT)[0]
 
     @property
-    def coarse(self) -> Self:
+    def quicker(self) -> Self:
         quick = self._alike.coarse
         return self if self.model is quick else self._with(model=quick)
 
@@ -88,7 +88,7 @@ class AlikeFit(ImageFit):
 
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """See `ImageFit.predict_all`: in the precision of gradients, by the coarse model."""
-        model_e = self.coarse._map(self.coarse._predicted, x, torch.arange(len(x)), FRAMES_PER_GRADIENT)[0]
+        model_e = self.quicker._map(self.quicker._predicted, x, torch.arange(len(x)), FRAMES_PER_GRADIENT)[0]
         return model_e.double()
 
     def _predicted(self, x, which):

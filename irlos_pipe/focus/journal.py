@@ -5,8 +5,6 @@ written, in order, as soon as it can be: the loop goes on meanwhile. The databas
 can be made from them again; what is wrong with it is reported and does not stop the loop.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -4,8 +4,6 @@ The page listens on the loopback address and nowhere else, unless an address is 
 The socket is a file that only its owner may open; no port is involved.
 """
 
-from __future__ import annotations
-
 import hmac
 import ipaddress
 import json

@@ -7,8 +7,6 @@ Layout, little-endian: magic ``IRLOSCMD``, number of the command from 1 (uint64)
 counter of the first read of the exposure behind it (int64), CRC-32 of these (uint32).
 """
 
-from __future__ import annotations
-
 import math
 import os
 import struct

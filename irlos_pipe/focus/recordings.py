@@ -1,7 +1,5 @@
 """Frames from files: those of a run once more, or of recordings that appear in a folder."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

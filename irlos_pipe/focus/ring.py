@@ -10,8 +10,6 @@ of frames written so far as uint64 at byte 24), then the slots: number of the fr
 fastest), photo-electrons without dark and background.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import struct

@@ -1,7 +1,5 @@
 """The running loop: source, exposures, records and command put together until nothing more comes."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time
@@ -328,7 +326,6 @@ class _Running:
             self.report(f"page: {self.page.url}")
 
     def follow(self, source: Source, stopped: Callable[[], bool]) -> None:
-        """Work on what comes until nothing more does."""
         try:
             while not stopped() and (arrivals := source.poll(POLL_S)) is not None:
                 self.take(arrivals)
@@ -340,7 +337,6 @@ class _Running:
             self.note(f"calibration {calibration.name}: {calibration.notice}")
 
     def take(self, arrivals: Sequence[Arrival]) -> None:
-        """Work on what has arrived."""
         arrived_s, taken = time.monotonic(), self.accumulator.taken
         exposures = [exposure for one in arrivals for exposure in self.arrived(one)]
         self.listen(self.accumulator.taken > taken, arrived_s)

@@ -3,8 +3,6 @@
 A new kind of source is a class with the two methods of `Source`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ and background), and the HMAC-SHA256 of the two with the token, empty without on
 token is needed. Frames of another one move a mirror here: every message must be signed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import ipaddress

@@ -4,8 +4,6 @@ Throughout, `images_e` are finite images (frames, rows, columns) [e-], `good` (r
 pixels not known to be bad, and `by` are the `Criteria` by which pixels are judged.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Sums over frames are taken in float64 block by block; with more than `BLOCK_FRAM
 from a sum in one go by its rounding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

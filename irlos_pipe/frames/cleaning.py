@@ -1,7 +1,5 @@
 """From counts to clean frames in electrons: one pass in the order in which the detector spoils them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

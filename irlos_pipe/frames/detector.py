@@ -1,7 +1,5 @@
 """Detector calibration: from counts to electrons above the background, and the levels it needs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from irlos_pipe.frames.blocks import sample_frames

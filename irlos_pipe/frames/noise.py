@@ -65,7 +65,9 @@ class NoiseModel:
     def scatter_e2(self, signal_e: Signal) -> Signal:
         """Return the part of the variance by which frames differ from each other [e-²]."""
         positive = (
-            np.maximum(signal_e, 0) if isinstance(signal_e, float | np.ndarray) else signal_e.clamp_min(0)
+            np.maximum(signal_e, 0)
+            if isinstance(signal_e, float | int | np.generic | np.ndarray)
+            else signal_e.clamp_min(0)
         )
         return self.excess_noise_factor * positive + self.floor_e2
 

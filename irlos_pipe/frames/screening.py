@@ -1,7 +1,5 @@
 """Which frames of a recording can be used, and why the others cannot."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """What every frame of a recording shows of the star, without a model: for plots against time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from irlos_pipe.frames.blocks import blocks, frame_flux

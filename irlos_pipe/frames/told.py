@@ -5,8 +5,6 @@ on it. Of the detector's constants, what a person or a header says stands; a val
 gives way to the frames where these contradict it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -65,12 +63,10 @@ class Told:
 
     @property
     def wrong(self) -> bool:
-        """Whether it is beyond doubt."""
         return not self.impossible[0] <= self.value <= self.impossible[1]
 
     @property
     def warned(self) -> bool:
-        """Whether it is worth a warning."""
         return self.wrong or not self.doubtful[0] <= self.value <= self.doubtful[1]
 
 

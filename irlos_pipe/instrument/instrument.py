@@ -60,7 +60,6 @@ class Instrument:
 
     @property
     def pupil(self) -> PupilGeometry:
-        """The pupil of the telescope."""
         return self.facility.pupil
 
     @property

@@ -1,7 +1,5 @@
 """The section `pupil` of a profile: a pupil that is more than a disc with a hole and vanes of one width."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import lru_cache

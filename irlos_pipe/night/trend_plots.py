@@ -90,6 +90,7 @@ def _panel(axes: Axes, series: Series) -> None:
             axes.axhline(limit, color=ORANGE, linewidth=0.8, linestyle="--")
     out = [bool(one.alarm) for one in series.points]
     axes.plot(times[out], values[out], "o", color=ORANGE, markersize=8, fillstyle="none")
+    # Scaled to values and band, which over few nights may be too wide to be shown whole.
     low, high = float(np.min(values - errors)), float(np.max(values + errors))
     span = high - low or 0.1 * abs(high) or 1.0
     every = ends.ravel()

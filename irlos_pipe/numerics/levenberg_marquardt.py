@@ -11,8 +11,6 @@ What the gradients of successive iterations show of it is added to the Hessian o
 Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covariance, are judged without.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

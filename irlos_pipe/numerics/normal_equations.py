@@ -5,8 +5,6 @@ this problem takes a few Newton steps, which cost much less than the next Jacobi
 there is what the solver is given, in the guise of normal equations.
 """
 
-from __future__ import annotations
-
 import torch
 
 from irlos_pipe.numerics.loss import Loss

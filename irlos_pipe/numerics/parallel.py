@@ -5,8 +5,6 @@ inside every matrix product do not. And as each piece is computed by one thread,
 the same to the bit for any number of workers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager

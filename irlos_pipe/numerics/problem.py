@@ -1,7 +1,5 @@
 """What the solvers minimise: batches of problems, of which they know no more than this."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import Protocol
 

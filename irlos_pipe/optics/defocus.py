@@ -12,8 +12,6 @@ proportion to it. Below s = 0.1, a focal ratio of 5, they are less than 0.1 % of
 Reference: Hopkins 1945, Proc. Phys. Soc. 55, 116; Gu 2000, Advanced Optical Imaging Theory, ch. 6.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

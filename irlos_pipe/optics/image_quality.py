@@ -4,8 +4,6 @@ Frequencies are in units of D/λ, beyond which no telescope transfers anything: 
 is λ/D long.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -52,11 +52,9 @@ class Quarter(PupilGrid):
 
     @property
     def longest_m(self) -> float:
-        """See `PupilGrid.longest_m`: from corner to corner."""
         return float(np.hypot(self.width_m, self.width_m))
 
     def modes(self, nolls: Sequence[int]) -> np.ndarray:
-        """See `PupilGrid.modes`: those of the whole pupil."""
         return super().modes(nolls)[:, *self.place]
 
     def through(self, pupil: torch.Tensor) -> torch.Tensor:

@@ -1,7 +1,5 @@
 """The telescope pupil sampled by area."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial

@@ -3,8 +3,6 @@
 Reference: R. J. Noll, "Zernike polynomials and atmospheric turbulence", JOSA 66, 207 (1976).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count, islice
 from math import isqrt, pi, sqrt

@@ -1,7 +1,5 @@
 """Settle how a recording was taken: recipe over side-car over header over instrument profile."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -169,7 +167,10 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     values["pupil_rotation_deg"] = _pupil_rotation(known, instrument)
     for key, degrees in _of_the_sky(known, instrument).items():
         values[key], sources[key] = degrees, sources.get(key, PROFILE)
-    _resolve_exposure(known)
+    if known.stated(COADDS) and known.stated(READ_S) and not known.stated("exposure_s"):
+        # an archive may have lost it; it goes before the profile's
+        known.sources["exposure_s"] = known.sources[READ_S]
+        known.values["exposure_s"] = known.values[COADDS] * known.values[READ_S]
     reads = _reads(known)
     defocus = _per_frame(known, raw)
     without_magnitude = any("mag_j" in one.model_fields_set and one.mag_j is None for one in (recipe, side))
@@ -259,13 +260,6 @@ def altitude_deg(altitude: float | None, airmass: float | None, where: str) -> f
             "correct one of them"
         )
     return altitude
-
-
-def _resolve_exposure(known: _KnownKeys) -> None:
-    """As declared; else of as many reads as declared, before the profile. An archive may have lost it."""
-    if known.stated(COADDS) and known.stated(READ_S) and not known.stated("exposure_s"):
-        known.sources["exposure_s"] = known.sources[READ_S]
-        known.values["exposure_s"] = known.values[COADDS] * known.values[READ_S]
 
 
 def _reads(known: _KnownKeys) -> int:

@@ -1,7 +1,5 @@
 """Adaptive Optics Telemetry (AOT) files, read through the optional package aotpy."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,7 +31,11 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     recorded its pixels.
     """
     system = _system(path)
-    detectors = [detector for detector in _star_detectors(system) if _has_frames(detector)]
+    detectors = [
+        detector
+        for detector in _star_detectors(system)
+        if detector.pixel_intensities is not None and np.ndim(detector.pixel_intensities.data) == 3
+    ]
     if not detectors:
         raise InputDataError(f"{path}: an AOT file, but no detector that looks at a star recorded its pixels")
     names = (
@@ -67,10 +69,6 @@ def _star_detectors(system: Any) -> Iterator[Any]:
             and sensor.detector is not None
         ):
             yield sensor.detector
-
-
-def _has_frames(detector: Any) -> bool:
-    return detector.pixel_intensities is not None and np.ndim(detector.pixel_intensities.data) == 3
 
 
 def _recording(detector: Any, name: str, path: Path) -> RawRecording:

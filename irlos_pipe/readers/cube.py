@@ -1,7 +1,5 @@
 """Plain FITS cube (frames, y, x), image (y, x), or one frame per extension."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import dataclass

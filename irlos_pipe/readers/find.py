@@ -3,8 +3,6 @@
 A folder is searched through all its depth, each folder and file once, whatever its links.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -88,7 +86,8 @@ def files_of(path: Path) -> list[Path]:
     """Return every file from which the recordings in `path` are read: data, calibration images, side-car."""
     own = [path]
     with suppress(InputDataError):  # reading will say what is wrong
-        reader = _reader_of(path)
+        with open_fits(path, verify=False) as hdus:
+            reader = _recognised(hdus)
         own = getattr(reader, "files_of", lambda one: [one])(path)
     return [*own, *filter(Path.is_file, [sidecar_path(path)])]
 
@@ -123,12 +122,6 @@ def read_recordings(path: Path, instrument: Instrument) -> list[RawRecording]:
 
 def _recognised(hdus: fits.HDUList) -> Reader | None:
     return next((reader for reader in READERS if reader.recognises(hdus)), None)
-
-
-def _reader_of(path: Path) -> Reader | None:
-    """Return the reader of a FITS file, judged by its headers; None if it has no frames."""
-    with open_fits(path, verify=False) as hdus:
-        return _recognised(hdus)
 
 
 def _raise(folder: Path, error: InputDataError) -> None:
@@ -193,7 +186,11 @@ def files_by_folder(root: Path, refused: Refused) -> Iterator[tuple[list[Path], 
     Hidden files and folders, and those of the real-time computer, are left out. What is named like a FITS
     file is listed whatever it is; opening it says what is wrong. `refused`: see `recording_files`.
     """
-    for folder in sorted(_folders(root, refused), key=lambda folder: _place(folder, root)):
+
+    def place(folder: Path) -> list:
+        return [natural_order(Path(part)) for part in folder.relative_to(root).parts]
+
+    for folder in sorted(_folders(root, refused), key=place):
         files = [entry for entry in _entries(folder) if not entry.is_dir()]
         named = [file for file in files if has_fits_name(file) and not COMPUTER_FILE.fullmatch(stem(file))]
         yield named, [file for file in files if file.suffix == ".yaml" and file.is_file()]
@@ -203,14 +200,11 @@ def each_once(files: Iterable[Path]) -> list[Path]:
     """Return `files` without those that are another one under a second name; links give way."""
     files = list(dict.fromkeys(files))
     chosen: dict[object, Path] = {}
-    for file in sorted(files, key=_is_linked):  # those without a link come first
+    # those without a link come first; Path.resolve raises an error for links in a circle
+    for file in sorted(files, key=lambda one: os.path.realpath(one) != str(one)):
         chosen.setdefault(_identity(file) or file, file)
     kept = set(chosen.values())
     return [file for file in files if file in kept]
-
-
-def _is_linked(file: Path) -> bool:
-    return os.path.realpath(file) != str(file)  # Path.resolve raises an error for links in a circle
 
 
 def natural_order(path: Path) -> list:
@@ -246,10 +240,6 @@ def _is_above(link: Path, root: Path) -> bool:
 
 def _entries(folder: Path) -> list[Path]:
     return sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=natural_order)
-
-
-def _place(folder: Path, root: Path) -> list:
-    return [natural_order(Path(part)) for part in folder.relative_to(root).parts]
 
 
 def _identity(path: Path) -> Identity | None:

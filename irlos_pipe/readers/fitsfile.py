@@ -1,7 +1,5 @@
 """Open FITS files; whatever is wrong with one is reported in a line that names file and HDU."""
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -314,9 +312,8 @@ def open_fits(path: Path, *, verify: bool = True, notes: list[str] | None = None
         if not path.is_file():
             raise InputDataError(f"{path}: {_no_file(path)}") from None
         _require_unchanged(path, before)
-        raise InputDataError(
-            f"{path}: cannot be read as FITS, damaged or cut off: {_one_line(error)}"
-        ) from None
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise InputDataError(f"{path}: cannot be read as FITS, damaged or cut off: {what}") from None
 
 
 def has_image(hdu: fits.hdu.base._BaseHDU) -> bool:
@@ -446,7 +443,3 @@ def _note(path: Path, cards: Sequence[str]) -> str:
     more = f" and {len(cards) - SHOWN_CARDS} more" if len(cards) > SHOWN_CARDS else ""
     shown = ", ".join(f"'{card}'" for card in cards[:SHOWN_CARDS])
     return f"{path}: cards that cannot be read are left out: {shown}{more}"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -1,7 +1,5 @@
 """Raw file of MUSE's narrow-field mode: image extension SPARTA_TT_CUBE, side tables, header."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,13 +39,14 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     adu = image_array(hdus[index], where)
     header = hdus[0].header
     mode = _mode(header, instrument, path)
+    target = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
     whole = RawRecording(
         name=stem(path),
         path=path,
         layout=LAYOUT,
         adu=adu,
         frame_counter=np.arange(len(adu)),
-        header=_from_header(header) | _from_atmosphere(hdus),
+        header=header_keys(header) | target | _from_atmosphere(hdus),
         mode=mode.name,
         of_mode=_from_mode(mode, instrument),
         start_unix_s=_start(hdus, header, path),
@@ -72,17 +71,13 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
             f"{path}: HDU 0: {MODE_KEY} = '{name}' is no mode of {instrument.name}"
             f"{suggestion(name, modes)} (a new mode goes into the instrument profile)"
         )
-    if modes[name].lenslets > 1 and not day and not _says_what_changed(sidecar):
+    changed = {"pixel_scale_mas", "detector.e_per_adu"}  # of the 2x2 modes, from one day on
+    if modes[name].lenslets > 1 and not day and not changed <= sidecar.flat().keys():
         raise InputDataError(
             f"{path}: HDU 0: DATE-OBS is missing or cannot be read, and with it the pixel scale and the gain "
             f"of {name}, which have changed; add pixel_scale_mas and detector.e_per_adu to the side-car"
         )
     return modes[name]
-
-
-def _says_what_changed(sidecar: AcquisitionKeys) -> bool:
-    """Whether a side-car states what of the 2x2 modes depends on the date."""
-    return {"pixel_scale_mas", "detector.e_per_adu"} <= sidecar.flat().keys()
 
 
 def _from_mode(mode: Mode, instrument: Instrument) -> dict[str, Any]:
@@ -94,11 +89,6 @@ def _from_mode(mode: Mode, instrument: Instrument) -> dict[str, Any]:
         "exposure_s": 1 / mode.frame_rate_hz,
         "detector.e_per_adu": mode.e_per_adu,
     }
-
-
-def _from_header(header: fits.Header) -> dict[str, Any]:
-    target = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
-    return header_keys(header) | target
 
 
 def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:

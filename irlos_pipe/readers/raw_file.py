@@ -1,7 +1,5 @@
 """A recording as it stands in its files, and what the keywords of a header say of it, whatever its layout."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

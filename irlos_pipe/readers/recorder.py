@@ -1,7 +1,5 @@
 """SPARTA recorder folder: a table IRPixelFrame with one frame per row, calibration images next to it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

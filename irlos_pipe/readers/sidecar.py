@@ -302,7 +302,10 @@ def read_sidecar(path: Path) -> SidecarKeys:
     try:
         return _read(path)
     except ConfigurationError as error:
-        raise InputDataError(_one_line(str(error))) from None
+        lines = str(error).splitlines()
+        # a key that is misspelt is missing as well; the suggestion says more
+        best = min(lines, key=lambda line: "did you mean" not in line)
+        raise InputDataError(best + and_more(lines)) from None
 
 
 def sidecar_problems(path: Path) -> list[str]:
@@ -319,11 +322,3 @@ def _read(path: Path) -> SidecarKeys:
         return SidecarKeys()
     data, lines = load_yaml(path, InputDataError)
     return require_valid(data, SidecarKeys, Origins(path, lines))
-
-
-def _one_line(text: str) -> str:
-    """Return the most helpful line, and how many others there are."""
-    lines = text.splitlines()
-    # a key that is misspelt is missing as well; the suggestion says more
-    best = min(lines, key=lambda line: "did you mean" not in line)
-    return best + and_more(lines)

@@ -3,8 +3,6 @@
 Keywords of common use say it by the convention of their authors.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

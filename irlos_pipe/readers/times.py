@@ -1,7 +1,5 @@
 """When frames were taken: time columns, and pairing of two tables by their frame counters."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The drawing of the pupil: placements, contents of maps, contradictions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Light of the sky in a pixel. Truth: magnitudes by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

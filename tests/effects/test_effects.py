@@ -1,7 +1,5 @@
 """OTF effects. Truth: averages of moved images by Gauss-Hermite quadrature, and analysis."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 """Calibration with effects in the model. Truth: HCIPy images with the effect put in there (independent code)
 and photon noise; Zernike coefficients of the whole wavefront by least squares on HCIPy's pupil."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Images with an effect. Truth: HCIPy on a pupil grid eight times finer than the model's, the effect put in
 there by the definition of its parameters, or as a sum of HCIPy images (independent code)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

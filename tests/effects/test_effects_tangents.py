@@ -1,7 +1,5 @@
 """Derivatives with respect to effect parameters. Truth: finite differences of the predicted images."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -150,8 +148,8 @@ def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
     assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
 
 
-@pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.slow
+@pytest.mark.parametrize("name", SMOOTH)
 def test_modes_flux_and_background_are_differentiated_through_the_effect(name):
     effect, values = made(name)
     whole = ImageModel(psf(), [effect])

@@ -4,8 +4,6 @@ Truth: a Monte Carlo average of HCIPy images through screens whose variance diff
 (independent code); finite differences; the simulator, whose screens are scaled place by place.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
-from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift import image_problem, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import PhotonFit, alike
 from irlos_pipe.estimate.methods import fit_frames
@@ -228,6 +228,26 @@ def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, f
     assert ours.solution.converged.all()
     assert float(((ours.zernike_nm - theirs.zernike_nm).abs() / theirs.sigma_nm).max()) < 0.1
     assert ours.sigma_nm.numpy() == pytest.approx(theirs.sigma_nm.numpy(), rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_coarse_model_is_exact_at_the_frames_and_its_gradient_that_of_its_value(halo_model):
+    images_e, layout, which = drawn_alike(halo_model, 3e4), Layout(NOLLS), torch.arange(len(FRAME))
+    near = alike(halo_model, FRAMES_NM, FRAME)
+    variance = torch.full_like(images_e, 100.0)
+    exact = image_problem(halo_model, layout, images_e, variance, cases.everything(images_e), near)
+    coarse = exact.quicker
+    x = layout.start(images_e.flatten(1), FRAMES_NM[FRAME])
+    assert coarse.model is not exact.model
+    there = halo_model.predict(FRAMES_NM[FRAME], x[:, -2], x[:, -1]).flatten(1)
+    assert float((coarse.predict_all(x) - there).abs().max()) < 1e-5 * float(there.max())
+    x[:, :-2] += 15.0
+    gradient = coarse.gradient(x, which)[1]
+    for column, step in ((0, 1.0), (2, 1.0), (5, 1.0), (-2, 100.0)):
+        move = torch.zeros_like(x)
+        move[:, column] = step
+        change = (coarse.gradient(x + move, which)[0] - coarse.gradient(x - move, which)[0]) / (2 * step)
+        assert torch.allclose(gradient[:, column], change, atol=0.01 * float(change.abs().max()))
 
 
 # The Cramér-Rao bound. Truth: Fisher matrices from finite differences of images, and analysis.

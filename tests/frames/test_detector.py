@@ -1,7 +1,5 @@
 """Counts to electrons, levels, and the noise measured on a star."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frames that cannot be used, each with its reason."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Instrument profiles."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
@@ -39,18 +37,6 @@ def written(folder, content):
     path = folder / "mine.yaml"
     path.write_text(yaml.safe_dump(content))
     return path
-
-
-def test_the_pupil_is_that_of_ut4():
-    pupil = load_instrument("irlos").pupil
-    assert (pupil.diameter_m, pupil.obscuration_m) == (8.0, 1.116)
-    assert {vane.width_m for vane in pupil.vanes} == {0.040}
-    ends = {vane.end_m for vane in pupil.vanes}
-    assert ends == {(4.2197, 0.0), (0.0, 4.2197), (-4.2197, 0.0), (0.0, -4.2197)}
-    for vane in pupil.vanes:
-        x, y = vane.start_m
-        assert x == y
-        assert math.hypot(x, y) == pytest.approx(0.4045 / math.cos(math.radians(39.5)), abs=1e-5)
 
 
 def test_adaptive_optics_and_laws_are_those_of_the_publications():

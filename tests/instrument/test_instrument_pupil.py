@@ -1,7 +1,5 @@
 """Pupils in instrument profiles, the profiles that ship, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Truth: scipy's minimiser on the written loss of the same linear problem (indepen
 solved directly (analysis), and the sums written out in float64.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The batched solver. Truth: scipy.optimize.least_squares on the same problems, and analysis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

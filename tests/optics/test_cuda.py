@@ -4,8 +4,6 @@ Where there is none, the stand-in of `stand_in_device` shows that no operation m
 counts that the propagation was asked of the device; the tests on a real one are skipped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import chain
 

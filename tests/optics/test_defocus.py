@@ -1,8 +1,6 @@
 """Images of tip, tilt and focus from a table. Truth: the ordinary model with a finer pupil and a wider field,
 finite differences of it, and what the Chebyshev series is said to leave out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

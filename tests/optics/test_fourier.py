@@ -3,8 +3,6 @@
 Truth: the complex Fourier sum of the same samples, written out with NumPy (analysis).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

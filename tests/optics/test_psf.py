@@ -4,8 +4,6 @@ Truth: HCIPy on a pupil grid eight times finer (tests/helpers/reference_psf.py),
 (analysis), and the shift theorem (analysis).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

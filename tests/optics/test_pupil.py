@@ -1,7 +1,5 @@
 """The sampled pupil. Truth: areas and Fourier transforms by analysis, and the aperture of HCIPy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Truth: HCIPy (independent code), the Fourier transform of polygons (analysis), areas (analysis).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Images that move with the coma of the AO residual. Truth: finite differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -172,21 +170,6 @@ def test_aliased_turbulence_is_what_a_simulated_sensor_takes_it_for(turns):
             total += abs(fit) ** 2 * np.hypot(gx, gy) ** (-11 / 3)
     ours = aliased_turbulence(np.array(fx / pitch_m), np.array(fy / pitch_m), BAND.cutoff_per_m)
     assert ours == pytest.approx(total * pitch_m ** (11 / 3), rel=0.02)
-
-
-def test_slopes_of_the_in_band_residual_are_differences():
-    residual = InBandResidual(LENGTHS_M * 0.6, LENGTHS_M * -0.8, BAND)
-    at = torch.tensor([VARIANCE_NM2, 2.3, 0.8, -0.6, -0.5, 0.4, 50.0**2]).double()
-    value, slopes = residual.with_slopes(at)
-    for one, exact in zip(value, residual.at(*at), strict=True):
-        assert one.numpy() == pytest.approx(exact.numpy(), rel=1e-12)
-    for index, step in enumerate([1.0, *[1e-4] * 5, 1.0]):
-        move = torch.zeros(7).double()
-        move[index] = step
-        high, low = (residual.at(*(at + s * move)) for s in (1, -1))
-        for slope, above, below in zip(slopes, high, low, strict=True):
-            difference = ((above - below) / (2 * step)).numpy()
-            assert slope[index].numpy() == pytest.approx(difference, rel=1e-5, abs=1e-3)
 
 
 # -- Monte Carlo -------------------------------------------------------------------------------

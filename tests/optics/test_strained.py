@@ -4,8 +4,6 @@ Truth: the Airy pattern at stretched angles (analysis), HCIPy's image of a pupil
 (independent code), splines of scipy through a finer image without strain, finite differences.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Side-cars, and which source wins; reads and seeing as they are told. Truth: arithmetic."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Truth of the times: astropy's, and 1970 as MJD 40587.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml
