@@ -111,10 +111,10 @@ misled: env-test ## reduce plausible but wrong inputs, and right ones, and count
 mistakes: env-test ## make a user's usual mistakes on purpose and count whether the true cause is named (ARGS="--draws 3")
 	$(BIN)/python -m benchmarks.mistakes --output $(RUNS)/mistakes $(ARGS)
 
-focus-foreign: env-test ## reduce cubes behind adaptive optics unlike the model's, and judge light and errors (ARGS="--draws 1")
+foreign: env-test ## reduce cubes behind adaptive optics unlike the model's, and judge light and errors (ARGS="--draws 1")
 	$(BIN)/python -m benchmarks.foreign --output $(RUNS)/foreign $(ARGS)
 
-faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
+focus-faults: env-test ## give the focus loop bad exposures and hours of right ones (ARGS="--only 'light.*' --no-hours")
 	$(BIN)/python -m benchmarks.focus_faults --output $(RUNS)/focus-faults $(ARGS)
 
 end-to-end: env-test ## simulate an adaptive optics end to end, half an hour, and reduce what is seen behind it

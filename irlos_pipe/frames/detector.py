@@ -115,10 +115,12 @@ def wrapped_pixels(adu: np.ndarray) -> int:
 
     They begin again at its other end. Optics that are sampled make no image that falls by half of the range
     from one pixel to the next, and a hot pixel is high by itself: three neighbours or more that are higher by
-    as much surround a value that has overflowed. A single pixel may be dead, unless it is negative.
+    as much surround a value that has overflowed. A single pixel may be dead, unless it is negative. Counts that
+    16 bits do not hold have not passed their end.
     """
     sample = adu[sample_frames(len(adu))].astype(np.float64)
-    if min(sample.shape[1:]) < 3 or not np.nanmax(sample) - np.nanmin(sample) > WRAP_ADU / 2:
+    most = np.nanmax(sample)
+    if min(sample.shape[1:]) < 3 or most >= WRAP_ADU or not most - np.nanmin(sample) > WRAP_ADU / 2:
         return 0
     padded = np.pad(sample, ((0, 0), (1, 1), (1, 1)), mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))

@@ -17,6 +17,7 @@ from irlos_pipe.frames.detector import (
     saturation_level,
     star_position,
     to_electrons,
+    wrapped_pixels,
 )
 from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
 from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
@@ -305,3 +306,12 @@ def test_the_image_ends_at_the_cut_off_of_the_telescope(mean_e):
     assert np.isnan(
         cutoff_ratio(mean_e / 1e6 + np.random.default_rng(2).normal(size=mean_e.shape), good, 0.2)
     )
+
+
+@pytest.mark.parametrize(
+    ("peak", "width_px", "bits", "wrapped"), [(9e4, 4.0, 16, True), (3e5, 0.8, 32, False)]
+)
+def test_counts_have_overflowed_where_they_begin_again_within_16_bits(peak, width_px, bits, wrapped):
+    y, x = np.mgrid[-20:21, -20:21]
+    adu = (peak * np.exp(-(x**2 + y**2) / 2 / width_px**2)) % 2**bits
+    assert bool(wrapped_pixels(np.tile(adu, (3, 1, 1)))) is wrapped
