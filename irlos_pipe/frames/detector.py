@@ -115,8 +115,8 @@ def wrapped_pixels(adu: np.ndarray) -> int:
 
     They begin again at its other end. Optics that are sampled make no image that falls by half of the range
     from one pixel to the next, and a hot pixel is high by itself: three neighbours or more that are higher by
-    as much surround a value that has overflowed. A single pixel may be dead, unless it is negative. Counts that
-    16 bits do not hold have not passed their end.
+    as much surround a value that has overflowed. A single pixel may be dead, unless it is negative. Counts
+    that 16 bits do not hold have not passed their end.
     """
     sample = adu[sample_frames(len(adu))].astype(np.float64)
     most = np.nanmax(sample)
