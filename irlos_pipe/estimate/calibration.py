@@ -1,7 +1,5 @@
 """NCPA calibration: from a cube of frames to Zernike coefficients with errors."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """What a correction would gain: images with and without measured aberrations, and what each part costs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Fits of one cube: where they begin, and where they begin again if they end in a wrong minimum."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ correction need the modes of their sum. The effects' OPD is projected on piston 
 least squares over the clear pupil.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ A 2-D Gaussian with axes along those of the diversity is fitted to every image, 
 diversity included, and hold inside a stated range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ below a threshold are left out, at the price of a gain that is not quite one.
 Eigenvalues of the Fisher matrix say which modes a mean image determines better than the prior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

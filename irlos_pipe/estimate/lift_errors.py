@@ -10,8 +10,6 @@ derivatives of the image by what LIFT fits, K those by the known modes, W the we
 Not the error of the known defocus alone counts, but that of every mode whose image resembles that of defocus.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

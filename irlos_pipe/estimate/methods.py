@@ -6,8 +6,6 @@ squares come first, as their curvature hardly changes. Only frames that are not 
 of their own.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ fitted to the estimated wavefront over the clear pupil by least squares:
 with a piston p and tilts t, s of its own, which belong to nobody and to the fast loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

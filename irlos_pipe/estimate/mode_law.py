@@ -8,8 +8,6 @@ of squares over ν, s², is all that counts, and the deviance is ``ν (s²/v −
 The law is that of the paper's appendix A, there fitted to the plain standard deviations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ about the other, so the misfit of frames that no fit has seen falls only while m
 static wavefront, and rises again when they follow chance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The prior of the NCPAs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

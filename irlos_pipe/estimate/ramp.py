@@ -1,7 +1,5 @@
 """A focus ramp: estimated against introduced defocus, and the errors of the focus stage."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

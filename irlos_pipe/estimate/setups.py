@@ -8,8 +8,6 @@ An error of the model makes set-ups contradict each other: errors grow by the sc
 by itself wants, over its expectation (the covariance of clusters; Liang & Zeger 1986, Biometrika 73, 13).
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Hashable, Sequence

@@ -5,8 +5,6 @@ A centro-symmetric pupil without known diversity gives +d and −d the same imag
 whether the diversity has told the two apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ ones, the twin is an equally good fit whose even modes, diversity included, chan
 known of the size of aberrations, the instrument's law of NCPAs, separates them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

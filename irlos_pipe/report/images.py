@@ -1,7 +1,5 @@
 """Images, residuals and wavefronts with their colours; thumbnails."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

@@ -10,8 +10,6 @@ and a star in a closed loop lies within a few pixels of its place. A few frequen
 left, and the correlation is two small matrix products.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Every image is measured by itself, from a scan of the whole reach on: no earlier
 measurement can be repeated, on line or afterwards, to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What ingest starts from: the recordings of all inputs, each with what is known about it."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

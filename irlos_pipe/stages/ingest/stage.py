@@ -1,7 +1,5 @@
 """Stage `ingest`: from the files of the recorder to clean frames in electrons."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path

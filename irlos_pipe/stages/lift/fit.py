@@ -1,7 +1,5 @@
 """LIFT on the frames of a ramp, as the stage's settings ask for it: jointly, or as the focus loop does it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

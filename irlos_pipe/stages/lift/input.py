@@ -1,7 +1,5 @@
 """What `lift` and `sensitivity` both need: the frames of the ramp, the model with the NCPAs, the effects."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

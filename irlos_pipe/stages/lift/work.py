@@ -1,7 +1,5 @@
 """Stage `lift`: tip, tilt and defocus of every frame of a ramp, the NCPAs in the known wavefront."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
