@@ -26,25 +26,13 @@ TOLERANCE_NM = 60.0  # the validity range ends where the linear law errs by more
 
 @dataclass(frozen=True)
 class ElongationLaw:
-    """``defocus_nm = A (ratio - 1) + B``.
-
-    Attributes
-    ----------
-    A, B : float
-        [nm RMS].
-    angle_deg : float
-        Direction of the first axis, from +x towards +y.
-    valid_nm : (float, float)
-        Defocus for which the law errs by less than `TOLERANCE_NM`.
-    residual_nm : float
-        RMS error of the law inside the range.
-    """
+    """``defocus_nm = A (ratio - 1) + B``; A and B in nm RMS."""
 
     A: float
     B: float
-    angle_deg: float
-    valid_nm: tuple[float, float]
-    residual_nm: float
+    angle_deg: float  # direction of the first axis, from +x towards +y
+    valid_nm: tuple[float, float]  # defocus for which the law errs by less than `TOLERANCE_NM`
+    residual_nm: float  # RMS error of the law inside the range
 
     def defocus_nm(self, ratio: np.ndarray) -> np.ndarray:
         """Return the prior defocus of axis ratios σ1/σ2, clipped to a little beyond the validity range."""

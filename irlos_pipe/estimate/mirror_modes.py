@@ -23,19 +23,12 @@ LEFT_OUT = (1, *TIP_TILT)
 
 @dataclass(frozen=True)
 class MirrorOffsets:
-    """Offsets of a mirror's modes, to be added to its reference.
+    """Offsets of a mirror's modes, to be added to its reference."""
 
-    Attributes
-    ----------
-    value, sigma : ndarray, (modes,)
-        In the unit of the table's modes, and their standard errors by the errors of the wavefront.
-    before_nm, after_nm : float
-        RMS over the clear pupil of the estimated wavefront, and of what a gain of 1 leaves of it; without
-        piston, tip and tilt [nm].
-    """
-
-    value: np.ndarray
-    sigma: np.ndarray
+    value: np.ndarray  # (modes,), in the unit of the table's modes
+    sigma: np.ndarray  # (modes,), standard errors by the errors of the wavefront
+    # RMS over the clear pupil of the estimated wavefront, and of what a gain of 1 leaves of it; without
+    # piston, tip and tilt
     before_nm: float
     after_nm: float
 

@@ -59,28 +59,17 @@ def visible_order(settings: PsfSettings) -> int:
 
 @dataclass(frozen=True)
 class Opened:
-    """A fit of all modes.
-
-    Attributes
-    ----------
-    law : TailLaw
-        Prior of the modes beyond the closed basis, as fitted.
-    """
+    """A fit of all modes."""
 
     problem: OpenFit
     solution: Solution
-    law: TailLaw
+    law: TailLaw  # prior of the modes beyond the closed basis, as fitted
 
 
 class OpenFit(CheapGradientProblem, ImageFit):
-    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one.
+    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one."""
 
-    Attributes
-    ----------
-    few_colours : ImageModel or None
-        From which the Hessian of steps is, where it may be rough; images and gradients are exact.
-    """
-
+    # from which the Hessian of steps is, where it may be rough; images and gradients are exact
     few_colours: ImageModel | None = None
     kept: tuple[torch.Tensor, ...] = ()  # the last place with its normal equations without the prior
 
@@ -221,21 +210,11 @@ FIRST_SIMPLEX = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
 @dataclass(frozen=True)
 class TailLaw:
-    """Standard deviation of the modes beyond the closed basis.
+    """Standard deviation of the modes beyond the closed basis."""
 
-    Attributes
-    ----------
-    first_noll : int
-        First of these modes.
-    amplitude_nm : float
-        A, that of a mode of the first's radial order n₁ [nm RMS].
-    slope : float
-        p.
-    """
-
-    first_noll: int
-    amplitude_nm: float = 2.0
-    slope: float = 1.0
+    first_noll: int  # first of these modes
+    amplitude_nm: float = 2.0  # A, that of a mode of the first's radial order n₁ [nm RMS]
+    slope: float = 1.0  # p
 
     def sigma_nm(self, nolls: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the standard deviation of modes, (modes,) [nm RMS]."""

@@ -14,40 +14,27 @@ MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not expl
 
 @dataclass(frozen=True)
 class RampSummary:
-    """Straight line and scatter of a ramp.
-
-    Attributes
-    ----------
-    offset_nm, offset_sigma_nm : float
-        Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
-        standard error each offset counts once.
-    rms_nm : float
-        RMS of estimated minus introduced defocus.
-    residual_rms_nm : float
-        RMS about the straight line.
-    saw_tooth_nm, saw_tooth_sigma_nm : float
-        Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
-        together with a line, which would else take a part of it; NaN when only one direction occurs.
-    part_bias_nm, part_bias_sigma_nm : float
-        Constant bias of the second part of the ramp against the first (the reference of the focus stage
-        lost between two runs), fitted in the same way; NaN when the ramp is declared as one part.
-    offsets_nm, median_nm, scatter_nm : ndarray, (offsets,)
-        Introduced defocus, and the median and 1σ (from the 16th and 84th percentile) of the estimates.
-    """
+    """Straight line and scatter of a ramp."""
 
     slope: float
     slope_sigma: float
+    # Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
+    # standard error each offset counts once.
     offset_nm: float
     offset_sigma_nm: float
-    rms_nm: float
-    residual_rms_nm: float
+    rms_nm: float  # of estimated minus introduced defocus
+    residual_rms_nm: float  # about the straight line
+    # Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
+    # together with a line, which would else take a part of it; NaN when only one direction occurs.
     saw_tooth_nm: float
     saw_tooth_sigma_nm: float
+    # Constant bias of the second part of the ramp against the first (the reference of the focus stage lost
+    # between two runs), fitted in the same way; NaN when the ramp is declared as one part.
     part_bias_nm: float
     part_bias_sigma_nm: float
-    offsets_nm: np.ndarray
-    median_nm: np.ndarray
-    scatter_nm: np.ndarray
+    offsets_nm: np.ndarray  # (offsets,), introduced defocus
+    median_nm: np.ndarray  # (offsets,), of the estimates
+    scatter_nm: np.ndarray  # (offsets,), 1σ of them, from the 16th and 84th percentile
 
 
 def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
@@ -167,18 +154,11 @@ def _rms(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class FocusStage:
-    """What the focus stage really introduced.
+    """What the focus stage really introduced."""
 
-    Attributes
-    ----------
-    introduced_nm : ndarray, (frames,)
-    effects, sigma : dict
-        Public parameters of its errors, and standard errors of those that were estimated, by effect.
-    """
-
-    introduced_nm: np.ndarray
-    effects: dict[str, dict]
-    sigma: dict[str, dict]
+    introduced_nm: np.ndarray  # (frames,)
+    effects: dict[str, dict]  # public parameters of its errors, by effect
+    sigma: dict[str, dict]  # standard errors of those that were estimated
 
 
 def fit_focus_stage(

@@ -56,26 +56,14 @@ class RampData:
 
 @dataclass(frozen=True)
 class RampFit:
-    """LIFT of a ramp.
-
-    Attributes
-    ----------
-    model : ImageModel
-        The one used, its effects held at what was found.
-    effects : dict
-        Their public parameters.
-    shared : SharedFit or None
-        Where effect parameters were fitted to the whole ramp.
-    start_nm : tensor, (frames, modes)
-    sigma : dict
-        Standard errors of the public parameters that were fitted to the whole ramp, by effect.
-    """
+    """LIFT of a ramp."""
 
     result: LiftResult
-    model: ImageModel
-    effects: dict[str, dict[str, float]]
-    shared: SharedFit | None
-    start_nm: torch.Tensor
+    model: ImageModel  # the one used, its effects held at what was found
+    effects: dict[str, dict[str, float]]  # their public parameters
+    shared: SharedFit | None  # where effect parameters were fitted to the whole ramp
+    start_nm: torch.Tensor  # (frames, modes)
+    # standard errors of the public parameters of `shared`
     sigma: dict[str, dict] = field(default_factory=dict)
 
     @property
@@ -222,19 +210,12 @@ ON_THE_WAY = 1.0
 
 @dataclass(frozen=True)
 class SharedFit:
-    """Shared effect parameters with their covariance, and the per-image parameters at the optimum.
+    """Shared effect parameters with their covariance, and the per-image parameters at the optimum."""
 
-    Attributes
-    ----------
-    values : tensor, (shared,)
-    covariance : tensor, (shared, shared)
-        Per-image parameters marginalised, the misfit counted as noise.
-    x : tensor, (images, parameters)
-    """
-
-    values: torch.Tensor
+    values: torch.Tensor  # (shared,)
+    # (shared, shared), per-image parameters marginalised, the misfit counted as noise
     covariance: torch.Tensor
-    x: torch.Tensor
+    x: torch.Tensor  # (images, parameters)
     status: str
 
 

@@ -49,22 +49,14 @@ LEAST_SETUPS = 3  # set-ups from which they can contradict each other
 
 @dataclass(frozen=True)
 class Setup:
-    """Frames that were taken in the same way.
-
-    Attributes
-    ----------
-    common : sequence of Effect
-        Those of the wavefront as they act here, in the same order in every set-up.
-    own : sequence of Effect
-        Those of star and sky.
-    names : tuple of str
-        Recordings of the frames. Set-ups of the same ones, planes, share star and sky.
-    """
+    """Frames that were taken in the same way."""
 
     frames: Frames
     settings: PsfSettings
+    # those of the wavefront as they act here, in the same order in every set-up
     common: Sequence[Effect] = ()
-    own: Sequence[Effect] = ()
+    own: Sequence[Effect] = ()  # those of star and sky
+    # recordings of the frames; set-ups of the same ones, planes, share star and sky
     names: tuple[str, ...] = ()
 
 
