@@ -77,7 +77,6 @@ class Covariances:
         return full
 
     def modes_sigma_nm(self) -> np.ndarray:
-        """Errors of the modes, (modes,)."""
         return np.sqrt(np.diag(self._whole)[self.fitted.problem.layout.modes])
 
 

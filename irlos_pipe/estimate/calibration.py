@@ -57,8 +57,6 @@ class SetupFit:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Result of a calibration."""
-
     options: CalibrationOptions  # the method's defaults filled in
     nolls: tuple[int, ...]
     # (modes,), total static wavefront beyond the known one, the part of effects in the pupil included

@@ -23,8 +23,6 @@ HighestNoll = int | Literal["open"]
 
 @dataclass(frozen=True)
 class Method:
-    """A calibration method."""
-
     name: str
     fits: Fits  # to which images, see `methods.SCHEMES`
     loss: LossName  # the default

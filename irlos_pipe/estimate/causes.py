@@ -154,7 +154,6 @@ class Backdrop(DetectorEffect):
         return float(np.ptp(np.tensordot(values, self.maps.numpy(), 1)))
 
     def words(self, values: np.ndarray) -> str:
-        """Return a phrase."""
         return f"a dark that was not subtracted, whose level differs by {self.range_e(values):.3g} e⁻,"
 
 

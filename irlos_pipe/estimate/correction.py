@@ -115,8 +115,6 @@ ALL = "all together"
 
 @dataclass(frozen=True)
 class StrehlPart:
-    """One part of a model."""
-
     name: str  # of the modes or the effect; `ALL` for the whole model
     alone: float  # Strehl ratio with nothing else in the model
     without: float  # and with all else but this

@@ -115,12 +115,8 @@ def autocorrelation_time(series: np.ndarray) -> np.ndarray:
 def covariance_of_mean(series: np.ndarray) -> np.ndarray:
     """Return the covariance of the mean, (columns, columns), of correlated `series` (frames, columns).
 
-    The sample covariance over N, each column's error inflated by the root of its autocorrelation time.
-
-    Raises
-    ------
-    ValueError
-        With fewer than two rows.
+    The sample covariance over N, each column's error inflated by the root of its autocorrelation time. Raises
+    ValueError with fewer than two rows.
     """
     if len(series) < 2:
         raise ValueError("the scatter of a mean needs at least two frames")

@@ -107,11 +107,7 @@ def split_series(series: Series, sense: int) -> Split:
     """Separate the part that turns with the derotator from the part that does not.
 
     The `series` is without tip and tilt, every (n, |m|) complete, see `usable_modes`; the `sense` is 1 or -1.
-
-    Raises
-    ------
-    ValueError
-        When a partner is missing.
+    Raises ValueError when a partner is missing.
     """
     modes = len(series.nolls)
     turns = np.array([rotation_matrix(series.nolls, sense * angle) for angle in series.angles_deg])

@@ -44,10 +44,7 @@ class ElongationLaw:
 def diversity_angle_deg(diversity_nm: Mapping[int, float]) -> float:
     """Return the axis of the astigmatic diversity: 0° for Noll 6, 45° for Noll 5, between for a mixture.
 
-    Raises
-    ------
-    ValueError
-        Without astigmatism in the diversity a single image does not show the sign of defocus.
+    Raises ValueError without astigmatism in the diversity: an image does not show the sign of defocus then.
     """
     oblique, vertical = diversity_nm.get(5, 0.0), diversity_nm.get(6, 0.0)
     if oblique == 0 and vertical == 0:

@@ -103,10 +103,8 @@ class ImageFit(ModesFit):
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
 
-        Raises
-        ------
-        ValueError
-            The present loss counts in plain electrons and the other one does not: variances are forgotten.
+        Raises ValueError if the present loss counts in plain electrons, which forgets the variances, and the
+        other one does not.
         """
         if loss.whitened and not self.loss.whitened:
             raise ValueError(f"the variances are forgotten that {loss.name} needs")

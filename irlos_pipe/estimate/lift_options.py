@@ -16,8 +16,6 @@ NoiseSource = Literal["data", "model", "iterative"]
 
 @dataclass(frozen=True)
 class LiftOptions:
-    """Choices of LIFT."""
-
     # where the variances come from: the smoothed image ("data"); the model fitted with those ("model"); or
     # the model of the very estimate ("iterative")
     noise: NoiseSource = "iterative"

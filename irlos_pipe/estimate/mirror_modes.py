@@ -45,12 +45,8 @@ def mirror_offsets(
 
     The OPD of a unit of each mode is `maps_nm` (modes, n, n), n samples across the diameter, row index is y;
     the clear pupil is `lit` (n, n). The estimated wavefront is `zernike_nm` (Zernike modes,), its covariance
-    (Zernike modes, Zernike modes).
-
-    Raises
-    ------
-    ValueError
-        If modes of the table depend on one another over the clear pupil, or are no numbers there.
+    (Zernike modes, Zernike modes). Raises ValueError if modes of the table depend on one another over the
+    clear pupil, or are no numbers there.
     """
     shapes = maps_nm[:, lit].astype(float)
     if not np.isfinite(shapes).all():

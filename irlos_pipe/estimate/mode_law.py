@@ -89,12 +89,7 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
     """Fit the law by maximum likelihood to the modes to `keep`, (modes,) of bool.
 
     The search begins at `start`. With `remove_noise`, the law is that of the NCPAs, the noise in the
-    likelihood; otherwise that of the estimates.
-
-    Raises
-    ------
-    ValueError
-        With fewer than four modes.
+    likelihood; otherwise that of the estimates. Raises ValueError with fewer than four modes.
     """
     nolls = np.asarray(scatter.nolls)[keep]
     if len(nolls) < 4:

@@ -57,13 +57,8 @@ class Choice:
 def halves(frames: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of the frames of two halves, each (blocks, frames): alternate runs of equal length.
 
-    Runs rather than single frames, whose speckle is correlated with that of their neighbours; many
-    of them, so that both halves see the same slow changes.
-
-    Raises
-    ------
-    ValueError
-        With fewer than `MIN_FRAMES` frames.
+    Runs rather than single frames, whose speckle is correlated with that of their neighbours; many of them,
+    so that both halves see the same slow changes. Raises ValueError with fewer than `MIN_FRAMES` frames.
     """
     if frames < MIN_FRAMES:
         raise ValueError(f"halves need at least {MIN_FRAMES} frames, there are {frames}")

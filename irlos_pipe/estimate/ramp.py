@@ -53,11 +53,7 @@ def summarise(
     """Summarise a ramp whose frames (frames,) are in order of recording; failed estimates are NaN.
 
     The focus reference of a second run, where `second_part` is True, may differ from that of the first.
-
-    Raises
-    ------
-    ValueError
-        With fewer than three estimates or a single offset.
+    Raises ValueError with fewer than three estimates or a single offset.
     """
     direction = travel_direction(introduced_nm)
     part = np.zeros(len(introduced_nm)) if second_part is None else np.asarray(second_part, float)
@@ -87,12 +83,7 @@ def summarise(
 def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummary:
     """Summarise frames (frames,) of one defocus that nobody knows; what needs several offsets is NaN.
 
-    Failed estimates are NaN.
-
-    Raises
-    ------
-    ValueError
-        Without any estimate.
+    Failed estimates are NaN. Raises ValueError without any estimate.
     """
     estimated = estimated_nm[np.isfinite(estimated_nm)]
     if not len(estimated):
@@ -167,11 +158,7 @@ def fit_focus_stage(
     """Estimate the free errors by least squares: what is introduced is linear in all of them.
 
     The `effects` act on a ramp, whose defocus (frames,) is in order of recording; failed estimates are NaN.
-
-    Raises
-    ------
-    ValueError
-        If the ramp cannot separate the errors.
+    Raises ValueError if the ramp cannot separate the errors.
     """
     labels = labels_of(effects)
     base = _introduced_nm(effects, commanded_nm, None)

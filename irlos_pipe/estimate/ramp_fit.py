@@ -56,8 +56,6 @@ class RampData:
 
 @dataclass(frozen=True)
 class RampFit:
-    """LIFT of a ramp."""
-
     result: LiftResult
     model: ImageModel  # the one used, its effects held at what was found
     effects: dict[str, dict[str, float]]  # their public parameters

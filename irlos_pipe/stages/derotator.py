@@ -200,7 +200,6 @@ class SplitOutput:
 
     @property
     def parts(self) -> dict[str, Part]:
-        """Return the parts by name."""
         return {name: getattr(self.split, name) for name in PARTS}
 
     @property

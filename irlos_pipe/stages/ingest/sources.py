@@ -36,7 +36,6 @@ class Source:
 
     @property
     def role(self) -> str:
-        """What the recording is for."""
         return self.resolved.acquisition.role
 
 

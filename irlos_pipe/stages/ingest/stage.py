@@ -87,7 +87,6 @@ class Config(StageConfig):
         )
 
     def limits(self) -> Limits:
-        """Return the limits for frames."""
         return Limits(
             saturated_px=self.max_saturated_px,
             star_snr=self.min_star_snr,
