@@ -121,23 +121,12 @@ def open_basis(
     law: TailLaw | None = None,
     max_iterations: int = 60,
 ) -> Opened | None:
-    """Fit all modes that the window shows, from where a fit of a closed basis is.
+    """Fit all modes that the window shows, or return None where it shows no more or no more can be fitted.
 
-    Parameters
-    ----------
-    closed : ImageFit
-        The mean image by modes from Noll 2 on; it stands at `values`, (1, parameters).
-    beyond_nm : mapping, optional
-        Where the modes beyond begin, Noll index to nm RMS; by default at nothing.
-    law : TailLaw, optional
-        That of a fit near by, from which its own is fitted; by default one of any instrument.
-    max_iterations : int
-        Of each of the two fits, before and after that of the law.
-
-    Returns
-    -------
-    Opened or None
-        None where the window shows no more modes, or no more can be fitted.
+    The fit starts where the mean image by modes from Noll 2 on, `closed`, stands at `values` (1, parameters);
+    the modes beyond begin at `beyond_nm`, Noll index to nm RMS, or at nothing. Their law is fitted from the
+    `law` of a fit near by, or from one of any instrument. Each of the two fits, before and after that of the
+    law, has `max_iterations`.
     """
     psf = closed.model.psf
     nolls = range(2, last_noll_of(visible_order(psf.settings)) + 1)

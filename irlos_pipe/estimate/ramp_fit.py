@@ -161,18 +161,12 @@ def ramp_effects(
     halo: str = "calibrated",
     object_sigma_mas: str | float = "calibrated",
 ) -> list[Effect]:
-    """Choose the effects for `fit_ramp`.
+    """Choose the effects for `fit_ramp` from the `available` ones of the model.
 
-    Parameters
-    ----------
-    available : sequence of Effect
-        The effects of the model.
-    known : mapping of str to FixedEffect
-        Those that a calibration has measured, by label. Of the others, residual and jitter are taken as
-        expected, and the rest as `available` has them: a free one is fitted to the whole ramp.
-    halo : {"calibrated", "fit", "off"}
-    object_sigma_mas : {"calibrated", "fit"} or float
-        Size of the Gaussian kernel that stands for object and jitter.
+    A calibration has measured the `known` ones, by label. Of the others, residual and jitter are taken as
+    expected, and the rest as `available` has them: a free one is fitted to the whole ramp. The `halo` is
+    "calibrated", "fit" or "off"; `object_sigma_mas`, the size of the Gaussian kernel that stands for object
+    and jitter, may also be "calibrated" or "fit".
     """
     labelled = dict(zip(labels_of(available), available, strict=True))
     best = {label: known.get(label) or effect.expected() for label, effect in labelled.items()}

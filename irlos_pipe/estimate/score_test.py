@@ -28,16 +28,12 @@ MEANINGLESS = 1e-9
 
 
 class NullModel:
-    """The optimum of a model without the candidates.
+    """The optimum of a model without the candidates, whitened.
 
-    Parameters
-    ----------
-    residual, root : tensor, (pixels,)
-        Whitened residual, and one over the standard errors of the pixels.
-    basis : tensor, (pixels, parameters)
-        Whitened derivatives of the fitted parameters, orthonormal; with priors, their rows are left out.
-    unconverged : tensor, (parameters,)
-        What the derivatives, priors included, have in common with the residual: nothing at the very optimum.
+    The `residual` and one over the standard errors, `root`, are (pixels,); the derivatives of the fitted
+    parameters, `basis` (pixels, parameters), are orthonormal, with rows of priors left out. `unconverged`
+    (parameters,) is what the derivatives, priors included, have in common with the residual: nothing at the
+    very optimum.
     """
 
     def __init__(

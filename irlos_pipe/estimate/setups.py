@@ -66,13 +66,7 @@ def is_common(effect: Effect) -> bool:
 
 
 class SetupsFit(ModesFit):
-    """Mean images of several set-ups by one vector; one member.
-
-    Parameters
-    ----------
-    parts : sequence of ImageFit
-        Their mean images, with the same modes.
-    """
+    """Mean images of several set-ups, `parts` of the same modes, by one vector; one member."""
 
     def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit]):
         self.parts = [part._with(has_prior=False, prior_precision=0 * part.prior_precision) for part in parts]

@@ -201,13 +201,7 @@ class FocusScan:
         self._to_columns = np.exp(2j * np.pi * np.outer(along_x, self._shifts)).astype(np.complex64)
 
     def __call__(self, image_e: np.ndarray) -> list[Candidate]:
-        """Return the maxima along the focus, the highest first.
-
-        Parameters
-        ----------
-        image_e : ndarray, (rows, columns)
-            Bad pixels set to something harmless.
-        """
+        """Return the maxima along the focus, the highest first; bad pixels of `image_e` must be harmless."""
         products = self._spectra * self._spectrum(image_e)
         along_x = (products.reshape(-1, products.shape[2]) @ self._to_columns).reshape(
             *products.shape[:2], -1

@@ -122,19 +122,10 @@ class Focus:
         return self.solved(image_e)[0][:3]
 
     def measurement(self, image_e: np.ndarray, reads: int = 1) -> Measurement:
-        """Measure one image.
+        """Measure one image, the sum of some `reads`, whose read noise adds.
 
-        Parameters
-        ----------
-        image_e : ndarray, (rows, columns)
-            Photo-electrons without background and dark, the sum of some reads.
-        reads : int
-            How many; their read noise adds.
-
-        Raises
-        ------
-        ValueError
-            For an image of another window.
+        The image (rows, columns) is of photo-electrons without background and dark. Raises ValueError for an
+        image of another window.
         """
         measured, found = self.solved(image_e, reads)
         if found is None or LOST_STAR in measured.reasons:
