@@ -1,7 +1,5 @@
 """Run recipes from Python, and look at what they left."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whether a fitted name is accepted, and whether names found earlier are still needed."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """From what a search found to the verdict, and to the search log of effects that are not named."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Sizes of effects under their public names: errors of what was found, limits of what was not."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -79,7 +77,6 @@ class Covariances:
         return full
 
     def modes_sigma_nm(self) -> np.ndarray:
-        """Errors of the modes, (modes,)."""
         return np.sqrt(np.diag(self._whole)[self.fitted.problem.layout.modes])
 
 

@@ -1,7 +1,5 @@
 """The search that adds one name after the other until nothing significant is missing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """How complete a diagnosis is: whether much is left, where it lies, and what that says of the names."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

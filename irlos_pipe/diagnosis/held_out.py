@@ -4,8 +4,6 @@ What belongs to single frames, tip, tilt, flux and background, is refitted linea
 frozen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

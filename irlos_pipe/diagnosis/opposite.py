@@ -13,8 +13,6 @@ stop is begun on every side of the pupil, as the image has a kink where it is no
 design, such as square pixels, are left as they are: what the model of the AO residual misses imitates them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

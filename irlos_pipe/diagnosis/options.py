@@ -1,7 +1,5 @@
 """What can be chosen of a diagnosis."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

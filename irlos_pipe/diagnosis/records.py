@@ -1,7 +1,5 @@
 """Parts of a diagnosis that results.json holds as they are: every key is a field, described here only."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Non-linear fits of the families that a score proposes, and their order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

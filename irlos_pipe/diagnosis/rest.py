@@ -1,7 +1,5 @@
 """What a model still misses, in words and numbers: how much light, where, how large, and when."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

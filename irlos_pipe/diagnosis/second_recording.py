@@ -5,8 +5,6 @@ with as many frames and as much light, and what is then left of an effect's deri
 parameters, and of the likeness of two names, says whether it would help.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -6,8 +6,6 @@ instrument's. A name that only one moment shows may still be in the others, too
 weak to be seen there: then neither is said.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

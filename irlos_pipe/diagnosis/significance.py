@@ -1,7 +1,5 @@
 """Significance of projections of a mean image, from their scatter over the frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from scipy import special

@@ -1,7 +1,5 @@
 """Other places from which a fit may begin, where it may have ended in a false minimum."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a diagnosis says, in numbers and in one or two sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal

@@ -1,7 +1,5 @@
 """The diagnosis: detect, propose, refit, decide, adapt, and judge on frames that no fit has seen."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

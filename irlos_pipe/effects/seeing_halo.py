@@ -203,7 +203,6 @@ class SeeingHalo(OtfEffect):
         return self._fixed + self._per_nm2 * (values[VARIANCES[0]] + values[VARIANCES[1]])
 
     def on(self, grid: OtfGrid) -> ResidualOtf:
-        """Return the residual on the baselines of `grid`."""
         return residual_otf(self.band, self.r0_m, grid.focal)
 
 

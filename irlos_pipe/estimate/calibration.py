@@ -1,7 +1,5 @@
 """NCPA calibration: from a cube of frames to Zernike coefficients with errors."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -59,89 +57,42 @@ class SetupFit:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Result of a calibration.
-
-    Attributes
-    ----------
-    options : CalibrationOptions
-        The method's defaults filled in.
-    zernike_nm : ndarray, (modes,)
-        Total static wavefront beyond the known one, the part of effects in the pupil included.
-    fitted_modes_nm : ndarray, (modes,)
-        The same without that part: what goes with the effects in a model.
-    covariance_nm2 : ndarray, (modes, modes)
-        See `errors_from`.
-    errors_from : {"frames", "few_frames", "noise"}
-        The scatter over frames, autocorrelation included; of too few frames the noise model, with or without
-        their scatter; all grow by what the model misfits (see `calibration_errors`).
-    effects : dict
-        Public parameters of the effects, by effect.
-    effect_values : dict of str to ndarray
-        Solver's parameters of each effect, for handing on.
-    frames_nm : ndarray, (frames, modes)
-        Coefficients per frame: fitted, or linearised about the mean image's solution.
-    frame_status : list of str
-        Per frame for per-frame methods, else one entry.
-    mean_image_e, model_image_e, sigma_image_e : ndarray, (rows, columns)
-    chi2_nu : float
-        Of the mean image, against the scatter between frames.
-    nominal : NominalChi2
-        What it would be about a model that lacks nothing.
-    noise_ratio : float
-        See `Frames.noise_ratio`.
-    window_resolutions : float
-        Smaller side of the window in λ/D.
-    kurtosis : float
-        Of the frames, see `frame_kinds`.
-    twin : TwinCheck or None
-        Of the closed basis.
-    tail : TailLaw or None
-        Law of the modes beyond it; None where there are none.
-    effects_sigma : dict
-        Standard errors of the public parameters of the effects, see `effect_errors`.
-    left : Curve or None
-        Power spectrum of the residual over its standard error, see `image_quality.power_spectrum`.
-    mirrored : Mirrored or None
-        How much of a mirrored pupil the mean image shows, where that was looked at.
-    motion : Motion or None
-        Of the star from frame to frame, where the frames were `steadied`.
-    left_nominal : ndarray or None
-        What a complete model would leave of `left`, see `calibration_errors.nominal_power`.
-    fit : (ImageFit, Solution) or None
-        The fit of one star's mean image, for `causes`.
-    setups : sequence of SetupFit
-        Where several were fitted together.
-    """
-
-    options: CalibrationOptions
+    options: CalibrationOptions  # the method's defaults filled in
     nolls: tuple[int, ...]
+    # (modes,), total static wavefront beyond the known one, the part of effects in the pupil included
     zernike_nm: np.ndarray
-    fitted_modes_nm: np.ndarray
-    covariance_nm2: np.ndarray
+    fitted_modes_nm: np.ndarray  # (modes,), the same without that part: what goes with the effects in a model
+    covariance_nm2: np.ndarray  # (modes, modes), see `errors_from`
+    # The scatter over frames, autocorrelation included; of too few frames the noise model, with or without
+    # their scatter; all grow by what the model misfits (see `calibration_errors`).
     errors_from: ErrorsFrom
-    effects: dict[str, dict]
-    effect_values: dict[str, np.ndarray]
-    frames_nm: np.ndarray
-    frame_status: list[str]
+    effects: dict[str, dict]  # public parameters, by effect
+    effect_values: dict[str, np.ndarray]  # solver's parameters of each effect, for handing on
+    frames_nm: np.ndarray  # (frames, modes), per frame: fitted, or linearised about the mean image's solution
+    frame_status: list[str]  # per frame for per-frame methods, else one entry
     iterations: np.ndarray
-    mean_image_e: np.ndarray
+    mean_image_e: np.ndarray  # (rows, columns), as the two that follow
     model_image_e: np.ndarray
     sigma_image_e: np.ndarray
-    chi2_nu: float
-    nominal: NominalChi2
-    noise_ratio: float
-    window_resolutions: float
-    kurtosis: float
-    twin: TwinCheck | None
-    tail: TailLaw | None
+    chi2_nu: float  # of the mean image, against the scatter between frames
+    nominal: NominalChi2  # what it would be about a model that lacks nothing
+    noise_ratio: float  # see `Frames.noise_ratio`
+    window_resolutions: float  # smaller side of the window in λ/D
+    kurtosis: float  # of the frames, see `frame_kinds`
+    twin: TwinCheck | None  # of the closed basis
+    tail: TailLaw | None  # law of the modes beyond it; None where there are none
     seconds: float
+    # standard errors of `effects`, see `effect_errors`
     effects_sigma: dict[str, dict] = field(default_factory=dict)
+    # power spectrum of the residual over its standard error, see `image_quality.power_spectrum`
     left: Curve | None = None
+    # how much of a mirrored pupil the mean image shows, where that was looked at
     mirrored: Mirrored | None = None
-    motion: Motion | None = None
+    motion: Motion | None = None  # of the star from frame to frame, where the frames were `steadied`
+    # what a complete model would leave of `left`, see `calibration_errors.nominal_power`
     left_nominal: np.ndarray | None = None
-    fit: Fit | None = None
-    setups: Sequence[SetupFit] = ()
+    fit: Fit | None = None  # of one star's mean image, for `causes`
+    setups: Sequence[SetupFit] = ()  # where several were fitted together
 
     @property
     def sigma_nm(self) -> np.ndarray:

@@ -172,21 +172,11 @@ class NominalChi2:
 
 @dataclass(frozen=True)
 class Part:
-    """A mean image among those that are fitted together.
+    """A mean image among those that are fitted together."""
 
-    Attributes
-    ----------
-    frames : Frames
-        Of fewer than `LEAST_FRAMES` the noise model takes the place of the scatter.
-    jacobian : tensor, (its parameters, pixels)
-        Derivatives of the model image [e- per unit of the parameter].
-    columns : sequence of int, (its parameters,)
-        Where they stand among the parameters of all parts.
-    """
-
-    frames: Frames
-    jacobian: torch.Tensor
-    columns: Sequence[int]
+    frames: Frames  # of fewer than `LEAST_FRAMES` the noise model takes the place of the scatter
+    jacobian: torch.Tensor  # (its parameters, pixels), of the model image [e- per unit of the parameter]
+    columns: Sequence[int]  # (its parameters,), where they stand among the parameters of all parts
 
 
 def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor) -> NominalChi2:

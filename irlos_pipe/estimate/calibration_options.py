@@ -23,28 +23,12 @@ HighestNoll = int | Literal["open"]
 
 @dataclass(frozen=True)
 class Method:
-    """A calibration method.
-
-    Attributes
-    ----------
-    fits : str
-        To which images, see `methods.SCHEMES`.
-    loss : str
-        Default loss.
-    highest_noll : int
-        Default number of modes, Noll 2 to this.
-    open : bool
-        Whether they are only the first, and all that the window shows follow, see `open_fit`.
-    effects : bool
-        Whether the AO residual and jitter belong to the model.
-    """
-
     name: str
-    fits: Fits
-    loss: LossName
-    highest_noll: int
-    open: bool
-    effects: bool
+    fits: Fits  # to which images, see `methods.SCHEMES`
+    loss: LossName  # the default
+    highest_noll: int  # default number of modes, Noll 2 to this
+    open: bool  # whether they are only the first, and all that the window shows follow, see `open_fit`
+    effects: bool  # whether the AO residual and jitter belong to the model
     description: str
 
 
@@ -103,27 +87,16 @@ METHODS: dict[str, Method] = {
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """Choices of the user; None takes the method's default.
+    """Choices of the user; None takes the method's default."""
 
-    Attributes
-    ----------
-    method : str
-        A key of `METHODS`.
-    loss : str or None
-        A key of `LOSSES`.
-    optimiser : {"lm", "lbfgs"}
-    highest_noll : int, "open" or None
-        Modes Noll 2 to this are estimated, or as many as the window shows.
-    law : NcpaLaw or None
-        By which the sign of the even modes is judged, see `twin`; None leaves it to the data alone.
-    """
-
-    method: str = DEFAULT_METHOD
+    method: str = DEFAULT_METHOD  # a key of `METHODS`
     loss: LossName | None = None
     optimiser: OptimiserName = "lm"
+    # modes Noll 2 to this are estimated, or with "open" as many as the window shows
     highest_noll: HighestNoll | None = None
     prior: NcpaPrior | None = None
     max_iterations: int = 100
+    # by which the sign of the even modes is judged, see `twin`; None: by the data alone
     law: NcpaLaw | None = None
 
     @property

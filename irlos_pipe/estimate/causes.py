@@ -99,25 +99,18 @@ class Asked:
 
 @dataclass(frozen=True)
 class Suspect:
-    """A change of the model: an effect, other optics, or both.
-
-    Attributes
-    ----------
-    phrase, value : callable
-        In words, and as a number to compare with the `declared` one, by the free values of the effect.
-    starts : sequence of sequence of float
-        Free values from which a refit may begin, besides the linear estimate.
-    """
+    """A change of the model: an effect, other optics, or both."""
 
     name: str
     key: str
+    # by the free values of the effect: in words, and as a number to compare with the `declared` one
     phrase: Callable[[np.ndarray], str]
     value: Callable[[np.ndarray], float] | None = None
     declared: float = NAN
     unit: str = ""
     effect: Effect | None = None
     settings: PsfSettings | None = None
-    starts: Sequence[Sequence[float]] = ()
+    starts: Sequence[Sequence[float]] = ()  # free values from which a refit may begin, besides the estimate
     figure: str = RESIDUAL
 
     @property
@@ -161,7 +154,6 @@ class Backdrop(DetectorEffect):
         return float(np.ptp(np.tensordot(values, self.maps.numpy(), 1)))
 
     def words(self, values: np.ndarray) -> str:
-        """Return a phrase."""
         return f"a dark that was not subtracted, whose level differs by {self.range_e(values):.3g} e⁻,"
 
 

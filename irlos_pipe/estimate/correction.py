@@ -1,7 +1,5 @@
 """What a correction would gain: images with and without measured aberrations, and what each part costs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,29 +18,17 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
 @dataclass(frozen=True)
 class Prediction:
-    """Unit-flux images without diversity and their quality.
+    """Unit-flux images without diversity and their quality."""
 
-    Attributes
-    ----------
-    before, after, perfect : ndarray, (rows, columns)
-        With all estimated aberrations; with the corrected modes removed; with none. AO residual and
-        jitter are in the first two.
-    strehl_before, strehl_after : float
-        Peak over that of the aberration-free image, at the mean wavelength of the spectrum.
-    radius_mas, profile_before, profile_after : ndarray, (radii,)
-    resolution_px : float
-        λ/D at the mean wavelength.
-    """
-
-    before: np.ndarray
-    after: np.ndarray
-    perfect: np.ndarray
-    strehl_before: float
+    before: np.ndarray  # (rows, columns), with all estimated aberrations, AO residual and jitter
+    after: np.ndarray  # the same with the corrected modes removed
+    perfect: np.ndarray  # with no aberration, AO residual or jitter
+    strehl_before: float  # peak over that of `perfect`, at the mean wavelength of the spectrum
     strehl_after: float
-    radius_mas: np.ndarray
+    radius_mas: np.ndarray  # (radii,), as the two that follow
     profile_before: np.ndarray
     profile_after: np.ndarray
-    resolution_px: float
+    resolution_px: float  # λ/D at the mean wavelength
 
     def encircled(self, image: np.ndarray) -> Curve:
         """Return the part of the light within circles about the optical axis, over the radius [px]."""
@@ -56,18 +42,11 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Offsets:
-    """Modal offsets to add to the reference; modes that were not estimated are 0 with an infinite error.
+    """Modal offsets to add to the reference; modes that were not estimated are 0 with an infinite error."""
 
-    Attributes
-    ----------
-    nolls : ndarray, (modes,)
-    value_nm, sigma_nm : ndarray, (modes,)
-        Offsets and their standard errors [nm RMS].
-    """
-
-    nolls: np.ndarray
+    nolls: np.ndarray  # (modes,), as the two that follow
     value_nm: np.ndarray
-    sigma_nm: np.ndarray
+    sigma_nm: np.ndarray  # standard errors
 
 
 def modal_offsets(
@@ -136,22 +115,10 @@ ALL = "all together"
 
 @dataclass(frozen=True)
 class StrehlPart:
-    """One part of a model.
-
-    Attributes
-    ----------
-    name : str
-        Of the modes or the effect; `ALL` for the whole model.
-    alone, without : float
-        Strehl ratio with nothing else in the model, and with all else but this.
-    wfe_nm : float
-        RMS of its modes; NaN of an effect.
-    """
-
-    name: str
-    alone: float
-    without: float
-    wfe_nm: float = math.nan
+    name: str  # of the modes or the effect; `ALL` for the whole model
+    alone: float  # Strehl ratio with nothing else in the model
+    without: float  # and with all else but this
+    wfe_nm: float = math.nan  # RMS of its modes; NaN of an effect
 
 
 def strehl_budget(

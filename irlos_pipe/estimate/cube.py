@@ -27,23 +27,14 @@ LOCAL_PX = 5  # side of the square over which scatter is averaged
 
 @dataclass(frozen=True)
 class Frames:
-    """Images of a calibration cube.
+    """Images of a calibration cube."""
 
-    Attributes
-    ----------
-    images_e : tensor, (frames, rows, columns)
-    good : tensor of bool, (rows, columns)
-    misfit : float
-        By which the variance of the mean is larger than that, because a model misfits (see `few_frames`).
-    motion : Motion or None
-        Of the star before the frames were `steadied`; None where it did not move.
-    """
-
-    images_e: torch.Tensor
-    good: torch.Tensor
+    images_e: torch.Tensor  # (frames, rows, columns)
+    good: torch.Tensor  # (rows, columns)
     noise: NoiseModel
+    # by which the variance of the mean is larger because a model misfits, see `few_frames`
     misfit: float = 1.0
-    motion: Motion | None = None
+    motion: Motion | None = None  # of the star before the frames were `steadied`; None where it did not move
 
     @cached_property
     def mean_e(self) -> torch.Tensor:
@@ -124,12 +115,8 @@ def autocorrelation_time(series: np.ndarray) -> np.ndarray:
 def covariance_of_mean(series: np.ndarray) -> np.ndarray:
     """Return the covariance of the mean, (columns, columns), of correlated `series` (frames, columns).
 
-    The sample covariance over N, each column's error inflated by the root of its autocorrelation time.
-
-    Raises
-    ------
-    ValueError
-        With fewer than two rows.
+    The sample covariance over N, each column's error inflated by the root of its autocorrelation time. Raises
+    ValueError with fewer than two rows.
     """
     if len(series) < 2:
         raise ValueError("the scatter of a mean needs at least two frames")
@@ -152,18 +139,10 @@ ORDERED = 0.8  # part of the variance of the places that a drift or a step must 
 
 @dataclass(frozen=True)
 class Motion:
-    """Places of the star in the frames of a cube.
+    """Places of the star in the frames of a cube."""
 
-    Attributes
-    ----------
-    places_px : ndarray, (frames, 2)
-        (x, y) from their mean.
-    error_px : float
-        Standard error of a place, of one coordinate.
-    """
-
-    places_px: np.ndarray
-    error_px: float
+    places_px: np.ndarray  # (frames, 2), (x, y) from their mean
+    error_px: float  # standard error of a place, of one coordinate
 
     @property
     def rest_px(self) -> np.ndarray:

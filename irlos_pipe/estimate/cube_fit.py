@@ -1,7 +1,5 @@
 """Fits of one cube: where they begin, and where they begin again if they end in a wrong minimum."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,22 +31,15 @@ Fit = tuple[ImageFit, Solution]
 
 @dataclass(frozen=True)
 class CubeFit:
-    """The means to fit one cube, whatever the effects in the model.
-
-    Attributes
-    ----------
-    start_nm : ndarray, (modes,), or None
-        Where every fit begins, from Noll 2 on; else each begins from none, and from elsewhere if it ends in
-        a wrong minimum.
-    report : callable or None
-        Called with the number of finished frames.
-    """
+    """The means to fit one cube, whatever the effects in the model."""
 
     frames: Frames
     psf: LightPath
     options: CalibrationOptions
+    # (modes,), where every fit begins, from Noll 2 on; else each begins from none, and from elsewhere if it
+    # ends in a wrong minimum
     start_nm: np.ndarray | None
-    report: Report | None
+    report: Report | None  # called with the number of finished frames
 
     def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
         """Fit with these effects, from scratch or from the modes of another fit, `near`."""

@@ -23,20 +23,12 @@ MIN_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exc
 
 @dataclass(frozen=True)
 class Series:
-    """Estimates at several derotator angles.
-
-    Attributes
-    ----------
-    angles_deg : ndarray, (cubes,)
-        By which the wavefront before the derotator is turned.
-    zernike_nm : ndarray, (cubes, modes)
-    covariance_nm2 : ndarray, (cubes, modes, modes)
-    """
+    """Estimates at several derotator angles."""
 
     nolls: tuple[int, ...]
-    angles_deg: np.ndarray
-    zernike_nm: np.ndarray
-    covariance_nm2: np.ndarray
+    angles_deg: np.ndarray  # (cubes,), by which the wavefront before the derotator is turned
+    zernike_nm: np.ndarray  # (cubes, modes)
+    covariance_nm2: np.ndarray  # (cubes, modes, modes)
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -63,16 +55,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Part:
-    """Coefficients with their covariance; zero for modes that are not of this part.
+    """Coefficients with their covariance; zero for modes that are not of this part."""
 
-    Attributes
-    ----------
-    zernike_nm : ndarray, (modes,)
-    covariance_nm2 : ndarray, (modes, modes)
-        Of modes of the same (n, |m|); others are taken as independent.
-    """
-
-    zernike_nm: np.ndarray
+    zernike_nm: np.ndarray  # (modes,)
+    # (modes, modes), of modes of the same (n, |m|); others are taken as independent
     covariance_nm2: np.ndarray
 
     @property
@@ -93,31 +79,17 @@ class Part:
 
 @dataclass(frozen=True)
 class Split:
-    """The parts of a series.
-
-    Attributes
-    ----------
-    separable : ndarray of bool, (modes,)
-    rotating, fixed : Part
-        Of separable modes; `rotating` in the frame before the derotator, that of angle 0.
-    unsplit : Part
-        Sum of both parts in the other modes: symmetric ones, and those that the angles do not separate.
-    predicted_nm : ndarray, (cubes, modes)
-    chi2 : float
-        Against the errors of the single estimates.
-    sense : int
-        +1: the rotating part turns anticlockwise with the angle.
-    """
+    """The parts of a series."""
 
     nolls: tuple[int, ...]
-    separable: np.ndarray
-    rotating: Part
-    fixed: Part
-    unsplit: Part
-    predicted_nm: np.ndarray
-    chi2: float
+    separable: np.ndarray  # (modes,), which ones the angles separate
+    rotating: Part  # of separable modes, in the frame before the derotator, that of angle 0
+    fixed: Part  # of separable modes
+    unsplit: Part  # sum of both in the other modes: symmetric ones, and those that are not separable
+    predicted_nm: np.ndarray  # (cubes, modes)
+    chi2: float  # against the errors of the single estimates
     freedom: int
-    sense: int
+    sense: int  # +1: the rotating part turns anticlockwise with the angle
 
     @property
     def chi2_nu(self) -> float:
@@ -135,11 +107,7 @@ def split_series(series: Series, sense: int) -> Split:
     """Separate the part that turns with the derotator from the part that does not.
 
     The `series` is without tip and tilt, every (n, |m|) complete, see `usable_modes`; the `sense` is 1 or -1.
-
-    Raises
-    ------
-    ValueError
-        When a partner is missing.
+    Raises ValueError when a partner is missing.
     """
     modes = len(series.nolls)
     turns = np.array([rotation_matrix(series.nolls, sense * angle) for angle in series.angles_deg])
@@ -199,16 +167,10 @@ def _least_squares(design: np.ndarray, series: Series, pair: list[int]) -> tuple
 
 @dataclass(frozen=True)
 class Senses:
-    """The better of the two senses of rotation.
-
-    Attributes
-    ----------
-    delta_chi2 : float
-        χ² of the other sense minus that of the best; near 0 where the angles do not show it.
-    """
+    """The better of the two senses of rotation."""
 
     best: Split
-    delta_chi2: float
+    delta_chi2: float  # χ² of the other sense minus that of the best; near 0 where the angles do not show it
 
 
 def try_both_senses(series: Series) -> Senses:

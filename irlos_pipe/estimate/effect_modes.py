@@ -5,8 +5,6 @@ correction need the modes of their sum. The effects' OPD is projected on piston 
 least squares over the clear pupil.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -74,12 +72,8 @@ def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) 
 
     The mean image shows a drift to second order only, and not its sign; the frames show both. The `effect` is
     of the plane `time` and linear in its parameters, all of which are free; the modes `nolls` of `frames_nm`
-    (frames, modes) are estimates at equal intervals of time.
-
-    Raises
-    ------
-    ValueError
-        If a mode that is to drift is not estimated.
+    (frames, modes) are estimates at equal intervals of time. Raises ValueError if a mode that is to drift is
+    not estimated.
     """
     when = torch.linspace(0, 1, len(frames_nm), dtype=torch.float64)
     still = torch.zeros(len(frames_nm), len(nolls), dtype=torch.float64)

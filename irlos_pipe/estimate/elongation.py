@@ -5,8 +5,6 @@ A 2-D Gaussian with axes along those of the diversity is fitted to every image, 
 diversity included, and hold inside a stated range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -28,25 +26,13 @@ TOLERANCE_NM = 60.0  # the validity range ends where the linear law errs by more
 
 @dataclass(frozen=True)
 class ElongationLaw:
-    """``defocus_nm = A (ratio - 1) + B``.
-
-    Attributes
-    ----------
-    A, B : float
-        [nm RMS].
-    angle_deg : float
-        Direction of the first axis, from +x towards +y.
-    valid_nm : (float, float)
-        Defocus for which the law errs by less than `TOLERANCE_NM`.
-    residual_nm : float
-        RMS error of the law inside the range.
-    """
+    """``defocus_nm = A (ratio - 1) + B``; A and B in nm RMS."""
 
     A: float
     B: float
-    angle_deg: float
-    valid_nm: tuple[float, float]
-    residual_nm: float
+    angle_deg: float  # direction of the first axis, from +x towards +y
+    valid_nm: tuple[float, float]  # defocus for which the law errs by less than `TOLERANCE_NM`
+    residual_nm: float  # RMS error of the law inside the range
 
     def defocus_nm(self, ratio: np.ndarray) -> np.ndarray:
         """Return the prior defocus of axis ratios σ1/σ2, clipped to a little beyond the validity range."""
@@ -58,10 +44,7 @@ class ElongationLaw:
 def diversity_angle_deg(diversity_nm: Mapping[int, float]) -> float:
     """Return the axis of the astigmatic diversity: 0° for Noll 6, 45° for Noll 5, between for a mixture.
 
-    Raises
-    ------
-    ValueError
-        Without astigmatism in the diversity a single image does not show the sign of defocus.
+    Raises ValueError without astigmatism in the diversity: an image does not show the sign of defocus then.
     """
     oblique, vertical = diversity_nm.get(5, 0.0), diversity_nm.get(6, 0.0)
     if oblique == 0 and vertical == 0:

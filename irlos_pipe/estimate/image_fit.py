@@ -103,10 +103,8 @@ class ImageFit(ModesFit):
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
 
-        Raises
-        ------
-        ValueError
-            The present loss counts in plain electrons and the other one does not: variances are forgotten.
+        Raises ValueError if the present loss counts in plain electrons, which forgets the variances, and the
+        other one does not.
         """
         if loss.whitened and not self.loss.whitened:
             raise ValueError(f"the variances are forgotten that {loss.name} needs")
@@ -302,18 +300,11 @@ INFINITE = float("inf")
 
 @dataclass(frozen=True)
 class Layout:
-    """Order of the parameters: Zernike modes, effect parameters, flux, background.
-
-    Attributes
-    ----------
-    effects : tuple of Parameter
-        Free parameters of the effects; empty where they are held.
-    prior_mean_nm, prior_sigma_nm : tensor, (modes,) or (batch, modes), optional
-        Gaussian prior of the modes; no prior when absent.
-    """
+    """Order of the parameters: Zernike modes, effect parameters, flux, background."""
 
     nolls: tuple[int, ...]
-    effects: tuple[Parameter, ...] = ()
+    effects: tuple[Parameter, ...] = ()  # free parameters; empty where they are held
+    # (modes,) or (batch, modes), both or none: Gaussian prior of the modes
     prior_mean_nm: torch.Tensor | None = None
     prior_sigma_nm: torch.Tensor | None = field(default=None)
 

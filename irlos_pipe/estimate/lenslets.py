@@ -8,8 +8,6 @@ below a threshold are left out, at the price of a gain that is not quite one.
 Eigenvalues of the Fisher matrix say which modes a mean image determines better than the prior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -84,23 +82,14 @@ def modes_of_centroids_nm(
 
 @dataclass(frozen=True)
 class Identified:
-    """What the data say of modes in comparison with a prior.
-
-    Attributes
-    ----------
-    information : ndarray, (modes,)
-        Eigenvalues of the Fisher matrix in units of the prior, descending: above 1, the data say more of a
-        combination of modes than the prior.
-    left : ndarray, (modes,)
-        Standard error of every mode over that of its prior.
-    bound_nm : ndarray, (modes,)
-        Cramér–Rao bound without a prior of the modes [nm].
-    """
+    """What the data say of modes in comparison with a prior."""
 
     nolls: tuple[int, ...]
+    # (modes,), eigenvalues of the Fisher matrix in units of the prior, descending: above 1, the data say more
+    # of a combination of modes than the prior
     information: np.ndarray
-    left: np.ndarray
-    bound_nm: np.ndarray
+    left: np.ndarray  # (modes,), standard error of every mode over that of its prior
+    bound_nm: np.ndarray  # (modes,), Cramér–Rao bound without a prior of the modes
 
     @property
     def combinations(self) -> int:

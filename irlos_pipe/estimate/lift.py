@@ -35,26 +35,15 @@ COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with var
 
 @dataclass(frozen=True)
 class LiftResult:
-    """Estimates of a batch of images.
-
-    Attributes
-    ----------
-    zernike_nm : tensor, (images, modes)
-        Beyond the known wavefront.
-    covariance_nm2 : tensor, (images, modes, modes)
-        Inverse of the Fisher matrix (plus prior), flux and background marginalised.
-    solution : Solution
-        All parameters and their status.
-    model_e : tensor, (images, rows, columns)
-    chi2_nu : tensor, (images,)
-    """
+    """Estimates of a batch of images."""
 
     nolls: tuple[int, ...]
-    zernike_nm: torch.Tensor
+    zernike_nm: torch.Tensor  # (images, modes), beyond the known wavefront
+    # (images, modes, modes), inverse of the Fisher matrix (plus prior), flux and background marginalised
     covariance_nm2: torch.Tensor
-    solution: Solution
-    model_e: torch.Tensor
-    chi2_nu: torch.Tensor
+    solution: Solution  # all parameters and their status
+    model_e: torch.Tensor  # (images, rows, columns)
+    chi2_nu: torch.Tensor  # (images,)
 
     @classmethod
     def joined(cls, parts: Sequence[LiftResult]) -> LiftResult:

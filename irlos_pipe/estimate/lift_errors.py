@@ -10,8 +10,6 @@ derivatives of the image by what LIFT fits, K those by the known modes, W the we
 Not the error of the known defocus alone counts, but that of every mode whose image resembles that of defocus.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,21 +28,12 @@ LEAST_FREEDOM = 5  # degrees of freedom from which scatter within offsets is pre
 
 @dataclass(frozen=True)
 class FrameErrors:
-    """Errors of single frames of a ramp beyond photon noise.
+    """Errors of single frames of a ramp beyond photon noise."""
 
-    Attributes
-    ----------
-    instant_nm : float
-        By which errors differ from frame to frame beyond photon noise, see `instant_error_nm`.
-    chi2_nu : float
-        Median of the frames.
-    nominal_chi2_nu : float
-        What it would be about a right model; NaN where no offset has two frames.
-    """
-
+    # by which errors differ from frame to frame beyond photon noise, see `instant_error_nm`
     instant_nm: float
-    chi2_nu: float
-    nominal_chi2_nu: float
+    chi2_nu: float  # median of the frames
+    nominal_chi2_nu: float  # what it would be about a right model; NaN where no offset has two frames
 
     @property
     def excess(self) -> float:

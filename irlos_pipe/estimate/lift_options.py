@@ -16,27 +16,17 @@ NoiseSource = Literal["data", "model", "iterative"]
 
 @dataclass(frozen=True)
 class LiftOptions:
-    """Choices of LIFT.
-
-    Attributes
-    ----------
-    noise : {"data", "model", "iterative"}
-        Where the variances come from: the smoothed image; the model fitted with those; or the
-        model of the very estimate.
-    prior_mean_nm, prior_sigma_nm : tensor, (images, modes) and (modes,), optional
-        Gaussian prior; with it the estimate is MAP, without it ML.
-    loss : {"gaussian", "huber", "l1"}
-        Of the residuals: whitened, but in electrons for "l1", the loss of the paper's DIP. Variances cannot
-        follow the very estimate of a robust loss: with "iterative" they are those of "model".
-    alike : Alike, optional
-        Where many images are realisations of a few frames: quicker, covariances are those of the frames.
-    """
-
+    # where the variances come from: the smoothed image ("data"); the model fitted with those ("model"); or
+    # the model of the very estimate ("iterative")
     noise: NoiseSource = "iterative"
+    # (images, modes), and (modes,): Gaussian prior; with it the estimate is MAP, without it ML
     prior_mean_nm: torch.Tensor | None = None
     prior_sigma_nm: torch.Tensor | None = None
     max_iterations: int = 40
+    # Of the residuals: whitened, but in electrons for "l1", the loss of the paper's DIP. Variances cannot
+    # follow the very estimate of a robust loss: with "iterative" they are those of "model".
     loss: LossName = "gaussian"
+    # where many images are realisations of a few frames: quicker, covariances are those of the frames
     alike: Alike | None = None
 
     @property

@@ -20,24 +20,15 @@ from irlos_pipe.frames.noise import NoiseModel
 
 @dataclass(frozen=True)
 class Alike:
-    """Which frame every image is a realisation of.
+    """Which frame every image is a realisation of."""
 
-    Attributes
-    ----------
-    columns : tensor, (frames, modes + 2, pixels)
-        Derivatives of the frames' images at unit flux with respect to modes, flux and background.
-    frame : tensor of int, (images,)
-    reference_nm : tensor, (frames, modes)
-        Where they were taken.
-    lacking : tensor, (frames, modes + 2, pixels)
-        What they have more than those of the `coarse` model.
-    """
-
+    # (frames, modes + 2, pixels), derivatives of the frames' images at unit flux with respect to modes, flux
+    # and background
     columns: torch.Tensor
-    frame: torch.Tensor
-    reference_nm: torch.Tensor
+    frame: torch.Tensor  # (images,)
+    reference_nm: torch.Tensor  # (frames, modes), where `columns` were taken
     coarse: ImageModel
-    lacking: torch.Tensor
+    lacking: torch.Tensor  # (frames, modes + 2, pixels), what they have more than those of the `coarse` model
 
     def of(self, which: torch.Tensor) -> Alike:
         return replace(self, frame=self.frame[which])

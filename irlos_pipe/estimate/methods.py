@@ -6,8 +6,6 @@ squares come first, as their curvature hardly changes. Only frames that are not 
 of their own.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -37,21 +35,11 @@ Report = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Estimates:
-    """Estimates of the modes from a fit.
+    """Estimates of the modes from a fit."""
 
-    Attributes
-    ----------
-    values : tensor, (1, parameters)
-        The fitted parameters, of all frames together.
-    zernike_nm : ndarray, (modes,)
-        The whole static wavefront.
-    frames_nm : ndarray, (frames, modes)
-        The same of every frame; NaN where its fit failed.
-    """
-
-    values: torch.Tensor
-    zernike_nm: np.ndarray
-    frames_nm: np.ndarray
+    values: torch.Tensor  # (1, parameters), of all frames together
+    zernike_nm: np.ndarray  # (modes,), the whole static wavefront
+    frames_nm: np.ndarray  # (frames, modes), the same of every frame; NaN where its fit failed
 
 
 class Scheme(ABC):

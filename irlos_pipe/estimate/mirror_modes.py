@@ -9,8 +9,6 @@ fitted to the estimated wavefront over the clear pupil by least squares:
 with a piston p and tilts t, s of its own, which belong to nobody and to the fast loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,19 +23,12 @@ LEFT_OUT = (1, *TIP_TILT)
 
 @dataclass(frozen=True)
 class MirrorOffsets:
-    """Offsets of a mirror's modes, to be added to its reference.
+    """Offsets of a mirror's modes, to be added to its reference."""
 
-    Attributes
-    ----------
-    value, sigma : ndarray, (modes,)
-        In the unit of the table's modes, and their standard errors by the errors of the wavefront.
-    before_nm, after_nm : float
-        RMS over the clear pupil of the estimated wavefront, and of what a gain of 1 leaves of it; without
-        piston, tip and tilt [nm].
-    """
-
-    value: np.ndarray
-    sigma: np.ndarray
+    value: np.ndarray  # (modes,), in the unit of the table's modes
+    sigma: np.ndarray  # (modes,), standard errors by the errors of the wavefront
+    # RMS over the clear pupil of the estimated wavefront, and of what a gain of 1 leaves of it; without
+    # piston, tip and tilt
     before_nm: float
     after_nm: float
 
@@ -54,12 +45,8 @@ def mirror_offsets(
 
     The OPD of a unit of each mode is `maps_nm` (modes, n, n), n samples across the diameter, row index is y;
     the clear pupil is `lit` (n, n). The estimated wavefront is `zernike_nm` (Zernike modes,), its covariance
-    (Zernike modes, Zernike modes).
-
-    Raises
-    ------
-    ValueError
-        If modes of the table depend on one another over the clear pupil, or are no numbers there.
+    (Zernike modes, Zernike modes). Raises ValueError if modes of the table depend on one another over the
+    clear pupil, or are no numbers there.
     """
     shapes = maps_nm[:, lit].astype(float)
     if not np.isfinite(shapes).all():

@@ -8,8 +8,6 @@ of squares over ν, s², is all that counts, and the deviance is ``ν (s²/v −
 The law is that of the paper's appendix A, there fitted to the plain standard deviations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,22 +25,12 @@ CURVATURE_STEP = 1e-3  # step of the logarithm of a parameter over which curvatu
 
 @dataclass(frozen=True)
 class ModeScatter:
-    """How much the modes vary from one set of NCPAs to the next.
-
-    Attributes
-    ----------
-    std_nm : ndarray, (modes,)
-        Root mean square of the estimates over the cubes, about zero: the expected NCPA is none.
-    noise_nm : ndarray, (modes,)
-        Part of it that is due to the errors of the estimates.
-    draws : int
-        Number of cubes, each with its own NCPAs.
-    """
+    """How much the modes vary from one set of NCPAs to the next."""
 
     nolls: tuple[int, ...]
-    std_nm: np.ndarray
-    noise_nm: np.ndarray
-    draws: int
+    std_nm: np.ndarray  # (modes,), RMS of the estimates over the cubes, about zero: the expected NCPA is none
+    noise_nm: np.ndarray  # (modes,), part of it that is due to the errors of the estimates
+    draws: int  # number of cubes, each with its own NCPAs
 
     @property
     def std_sigma_nm(self) -> np.ndarray:
@@ -52,23 +40,13 @@ class ModeScatter:
 
 @dataclass(frozen=True)
 class ModeLaw:
-    """A fitted law.
-
-    Attributes
-    ----------
-    a_nm, decay, plateau_nm : float
-        A, B and C.
-    covariance : ndarray, (3, 3)
-        Of (ln A, ln B, ln C).
-    deviance_nu : float
-        Deviance over what draws from the law would give; near 1 where it holds.
-    """
+    """A fitted law; A, B and C are `a_nm`, `decay` and `plateau_nm`."""
 
     a_nm: float
     decay: float
     plateau_nm: float
-    covariance: np.ndarray
-    deviance_nu: float
+    covariance: np.ndarray  # (3, 3), of (ln A, ln B, ln C)
+    deviance_nu: float  # deviance over what draws from the law would give; near 1 where it holds
 
     @property
     def sigma(self) -> tuple[float, float, float]:
@@ -111,12 +89,7 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
     """Fit the law by maximum likelihood to the modes to `keep`, (modes,) of bool.
 
     The search begins at `start`. With `remove_noise`, the law is that of the NCPAs, the noise in the
-    likelihood; otherwise that of the estimates.
-
-    Raises
-    ------
-    ValueError
-        With fewer than four modes.
+    likelihood; otherwise that of the estimates. Raises ValueError with fewer than four modes.
     """
     nolls = np.asarray(scatter.nolls)[keep]
     if len(nolls) < 4:

@@ -5,8 +5,6 @@ about the other, so the misfit of frames that no fit has seen falls only while m
 static wavefront, and rises again when they follow chance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,27 +24,14 @@ MIN_FRAMES = 4 * BLOCKS_PER_HALF
 
 @dataclass(frozen=True)
 class ModeScan:
-    """Estimates of one cube with different numbers of modes.
+    """Estimates of one cube with different numbers of modes."""
 
-    Attributes
-    ----------
-    highest_nolls : tuple of int
-        Modes Noll 2 to this were estimated.
-    nolls : tuple of int
-        Modes that are compared.
-    zernike_nm : ndarray, (numbers, 2, modes)
-        Estimates from either half; 0 for modes that were not estimated.
-    misfit : ndarray, (numbers, blocks)
-        χ²/ν of the mean image of every block of frames against the model of the other half.
-    fitted_chi2_nu : ndarray, (numbers,)
-        Of the images that were fitted, mean over the halves.
-    """
-
-    highest_nolls: tuple[int, ...]
-    nolls: tuple[int, ...]
-    zernike_nm: np.ndarray
+    highest_nolls: tuple[int, ...]  # modes Noll 2 to this were estimated
+    nolls: tuple[int, ...]  # modes that are compared
+    zernike_nm: np.ndarray  # (numbers, 2, modes), from either half; 0 for modes that were not estimated
+    # (numbers, blocks), χ²/ν of the mean image of every block of frames against the model of the other half
     misfit: np.ndarray
-    fitted_chi2_nu: np.ndarray
+    fitted_chi2_nu: np.ndarray  # (numbers,), of the images that were fitted, mean over the halves
 
     @property
     def mean_nm(self) -> np.ndarray:
@@ -61,34 +46,19 @@ class ModeScan:
 
 @dataclass(frozen=True)
 class Choice:
-    """The recommended number of modes.
+    """The recommended number of modes."""
 
-    Attributes
-    ----------
-    best : int
-        Place of the least misfit.
-    recommended : int
-        Place of the smallest number whose misfit is not significantly larger.
-    excess, excess_sigma : ndarray, (numbers,)
-        Misfit above the least one, and the standard error of this difference.
-    """
-
-    best: int
-    recommended: int
-    excess: np.ndarray
-    excess_sigma: np.ndarray
+    best: int  # place of the least misfit
+    recommended: int  # place of the smallest number whose misfit is not significantly larger
+    excess: np.ndarray  # (numbers,), misfit above the least one
+    excess_sigma: np.ndarray  # (numbers,), standard error of this difference
 
 
 def halves(frames: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of the frames of two halves, each (blocks, frames): alternate runs of equal length.
 
-    Runs rather than single frames, whose speckle is correlated with that of their neighbours; many
-    of them, so that both halves see the same slow changes.
-
-    Raises
-    ------
-    ValueError
-        With fewer than `MIN_FRAMES` frames.
+    Runs rather than single frames, whose speckle is correlated with that of their neighbours; many of them,
+    so that both halves see the same slow changes. Raises ValueError with fewer than `MIN_FRAMES` frames.
     """
     if frames < MIN_FRAMES:
         raise ValueError(f"halves need at least {MIN_FRAMES} frames, there are {frames}")

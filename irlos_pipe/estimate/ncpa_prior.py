@@ -1,7 +1,5 @@
 """The prior of the NCPAs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,16 +12,10 @@ FOCUS_NM = 400.0  # an uncontrolled focus bias is common
 
 @dataclass(frozen=True)
 class NcpaPrior:
-    """Gaussian prior of the modes about zero: the instrument's law of NCPAs, widened.
-
-    Attributes
-    ----------
-    scale : float
-        Factor on the law; above 1 the prior only steadies what the data do not determine.
-    """
+    """Gaussian prior of the modes about zero: the instrument's law of NCPAs, widened."""
 
     law: NcpaLaw
-    scale: float
+    scale: float  # factor on the law; above 1 the prior only steadies what the data do not determine
 
     def sigma_nm(self, nolls: Sequence[int]) -> torch.Tensor:
         """Standard deviation of every mode, (modes,) [nm RMS]; tip, tilt and focus are left almost free."""

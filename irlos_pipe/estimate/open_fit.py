@@ -59,28 +59,17 @@ def visible_order(settings: PsfSettings) -> int:
 
 @dataclass(frozen=True)
 class Opened:
-    """A fit of all modes.
-
-    Attributes
-    ----------
-    law : TailLaw
-        Prior of the modes beyond the closed basis, as fitted.
-    """
+    """A fit of all modes."""
 
     problem: OpenFit
     solution: Solution
-    law: TailLaw
+    law: TailLaw  # prior of the modes beyond the closed basis, as fitted
 
 
 class OpenFit(CheapGradientProblem, ImageFit):
-    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one.
+    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one."""
 
-    Attributes
-    ----------
-    few_colours : ImageModel or None
-        From which the Hessian of steps is, where it may be rough; images and gradients are exact.
-    """
-
+    # from which the Hessian of steps is, where it may be rough; images and gradients are exact
     few_colours: ImageModel | None = None
     kept: tuple[torch.Tensor, ...] = ()  # the last place with its normal equations without the prior
 
@@ -132,23 +121,12 @@ def open_basis(
     law: TailLaw | None = None,
     max_iterations: int = 60,
 ) -> Opened | None:
-    """Fit all modes that the window shows, from where a fit of a closed basis is.
+    """Fit all modes that the window shows, or return None where it shows no more or no more can be fitted.
 
-    Parameters
-    ----------
-    closed : ImageFit
-        The mean image by modes from Noll 2 on; it stands at `values`, (1, parameters).
-    beyond_nm : mapping, optional
-        Where the modes beyond begin, Noll index to nm RMS; by default at nothing.
-    law : TailLaw, optional
-        That of a fit near by, from which its own is fitted; by default one of any instrument.
-    max_iterations : int
-        Of each of the two fits, before and after that of the law.
-
-    Returns
-    -------
-    Opened or None
-        None where the window shows no more modes, or no more can be fitted.
+    The fit starts where the mean image by modes from Noll 2 on, `closed`, stands at `values` (1, parameters);
+    the modes beyond begin at `beyond_nm`, Noll index to nm RMS, or at nothing. Their law is fitted from the
+    `law` of a fit near by, or from one of any instrument. Each of the two fits, before and after that of the
+    law, has `max_iterations`.
     """
     psf = closed.model.psf
     nolls = range(2, last_noll_of(visible_order(psf.settings)) + 1)
@@ -221,21 +199,11 @@ FIRST_SIMPLEX = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
 @dataclass(frozen=True)
 class TailLaw:
-    """Standard deviation of the modes beyond the closed basis.
+    """Standard deviation of the modes beyond the closed basis."""
 
-    Attributes
-    ----------
-    first_noll : int
-        First of these modes.
-    amplitude_nm : float
-        A, that of a mode of the first's radial order n₁ [nm RMS].
-    slope : float
-        p.
-    """
-
-    first_noll: int
-    amplitude_nm: float = 2.0
-    slope: float = 1.0
+    first_noll: int  # first of these modes
+    amplitude_nm: float = 2.0  # A, that of a mode of the first's radial order n₁ [nm RMS]
+    slope: float = 1.0  # p
 
     def sigma_nm(self, nolls: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the standard deviation of modes, (modes,) [nm RMS]."""

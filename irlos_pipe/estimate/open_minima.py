@@ -17,8 +17,6 @@ seconds. They also end where they have taken `SHAKEN_TIMES` as many iterations a
 count, and not a time, so that the end is the same on every machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle, islice, product

@@ -5,8 +5,6 @@ all modes are in the model. So the fit is repeated from the opposite side, and f
 came to rest at its place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A focus ramp: estimated against introduced defocus, and the errors of the focus stage."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,40 +14,27 @@ MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not expl
 
 @dataclass(frozen=True)
 class RampSummary:
-    """Straight line and scatter of a ramp.
-
-    Attributes
-    ----------
-    offset_nm, offset_sigma_nm : float
-        Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
-        standard error each offset counts once.
-    rms_nm : float
-        RMS of estimated minus introduced defocus.
-    residual_rms_nm : float
-        RMS about the straight line.
-    saw_tooth_nm, saw_tooth_sigma_nm : float
-        Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
-        together with a line, which would else take a part of it; NaN when only one direction occurs.
-    part_bias_nm, part_bias_sigma_nm : float
-        Constant bias of the second part of the ramp against the first (the reference of the focus stage
-        lost between two runs), fitted in the same way; NaN when the ramp is declared as one part.
-    offsets_nm, median_nm, scatter_nm : ndarray, (offsets,)
-        Introduced defocus, and the median and 1σ (from the 16th and 84th percentile) of the estimates.
-    """
+    """Straight line and scatter of a ramp."""
 
     slope: float
     slope_sigma: float
+    # Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
+    # standard error each offset counts once.
     offset_nm: float
     offset_sigma_nm: float
-    rms_nm: float
-    residual_rms_nm: float
+    rms_nm: float  # of estimated minus introduced defocus
+    residual_rms_nm: float  # about the straight line
+    # Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
+    # together with a line, which would else take a part of it; NaN when only one direction occurs.
     saw_tooth_nm: float
     saw_tooth_sigma_nm: float
+    # Constant bias of the second part of the ramp against the first (the reference of the focus stage lost
+    # between two runs), fitted in the same way; NaN when the ramp is declared as one part.
     part_bias_nm: float
     part_bias_sigma_nm: float
-    offsets_nm: np.ndarray
-    median_nm: np.ndarray
-    scatter_nm: np.ndarray
+    offsets_nm: np.ndarray  # (offsets,), introduced defocus
+    median_nm: np.ndarray  # (offsets,), of the estimates
+    scatter_nm: np.ndarray  # (offsets,), 1σ of them, from the 16th and 84th percentile
 
 
 def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
@@ -68,11 +53,7 @@ def summarise(
     """Summarise a ramp whose frames (frames,) are in order of recording; failed estimates are NaN.
 
     The focus reference of a second run, where `second_part` is True, may differ from that of the first.
-
-    Raises
-    ------
-    ValueError
-        With fewer than three estimates or a single offset.
+    Raises ValueError with fewer than three estimates or a single offset.
     """
     direction = travel_direction(introduced_nm)
     part = np.zeros(len(introduced_nm)) if second_part is None else np.asarray(second_part, float)
@@ -102,12 +83,7 @@ def summarise(
 def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummary:
     """Summarise frames (frames,) of one defocus that nobody knows; what needs several offsets is NaN.
 
-    Failed estimates are NaN.
-
-    Raises
-    ------
-    ValueError
-        Without any estimate.
+    Failed estimates are NaN. Raises ValueError without any estimate.
     """
     estimated = estimated_nm[np.isfinite(estimated_nm)]
     if not len(estimated):
@@ -169,18 +145,11 @@ def _rms(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class FocusStage:
-    """What the focus stage really introduced.
+    """What the focus stage really introduced."""
 
-    Attributes
-    ----------
-    introduced_nm : ndarray, (frames,)
-    effects, sigma : dict
-        Public parameters of its errors, and standard errors of those that were estimated, by effect.
-    """
-
-    introduced_nm: np.ndarray
-    effects: dict[str, dict]
-    sigma: dict[str, dict]
+    introduced_nm: np.ndarray  # (frames,)
+    effects: dict[str, dict]  # public parameters of its errors, by effect
+    sigma: dict[str, dict]  # standard errors of those that were estimated
 
 
 def fit_focus_stage(
@@ -189,11 +158,7 @@ def fit_focus_stage(
     """Estimate the free errors by least squares: what is introduced is linear in all of them.
 
     The `effects` act on a ramp, whose defocus (frames,) is in order of recording; failed estimates are NaN.
-
-    Raises
-    ------
-    ValueError
-        If the ramp cannot separate the errors.
+    Raises ValueError if the ramp cannot separate the errors.
     """
     labels = labels_of(effects)
     base = _introduced_nm(effects, commanded_nm, None)

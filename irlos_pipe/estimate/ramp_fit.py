@@ -56,26 +56,12 @@ class RampData:
 
 @dataclass(frozen=True)
 class RampFit:
-    """LIFT of a ramp.
-
-    Attributes
-    ----------
-    model : ImageModel
-        The one used, its effects held at what was found.
-    effects : dict
-        Their public parameters.
-    shared : SharedFit or None
-        Where effect parameters were fitted to the whole ramp.
-    start_nm : tensor, (frames, modes)
-    sigma : dict
-        Standard errors of the public parameters that were fitted to the whole ramp, by effect.
-    """
-
     result: LiftResult
-    model: ImageModel
-    effects: dict[str, dict[str, float]]
-    shared: SharedFit | None
-    start_nm: torch.Tensor
+    model: ImageModel  # the one used, its effects held at what was found
+    effects: dict[str, dict[str, float]]  # their public parameters
+    shared: SharedFit | None  # where effect parameters were fitted to the whole ramp
+    start_nm: torch.Tensor  # (frames, modes)
+    # standard errors of the public parameters of `shared`
     sigma: dict[str, dict] = field(default_factory=dict)
 
     @property
@@ -175,18 +161,12 @@ def ramp_effects(
     halo: str = "calibrated",
     object_sigma_mas: str | float = "calibrated",
 ) -> list[Effect]:
-    """Choose the effects for `fit_ramp`.
+    """Choose the effects for `fit_ramp` from the `available` ones of the model.
 
-    Parameters
-    ----------
-    available : sequence of Effect
-        The effects of the model.
-    known : mapping of str to FixedEffect
-        Those that a calibration has measured, by label. Of the others, residual and jitter are taken as
-        expected, and the rest as `available` has them: a free one is fitted to the whole ramp.
-    halo : {"calibrated", "fit", "off"}
-    object_sigma_mas : {"calibrated", "fit"} or float
-        Size of the Gaussian kernel that stands for object and jitter.
+    A calibration has measured the `known` ones, by label. Of the others, residual and jitter are taken as
+    expected, and the rest as `available` has them: a free one is fitted to the whole ramp. The `halo` is
+    "calibrated", "fit" or "off"; `object_sigma_mas`, the size of the Gaussian kernel that stands for object
+    and jitter, may also be "calibrated" or "fit".
     """
     labelled = dict(zip(labels_of(available), available, strict=True))
     best = {label: known.get(label) or effect.expected() for label, effect in labelled.items()}
@@ -222,19 +202,12 @@ ON_THE_WAY = 1.0
 
 @dataclass(frozen=True)
 class SharedFit:
-    """Shared effect parameters with their covariance, and the per-image parameters at the optimum.
+    """Shared effect parameters with their covariance, and the per-image parameters at the optimum."""
 
-    Attributes
-    ----------
-    values : tensor, (shared,)
-    covariance : tensor, (shared, shared)
-        Per-image parameters marginalised, the misfit counted as noise.
-    x : tensor, (images, parameters)
-    """
-
-    values: torch.Tensor
+    values: torch.Tensor  # (shared,)
+    # (shared, shared), per-image parameters marginalised, the misfit counted as noise
     covariance: torch.Tensor
-    x: torch.Tensor
+    x: torch.Tensor  # (images, parameters)
     status: str
 
 

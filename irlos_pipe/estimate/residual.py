@@ -23,8 +23,6 @@ direction in which most of the variance lies, frames of two kinds sit at two val
 halves, 3 for Gaussian scatter and 1.5 for a sinusoidal vibration. Differences in brightness do not count.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

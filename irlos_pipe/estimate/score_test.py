@@ -28,16 +28,12 @@ MEANINGLESS = 1e-9
 
 
 class NullModel:
-    """The optimum of a model without the candidates.
+    """The optimum of a model without the candidates, whitened.
 
-    Parameters
-    ----------
-    residual, root : tensor, (pixels,)
-        Whitened residual, and one over the standard errors of the pixels.
-    basis : tensor, (pixels, parameters)
-        Whitened derivatives of the fitted parameters, orthonormal; with priors, their rows are left out.
-    unconverged : tensor, (parameters,)
-        What the derivatives, priors included, have in common with the residual: nothing at the very optimum.
+    The `residual` and one over the standard errors, `root`, are (pixels,); the derivatives of the fitted
+    parameters, `basis` (pixels, parameters), are orthonormal, with rows of priors left out. `unconverged`
+    (parameters,) is what the derivatives, priors included, have in common with the residual: nothing at the
+    very optimum.
     """
 
     def __init__(
@@ -61,35 +57,18 @@ class NullModel:
 
 @dataclass(frozen=True, eq=False)
 class LinearEstimate:
-    """One linear step along the parameters of a candidate.
+    """One linear step along the parameters of a candidate."""
 
-    Attributes
-    ----------
-    candidate : Effect
-        Its free parameters at their null values.
-    usable : tensor of bool, (parameters,)
-        Parameters that the data determine.
-    observability : float
-        Part of a derivative's power that the fitted parameters cannot imitate, 1 − R², of the best parameter.
-    left : tensor, (parameters,)
-        Power that is left of each derivative.
-    sizes : ndarray, (parameters,)
-        Within the bounds.
-    gain : float
-        Predicted fall of χ².
-    used, normal, projection : tensor
-        Shapes (pixels, m), normal matrix (m, m) and projections (m,) of the usable parameters.
-    """
-
-    candidate: Effect
-    usable: torch.Tensor
+    candidate: Effect  # its free parameters at their null values
+    usable: torch.Tensor  # (parameters,), those that the data determine
+    # part of a derivative's power that the fitted parameters cannot imitate, 1 − R², of the best parameter
     observability: float
-    left: torch.Tensor
-    sizes: np.ndarray
-    gain: float
-    used: torch.Tensor
-    normal: torch.Tensor
-    projection: torch.Tensor
+    left: torch.Tensor  # (parameters,), power that is left of each derivative
+    sizes: np.ndarray  # (parameters,), within the bounds
+    gain: float  # predicted fall of χ²
+    used: torch.Tensor  # (pixels, m), shapes of the usable parameters
+    normal: torch.Tensor  # (m, m)
+    projection: torch.Tensor  # (m,)
 
     @classmethod
     def of(cls, null: NullModel, candidate: Effect, shapes: torch.Tensor) -> LinearEstimate:

@@ -21,36 +21,20 @@ MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit varianc
 
 @dataclass(frozen=True)
 class Curve:
-    """Error of defocus against magnitude for one configuration.
-
-    Attributes
-    ----------
-    mag_j : ndarray, (magnitudes,)
-    median_abs_error_nm, p16_nm, p84_nm : ndarray, (magnitudes,)
-        Of |estimated - introduced| over frames and realisations that did not fail.
-    crb_nm, one_read_crb_nm : ndarray, (magnitudes,)
-        Median over the frames of the Cramér–Rao bound, 1σ; and of exposures of one read without sky.
-    failures : ndarray of int, (magnitudes,)
-        Estimates that did not converge or left the plausible range.
-    trials : int
-        Estimates per magnitude.
-    limit_mag : float
-        Faintest magnitude that meets the criterion; NaN if none does.
-    abs_error_nm : ndarray, (magnitudes, trials)
-        |estimated - introduced| of every estimate, NaN where it failed.
-    """
+    """Error of defocus against magnitude for one configuration; arrays (magnitudes,)."""
 
     nolls: tuple[int, ...]
     mag_j: np.ndarray
+    # Of |estimated - introduced| over frames and realisations that did not fail.
     median_abs_error_nm: np.ndarray
     p16_nm: np.ndarray
     p84_nm: np.ndarray
-    crb_nm: np.ndarray
-    failures: np.ndarray
-    trials: int
-    limit_mag: float
-    abs_error_nm: np.ndarray
-    one_read_crb_nm: np.ndarray
+    crb_nm: np.ndarray  # median over the frames of the Cramér–Rao bound, 1σ
+    failures: np.ndarray  # estimates that did not converge or left the plausible range
+    trials: int  # estimates per magnitude
+    limit_mag: float  # faintest magnitude that meets the criterion; NaN if none does
+    abs_error_nm: np.ndarray  # (magnitudes, trials), |estimated - introduced|, NaN where it failed
+    one_read_crb_nm: np.ndarray  # the same as `crb_nm`, of exposures of one read without sky
 
     def bound_mag(self, criterion: Criterion) -> float:
         """Return the limiting magnitude of an efficient estimate from exposures of one read without sky."""
@@ -60,20 +44,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Criterion:
-    """What "limiting magnitude" means.
+    """What "limiting magnitude" means."""
 
-    Attributes
-    ----------
-    median_nm : float
-        The median |error| may not exceed this [nm RMS].
-    failure_fraction : float
-        Nor may more than this part of the estimates fail.
-    implausible_nm : float
-        An estimate further than this from the introduced defocus counts as failed.
-    """
-
-    median_nm: float
-    failure_fraction: float
+    median_nm: float  # the median |error| may not exceed this [nm RMS]
+    failure_fraction: float  # nor may more than this part of the estimates fail
+    # an estimate further than this from the introduced defocus counts as failed
     implausible_nm: float = 500.0
 
 

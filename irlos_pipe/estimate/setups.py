@@ -8,8 +8,6 @@ An error of the model makes set-ups contradict each other: errors grow by the sc
 by itself wants, over its expectation (the covariance of clusters; Liang & Zeger 1986, Biometrika 73, 13).
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Hashable, Sequence
@@ -51,22 +49,14 @@ LEAST_SETUPS = 3  # set-ups from which they can contradict each other
 
 @dataclass(frozen=True)
 class Setup:
-    """Frames that were taken in the same way.
-
-    Attributes
-    ----------
-    common : sequence of Effect
-        Those of the wavefront as they act here, in the same order in every set-up.
-    own : sequence of Effect
-        Those of star and sky.
-    names : tuple of str
-        Recordings of the frames. Set-ups of the same ones, planes, share star and sky.
-    """
+    """Frames that were taken in the same way."""
 
     frames: Frames
     settings: PsfSettings
+    # those of the wavefront as they act here, in the same order in every set-up
     common: Sequence[Effect] = ()
-    own: Sequence[Effect] = ()
+    own: Sequence[Effect] = ()  # those of star and sky
+    # recordings of the frames; set-ups of the same ones, planes, share star and sky
     names: tuple[str, ...] = ()
 
 
@@ -76,13 +66,7 @@ def is_common(effect: Effect) -> bool:
 
 
 class SetupsFit(ModesFit):
-    """Mean images of several set-ups by one vector; one member.
-
-    Parameters
-    ----------
-    parts : sequence of ImageFit
-        Their mean images, with the same modes.
-    """
+    """Mean images of several set-ups, `parts` of the same modes, by one vector; one member."""
 
     def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit]):
         self.parts = [part._with(has_prior=False, prior_precision=0 * part.prior_precision) for part in parts]

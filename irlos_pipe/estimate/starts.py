@@ -9,8 +9,6 @@ none of them often ends in the wrong one, with χ²/ν several times too large. 
 speckles and are less ambiguous; the median of a few of them is a start close enough.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -5,8 +5,6 @@ A centro-symmetric pupil without known diversity gives +d and −d the same imag
 whether the diversity has told the two apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -75,27 +73,15 @@ MOST_MINIMA = 4  # minima of the curve from which free fits start, at most
 
 @dataclass(frozen=True)
 class FocusCurve:
-    """χ²/ν of an image against its defocus, everything else fitted.
+    """χ²/ν of an image against its defocus, everything else fitted."""
 
-    Attributes
-    ----------
-    focus_nm, chi2_nu : ndarray, (values,)
-        Held defocus [nm RMS], and χ²/ν of the best fit with it.
-    best_nm, best_chi2_nu : float
-        The best fit.
-    twin_nm, twin_chi2_nu : float
-        The best of the other minima; NaN where there is none.
-    delta_chi2 : float
-        χ² of that minus χ² of the best fit.
-    """
-
-    focus_nm: np.ndarray
-    chi2_nu: np.ndarray
-    best_nm: float
+    focus_nm: np.ndarray  # (values,), held [nm RMS]
+    chi2_nu: np.ndarray  # (values,), of the best fit with it
+    best_nm: float  # of the best fit, and its χ²/ν
     best_chi2_nu: float
-    twin_nm: float = np.nan
+    twin_nm: float = np.nan  # of the best of the other minima, and its χ²/ν; NaN where there is none
     twin_chi2_nu: float = np.nan
-    delta_chi2: float = np.nan
+    delta_chi2: float = np.nan  # χ² of that minus χ² of the best fit
 
     @property
     def evidence(self) -> float:

@@ -5,8 +5,6 @@ ones, the twin is an equally good fit whose even modes, diversity included, chan
 known of the size of aberrations, the instrument's law of NCPAs, separates them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -24,27 +22,16 @@ DECISIVE = 10.0  # evidence from which a sign counts as known: odds of 150 to 1
 
 @dataclass(frozen=True)
 class TwinCheck:
-    """Comparison of a solution with its twin.
+    """Comparison of a solution with its twin."""
 
-    Attributes
-    ----------
-    delta_chi2 : float
-        χ² (prior included) of the refitted twin minus that of the solution.
-    rms_nm, twin_rms_nm : float
-        RMS of the coefficients (tip and tilt left out) of the two.
-    distance_nm : float
-        RMS difference between the two; near 0 when the twin fell back into the solution.
-    evidence : float
-        χ² of the data, and of the coefficients under the instrument's law of NCPAs as it is, of the twin
-        minus that of the solution: -2 times the logarithm of the odds. The prior of the fit is wider than the
-        law, so that it does not bend the estimates; it would understate what the law says of a twin, which
-        needs twice the diversity as an aberration.
-    """
-
-    delta_chi2: float
-    rms_nm: float
+    delta_chi2: float  # χ² (prior included) of the refitted twin minus that of the solution
+    rms_nm: float  # of the coefficients, tip and tilt left out
     twin_rms_nm: float
-    distance_nm: float
+    distance_nm: float  # RMS difference between the two; near 0 when the twin fell back into the solution
+    # χ² of the data, and of the coefficients under the instrument's law of NCPAs as it is, of the twin minus
+    # that of the solution: -2 times the logarithm of the odds. The prior of the fit is wider than the law, so
+    # that it does not bend the estimates; it would understate what the law says of a twin, which needs twice
+    # the diversity as an aberration.
     evidence: float
 
     @property

@@ -19,7 +19,6 @@ HEAD = "# Problems that are known and not reported again; delete a line to be to
 
 
 def page_path(tree: Path, date: str) -> Path:
-    """Return the path in `tree` of the page of the night of a `date`."""
     return tree / f"night_{date}.html"
 
 

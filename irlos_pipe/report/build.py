@@ -1,7 +1,5 @@
 """Build report.html: one file that needs nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The report on several experiments: a chapter for each, in one file that needs nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

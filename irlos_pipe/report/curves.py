@@ -1,7 +1,5 @@
 """Curves of image quality and of misfits: OTF, encircled energy, profiles, spectra, quantiles, χ²."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Figures as SVG that take text and line colours from the page, so that they follow its dark mode."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable, Iterator

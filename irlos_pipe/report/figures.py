@@ -1,7 +1,5 @@
 """Every figure of a report as a file of its own, for papers and slides."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The first screen: may this be used, and if not, why; the numbers to quote, each with what it means."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Images, residuals and wavefronts with their colours; thumbnails."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math
@@ -261,14 +259,9 @@ def residual_views(
 ) -> Views:
     """Return residuals on one scale: in σ and in per cent of the peak, asinh and linear.
 
-    Parameters
-    ----------
-    residuals : mapping
-        By title: measured minus predicted (rows, columns) [e-], and a caption.
-    sigma_e : ndarray or None, (rows, columns)
-        Standard errors, 0 or not finite where a pixel is not used; without them there are no σ.
-    peak_e : float
-        Of the predicted image.
+    By title, `residuals` are measured minus predicted (rows, columns) [e-], and a caption. The standard
+    errors `sigma_e` (rows, columns) are 0 or not finite where a pixel is not used; without them there are no
+    σ. The peak is that of the predicted image.
     """
     percent = 100 / peak_e if peak_e > 0 else np.nan
     units: dict[str, Callable[[np.ndarray], np.ndarray]] = {"% of the peak": lambda one: one * percent}
@@ -324,14 +317,9 @@ def wavefront_grid(
 ) -> Markup:
     """Draw rows of wavefronts, one column per recording, with `titles` of the columns.
 
-    Parameters
-    ----------
-    rows : mapping of str to ndarray, (columns, samples, samples)
-        OPD [nm], NaN outside the pupil; the first is the uppermost.
-    limit_nm : float
-        End of the colour scale of all maps.
-    images : ndarray, (columns, rows, columns), optional
-        Images to stand above, each on its own asinh scale.
+    The `rows`, the uppermost first, are OPD (columns, samples, samples) [nm], NaN outside the pupil; the
+    colour scale of all ends at `limit_nm`. The `images` (columns, rows, columns) stand above, each on its own
+    asinh scale.
     """
     labels = [*(["image"] if images is not None else []), *rows]
 

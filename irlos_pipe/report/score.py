@@ -1,7 +1,5 @@
 """How far the results of a run are from the truth of simulated data."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Sections on the calibration, with images, NCPAs, wavefront and methods, and on the correction."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from typing import Any

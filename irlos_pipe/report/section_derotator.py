@@ -1,7 +1,5 @@
 """Section on the derotator test: maps at every angle, what turns and what does not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Section on what the model lacked: verdict, names, images before and after, what is left, limits."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """Sections on a ramp: its prior, and LIFT with what each part of the model contributes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Section on the modes: how strong they are, and how many to estimate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Sections on the run: the recordings that went in, quality control, provenance."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Numbers, modes and parameters of effects as text for people; what is missing becomes a dash."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeGuard

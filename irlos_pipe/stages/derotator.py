@@ -1,7 +1,5 @@
 """Stage `derotator`: the part of the NCPAs that turns with the derotator, and the part that does not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
@@ -202,7 +200,6 @@ class SplitOutput:
 
     @property
     def parts(self) -> dict[str, Part]:
-        """Return the parts by name."""
         return {name: getattr(self.split, name) for name in PARTS}
 
     @property

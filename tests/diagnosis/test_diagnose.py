@@ -1,7 +1,5 @@
 """Diagnoses of cubes whose images HCIPy made (independent code), with something hidden in them."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

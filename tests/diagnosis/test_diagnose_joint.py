@@ -1,7 +1,5 @@
 """Several recordings of one wavefront diagnosed together; HCIPy makes the images (independent code)."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Truth: scipy's distributions, Monte Carlo, finite differences, and what was put into the frames.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors of a focus stage in made estimates of a ramp: what was put in is the truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 Truth: what was put into the frames, and mpmath's incomplete beta function.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mpmath

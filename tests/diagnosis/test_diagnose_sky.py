@@ -3,8 +3,6 @@
 Truth: the wavefront that the simulator averaged over the frames.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Frames are drawn from the model itself (same code). Truth: fits from elsewhere, 
 and Monte Carlo.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -3,8 +3,6 @@
 Truth: HCIPy's images, what was put into the frames, Monte Carlo, and D/λ by hand.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -4,8 +4,6 @@ Truth: dense matrices, the exact marginal likelihood of a linear Gaussian model,
 that are drawn from the model itself (same code).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Recordings of several stars and nights: what they share, what each has of its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

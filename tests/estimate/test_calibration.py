@@ -3,8 +3,6 @@ model error every method must find the truth within its errors), the scatter of 
 theory, and the twin solution against the symmetry of the pupil. Errors of what the model misfits: behind an
 uneven residual against the truth, and errors of the model drawn by Monte Carlo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """What was declared wrongly is named, with the value that the data want. Truth: images of the model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The elongation prior. Truth: synthetic Gaussians, the sign of the astigmatism, images of the model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -2,8 +2,6 @@
 purpose: bias, efficiency and error bars are properties of the estimator), analysis at zero flux, and fits
 with derivatives of their own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,8 +1,6 @@
 """How many modes the frames support. Truth: frames drawn from the model with a known number of modes (same
 code, on purpose: only the number of modes is in question), and the expectation of χ²."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers import optics_cases as cases

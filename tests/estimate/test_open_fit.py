@@ -2,8 +2,6 @@
 tail beyond the closed basis; the same problem as a plain `ImageFit`; draws of a known law; and Bessel
 functions for the reach of a mode."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

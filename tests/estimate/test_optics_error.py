@@ -1,7 +1,5 @@
 """Error of the defocus by that of the NCPAs. Truth: LIFT on images of other optics than it was told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

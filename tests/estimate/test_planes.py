@@ -1,7 +1,5 @@
 """Phase diversity by planes of known defocus. Truth: HCIPy images on a finer pupil, noise drawn here."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Summary of a focus ramp, and errors of its frames. Truth: analysis on made-up estimates, drawn noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

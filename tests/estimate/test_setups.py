@@ -4,8 +4,6 @@ One set-up is a narrow band with the diversity of a mirror, the other is J and H
 wavefront of its own; between them the optics' wavefront changes with wavelength.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Cubes of noise-limited frames made by HCIPy, with something hidden in them, and their diagnosis."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 

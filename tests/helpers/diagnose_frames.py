@@ -1,7 +1,5 @@
 """Frames drawn from the model itself, with one effect or none: for tests of the parts of a diagnosis."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

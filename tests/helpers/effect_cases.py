@@ -1,7 +1,5 @@
 """Every image-forming effect at a strong level, for the tests of images and of derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -4,8 +4,6 @@ A folder is the tests' window on the workers: every computed sample leaves ``<na
 and one for which ``<name>.hold`` exists says ``<name>.waiting`` and goes on when it is gone.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

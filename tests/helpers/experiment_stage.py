@@ -1,7 +1,5 @@
 """Run the stage of an experiment on samples that are there already, and build its section of the report."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from pathlib import Path

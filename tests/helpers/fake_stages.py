@@ -6,8 +6,6 @@ a stage misbehave: ``crash``, ``bad_data``, ``nothing``, ``fail_qc``, ``lose_exp
 ``missing_file``, ``interrupt``, ``disk_full``, ``slow``.
 """
 
-from __future__ import annotations
-
 import errno
 import sys
 import time

@@ -1,7 +1,5 @@
 """A calibration made in memory, images for it, and a telescope that follows the loop's command."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import cache

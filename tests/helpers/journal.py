@@ -1,7 +1,5 @@
 """What a long search has tried so far, one line of JSON per trial, so that it can go on where it stopped."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

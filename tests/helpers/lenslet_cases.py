@@ -1,7 +1,5 @@
 """Small 2x2 set-ups of the profile `irlos`."""
 
-from __future__ import annotations
-
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 

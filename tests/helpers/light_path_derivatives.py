@@ -1,7 +1,5 @@
 """Derivatives of a light path against finite differences."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import pytest

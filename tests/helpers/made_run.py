@@ -1,7 +1,5 @@
 """The folder of a run made by hand: products with invented numbers, none computed by the package."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

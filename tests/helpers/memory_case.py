@@ -3,8 +3,6 @@
 Linux only: free memory is given back, and the peak reset, before every step.
 """
 
-from __future__ import annotations
-
 import ctypes
 import json
 import sys

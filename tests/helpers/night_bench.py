@@ -1,7 +1,5 @@
 """Nights of small recordings, and recipes of stand-in stages to reduce them with, all in this process."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

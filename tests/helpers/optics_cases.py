@@ -1,7 +1,5 @@
 """Cases that the tests of optics and estimators share: the UT4 pupil, settings, wavefronts, noisy frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,7 +1,5 @@
 """Frames of a camera on a telescope of 4.2 m, by NumPy alone: own Noll modes, own Fourier sums, own pupil."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import factorial
 

@@ -4,8 +4,6 @@ Shares no code with the package: HCIPy's aperture, Zernikes and matrix Fourier t
 geometry as written in the simulator of ``data_samples``, pixels integrated by Gauss-Legendre rules.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

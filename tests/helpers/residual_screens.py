@@ -1,7 +1,5 @@
 """Screens of an AO residual drawn by FFT, on the pupil of `reference_psf`: independent of the package."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

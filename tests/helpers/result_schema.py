@@ -1,7 +1,5 @@
 """Results against the shipped JSON Schema, which here forbids every key that it does not name."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from typing import Any

@@ -3,8 +3,6 @@
 Frames are drawn from the pipeline's own model: what is tested is what stages make of estimates.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Scenes that the tests of the simulator start from: the UT4 pupil, one wavelength, 142 nm of NCPAs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

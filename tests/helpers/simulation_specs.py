@@ -1,7 +1,5 @@
 """Small simulation specs for tests, and shorthands to run them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small recordings with known content, written in each of the layouts that ingest reads."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The report as a whole: one file, complete, whatever stages and values there are."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

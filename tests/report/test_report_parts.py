@@ -1,7 +1,5 @@
 """The parts of the report: numbers as text, names of modes, drawings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy

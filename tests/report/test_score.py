@@ -1,7 +1,5 @@
 """Scores against a truth that is known by construction."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The correction in the modes of a mirror, as a user runs it. Truth: the estimate of the same run, mixed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

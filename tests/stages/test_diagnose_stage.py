@@ -1,7 +1,5 @@
 """What the stage `diagnose` hands on: results as scripts read them, a model as recipes take it, a section."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Effects in a recipe. Truth: the catalogue of names and units that recipes are written by."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers.effect_cases import STRONG

@@ -1,7 +1,5 @@
 """Ingest as a whole: files in, recordings in electrons out."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Measured recordings of other instruments, where they are at hand."""
 
-from __future__ import annotations
-
 import json
 import runpy
 

@@ -1,7 +1,5 @@
 """Cubes whose numbers contradict what was told of them fail the quality check; roles must fit."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from types import SimpleNamespace

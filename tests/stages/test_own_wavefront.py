@@ -4,8 +4,6 @@ Truth: recordings, fits and qualities written down by hand; images of the simula
 with the model, through another lens than that of the calibration.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Curves of a diagnosis, from pictures whose residual is drawn noise; truth: what was drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers.made_run import star

@@ -5,8 +5,6 @@ coefficients; their slopes are judged by their own scatter about the straight li
 the range of one linear step: the response of the step to images that drift as measured says by how much.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

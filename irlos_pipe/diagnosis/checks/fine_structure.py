@@ -9,8 +9,6 @@ A model of the detector reaches beyond as well. What it has there and the data h
 structure of theirs: what counts is what the data have, and what the model leaves of it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -5,8 +5,6 @@ pointing do from frame to frame is projected out with the mean image and its gra
 follows the signal with the excess-noise factor; speckles of an AO residual exceed it where it is bright.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

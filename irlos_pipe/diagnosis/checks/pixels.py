@@ -5,8 +5,6 @@ fit: their mean against the prediction of a model without them says whether they
 would have been with them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ parameters each are fitted to the frames that a diagnosis may see; frames that i
 them, each with its own tip, tilt, focus, flux and background.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

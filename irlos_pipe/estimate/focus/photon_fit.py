@@ -10,8 +10,6 @@ and a star in a closed loop lies within a few pixels of its place. A few frequen
 left, and the correlation is two small matrix products.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -36,24 +34,13 @@ class Noise(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Where a fit ended.
+    """Where a fit ended."""
 
-    Attributes
-    ----------
-    x : ndarray, (5,)
-        Tip, tilt, focus [nm RMS], flux, background [e-].
-    covariance : ndarray, (5, 5)
-        Inverse Fisher matrix.
-    objective : float
-        Minus the quasi-likelihood, up to a constant of the image.
-    misfit : float
-        Light that the model does not explain, beyond noise: RMS over the pixels, over that of the star.
-    """
-
-    x: np.ndarray
-    covariance: np.ndarray
-    objective: float
+    x: np.ndarray  # (5,): tip, tilt, focus [nm RMS], flux, background [e-]
+    covariance: np.ndarray  # (5, 5), inverse Fisher matrix
+    objective: float  # minus the quasi-likelihood, up to a constant of the image
     chi2_nu: float
+    # light that the model does not explain, beyond noise: RMS over the pixels, over that of the star
     misfit: float
     iterations: int
     converged: bool
@@ -182,20 +169,12 @@ CUT = 0.4  # frequencies kept [cycles/px]: more than a table's images have
 
 
 class Candidate(NamedTuple):
-    """A maximum of the correlation.
-
-    Attributes
-    ----------
-    tip_nm, tilt_nm, focus_nm : float
-        Where it lies, between the templates and shifts [nm RMS].
-    energy_e2 : float
-        By how much the template, at its best brightness, lowers the sum of squares [e-²].
-    """
+    """A maximum of the correlation; it lies between the templates and shifts [nm RMS]."""
 
     tip_nm: float
     tilt_nm: float
     focus_nm: float
-    energy_e2: float
+    energy_e2: float  # by how much the template, at its best brightness, lowers the sum of squares [e-²]
 
 
 class FocusScan:
@@ -222,13 +201,7 @@ class FocusScan:
         self._to_columns = np.exp(2j * np.pi * np.outer(along_x, self._shifts)).astype(np.complex64)
 
     def __call__(self, image_e: np.ndarray) -> list[Candidate]:
-        """Return the maxima along the focus, the highest first.
-
-        Parameters
-        ----------
-        image_e : ndarray, (rows, columns)
-            Bad pixels set to something harmless.
-        """
+        """Return the maxima along the focus, the highest first; bad pixels of `image_e` must be harmless."""
         products = self._spectra * self._spectrum(image_e)
         along_x = (products.reshape(-1, products.shape[2]) @ self._to_columns).reshape(
             *products.shape[:2], -1

@@ -4,8 +4,6 @@ Every image is measured by itself, from a scan of the whole reach on: no earlier
 measurement can be repeated, on line or afterwards, to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -43,61 +41,35 @@ MIRRORED = "mirrored"
 
 @dataclass(frozen=True)
 class Limits:
-    """What a measurement must satisfy to be used.
+    """What a measurement must satisfy to be used."""
 
-    Attributes
-    ----------
-    chi2_nu, misfit : float
-        Largest χ² per degree of freedom, and part of the light that the model may leave unexplained; a
-        solution that exceeds both is wrong. The light of speckles, significant on a bright star, is a tenth;
-        that of a wrong minimum more than a half.
-    signal_to_noise : float
-        Least flux over its error: a fit of noise alone, free to move over the scan, reaches 5.
-    sigma_nm : float
-        Largest formal error of the defocus [nm RMS].
-    evidence : float
-        Δχ² by which the best solution must surpass any other one.
-    saturation_e : float
-        Electrons of the brightest good pixel of one read.
-    """
-
+    # Largest χ² per degree of freedom, and part of the light that the model may leave unexplained; a solution
+    # that exceeds both is wrong. The light of speckles, significant on a bright star, is a tenth; that of a
+    # wrong minimum more than a half.
     chi2_nu: float = 2.0
     misfit: float = 0.3
+    # least flux over its error: noise alone, free to move over the scan, reaches 5
     signal_to_noise: float = 8.0
-    sigma_nm: float = 100.0
-    evidence: float = 10.0
-    saturation_e: float = math.inf
+    sigma_nm: float = 100.0  # largest formal error of the defocus [nm RMS]
+    evidence: float = 10.0  # Δχ² by which the best solution must surpass any other one
+    saturation_e: float = math.inf  # of the brightest good pixel of one read
 
 
 class Measurement(NamedTuple):
-    """Of one image; numbers are NaN where there was nothing to fit.
+    """Of one image; numbers are NaN where there was nothing to fit."""
 
-    Attributes
-    ----------
-    defocus_nm, sigma_nm : float
-        Defocus beyond the known wavefront, and its error from photons and read-out [nm RMS].
-    valid : bool
-        Whether there are no `reasons` against it.
-    flux_e, background_e : float
-        Through the clear pupil, and per pixel.
-    chi2_nu, misfit : float
-        See `Found`.
-    beside : Unexplained or None
-        What the model does not explain of the image.
-    """
-
-    defocus_nm: float
-    sigma_nm: float
-    valid: bool
+    defocus_nm: float  # beyond the known wavefront [nm RMS]
+    sigma_nm: float  # from photons and read-out [nm RMS]
+    valid: bool  # whether there are no `reasons` against it
     reasons: tuple[str, ...] = ()
     tip_nm: float = math.nan
     tilt_nm: float = math.nan
-    flux_e: float = math.nan
-    background_e: float = math.nan
-    chi2_nu: float = math.nan
+    flux_e: float = math.nan  # through the clear pupil
+    background_e: float = math.nan  # per pixel
+    chi2_nu: float = math.nan  # as `misfit`, see `Found`
     misfit: float = math.nan
     iterations: int = 0
-    beside: Unexplained | None = None
+    beside: Unexplained | None = None  # what the model does not explain of the image
 
 
 class Focus:
@@ -150,19 +122,10 @@ class Focus:
         return self.solved(image_e)[0][:3]
 
     def measurement(self, image_e: np.ndarray, reads: int = 1) -> Measurement:
-        """Measure one image.
+        """Measure one image, the sum of some `reads`, whose read noise adds.
 
-        Parameters
-        ----------
-        image_e : ndarray, (rows, columns)
-            Photo-electrons without background and dark, the sum of some reads.
-        reads : int
-            How many; their read noise adds.
-
-        Raises
-        ------
-        ValueError
-            For an image of another window.
+        The image (rows, columns) is of photo-electrons without background and dark. Raises ValueError for an
+        image of another window.
         """
         measured, found = self.solved(image_e, reads)
         if found is None or LOST_STAR in measured.reasons:

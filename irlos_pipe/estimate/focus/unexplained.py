@@ -20,23 +20,13 @@ FOCUS, ALONG_X, ALONG_Y, ACROSS, HALO = 2, 5, 6, 7, 8  # rows of the shapes
 
 
 class Residual(NamedTuple):
-    """What is left of an image by the model, and then by motion and halo as well.
+    """What is left of an image by the model, and then by motion and halo as well; 0 in bad pixels."""
 
-    Attributes
-    ----------
-    whole_e, rest_e, star_e : ndarray, (pixels,)
-        The one, the other, and the light of the star by the model; 0 in bad pixels.
-    variance_e2 : ndarray, (pixels,)
-        Of the noise.
-    factor : float
-        Variance of the photons' noise over their number.
-    """
-
-    whole_e: np.ndarray
-    rest_e: np.ndarray
-    star_e: np.ndarray
-    variance_e2: np.ndarray
-    factor: float
+    whole_e: np.ndarray  # (pixels,), by the model
+    rest_e: np.ndarray  # (pixels,), by motion and halo as well
+    star_e: np.ndarray  # (pixels,), light of the star by the model
+    variance_e2: np.ndarray  # (pixels,), of the noise
+    factor: float  # variance of the photons' noise over their number
 
     @property
     def level(self) -> float:
@@ -71,25 +61,15 @@ class Structure(NamedTuple):
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What the model does not explain in one image.
+    """What the model does not explain in one image."""
 
-    Attributes
-    ----------
-    blur_px2, blur_sigma_px2 : float
-        Half the variance of the image motion beyond that of the model along the axis where it differs most,
-        and its error [px²].
-    halo, halo_sigma : float
-        Part of the light that is in the halo, and in the core by the model, and its error.
-    shift_nm, shift_sigma_nm : float
-        By how much the defocus changes if motion and halo are free, and how much of that noise makes [nm].
-    """
-
+    # half the variance of the image motion beyond the model's, along the axis where it differs most
     blur_px2: float
     blur_sigma_px2: float
-    halo: float
+    halo: float  # part of the light that is in the halo, and in the core by the model
     halo_sigma: float
-    shift_nm: float
-    shift_sigma_nm: float
+    shift_nm: float  # change of the defocus if motion and halo are free
+    shift_sigma_nm: float  # how much of it noise makes
     rest: Residual = field(compare=False, repr=False)
 
 

@@ -1,7 +1,5 @@
 """What would explain that checks of a calibration failed: by the frames, the fit, and the checks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

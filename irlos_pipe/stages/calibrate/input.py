@@ -1,7 +1,5 @@
 """The input of a calibration: frames and the model of the recipe, for one set-up or several."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Quality control of stage `calibrate`: what a cube shows against what was declared for it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

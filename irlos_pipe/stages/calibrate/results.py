@@ -1,7 +1,5 @@
 """Results of stage `calibrate`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import nan

@@ -1,7 +1,5 @@
 """Stage `calibrate`: static aberrations (NCPAs) from cubes of short narrow-band exposures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

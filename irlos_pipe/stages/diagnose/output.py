@@ -1,7 +1,5 @@
 """What stage `diagnose` reports of cubes: results, check, arrays, summary, the model with what was found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stage `diagnose` on a ramp: errors of the focus stage by the estimates of `lift`, and of the light path."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Stage `diagnose`: what the model of cubes or a ramp lacks, by name and size, and how the gap shrinks."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """What ingest starts from: the recordings of all inputs, each with what is known about it."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -38,7 +36,6 @@ class Source:
 
     @property
     def role(self) -> str:
-        """What the recording is for."""
         return self.resolved.acquisition.role
 
 
@@ -48,29 +45,11 @@ def read_sources(
     instrument: Instrument,
     log: logging.Logger,
 ) -> tuple[list[Source], list[tuple[str, str]]]:
-    """Read all recordings of all inputs.
+    """Read all recordings of all `inputs`, files and folders by input name.
 
-    Parameters
-    ----------
-    inputs : mapping of str to sequence of Path
-        Files and folders by input name.
-    keys_for : callable
-        ``keys_for(input_name)``: side-car keys from the recipe, which win.
-    instrument : Instrument
-        Its profile gives the values that are stated nowhere else.
-    log : logging.Logger
-        Gets remarks and warnings.
-
-    Returns
-    -------
-    sources : list of Source
-    failures : list of (input name, reason)
-        Recordings that cannot be read; the others go on without them.
-
-    Raises
-    ------
-    NothingToDo
-        For an input without recordings.
+    Side-car keys from the recipe, ``keys_for(input_name)``, win; the profile of the `instrument` gives the
+    values that are stated nowhere else. Returned with the sources are (input name, reason) of recordings that
+    cannot be read; the others go on without them. Raises NothingToDo for an input without recordings.
     """
     sources: list[Source] = []
     failures: list[tuple[str, str]] = []

@@ -1,7 +1,5 @@
 """Stage `ingest`: from the files of the recorder to clean frames in electrons."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -89,7 +87,6 @@ class Config(StageConfig):
         )
 
     def limits(self) -> Limits:
-        """Return the limits for frames."""
         return Limits(
             saturated_px=self.max_saturated_px,
             star_snr=self.min_star_snr,

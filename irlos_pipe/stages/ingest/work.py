@@ -1,7 +1,5 @@
 """Ingest: from the files of the recorder to clean frames in electrons, and what is reported of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

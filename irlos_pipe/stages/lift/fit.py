@@ -1,7 +1,5 @@
 """LIFT on the frames of a ramp, as the stage's settings ask for it: jointly, or as the focus loop does it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -45,21 +43,12 @@ def fit_frames(
     seen: np.ndarray | None = None,
     after: RampFit | None = None,
 ) -> RampFit:
-    """Estimate every frame of the `ramp`.
+    """Estimate every frame of the `ramp`; if `calibrated`, the NCPAs of `calibrate` are known wavefront.
 
-    Parameters
-    ----------
-    calibrated : bool
-        Whether the NCPAs of `calibrate` are a part of the known wavefront.
-    halo : {"calibrated", "fit", "off"}
-        AO residual in the model.
-    own_wavefront : bool
-        Whether that of the ramp's light is fitted to all frames, see `own_wavefront`.
-    seen : ndarray of bool, (frames,), optional
-        Frames that determine what all frames share; by default all of them.
-    after : RampFit, optional
-        Another fit of the ramp, whose dispersion, colour and own wavefront are taken over and not fitted
-        once more.
+    The AO residual of the model, `halo`, is "calibrated", "fit" or "off". With `own_wavefront` that of the
+    ramp's light is fitted to all frames. The frames `seen`, (frames,) of bool, determine what all frames
+    share, by default all of them; `after` is another fit of the ramp whose dispersion, colour and own
+    wavefront are taken over and not fitted once more.
     """
     if ctx.config.singly:
         return _fit_singly(ctx, ramp, calibrated=calibrated, halo=halo)

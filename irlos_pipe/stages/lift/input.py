@@ -1,7 +1,5 @@
 """What `lift` and `sensitivity` both need: the frames of the ramp, the model with the NCPAs, the effects."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -109,18 +107,9 @@ def effects_for_lift(
 ) -> list[Effect]:
     """Return the effects for LIFT, see `ramp_effects`, under the conditions of the `recording`.
 
-    A drift is left out: it belongs to the recording in which it was measured.
-
-    Parameters
-    ----------
-    halo : {"calibrated", "fit", "off"}
-        AO residual in the model.
-    object_sigma_mas : float or {"calibrated", "fit"}
-        Kernel of object and jitter.
-    calibrated : bool
-        False leaves effects out that are a part of the NCPAs.
-    own_wavefront : bool
-        Adds those that its own light makes of it, see `own_wavefront`.
+    A drift is left out: it belongs to the recording in which it was measured. Without `calibrated`, so are
+    effects that are a part of the NCPAs; `own_wavefront` adds those that the light of the recording makes of
+    it.
     """
     reference = _calibrated_at_nm(ctx) if calibrated else None
     arguments = ctx.instrument, ctx.model, recording

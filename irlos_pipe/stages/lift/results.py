@@ -1,7 +1,5 @@
 """Results of stage `lift`."""
 
-from __future__ import annotations
-
 from math import nan
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Stage `lift`: tip, tilt and defocus of every frame of a ramp, the NCPAs in the known wavefront."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -211,16 +209,9 @@ def checks_of(
 ) -> list[Check]:
     """Return the checks of a ramp against the limits of `config`.
 
-    Parameters
-    ----------
-    converged : float
-        Part of the frames whose fit converged.
-    others : mapping of str to RampSummary
-        The ramp with parts of the model left out.
-    calibration_nm : float
-        Total error expected of the NCPAs [nm RMS]; 0 without.
-    frames : int
-        Number of estimates.
+    The part of the frames whose fit did is `converged`, the number of estimates `frames`. The `others` are
+    the ramp with parts of the model left out; `calibration_nm` is the total error expected of the NCPAs, 0
+    without.
     """
     checks = [
         Check(

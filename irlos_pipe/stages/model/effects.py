@@ -1,7 +1,5 @@
 """From a recipe to the effects of the model for a recording, and from a calibration to those of another."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

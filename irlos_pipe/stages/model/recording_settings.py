@@ -1,7 +1,5 @@
 """From a recipe and a recording to the PSF model's settings, and recordings that belong together."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -158,5 +158,4 @@ class ModelConfig(BaseModel):
         return self.model_copy(update={name: getattr(facility, name) for name in absent})
 
     def entries(self) -> list[EffectEntry]:
-        """The effects one by one."""
         return [EffectEntry.of(entry) for entry in self.effects]

@@ -1,7 +1,5 @@
 """What recordings cannot tell of themselves, whatever their χ²/ν: it stands as declared."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 BY_CUBES = (
