@@ -6,6 +6,8 @@ characteristic function of the motion, ``⟨exp(-2πi b·s/λ)⟩`` (e.g. Goodma
 variance along the baseline. The parameter is the variance, because ∂μ/∂σ vanishes at σ = 0.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import cache
 

@@ -1,5 +1,7 @@
 """The prior of the NCPAs."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -7,6 +7,8 @@ scale. It evaluates the exact Fourier sum at the pixel centres: there is no roun
 sizes, hence no wavelength-dependent plate scale, and no interpolation.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,7 @@
 """OTF of the AO residual: its mean over the pupil, and the motion that goes with coma."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple

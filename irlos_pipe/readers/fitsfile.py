@@ -1,5 +1,7 @@
 """Open FITS files; whatever is wrong with one is reported in a line that names file and HDU."""
 
+from __future__ import annotations
+
 import io
 import math
 import re
