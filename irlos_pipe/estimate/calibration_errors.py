@@ -3,8 +3,8 @@
 A closed loop leaves less of slow changes than of fast ones, tomography more: where the slowest changes of
 Noll 4–30 together have another power than the mean one beyond chance, variances change by as much.
 
-Of a mean image the misfit beyond the nominal χ² is an error m of the model in proportion to the light, with a
-correlation S over `CORRELATED` λ/D and a size s that leaves just this misfit:
+Of a mean image the misfit beyond the nominal χ² and chance is an error m of the model in proportion to the
+light, with a correlation S over `CORRELATED` λ/D and a size s that leaves just this misfit:
 
     ⟨m mᵀ⟩ = s² L S L,    s² tr(Rᵀ R L S L) = (χ²/ν − nominal) ν,    cov = scatter + s² G L S L Gᵀ
 
@@ -78,7 +78,7 @@ def errors_of(
     if frames.show_scatter and problem.images.shape[:2] != (1, 1):
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
-        excess = max(0.0, chi2_nu - nominal.value)
+        excess = max(0.0, chi2_nu - nominal.value - DISTINCT * nominal.sigma)
         scatter = slow_part(used[:, FIRST : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
         return scatter + excess * _of_model_nm2(frames, problem, solution), "frames"
     covariance = covariance_from_noise(problem, solution)
@@ -144,7 +144,7 @@ def widening(count: int) -> float:
 
 LEAST_FRAMES = 4  # frames from which their scatter is considered
 FIRST = DEFOCUS - REPORTED_NOLLS[0]  # place of the first mode that is no tilt
-SLOWEST, DISTINCT = 2, 2.0  # frequencies over the whole series; standard deviations of their power
+SLOWEST, DISTINCT = 2, 2.0  # frequencies over the whole series; standard deviations that are chance
 CORRELATED = 2.3  # λ/D to the first zero of the correlation of the model's error: an Airy core
 BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
 NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14
