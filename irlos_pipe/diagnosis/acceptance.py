@@ -22,7 +22,7 @@ MUST_EXPLAIN = 0.8  # part of what is left that a further name must explain
 SIGNIFICANT = 5.0  # standard errors of the excess, from which that of a moment counts
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
 HARDLY_MORE = 1.25  # times what the best leaves, up to which names are equal while something else is missing
-PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
+PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known
 
 
 @dataclass(frozen=True)

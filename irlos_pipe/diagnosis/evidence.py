@@ -222,7 +222,6 @@ class EvidenceTask(Task):
         """
         rough = Laplace(laplace.posterior, laplace.x, coarse=True)
         missing, _ = placed_families(self.moments, rough.fitted.effects)
-        listed = any(effect.found_by == "pixels" for effect in rough.fitted.effects)
 
         def scored_best(family: Family) -> Score:
             score = score_family(rough, family)
@@ -232,7 +231,7 @@ class EvidenceTask(Task):
             refined = (_refined(rough, one) for one in (score, *score.elsewhere[:1], *before))
             return max(refined, key=lambda one: one.log_odds)
 
-        found = ordered_map(scored_best, [*missing, *([] if listed else bad_pixel_family(rough))])
+        found = ordered_map(scored_best, [*missing, *bad_pixel_family(rough)])
         known += [one for one in found if isinstance(one.candidate.base, PupilPlace)]
         self.report(1)
         return sorted(found, key=lambda one: -one.log_odds)

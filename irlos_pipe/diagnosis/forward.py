@@ -1,6 +1,6 @@
 """The search that adds one name after the other until nothing significant is missing."""
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, explained, narrowed, no_longer_needed
@@ -97,19 +97,16 @@ class Task:
         moment = self.fitter.views[drift.recording].moment
         return drift.effect().only_in(frozenset({moment}) if self.moments.several else None)
 
-    def _scores(self, current: Optimum, but: Container[str] = ()) -> tuple[list[Score], list[str]]:
-        """Scores of all families that the model lacks, but for some names; and what means nothing here."""
+    def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
+        """Scores of all families that the model lacks; and what means nothing here."""
         present = current.fitted.effects
         if self.moments.several:
             missing, meaningless = placed_families(self.moments, present)
         else:
             missing, meaningless = families(self.conditions, [effect.name for effect in present])
-        missing = [one for one in missing if one.effect.name not in but]
-        listed = any(effect.found_by == "pixels" for effect in present)
-        pixels = [] if listed else bad_pixel_family(current)
         if not self.cube.training.in_time:
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
-        return scores(current, [*missing, *pixels]), meaningless
+        return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
 
     def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:
         """The name to add next; None if nothing is missing or nothing explains it."""

@@ -7,7 +7,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import EXPLORING, Fitter
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
@@ -157,13 +157,13 @@ def _leading(found: Sequence[Refit], but: Sequence[Refit] = ()) -> list[Refit]:
     return sorted((one for one in found if one not in but), key=lambda one: -one.merit)[:RETRIED]
 
 
-def _near(fitter: Fitter, origin: Optimum, score: Score, iterations: int = EXPLORING) -> Refit:
+def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
     """Fitted from the model before."""
-    return Refit(score, origin, _explored(fitter, origin, _whole(score, score.start()), iterations))
+    return Refit(score, origin, _explored(fitter, origin, _whole(score, score.start())))
 
 
-def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect, iterations: int = EXPLORING) -> Fitted:
-    return fitter.explored([*origin.fitted.continued(), effect], origin.fitted, iterations)
+def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect) -> Fitted:
+    return fitter.explored([*origin.fitted.continued(), effect], origin.fitted)
 
 
 def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:

@@ -36,7 +36,6 @@ from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-DOUBTED = 2.0  # standard deviations of χ²/ν above nominal from which an uneven residual is looked for
 MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighted by the misfit, and how often at most
 
 
@@ -256,7 +255,7 @@ def _result(
     covariance_nm2, errors_from = errors_of(frames, problem, solution, found.frames_nm, chi2_nu, nominal)
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
-    if one_star and errors_from == "frames" and chi2_nu > nominal.value + DOUBTED * nominal.sigma:
+    if one_star and errors_from == "frames" and nominal.excess(chi2_nu) > 0:
         moved = moved_nm(frames, problem, solution)
         covariance_nm2 = covariance_nm2 + np.outer(moved, moved)
     return Calibration(

@@ -78,9 +78,8 @@ def errors_of(
     if frames.show_scatter and problem.images.shape[:2] != (1, 1):
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
-        excess = max(0.0, chi2_nu - nominal.value - DISTINCT * nominal.sigma)
         scatter = slow_part(used[:, FIRST : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
-        return scatter + excess * _of_model_nm2(frames, problem, solution), "frames"
+        return scatter + nominal.excess(chi2_nu) * _of_model_nm2(frames, problem, solution), "frames"
     covariance = covariance_from_noise(problem, solution)
     if not _scatter_beyond(used, covariance):
         return covariance, "noise"
@@ -168,6 +167,10 @@ class NominalChi2:
     def most(self) -> float:
         """Above this χ²/ν is neither by chance nor by errors of the discretisation."""
         return (1 + NUMERICAL) * self.value + BY_CHANCE * self.sigma
+
+    def excess(self, chi2_nu: float) -> float:
+        """Return what a χ²/ν has more than this one and chance; 0 if nothing."""
+        return max(0.0, chi2_nu - self.value - DISTINCT * self.sigma)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,9 @@ def smallest_excess(optimum: Optimum) -> dict[str, dict[str, float]]:
 
 
 def bad_pixel_family(optimum: FittedModel) -> list[Family]:
-    """The joint family of these pixels; none where there are none."""
+    """The joint family of these pixels; none where there are none, or where the model lists some."""
+    if any(effect.found_by == "pixels" for effect in optimum.fitted.effects):
+        return []
     pixels = outstanding_pixels(optimum)
     looked_at = int((optimum.root > 0).sum())
     return [Family((BadPixels(pixels),), looked_at)] if pixels else []
