@@ -81,24 +81,24 @@ class EvidenceTask(Task):
             known_effects = declared if near is None else near.continued()
             whole = [*known_effects, *everyday(conditions, known_effects)]
             posterior = Posterior(images, whole, covariance, law)
-            x, _ = posterior.descended(posterior.start(near), FIRST, roughly=True)
-            return Laplace(posterior, x, coarse=True)
+            return posterior.minimised(posterior.start(near), FIRST, roughly=True)
 
-        first = max(ordered_map(begun, (None, search.final.fitted)), key=lambda one: one.log_evidence)
-        laplace = self._deepest(self._settled(first))
+        starts = ordered_map(begun, (None, search.final.fitted))
+        laplace = self._settled(max(starts, key=lambda one: one.log_evidence))
         entered: dict[str, float] = {}
         known: list[Score] = []
-        for _ in range(self.options.most_names + 1):
-            found = self._proposed(laplace, known)
-            best = self._best(laplace, found)
-            if best is None:
-                break
-            laplace, label, odds = best
-            entered[label] = odds
-            laplace = self._settled(laplace)
-            if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
-                break
-        laplace = self._deepest(laplace) if entered else laplace
+        deepest = None
+        while deepest is not laplace:
+            for _ in range(self.options.most_names + 1 - len(entered)):
+                found = self._proposed(laplace, known)
+                best = self._best(laplace, found)
+                if best is None:
+                    break
+                laplace, label, entered[label] = best
+                laplace = self._settled(laplace)
+                if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
+                    break
+            deepest, laplace = laplace, self._deepest(laplace)
         if _misfit(self.cube.training, laplace) > FAR_OFF:
             laplace = self._nearest(laplace)
         return self._named(search, laplace, declared, entered, found)
@@ -111,7 +111,7 @@ class EvidenceTask(Task):
             laplace.posterior, law=laplace.with_best_law(), covariance=laplace.with_best_errors()
         )
         self.report(1)
-        return posterior.minimised(laplace.x, JOINTLY)
+        return posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
 
     def _deepest(self, laplace: Laplace) -> Laplace:
         """The fit that no other side of anything improves.
@@ -141,7 +141,8 @@ class EvidenceTask(Task):
         else follows first, or the kink would draw back what has just begun elsewhere.
         """
         fitted, posterior = laplace.fitted, laplace.posterior
-        sharp = replace(posterior, covariance=replace(posterior.covariance, model_rms=0.0))
+        covariance = posterior.covariance
+        sharp = replace(posterior, covariance=covariance.with_errors(0.0, covariance.flat_rms))
         starts: list[tuple[torch.Tensor, list[int]]] = [(laplace.x, [])]
         for label in fitted.problem.effects.labels:
             angle = direction_of(fitted, label)
@@ -158,12 +159,12 @@ class EvidenceTask(Task):
         def end(start: tuple[torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
             x, columns = start
             if columns:
-                x, _ = sharp.descended(x, FOLLOWING, roughly=True, held=columns)
+                x, _ = sharp.descended(x, FOLLOWING, roughly=True, held=columns, slopes=laplace.columns)
             return sharp.descended(x, TURNED, roughly=True)
 
         ends = ordered_map(end, starts)
         self.report(len(ends))
-        return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN)
+        return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
 
     def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, str, float] | None:
         """The fit with the effect of the best odds, its label and the odds; None if none is worth it."""
@@ -195,7 +196,7 @@ class EvidenceTask(Task):
         shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
         moved = posterior.start(laplace.fitted.moved(laplace.making_room(shape)))
         try:
-            return posterior.minimised(min(plain, moved, key=posterior.half_chi2), JOINTLY)
+            return posterior.minimised(min(plain, moved, key=posterior.half_chi2), JOINTLY, roughly=True)
         except (ValueError, torch.linalg.LinAlgError):
             return None
 
@@ -206,7 +207,7 @@ class EvidenceTask(Task):
         found = others.pop(label)
         for wider in in_other_forms(found.name, self.conditions, fitted.values_of(label), wider=True):
             posterior = laplace.posterior.with_effects([*others.values(), wider.only_in(found.acts_in)])
-            other = posterior.minimised(posterior.start(fitted), JOINTLY)
+            other = posterior.minimised(posterior.start(fitted), JOINTLY, roughly=True)
             if other.log_evidence > laplace.log_evidence + PROMISING:
                 known = {*others}
                 return other, next(one for one in other.fitted.problem.effects.labels if one not in known)
@@ -298,6 +299,7 @@ class _Final:
 
     def __init__(self, task: EvidenceTask, laplace: Laplace, declared: Sequence[Effect]):
         self.task, self.laplace = task, laplace
+        self._shapes: dict[int, torch.Tensor] = {}
         self.all_modes = laplace.fitted
         self.linear = self._without_dispensable({*labels_of(declared)})
         present = (one for one in self.all_modes.problem.effects.labels if one not in self.linear.gone)
@@ -377,7 +379,7 @@ class _Final:
         for score in found:
             if score.candidate.base.needs_search or score.name == refit.name:
                 continue
-            linear = LinearEstimate.of(null, score.candidate, whitened_shapes(laplace, [score.candidate])[0])
+            linear = LinearEstimate.of(null, score.candidate, self._shapes_of(score.candidate))
             if linear.usable.any():
                 rivals.append((score.start(), score, rise - linear.gain))
         for gone in self.linear.gone:
@@ -393,6 +395,12 @@ class _Final:
                 cosine = math.sqrt(max(1 - max(left, 0.0) / rise, 0.0))
                 fits.append((Refit(score, refit.origin, fitted), cosine))
         return fits
+
+    def _shapes_of(self, candidate: Effect) -> torch.Tensor:
+        """Its whitened derivatives, which every name is compared with."""
+        if id(candidate) not in self._shapes:
+            self._shapes[id(candidate)] = whitened_shapes(self.laplace, [candidate])[0]
+        return self._shapes[id(candidate)]
 
     @staticmethod
     def _scored(origin: Optimum, effect: Effect, values: Sequence[float] | np.ndarray) -> Score:

@@ -113,10 +113,6 @@ class Fitted:
         rows = zip(effects.labels, self.effects, effects.pieces(self.effect_values), strict=True)
         return {label: begun_at(effect, piece) for label, effect, piece in rows}
 
-    def restarted(self) -> list[Effect]:
-        """The effects with the same freedom, to start from where nothing is known of them."""
-        return [begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
-
 
 def begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
     """The same effect with the same freedom, from other `values` of its free parameters."""

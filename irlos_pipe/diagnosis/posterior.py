@@ -51,12 +51,13 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 DISC = 0.86  # of speckles' correlation sinc²(DISC · D x/λ) along an axis, as wide at half as an Airy disc's
 SMOOTHED, SAMPLED = 0.6, 0.4  # parts of the speckles' variance correlated as an Airy disc, and as frames show
 FAINTEST = 1e-2  # part of the strongest correlated shape, below which one is left out
-FAINTEST_AXIS = 0.03  # correlated variance over that of single pixels, below which an axis is left out
+NOTHING = 1e-6  # correlated variance over that of single pixels, which rounding may leave of an axis
 MODEL_ERRORS = (0.0, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2)  # s that are tried
 FLAT_ERRORS = (0.0, 0.0015, 0.003, 0.005, 0.008, 0.012, 0.02, 0.04)  # f that are tried
 FIRST_MODEL_ERROR, FIRST_FLAT_ERROR = 0.05, 0.005
 CONVERGED_AT = 1.0  # fall of χ² still ahead at which evidence is known well enough
 EXACT_FROM = 100.0  # fall of χ² ahead from which derivatives are those of all colours
+CHORDS = 8  # steps with the same derivatives at most
 TRIALS = 8  # of a step, with ten times the damping each
 LAW_TOLERANCES = {"xatol": 0.03, "fatol": 0.05, "maxfev": 150}
 LAW_SIMPLEX = np.array([[0, 0, 0], [0.4, 0, 0], [0, -1.0, 0], [0, 0, 0.7]])
@@ -123,7 +124,7 @@ class _Scatter:
             equal = images * (flux.mean() / flux)
             sample = (equal - equal.mean(0)).mT * math.sqrt(SAMPLED * slow / count / (count - 1))
         photons = torch.where(good, photons.double(), torch.inf)
-        return cls(photons, SMOOTHED * speckles, light, _correlated(weights.shape, settings), sample)
+        return cls(photons, SMOOTHED * speckles, light, _correlated(weights.shape, settings), sample.float())
 
 
 def _correlated(window: tuple[int, ...], settings: PsfSettings) -> torch.Tensor:
@@ -137,7 +138,7 @@ def _correlated(window: tuple[int, ...], settings: PsfSettings) -> torch.Tensor:
     power = np.multiply.outer(*((axis**2).sum(0) for axis in axes))
     kept = np.argwhere(power > FAINTEST * power.max())
     shapes = [np.outer(axes[0][:, i], axes[1][:, j]).ravel() for i, j in kept]
-    return torch.as_tensor(np.stack(shapes, axis=1))
+    return torch.as_tensor(np.stack(shapes, axis=1), dtype=torch.float32)
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,7 @@ class Covariance:
     scatter: Sequence[_Scatter]  # of every recording
     model_rms: float = FIRST_MODEL_ERROR  # s
     flat_rms: float = FIRST_FLAT_ERROR  # f
+    known: dict[tuple[float, float], Covariance] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, stack: Stacks, views: Sequence[View]) -> Covariance:
@@ -158,9 +160,9 @@ class Covariance:
         """Of pixels each by itself, with the variance of so many times their photons', and the flat's."""
         scatter = []
         for one in self.scatter:
-            nothing = {"speckles_e2": torch.zeros_like(one.light_e), "sample_e": one.sample_e[:, :0]}
+            nothing = {"correlated": one.correlated[:, :0], "sample_e": one.sample_e[:, :0]}
             scatter.append(replace(one, photons_e2=louder * one.photons_e2, **nothing))
-        return replace(self, scatter=scatter, model_rms=0.0)
+        return Covariance(scatter, 0.0, self.flat_rms)
 
     @cached_property
     def root(self) -> torch.Tensor:
@@ -168,32 +170,49 @@ class Covariance:
         own = (one.photons_e2 + (self.flat_rms * one.light_e) ** 2 for one in self.scatter)
         return torch.cat([variance**-0.5 for variance in own])
 
+    def with_errors(self, model_rms: float, flat_rms: float) -> Covariance:
+        """The same with other errors of model and flat; those tried before are known."""
+        key = model_rms, flat_rms
+        if key not in self.known:
+            self.known[key] = replace(self, model_rms=model_rms, flat_rms=flat_rms)
+        return self.known[key]
+
     @cached_property
-    def _shapes(self) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
-        """For each recording its pixels, the axes of A, and how strong they are."""
+    def _scales(self) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
+        """For each recording its pixels, and what the two parts of A have in them, whitened, (pixels, 1)."""
         found, begin = [], 0
         for one in self.scatter:
-            at = slice(begin, begin + len(one.light_e))
+            at = slice(begin, begin := begin + len(one.light_e))
             rms = (one.speckles_e2 + self.model_rms**2 * one.light_e.max() * one.light_e).sqrt()
-            whole = torch.cat([one.correlated * rms[:, None], one.sample_e], 1) * self.root[at, None]
-            values, vectors = torch.linalg.eigh(whole.mT @ whole)
-            used = values > FAINTEST_AXIS
-            axes = (whole @ vectors[:, used]) / values[used].sqrt()
-            found.append((at, axes.float(), values[used]))
-            begin = at.stop
+            root = self.root[at, None]
+            found.append((at, (root * rms[:, None]).float(), root.float()))
         return found
 
     @cached_property
+    def _inside(self) -> tuple[float, list[torch.Tensor]]:
+        """ln det(1 + A Aᵀ), and for each recording M of (1 + A Aᵀ)^(−½) = 1 − A M Aᵀ."""
+        log_determinant, found = 0.0, []
+        for one, (_, airy, own) in zip(self.scatter, self._scales, strict=True):
+            whole = torch.cat([one.correlated * airy, one.sample_e * own], 1)
+            values, vectors = torch.linalg.eigh((whole.mT @ whole).double())
+            values = values.clamp_min(NOTHING)
+            log_determinant += float(torch.log1p(values).sum())
+            found.append((vectors * ((1 - (1 + values) ** -0.5) / values) @ vectors.mT).float())
+        return log_determinant, found
+
+    @cached_property
     def log_determinant(self) -> float:
-        own = -2 * float(self.root[self.root > 0].log().sum())
-        return own + sum(float(torch.log1p(values).sum()) for _, _, values in self._shapes)
+        return self._inside[0] - 2 * float(self.root[self.root > 0].log().sum())
 
     def whiten(self, shapes: torch.Tensor) -> torch.Tensor:
         """C^(−½) times shapes, (pixels, m)."""
         white = shapes * self.root[:, None]
-        for at, axes, values in self._shapes:
-            inside = (axes.mT @ white[at].float()) * (1 - (1 + values.float()) ** -0.5)[:, None]
-            white[at] -= axes @ inside
+        for one, (at, airy, own), inner in zip(self.scatter, self._scales, self._inside[1], strict=True):
+            there = white[at].float()
+            along = torch.cat([one.correlated.mT @ (airy * there), one.sample_e.mT @ (own * there)])
+            along = inner @ along
+            split = one.correlated.shape[1]
+            white[at] -= airy * (one.correlated @ along[:split]) + own * (one.sample_e @ along[split:])
         return white
 
 
@@ -267,12 +286,16 @@ class Posterior:
 
     def half_chi2(self, x: torch.Tensor) -> float:
         """Half of χ² and priors; infinite where nothing can be computed."""
+        return self._left(x)[1]
+
+    def _left(self, x: torch.Tensor) -> tuple[torch.Tensor, float]:
+        """What is left of the images, whitened, and half of χ² and priors."""
         try:
-            left = self.covariance.whiten((self.images.stack.mean_e - self.exact.predict(x))[:, None])
+            left = self.covariance.whiten((self.images.stack.mean_e - self.exact.predict(x))[:, None])[:, 0]
         except ValueError:  # a wavelength out of the grid
-            return math.inf
-        value = 0.5 * (float((left**2).sum()) + self.penalty(x))
-        return value if math.isfinite(value) else math.inf
+            return torch.zeros_like(self.images.stack.mean_e), math.inf
+        value = 0.5 * (float(left @ left) + self.penalty(x))
+        return left, value if math.isfinite(value) else math.inf
 
     def start(self, near: Fitted | None = None) -> torch.Tensor:
         """Where a fit begins: nothing but the star at its place, or where a fit `near` by is."""
@@ -292,43 +315,62 @@ class Posterior:
                         x[:, own] = near.x[:, columns]
         return x.clamp(self.exact.lower, self.exact.upper)
 
-    def minimised(self, x: torch.Tensor, iterations: int) -> Laplace:
+    def minimised(
+        self, x: torch.Tensor, iterations: int, *, roughly: bool = False, slopes: torch.Tensor | None = None
+    ) -> Laplace:
         """The optimum, from the parameters `x`, (1, parameters)."""
-        return Laplace(self, self.descended(x, iterations)[0])
+        return Laplace(self, self.descended(x, iterations, roughly=roughly, slopes=slopes)[0], coarse=roughly)
 
     def descended(
-        self, x: torch.Tensor, iterations: int, *, roughly: bool = False, held: Sequence[int] = ()
+        self,
+        x: torch.Tensor,
+        iterations: int,
+        *,
+        roughly: bool = False,
+        held: Sequence[int] = (),
+        slopes: torch.Tensor | None = None,
     ) -> tuple[torch.Tensor, float]:
         """Parameters and half of χ² and priors there, after so many `iterations` by Levenberg and Marquardt.
 
-        A trial costs an image. Derivatives are rough while far off, or all the way. Parameters that push
-        against a bound stay there, those `held` where they are.
+        An iteration takes the derivatives once, which cost ten images, and goes on with them as long as χ²
+        falls as they predict (the chord method). They are rough while far off, or all the way; in the first
+        iteration they are `slopes`, where those are known from near by. Parameters that push against a bound
+        stay there, those `held` where they are.
         """
-        value, damping, coarse = self.half_chi2(x), 1e-3, True
+        (left, value), damping, coarse = self._left(x), 1e-3, True
         lower, upper = self.exact.lower.clone(), self.exact.upper.clone()
         lower[..., held] = upper[..., held] = x[0, held]
         for _ in range(iterations):
-            *_, gradient, hessian = self._equations(x, coarse)
-            step_of, ahead = _steps(x, gradient, hessian, lower, upper)
-            near, fall = ahead < CONVERGED_AT, 0.0
-            for _ in range(0 if near else TRIALS):
-                step = step_of(damping)
-                trial = torch.minimum(torch.maximum(x + step, lower), upper)
-                new = self.half_chi2(trial)
-                if new < value:
-                    predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
-                    damping = max(damping * (0.1 if value - new > 0.5 * predicted else 1.0), 1e-9)
-                    fall, x, value = value - new, trial, new
+            if slopes is None:
+                slopes = (self.coarse if coarse else self.exact).predict_and_jacobian(x)[1]
+            design, slopes = self.covariance.whiten(slopes.mT), None
+            hessian = design.mT @ design + torch.diag(self.prior_precision)
+            before, first, enough = value, math.inf, CONVERGED_AT * max(1.0, value / self.exact.freedom)
+            for _ in range(CHORDS):
+                gradient = self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
+                step_of, ahead = _steps(x, gradient, hessian, lower, upper)
+                first = min(first, ahead) if first is math.inf else first
+                fall = 0.0
+                for _ in range(0 if ahead < enough else TRIALS):
+                    step = step_of(damping)
+                    trial = torch.minimum(torch.maximum(x + step, lower), upper)
+                    left_then, new = self._left(trial)
+                    if new < value:
+                        predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
+                        fall, x, left, value = value - new, trial, left_then, new
+                        damping = max(damping * (0.1 if fall > 0.5 * predicted else 1.0), 1e-9)
+                        break
+                    damping *= 10
+                if fall < enough or fall < 0.5 * predicted:
                     break
-                damping *= 10
-            if fall < CONVERGED_AT:
+            if before - value < enough:
                 if roughly or not coarse:
                     break
                 damping = max(min(damping, 1.0), 1e-3)
-            coarse = roughly or (coarse and fall >= CONVERGED_AT and ahead >= EXACT_FROM)
+            coarse = roughly or (coarse and before - value >= enough and first >= EXACT_FROM)
         return x, value
 
-    def _equations(self, x: torch.Tensor, coarse: bool) -> tuple[torch.Tensor, ...]:
+    def equations(self, x: torch.Tensor, coarse: bool) -> tuple[torch.Tensor, ...]:
         """Image, derivatives, these and the residual whitened, gradient and Hessian of half of χ²."""
         image, columns = (self.coarse if coarse else self.exact).predict_and_jacobian(x)
         image = self.exact.predict(x) if coarse else image
@@ -366,7 +408,7 @@ class Laplace(FittedModel):
     def __init__(self, posterior: Posterior, x: torch.Tensor, *, coarse: bool = False):
         self.posterior, self.x, self.coarse = posterior, x, coarse
         self.stack = posterior.images.stack
-        self.image, self.columns, design, residual, gradient, self.hessian = posterior._equations(x, coarse)
+        self.image, self.columns, design, residual, gradient, self.hessian = posterior.equations(x, coarse)
         self.factor, self.scale = factor, scale = _factored(self.hessian)
         force = (-gradient / scale)[:, None]
         unconverged = torch.linalg.solve_triangular(factor, force, upper=False)[:, 0]
@@ -472,7 +514,7 @@ class Laplace(FittedModel):
         tried: dict[tuple[int, int], tuple[float, Covariance]] = {}
 
         def evaluated(place: tuple[int, int]) -> tuple[float, Covariance]:
-            changed = replace(own, model_rms=MODEL_ERRORS[place[0]], flat_rms=FLAT_ERRORS[place[1]])
+            changed = own.with_errors(MODEL_ERRORS[place[0]], FLAT_ERRORS[place[1]])
             return self._log_evidence_under(changed), changed
 
         best = (MODEL_ERRORS.index(own.model_rms), FLAT_ERRORS.index(own.flat_rms))

@@ -18,8 +18,7 @@ from irlos_pipe.numerics.parallel import ordered_map
 PROPOSALS = 8  # families that are fitted at most
 HOPELESS = 0.1  # part of the fall of χ² by a name that leaves nothing; what promises less needs no fit
 NOTHING_LEFT = 5.0  # significance of the excess below which nothing is left to explain
-FAR = 10.0  # χ²/ν from which the model may be at a false minimum
-RETRIED = 2  # of the most promising families, if none leaves nothing; what a detector adds is fitted quickly
+RETRIED = 2  # of the most promising families, if none leaves nothing
 SIDE_BY_SIDE = 2  # fits at once, after which others may prove hopeless
 PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
 EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ² from which another family is its rival
@@ -129,11 +128,7 @@ def refits(
         hopeful = [score for score in some if not _hopeless(score, found)]
         found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
         report(len(some))
-    if origin.excess.chi2_nu > FAR:
-        detectors = [one for one in found if one.base.plane == "detector"]
-        found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
-    several = [one for one in found if one.score.elsewhere]
-    found = _once_more(fitter, found, _leading(several), _from_elsewhere)
+    found = _from_elsewhere(fitter, found)
     found = _joined(fitter, found, other_forms(fitter, _leaders(found), wider=True))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
@@ -150,11 +145,6 @@ def _hopeless(score: Score, found: Sequence[Refit]) -> bool:
         return False
     best = _best(found)
     return best.explains_all and score.gain < HOPELESS * best.gain
-
-
-def _leading(found: Sequence[Refit], but: Sequence[Refit] = ()) -> list[Refit]:
-    """The best that are worth further starts."""
-    return sorted((one for one in found if one not in but), key=lambda one: -one.merit)[:RETRIED]
 
 
 def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
@@ -195,34 +185,20 @@ def is_rival(best: Refit, other: Refit) -> bool:
     return deficit < CLEARLY_LESS or other.gain > EXPLAINS_AS_MUCH * best.gain
 
 
-def _once_more(
-    fitter: Fitter,
-    found: Sequence[Refit],
-    chosen: Sequence[Refit],
-    starts: Callable[[Fitter, Refit], list[Fitted]],
-) -> list[Refit]:
-    """Fit the `chosen` families from further starts, unless the best leaves nothing to explain."""
-    if not found or _best(found).excess.significance < NOTHING_LEFT:
+def _from_elsewhere(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
+    """The best also from the next best places or directions, unless the best leaves nothing to explain.
+
+    The best of a linear estimate may be a wrong one.
+    """
+    several = sorted((one for one in found if one.score.elsewhere), key=lambda one: -one.merit)[:RETRIED]
+    if not several or _best(found).excess.significance < NOTHING_LEFT:
         return list(found)
 
     def again(one: Refit) -> Refit:
-        return replace(one, fitted=fitter.most_plausible([one.fitted, *starts(fitter, one)]))
+        others = [_explored(fitter, one.origin, other.start()) for other in one.score.elsewhere]
+        return replace(one, fitted=fitter.most_plausible([one.fitted, *others]))
 
-    return _joined(fitter, [one for one in found if one not in chosen], ordered_map(again, chosen))
-
-
-def _from_zero(fitter: Fitter, one: Refit) -> list[Fitted]:
-    """Without anything of the model before, which may be at a false minimum.
-
-    A model that misses something large can fit it with a wavefront far from the true one, from where
-    little seems to help.
-    """
-    return [fitter.explored([*one.origin.fitted.restarted(), _whole(one.score, one.score.restart())])]
-
-
-def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
-    """From the next best places or directions: the best of a linear estimate may be a wrong one."""
-    return [_explored(fitter, one.origin, other.start()) for other in one.score.elsewhere]
+    return _joined(fitter, [one for one in found if one not in several], ordered_map(again, several))
 
 
 def _leaders(found: Sequence[Refit]) -> list[Refit]:

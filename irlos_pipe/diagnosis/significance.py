@@ -5,35 +5,33 @@ import torch
 from scipy import special
 
 from irlos_pipe.diagnosis.null_model import FittedModel
+from irlos_pipe.estimate.score_test import LinearEstimate
 
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames, at most
 SURELY = 0.95  # probability with which an effect of the smallest detectable size is seen
 
 
-def significance_of(
-    optimum: FittedModel, shapes: torch.Tensor, normal: torch.Tensor, projection: torch.Tensor, trials: int
-) -> tuple[float, float]:
+def significance_of(optimum: FittedModel, linear: LinearEstimate, trials: int) -> tuple[float, float]:
     """Inflation, and Hotelling's T² of the projections over the frames in Gaussian σ, the best of `trials`.
 
     Frames allow no test in more directions than a part of their number: the leading ones of the normal matrix
-    are taken, into which the family's power falls. Directions that the prior holds are left out. Of whitened
-    derivatives, `shapes` (pixels, m), the matrix is `normal` (m, m), priors included, and the projections on
-    the residual are `projection` (m,).
+    are taken, into which the family's power falls. Directions that the prior holds are left out.
     """
     stack = optimum.stack
-    values, vectors = torch.linalg.eigh(normal)
-    measured = ((vectors.mT @ optimum.norm2(shapes)) * vectors.mT).sum(1) > 0.5 * values
+    values, vectors = torch.linalg.eigh(linear.normal)
+    measured = ((vectors.mT @ linear.gram) * vectors.mT).sum(1) > 0.5 * values
     if not measured.any():
         return 1.0, 0.0
     axes = (vectors / values.sqrt())[:, measured]  # the shapes along them are orthonormal
     if not stack.photon_limited:
         axes = axes[:, -max(1, int(MOST_OF_FRAMES * stack.independent)) :]
-    left = optimum.project(shapes @ axes)
-    held = optimum.norm2(shapes @ axes) - left.mT @ left  # what priors, not the data, keep parameters from
-    along, covariance = axes.mT @ projection, optimum.covariance_of(left) + held
-    inflation = float(covariance.diagonal().mean())
+    along = axes.mT @ linear.projection
     if stack.photon_limited:
         return 1.0, gaussian_sigma(float(along @ along), len(along), np.inf, trials)
+    left = optimum.project(linear.used @ axes)
+    held = axes.mT @ linear.gram @ axes - left.mT @ left  # what priors, not the data, keep parameters from
+    covariance = optimum.covariance_of(left) + held
+    inflation = float(covariance.diagonal().mean())
     hotelling = float(along @ torch.linalg.solve(covariance, along))
     return inflation, gaussian_sigma(hotelling, len(along), stack.independent, trials)
 

@@ -67,18 +67,20 @@ class LinearEstimate:
     sizes: np.ndarray  # (parameters,), within the bounds
     gain: float  # predicted fall of χ²
     used: torch.Tensor  # (pixels, m), shapes of the usable parameters
-    normal: torch.Tensor  # (m, m)
+    gram: torch.Tensor  # (m, m), of what is left of them
+    normal: torch.Tensor  # (m, m), the same with the priors
     projection: torch.Tensor  # (m,)
 
     @classmethod
     def of(cls, null: NullModel, candidate: Effect, shapes: torch.Tensor) -> LinearEstimate:
         """The estimate of `candidate` jointly with `null`, by whitened derivatives `shapes`, (pixels, m)."""
-        power, left = (shapes**2).sum(0), torch.diagonal(null.norm2(shapes))
+        power, gram = (shapes**2).sum(0), null.norm2(shapes)
+        left = torch.diagonal(gram)
         seen = left / power.clamp_min(1e-300)
         usable = (power > MEANINGLESS * power.max()) & (seen > ABSORBED)
         sigma = torch.tensor([p.prior_sigma for p in candidate.parameters], dtype=torch.float64)[usable]
-        used = shapes[:, usable]
-        normal, projection = null.norm2(used) + torch.diag(sigma**-2), null.projection(used)
+        used, gram = shapes[:, usable], gram[usable][:, usable]
+        normal, projection = gram + torch.diag(sigma**-2), null.projection(used)
         start = torch.tensor(candidate.null_values, dtype=torch.float64)
         change = torch.zeros_like(start)
         change[usable] = torch.linalg.solve(normal, projection)
@@ -86,7 +88,7 @@ class LinearEstimate:
         step = (sizes - start)[usable]
         gain = float(2 * step @ projection - step @ normal @ step)
         best = float(seen[usable].max() if usable.any() else seen.max())
-        return cls(candidate, usable, best, left, sizes.numpy(), gain, used, normal, projection)
+        return cls(candidate, usable, best, left, sizes.numpy(), gain, used, gram, normal, projection)
 
 
 def _within(candidate: Effect, values: torch.Tensor) -> torch.Tensor:

@@ -11,8 +11,6 @@ import pytest
 import torch
 from helpers.diagnose_frames import (
     CONDITIONS,
-    NOLLS,
-    TRUE_NM,
     WINDOW,
     cube,
     fitted,
@@ -21,7 +19,6 @@ from helpers.diagnose_frames import (
     model,
     optimum,
 )
-from helpers.optics_cases import vector
 from scipy import stats
 
 from irlos_pipe.diagnosis.acceptance import Accepted, by_plausibility, narrowed
@@ -31,7 +28,7 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit, other_forms, refits
-from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
+from irlos_pipe.diagnosis.search.scores import Family, families, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import CATALOGUE, FixedEffect, in_other_forms
@@ -62,24 +59,6 @@ def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
     first, second = by_plausibility(ranked, judges)[0]
     assert (first.name, second.name) == ("spectrum", "plate_scale")
     assert second.implausible and not first.implausible
-
-
-@pytest.mark.slow
-def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_minimum(monkeypatch):
-    """The gradient is put on the image by hand; the wavefront of the model before is 600 nm off."""
-    stack = cube(image() + 6.0 * np.arange(WINDOW)).training
-    right = fitted(stack)
-    wrong = right.x.clone()
-    wrong[:, right.problem.layout.modes] += vector({5: 400.0, 9: -450.0}, NOLLS)
-    solution = replace(right.solution, values=wrong)
-    lost = Optimum(stack, replace(right, solution=solution, chi2=float(right.problem.chi2(wrong))))
-    score = score_family(lost, Family((BackgroundGradient(),)))
-    fitter = Fitter([View(model(), CONDITIONS)], stack)
-    found = refits(fitter, lost, [score])[0]
-    assert found.public["e_per_pixel"] == pytest.approx(6.0, rel=0.01)
-    assert found.fitted.modes_nm == pytest.approx(vector(TRUE_NM, NOLLS)[0].numpy(), abs=5.0)
-    monkeypatch.setattr("irlos_pipe.diagnosis.refit.FAR", np.inf)
-    assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2
 
 
 @pytest.mark.slow

@@ -103,10 +103,6 @@ class Score:
         reach = within * np.array([p.prior_sigma for p in self.candidate.parameters])
         return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
 
-    def restart(self) -> FixedEffect:
-        """The whole effect at its start, without the estimate."""
-        return self._begun_at([p.start for p in self.candidate.parameters])
-
     def _begun_at(self, sizes: Sequence[float] | np.ndarray) -> FixedEffect:
         base, values = self.candidate.base, self.candidate.all_values(sizes)
         unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
@@ -250,8 +246,7 @@ def _score(optimum: FittedModel, trials: int, candidate: Effect, shapes: torch.T
     linear = LinearEstimate.of(optimum, candidate, shapes)
     inflation, significance = 1.0, 0.0
     if linear.usable.any():
-        tested = linear.used, linear.normal, linear.projection
-        inflation, significance = significance_of(optimum, *tested, trials)
+        inflation, significance = significance_of(optimum, linear, trials)
     smallest = (inflation / linear.left.clamp_min(1e-300)).sqrt()
     return Score(
         candidate,
@@ -263,21 +258,20 @@ def _score(optimum: FittedModel, trials: int, candidate: Effect, shapes: torch.T
         torch.where(linear.usable, smallest, torch.inf).numpy(),
         tuple(p.name for p, use in zip(candidate.parameters, linear.usable.tolist(), strict=True) if use),
         trials,
-        log_odds=_log_odds(linear, optimum.norm2(linear.used), inflation),
+        log_odds=_log_odds(linear, inflation),
     )
 
 
-def _log_odds(linear: LinearEstimate, gram: torch.Tensor, inflation: float) -> float:
+def _log_odds(linear: LinearEstimate, inflation: float) -> float:
     """ln odds of a candidate against its absence, its size integrated out, variances times `inflation`."""
     if not linear.usable.any():
         return -np.inf
     pairs = zip(linear.candidate.parameters, linear.usable.tolist(), strict=True)
     sigma = torch.tensor([one.proper_prior[1] for one, used in pairs if used], dtype=torch.float64)
-    gram, force = gram / max(1.0, inflation), linear.projection / max(1.0, inflation)
+    gram, force = linear.gram / max(1.0, inflation), linear.projection / max(1.0, inflation)
     size = torch.linalg.solve(gram + torch.diag(sigma**-2), force)
-    volume = torch.linalg.slogdet(torch.eye(len(sigma), dtype=torch.float64) + sigma[:, None] * gram * sigma)[
-        1
-    ]
+    spread = torch.eye(len(sigma), dtype=torch.float64) + sigma[:, None] * gram * sigma
+    volume = torch.linalg.slogdet(spread)[1]
     return 0.5 * float(force @ size - volume)
 
 
