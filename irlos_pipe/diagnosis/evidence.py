@@ -56,6 +56,7 @@ MOST_RIVALS = 2  # that are told besides a name
 LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
 FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
+SIDES = 2  # that are followed to their end, those on which all else has made the most of it
 AGAINST = 0.0  # Vuong's statistic of frames that no fit has seen, below which they object to a name
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
 FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
@@ -88,7 +89,7 @@ class EvidenceTask(Task):
         entered: dict[str, float] = {}
         known: list[Score] = []
         deepest = None
-        while deepest is not laplace:
+        while True:
             for _ in range(self.options.most_names + 1 - len(entered)):
                 found = self._proposed(laplace, known)
                 best = self._best(laplace, found)
@@ -98,7 +99,16 @@ class EvidenceTask(Task):
                 laplace = self._settled(laplace)
                 if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                     break
-            deepest, laplace = laplace, self._deepest(laplace)
+            if laplace is deepest:
+                break
+            before, laplace = laplace, self._deepest(laplace)
+            if laplace is before:
+                break
+            deepest = laplace
+        for label, odds in [*entered.items()]:  # before all is found, an image is blurred more than it is
+            narrower, form = self._in_best_form(laplace, label, wider=False)
+            if form != label:
+                laplace, entered[form] = self._settled(narrower), odds
         if _misfit(self.cube.training, laplace) > FAR_OFF:
             laplace = self._nearest(laplace)
         return self._named(search, laplace, declared, entered, found)
@@ -106,12 +116,15 @@ class EvidenceTask(Task):
     # -- fits ------------------------------------------------------------------------------------
 
     def _settled(self, laplace: Laplace) -> Laplace:
-        """The fit with the laws of wavefront and errors by evidence."""
-        posterior = replace(
-            laplace.posterior, law=laplace.with_best_law(), covariance=laplace.with_best_errors()
-        )
-        self.report(1)
-        return posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
+        """The fit with laws of wavefront and errors by evidence, which follow a change in several steps."""
+        while True:
+            law, covariance = laplace.with_best_law(), laplace.with_best_errors()
+            posterior = replace(laplace.posterior, law=law, covariance=covariance)
+            other = posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
+            self.report(1)
+            if other.log_evidence < laplace.log_evidence + PROMISING:
+                return max(laplace, other, key=lambda one: one.log_evidence)
+            laplace = other
 
     def _deepest(self, laplace: Laplace) -> Laplace:
         """The fit that no other side of anything improves.
@@ -143,7 +156,7 @@ class EvidenceTask(Task):
         fitted, posterior = laplace.fitted, laplace.posterior
         covariance = posterior.covariance
         sharp = replace(posterior, covariance=covariance.with_errors(0.0, covariance.flat_rms))
-        starts: list[tuple[torch.Tensor, list[int]]] = [(laplace.x, [])]
+        starts: list[tuple[torch.Tensor, list[int]]] = []
         for label in fitted.problem.effects.labels:
             angle = direction_of(fitted, label)
             if angle is None:
@@ -156,13 +169,13 @@ class EvidenceTask(Task):
                 x[0, columns] = torch.as_tensor(side)
                 starts.append((x, columns))
 
-        def end(start: tuple[torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
+        def following(start: tuple[torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
             x, columns = start
-            if columns:
-                x, _ = sharp.descended(x, FOLLOWING, roughly=True, held=columns, slopes=laplace.columns)
-            return sharp.descended(x, TURNED, roughly=True)
+            return sharp.descended(x, FOLLOWING, roughly=True, held=columns, slopes=laplace.columns)
 
-        ends = ordered_map(end, starts)
+        promising = sorted(ordered_map(following, starts), key=lambda one: one[1])[:SIDES]
+        sides = [laplace.x, *(x for x, _ in promising)]
+        ends = ordered_map(lambda x: sharp.descended(x, TURNED, roughly=True), sides)
         self.report(len(ends))
         return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
 
@@ -182,8 +195,7 @@ class EvidenceTask(Task):
             return None
         known = {*laplace.fitted.problem.effects.labels}
         label = next(one for one in best.fitted.problem.effects.labels if one not in known)
-        best, label = self._in_wider_form(best, label)
-        return best, label, odds
+        return *self._in_best_form(best, label, wider=True), odds
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
@@ -200,18 +212,21 @@ class EvidenceTask(Task):
         except (ValueError, torch.linalg.LinAlgError):
             return None
 
-    def _in_wider_form(self, laplace: Laplace, label: str) -> tuple[Laplace, str]:
-        """The fit with what was found, or with a wider form of it that has better odds."""
-        fitted = laplace.fitted
+    def _in_best_form(self, laplace: Laplace, label: str, *, wider: bool) -> tuple[Laplace, str]:
+        """The fit with an effect, or with a wider or narrower form that has better odds, and its label."""
+        fitted, best = laplace.fitted, (laplace, label)
         others = fitted.continued_by_label()
+        if label not in others:
+            return best
         found = others.pop(label)
-        for wider in in_other_forms(found.name, self.conditions, fitted.values_of(label), wider=True):
-            posterior = laplace.posterior.with_effects([*others.values(), wider.only_in(found.acts_in)])
+        forms = in_other_forms(found.name, self.conditions, fitted.values_of(label), wider=wider)
+        for form in (side for one in forms for side in _sides(one, len(found.base.parameters))):
+            posterior = laplace.posterior.with_effects([*others.values(), form.only_in(found.acts_in)])
             other = posterior.minimised(posterior.start(fitted), JOINTLY, roughly=True)
-            if other.log_evidence > laplace.log_evidence + PROMISING:
+            if other.log_evidence > best[0].log_evidence + (PROMISING if wider else -PROMISING):
                 known = {*others}
-                return other, next(one for one in other.fitted.problem.effects.labels if one not in known)
-        return laplace, label
+                best = other, next(one for one in other.fitted.problem.effects.labels if one not in known)
+        return best
 
     # -- proposals -------------------------------------------------------------------------------
 
@@ -408,6 +423,20 @@ class _Final:
         sizes = [one.name for one in effect.parameters if one.null is not None]
         candidate = FixedEffect(effect.base, values, sizes).only_in(effect.acts_in)
         return scored(origin, 1, (effect.acts_in,), [candidate])[0]
+
+
+def _sides(form: FixedEffect, known: int) -> list[FixedEffect]:
+    """A form of an effect, begun as well on either side in what it has besides the `known` parameters.
+
+    An image out of focus on one side of the focus is far from that on the other.
+    """
+    found = [form]
+    for index, one in enumerate(form.base.parameters):
+        for side in (-1, 1) if index >= known and math.isfinite(one.prior_sigma) else ():
+            values = np.array(form.values, float)
+            values[index] += side * one.prior_sigma / 2
+            found.append(FixedEffect(form.base, values, [p.name for p in form.parameters]))
+    return found
 
 
 def _allowing(stack: Stacks, laplace: Laplace) -> Stacks:

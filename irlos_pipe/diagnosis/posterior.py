@@ -403,7 +403,12 @@ def _factored(hessian: torch.Tensor, jitter: float = 1e-13) -> tuple[torch.Tenso
 
 
 class Laplace(FittedModel):
-    """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there."""
+    """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there.
+
+    All its priors are proper, so that tests leave out nothing but what rounding makes of nothing.
+    """
+
+    least_seen = 1e-5
 
     def __init__(self, posterior: Posterior, x: torch.Tensor, *, coarse: bool = False):
         self.posterior, self.x, self.coarse = posterior, x, coarse

@@ -33,8 +33,10 @@ class NullModel:
     The `residual` and one over the standard errors, `root`, are (pixels,); the derivatives of the fitted
     parameters, `basis` (pixels, parameters), are orthonormal, with rows of priors left out. `unconverged`
     (parameters,) is what the derivatives, priors included, have in common with the residual: nothing at the
-    very optimum.
+    very optimum. Of a derivative's power, the parameters may imitate all but `least_seen`.
     """
+
+    least_seen = ABSORBED
 
     def __init__(
         self, residual: torch.Tensor, root: torch.Tensor, basis: torch.Tensor, unconverged: torch.Tensor
@@ -77,7 +79,7 @@ class LinearEstimate:
         power, gram = (shapes**2).sum(0), null.norm2(shapes)
         left = torch.diagonal(gram)
         seen = left / power.clamp_min(1e-300)
-        usable = (power > MEANINGLESS * power.max()) & (seen > ABSORBED)
+        usable = (power > MEANINGLESS * power.max()) & (seen > null.least_seen)
         sigma = torch.tensor([p.prior_sigma for p in candidate.parameters], dtype=torch.float64)[usable]
         used, gram = shapes[:, usable], gram[usable][:, usable]
         normal, projection = gram + torch.diag(sigma**-2), null.projection(used)
