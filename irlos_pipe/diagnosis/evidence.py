@@ -57,7 +57,7 @@ LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
 FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
 SIDES = 2  # that are followed to their end, those on which all else has made the most of it
-AGAINST = 0.0  # Vuong's statistic of frames that no fit has seen, below which they object to a name
+AGAINST = -2.0  # Vuong's statistic of frames that no fit has seen, below which they object to a name
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
 FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
 
@@ -111,6 +111,7 @@ class EvidenceTask(Task):
                 laplace, entered[form] = self._settled(narrower), odds
         if _misfit(self.cube.training, laplace) > FAR_OFF:
             laplace = self._nearest(laplace)
+        laplace = laplace.posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
         return self._named(search, laplace, declared, entered, found)
 
     # -- fits ------------------------------------------------------------------------------------
@@ -120,7 +121,7 @@ class EvidenceTask(Task):
         while True:
             law, covariance = laplace.with_best_law(), laplace.with_best_errors()
             posterior = replace(laplace.posterior, law=law, covariance=covariance)
-            other = posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
+            other = posterior.minimised(laplace.x, JOINTLY, roughly=True, slopes=laplace.columns)
             self.report(1)
             if other.log_evidence < laplace.log_evidence + PROMISING:
                 return max(laplace, other, key=lambda one: one.log_evidence)
@@ -144,7 +145,8 @@ class EvidenceTask(Task):
         """
         training = self.cube.training
         covariance = laplace.posterior.covariance.alone(_misfit(training, laplace) * _alike_px(laplace))
-        return replace(laplace.posterior, covariance=covariance).minimised(laplace.x, FIRST)
+        posterior = replace(laplace.posterior, covariance=covariance)
+        return posterior.minimised(laplace.x, FIRST, roughly=True)
 
     def _turned(self, laplace: Laplace) -> Laplace:
         """The best of a fit and others in which what has a distance and a direction begins elsewhere.
