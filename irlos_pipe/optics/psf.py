@@ -43,10 +43,7 @@ from irlos_pipe.optics.monochromatic import (
     ByMode,
     Colour,
     FocalPlane,
-    PixelSlopes,
     Rates,
-    SkewPixels,
-    SquarePixels,
     amplitudes,
     amplitudes_of,
     beat_of,
@@ -315,19 +312,13 @@ class PsfModel:
 
     def _resampled(self, colour: Colour, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Derivatives of weighted images by the parameters of the sampling; see `resampled`."""
-        optics, tangents, index, plane = path.optics, path.tangents, path.colour, self.focal_plane
+        optics, index = path.optics, path.colour
         sampling = optics.sampling or self.grids.sampling
         every = [
             Rates.of(sampling, change, index, self._pupil(pupil, index), self._transfer(transfer, index))
-            for pupil, transfer, change in tangents.sampling
+            for pupil, transfer, change in path.tangents.sampling
         ]
-        pixels: PixelSlopes
-        if colour.strained or any(rates.strain.any() for rates in every):
-            pixels = SkewPixels(colour, plane.strained(index, sampling), sampling.strain)
-        else:
-            slopes = plane.pixel_slopes(index, sampling, filtered=colour.transfer is not None)
-            pixels = SquarePixels(colour, *slopes)
-        return resampled(colour, plane.dfts[index], pixels, opd, every)
+        return resampled(colour, self.focal_plane, index, sampling, opd, every)
 
     def _changes(self, dft: MatrixDft, pupils: torch.Tensor, phasor) -> torch.Tensor:
         """Focal amplitudes behind several pupils (k, n, n), (k, frames, 2, m, m)."""
