@@ -296,7 +296,7 @@ def _rms(apart: np.ndarray) -> float:
 
 def per_part(kinds: Mapping[str, int], unit: str) -> tuple[Public, ...]:
     """Public lists of one number per part for each of the `kinds`, in a `unit`."""
-    return tuple(Public(kind, unit, "parts", -3000.0, 3000.0) for kind in kinds)
+    return tuple(Public(kind, unit, -3000.0, 3000.0, kind="parts") for kind in kinds)
 
 
 class LowWindEffect(PupilSteps):
