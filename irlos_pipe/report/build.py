@@ -55,6 +55,7 @@ def write_report(run_folder: Path) -> Path:
     run = read_run(run_folder)
     verdict, tiles, sections = run.results(DiagnoseResults), key_numbers(run), report_sections(run)
     places = places_of(sections)
+    lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
     page = rendered(
         "report.html.j2",
         run=run,
@@ -70,7 +71,7 @@ def write_report(run_folder: Path) -> Path:
         no_causes=run.results(CalibrateResults).no_causes,
         key_numbers=tiles,
         warnings=warnings(run),
-        untested=_untested(run),
+        untested=list(dict.fromkeys(line.replace("`", "") for line in lines)),
         sections=list(filter(None, [*sections[:-1], meaning_section(tiles, sections), sections[-1]])),
     )
     path = RunFolder(Path(run_folder)).report
@@ -98,12 +99,6 @@ def _section(stage: str, run: RunData) -> Section:
         return cast(Section, experiment.section(run))
     lines = provenance_of(run.products[stage]).summary
     return Section(stage, stage.capitalize(), blocks=[Text("\n".join(lines), verbatim=True)])
-
-
-def _untested(run: RunData) -> list[str]:
-    """Return what the data of all stages do not determine, to be read before the numbers, everything once."""
-    lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
-    return list(dict.fromkeys(line.replace("`", "") for line in lines))
 
 
 def _observed(run: RunData) -> str:

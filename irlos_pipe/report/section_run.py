@@ -18,7 +18,6 @@ from irlos_pipe.report.images import MANY_DIGITS, thumbnail
 from irlos_pipe.report.run_data import RunData, frame_times
 from irlos_pipe.report.text import number, plural
 from irlos_pipe.stages.correct import CorrectResults
-from irlos_pipe.stages.ingest.recording_arrays import Overview
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 
 MOST_THUMBNAILS = 60  # images of recordings that are shown
@@ -80,7 +79,9 @@ def _frames(run: RunData, owner: str) -> Figure | None:
     if sum(one.used.sum() for one in recordings) < 2:
         return None
     seconds, scales = frame_times(recordings)[0], [one.acquisition.pixel_scale_mas for one in recordings]
-    perfect = _perfect(run, recordings[0])
+    image = run.of(CorrectResults).arrays.get("perfect")
+    known = image is not None and image.value.shape == recordings[0].mean_e.shape
+    perfect = float(image.value.max() / image.value.sum()) if image is not None and known else None
 
     def series(name: str, in_mas: bool = False) -> np.ndarray:
         values = (one.series[name][one.used] for one in recordings)
@@ -115,13 +116,6 @@ def _frames(run: RunData, owner: str) -> Figure | None:
         else "."
     )
     return figure(f"frames-{owner}", (6.0, 5.2), draw, f"Frames of {owner}", caption)
-
-
-def _perfect(run: RunData, recording: Overview) -> float | None:
-    """Brightest pixel over the sum of the image without aberrations; None where it is not known."""
-    image = run.of(CorrectResults).arrays.get("perfect")
-    known = image is not None and image.value.shape == recording.mean_e.shape
-    return float(image.value.max() / image.value.sum()) if image is not None and known else None
 
 
 # -- quality control ---------------------------------------------------------------------------

@@ -143,13 +143,17 @@ Results = ModesResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Fit a law to the scatter of the modes, and try several numbers of modes."""
-    from irlos_pipe.estimate.mode_law import fit_mode_law
+    from irlos_pipe.estimate.mode_law import fit_mode_law, mode_scatter
     from irlos_pipe.estimate.mode_number import MIN_FRAMES, choose
 
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:
         raise ConfigurationError("modes needs the cubes one by one: set calibrate.each to true")
-    scatter = _scatter(cubes, ctx.config.same_ncpas)
+    zernike_nm, sigma_nm = (np.stack([getattr(c, key) for c in cubes]) for key in ("zernike_nm", "sigma_nm"))
+    if ctx.config.same_ncpas:
+        zernike_nm = zernike_nm.mean(axis=0, keepdims=True)
+        sigma_nm = np.sqrt(np.mean(sigma_nm**2, axis=0, keepdims=True) / len(cubes))
+    scatter = mode_scatter(cubes[0].nolls, zernike_nm, sigma_nm)
     fitted = _fitted(scatter, ctx.config.law_highest_noll)
     start = ctx.instrument.facility.ncpa_law
     laws = {
@@ -161,7 +165,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     scans, numbers = _scans(ctx, MIN_FRAMES), None
     if scans:
         choice = choose(np.concatenate([scan.misfit for scan in scans], axis=1))
-        arrays |= _scan_arrays(scans, choice)
+        arrays |= {
+            "numbers/highest_noll": scans[0].highest_nolls,
+            "numbers/noll": scans[0].nolls,
+            "numbers/zernike_nm": np.stack([scan.zernike_nm for scan in scans]),
+            "numbers/misfit": np.stack([scan.misfit for scan in scans]),
+            "numbers/excess": (choice.excess, choice.excess_sigma),
+        }
         numbers = _numbers(scans, choice)
         lines += _number_lines(numbers)
     else:
@@ -177,16 +187,6 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 # -- appendix A ----------------------------------------------------------------------------------
-
-
-def _scatter(cubes: list[CubeEstimate], same_ncpas: bool) -> ModeScatter:
-    from irlos_pipe.estimate.mode_law import mode_scatter
-
-    zernike_nm, sigma_nm = (np.stack([getattr(c, key) for c in cubes]) for key in ("zernike_nm", "sigma_nm"))
-    if same_ncpas:
-        zernike_nm = zernike_nm.mean(axis=0, keepdims=True)
-        sigma_nm = np.sqrt(np.mean(sigma_nm**2, axis=0, keepdims=True) / len(cubes))
-    return mode_scatter(cubes[0].nolls, zernike_nm, sigma_nm)
 
 
 def _fitted(scatter: ModeScatter, highest_noll: int | None) -> np.ndarray:
@@ -295,13 +295,3 @@ def _number_lines(numbers: NumberScan) -> list[str]:
         f"  {numbers.recommended - 1} modes (Noll 2–{numbers.recommended}) suffice for unseen frames: "
         f"χ²/ν {numbers.held_out_chi2_nu[index]:.3f}, smallest with Noll {numbers.best}"
     ]
-
-
-def _scan_arrays(scans: Sequence[ModeScan], choice: Choice) -> dict[str, Any]:
-    return {
-        "numbers/highest_noll": scans[0].highest_nolls,
-        "numbers/noll": scans[0].nolls,
-        "numbers/zernike_nm": np.stack([scan.zernike_nm for scan in scans]),
-        "numbers/misfit": np.stack([scan.misfit for scan in scans]),
-        "numbers/excess": (choice.excess, choice.excess_sigma),
-    }

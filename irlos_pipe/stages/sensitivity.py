@@ -244,10 +244,6 @@ def _output(
         noise=noise,
         crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
     )
-    return StageOutput(arrays, results, summary=_lines(config, rows, noise))
-
-
-def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[str]:
     lines = [
         f"Noise           {_noise_text(noise)}",
         f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
@@ -255,7 +251,7 @@ def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[st
     for row in rows:
         ncpas = "with" if row.calibrated else "without"
         lines.append(f"  {ncpas} NCPAs, {len(row.modes)} modes: {_limit_text(row)}")
-    return lines
+    return StageOutput(arrays, results, summary=lines)
 
 
 def _noise_text(noise: NoiseRow) -> str:
