@@ -24,7 +24,6 @@ from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.causes import causes_of
 from irlos_pipe.stages.calibrate.input import (
     CubeInput,
     by_setup,
@@ -33,7 +32,7 @@ from irlos_pipe.stages.calibrate.input import (
     require_joint,
     setups_of,
 )
-from irlos_pipe.stages.calibrate.quality import MISFIT, checks_of, motion_line
+from irlos_pipe.stages.calibrate.quality import MISFIT, causes_of, checks_of, motion_line
 from irlos_pipe.stages.calibrate.results import (
     ARRAYS,
     CUBES,
