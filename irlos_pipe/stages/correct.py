@@ -91,13 +91,11 @@ def mirror_file(value: Any) -> Any:
 class Config(StageConfig):
     """Settings of the correction."""
 
-    input: str = Field("calibration", description="recipe input whose configuration the prediction uses")
-    gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
-    highest_noll: int = Field(
-        HIGHEST_REPORTED_NOLL, ge=4, le=HIGHEST_NOLL, description="highest Noll mode of the offsets"
-    )
-    mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = Field(
-        None, description="FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
+    input: str = item("calibration", "recipe input whose configuration the prediction uses")
+    gain: float = item(1.0, "part of the measured aberration to correct", gt=0, le=1)
+    highest_noll: int = item(HIGHEST_REPORTED_NOLL, "highest Noll mode of the offsets", ge=4, le=HIGHEST_NOLL)
+    mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = item(
+        None, "FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
     )
 
 

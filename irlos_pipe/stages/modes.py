@@ -7,7 +7,7 @@ from math import nan
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
@@ -45,21 +45,17 @@ MIN_MODES = 4  # one more than the parameters of the law
 class Config(StageConfig):
     """Settings of the mode statistics."""
 
-    same_ncpas: bool = Field(
-        False, description="whether the cubes have the same NCPAs, and so count as one draw of every mode"
+    same_ncpas: bool = item(
+        False, "whether the cubes have the same NCPAs, and so count as one draw of every mode"
     )
-    law_highest_noll: int | None = Field(
+    law_highest_noll: int | None = item(
         None,
+        "highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
         ge=7,
         le=HIGHEST_NOLL,
-        description="highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
     )
-    numbers: tuple[int, ...] = Field(
-        (21, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
-    )
-    cubes: int = Field(
-        4, ge=0, description="number of cubes, from the first, that the numbers of modes are tried on"
-    )
+    numbers: tuple[int, ...] = item((21, 36, 45, 55, 66, 78, 91, 105), "highest Noll modes to try")
+    cubes: int = item(4, "number of cubes, from the first, that the numbers of modes are tried on", ge=0)
 
     @field_validator("numbers")
     @classmethod

@@ -7,7 +7,6 @@ from math import nan
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.late import torch
@@ -39,8 +38,8 @@ CHECKS = {
 class Config(StageConfig):
     """Settings of the elongation prior."""
 
-    input: str = Field("ramp", description="recipe input whose frames get a prior")
-    max_failed_fraction: float = Field(0.1, ge=0, le=1, description="QC limit on Gaussian fits that fail")
+    input: str = item("ramp", "recipe input whose frames get a prior")
+    max_failed_fraction: float = item(0.1, "QC limit on Gaussian fits that fail", ge=0, le=1)
 
 
 class DefocusPrior(ResultsPart):
