@@ -120,7 +120,7 @@ def _cleaned(
     valid = picked(raw.adu, reasons == "")
     level = saturation_level(valid, detector)
     good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, by.thresholds.stuck_ratio)
-    reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.saturated_px), SATURATED)
+    reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.max_saturated_px), SATURATED)
     background = find_background(valid, raw.calibration, good, raw.lenslets)
     good &= ~background.bad
     if raw.calibration.dark_adu is not None:

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import Field
 
@@ -26,6 +27,7 @@ ARRAYS_ONLY = True
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 WORK = LateModule("irlos_pipe.stages.ingest.work")
+Part = TypeVar("Part", Thresholds, Limits)
 
 
 class Config(StageConfig):
@@ -63,26 +65,9 @@ class Config(StageConfig):
     max_bad_pixel_fraction: float = item(0.02, "QC limit, of the window", ge=0, le=1)
     max_centre_offset_fraction: float = item(0.25, "QC limit, of the smaller window side", gt=0, le=1)
 
-    def thresholds(self) -> Thresholds:
-        """Return the thresholds for single pixels."""
-        return Thresholds(
-            sigma=self.bad_pixel_sigma,
-            fraction=self.bad_pixel_fraction,
-            stuck_ratio=self.stuck_ratio,
-            noisy_ratio=self.noisy_ratio,
-            flicker_fraction=self.flicker_fraction,
-        )
-
-    def limits(self) -> Limits:
-        return Limits(
-            saturated_px=self.max_saturated_px,
-            star_snr=self.min_star_snr,
-            edge_px=self.min_edge_px,
-            flux_sigma=self.flux_sigma,
-            flux_fraction=self.flux_fraction,
-            core_fraction=self.core_fraction,
-            core_hits_px=self.max_core_hits_px,
-        )
+    def part(self, kind: type[Part]) -> Part:
+        """Return the settings that a dataclass `kind` of science, `Thresholds` or `Limits`, holds."""
+        return kind(**{one.name: getattr(self, one.name) for one in fields(kind)})  # type: ignore[arg-type]
 
     def exposure_of(self, input_name: str) -> float | None:
         """Return the length to which frames of an input are summed [s]; None leaves them as they are."""

@@ -9,11 +9,12 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.files.processes import require_memory
+from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned, clean
 from irlos_pipe.frames.detector import star_position, time_is_last
 from irlos_pipe.frames.recording import PROFILE, Recording
-from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, tally
+from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, Limits, tally
 from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, of_counts, told_of
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity
@@ -108,8 +109,8 @@ def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
     shortest_nm = min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
     diameter_m = instrument.pupil.diameter_m / acquisition.lenslets
     sampling = resolution_px(shortest_nm * NM, diameter_m, acquisition.pixel_scale_mas)
-    limits, plane = config.limits(), source.resolved.introduced_defocus_nm
-    cleaned = clean(raw, acquisition.detector, sampling, config.thresholds(), limits, plane)
+    limits, plane = config.part(Limits), source.resolved.introduced_defocus_nm
+    cleaned = clean(raw, acquisition.detector, sampling, config.part(Thresholds), limits, plane)
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
         raise InputDataError(f"{raw.path}: none of the {raw.frames} frames can be used: {counts}")
