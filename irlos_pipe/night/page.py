@@ -114,12 +114,6 @@ def _listed(one: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def is_finished(tree: Path, date: str) -> bool:
-    """Whether the page in `tree` of a `date` exists and is not that of a run that was killed or stopped."""
-    path = page_path(tree, date)
-    return path.is_file() and FINISHED.encode() in path.read_bytes()
-
-
 def _status(night: Night) -> str:
     if night.stopped:
         return STOPPED

@@ -16,7 +16,7 @@ from irlos_pipe.pipeline.inputs import InputFile, input_files, remember, require
 from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, checksum, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device
-from irlos_pipe.pipeline.runlog import RUN, TRACE, collected, stage_logger, written_to
+from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE, collected, written_to
 from irlos_pipe.product import run_table, runfolder
 from irlos_pipe.product.product import Check, Product
 from irlos_pipe.product.results import (
@@ -28,7 +28,6 @@ from irlos_pipe.product.results import (
     provenance_of,
     results_of,
 )
-from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.product.table import Origin, table_content
 from irlos_pipe.recipe import Recipe
@@ -67,7 +66,7 @@ class Job:
         }
 
     def _run(self, step: Step) -> None:
-        log = stage_logger(step.name)
+        log = ROOT.getChild(f"stage.{step.name}")
         started, clock = now(), time.perf_counter()
         context = self._context(step, log)
         stage = STAGES[step.name]
@@ -94,7 +93,7 @@ class Job:
             self.resources.jobs,
             self.resources.progress,
             log,
-            RunFolder(self.folder).scratch(name, step.key),
+            runfolder.RunFolder(self.folder).scratch(name, step.key),
         )
 
     def _device(self, name: str) -> str:
@@ -156,7 +155,7 @@ class Job:
             step.name, output.arrays, output.results.as_json(), list(output.checks), config, provenance, log
         )
         write_product(product, step.path)
-        RunFolder(self.folder).remove_scratch(step.name)
+        runfolder.RunFolder(self.folder).remove_scratch(step.name)
 
 
 def recordings_of(
@@ -412,7 +411,7 @@ def version_for(recipe: Recipe, folder: Path, selection: Selection) -> Path:
     there = run_table.version_folders(folder)
     if there and not selection.force and _only_adds(recipe, there[-1], selection):
         return there[-1]
-    return run_table.new_version(folder)
+    return folder / f"{(int(there[-1].name) if there else 0) + 1:0{run_table.DIGITS}d}"
 
 
 def run_numbered(

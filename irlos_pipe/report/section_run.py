@@ -1,7 +1,6 @@
 """Sections on the run: the recordings that went in, quality control, provenance."""
 
 from collections import Counter
-from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
@@ -161,7 +160,10 @@ def origin_section(run: RunData) -> Section:
         [(stage, provenance_of(product)) for stage, product in run.products.items()],
         {
             "stage": lambda one: one[0],
-            "files": lambda one: _file_links([*run.names.get(one[0], ()), *one[1].files]),
+            "files": lambda one: Markup(", ").join(
+                Markup('<a href="{0}">{0}</a>').format(name)
+                for name in (*run.names.get(one[0], ()), *one[1].files)
+            ),
             "finished": lambda one: _moment(one[1].finished),
             "time [s]": lambda one: number(one[1].seconds),
             "device": lambda one: one[1].device,
@@ -174,10 +176,6 @@ def origin_section(run: RunData) -> Section:
     files = Table(("file", "sha256"), inputs, f"Input files ({len(inputs)})", folded=True)
     recipe = Text(run.recipe_text, "Resolved recipe", verbatim=True, folded=True)
     return Section("origin", "Provenance", " · ".join(facts), [stages, *shown(files, recipe)])
-
-
-def _file_links(names: Sequence[str]) -> Markup:
-    return Markup(", ").join(Markup('<a href="{0}">{0}</a>').format(name) for name in names)
 
 
 def finished(run: RunData) -> str:

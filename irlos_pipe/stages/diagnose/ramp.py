@@ -101,7 +101,7 @@ def _results(
     corrected: np.ndarray,
     seconds: float,
 ) -> DiagnoseResults:
-    errors = [_rms(estimated - introduced) for introduced in (ramp.commanded_nm, corrected)]
+    errors = [float(np.sqrt(np.nanmean((estimated - one) ** 2))) for one in (ramp.commanded_nm, corrected)]
     return DiagnoseResults(
         verdict=EFFECT if lens else result.verdict,
         sentence=sentence(result, lens),
@@ -179,10 +179,6 @@ def _stage_sentence(result: RampDiagnosis) -> str:
     if not result.names:
         return "The focus stage does what is commanded."
     return f"The ramp needs {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
 
 
 # -- what introduced defocus is: effects of lenses, from fits of the images --------------------------
