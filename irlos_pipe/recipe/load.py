@@ -15,7 +15,6 @@ from irlos_pipe.files.shipped import RECIPES, SAMPLES, are_samples, named_file, 
 from irlos_pipe.files.validation import Override, ValidationErrors, absolute, parse_setting, read_overridden
 from irlos_pipe.files.yaml import load_yaml, yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
-from irlos_pipe.product.results import item
 from irlos_pipe.readers.sidecar import stated_instrument, stated_instruments
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
@@ -41,22 +40,23 @@ class RecipeHead(BaseModel):
     model_config = ConfigDict(defer_build=True, extra="forbid")
 
     recipe: str = Field(min_length=1, description="name of the recipe")
-    title: str = item("", "one line for people")
-    instrument: str = item(
-        "irlos", "instrument profile: a name or the path of a YAML file; without it that of the side-cars"
+    title: str = Field("", description="one line for people")
+    instrument: str = Field(
+        "irlos",
+        description="instrument profile: a name or the path of a YAML file; without it that of the side-cars",
     )
     inputs: Annotated[
         dict[str, Annotated[list[str], BeforeValidator(_as_list)]], BeforeValidator(_none_as_empty)
-    ] = item(
+    ] = Field(
         {},
-        "input name: a path or a list of paths, relative to the recipe, or nothing for one "
+        description="input name: a path or a list of paths, relative to the recipe, or nothing for one "
         "that is given with --input; none where the stages make their own data",
     )
-    samples: Annotated[dict[str, str], BeforeValidator(_none_as_empty)] = item(
-        {}, "input name: the recording of data_samples that --samples takes for it"
+    samples: Annotated[dict[str, str], BeforeValidator(_none_as_empty)] = Field(
+        {}, description="input name: the recording of data_samples that --samples takes for it"
     )
     stages: list[str] = Field(min_length=1, description="stages in the order of the light path")
-    seed: int = item(0, "seed of every random draw", ge=0)
+    seed: int = Field(0, ge=0, description="seed of every random draw")
 
 
 SECTIONS = ("model", *STAGES)
