@@ -282,8 +282,8 @@ def _law(of: Prior) -> Figure:
     defocus = np.array(results.valid_nm)
 
     def draw(axes: Axes) -> None:
-        look = {"color": BLUE, "markersize": 3, "label": "frames", "rasterized": len(introduced) > MANY}
-        axes.plot(introduced, ratio, "o", **look)
+        many = len(introduced) > MANY
+        axes.plot(introduced, ratio, "o", color=BLUE, markersize=3, label="frames", rasterized=many)
         if results.A and np.isfinite([results.A, results.B, *defocus]).all():
             axes.axvspan(defocus.min(), defocus.max(), color=FAINT, alpha=0.35, linewidth=0)
             law = 1 + (defocus - results.B) / results.A

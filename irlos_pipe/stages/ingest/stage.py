@@ -67,7 +67,7 @@ class Config(StageConfig):
 
     def part(self, kind: type[Part]) -> Part:
         """Return the settings that a dataclass `kind` of science, `Thresholds` or `Limits`, holds."""
-        return kind(**{one.name: getattr(self, one.name) for one in fields(kind)})  # type: ignore[arg-type]
+        return kind(**{one.name: getattr(self, one.name) for one in fields(kind)})
 
     def exposure_of(self, input_name: str) -> float | None:
         """Return the length to which frames of an input are summed [s]; None leaves them as they are."""
