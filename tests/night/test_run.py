@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import re
 import shutil
 import sqlite3
 import sys
@@ -46,25 +45,6 @@ def test_a_night_is_reduced_into_a_folder_per_group_and_recipe(bench):
         folder = bench.run_folder(group=group, recipe=recipe)
         assert json.loads((folder / "results.json").read_text())["status"] == "ok"
         assert (folder / "03_lift.h5").is_file() and f"{group}/{recipe}/report.html" in bench.page()
-
-
-def test_the_index_lists_every_reduction_of_every_night_and_those_without_any(bench):
-    bench.record(MORNING)
-    bench.record("2024-02-12T03:00:00", "later")
-    torn = bench.record("2024-02-14T03:30:00", "torn")
-    (torn / "torn.fits").write_bytes((torn / "torn.fits").read_bytes()[:3000])
-    bench.run()
-    index = bench.tree / "index.html"
-    rows = re.findall(r"<tr.*?</tr>", index.read_text(), re.DOTALL)[1:]
-    dates = [re.search(r"night_(\S+)\.html", row)[1] for row in rows]
-    assert len(dates) == 3 and dates == sorted(dates, reverse=True)
-    links = [re.findall(r'href="([^"]+)"', row) for row in rows]
-    assert [len(one) for one in links] == [1, 2, 2]
-    assert all((bench.tree / link).is_file() for one in links for link in one)
-    assert "50" in rows[-1] and "1 of 1" in rows[-1]
-    before = index.stat().st_mtime_ns
-    bench.run()
-    assert index.stat().st_mtime_ns == before
 
 
 @pytest.mark.slow
@@ -187,18 +167,6 @@ def test_a_crash_is_stated_on_the_page_and_the_next_run_completes_the_night(benc
         run_night(bench.request(), runner)
     assert message in bench.page() and ">stopped<" in bench.page() and "not finished" in bench.page()
     assert bench.run().exit_code == 0 and ">ok<" in bench.page()
-
-
-def test_the_page_of_a_run_that_is_killed_says_that_it_is_not_finished(bench):
-    bench.record(MORNING)
-    seen = []
-
-    def runner(work, tasks):
-        seen.append(bench.page())
-        return map(work, tasks)
-
-    run_night(bench.request(), runner)
-    assert "continues where it stopped" in seen[0] and ">not finished<" in seen[0]
 
 
 def test_numbers_that_a_killed_run_did_not_store_are_stored_by_the_next_run(bench):

@@ -1,7 +1,7 @@
-"""Effects that act before the detector and move or change from frame to frame, and what the truth says of them.
+"""Effects that move or change from frame to frame, and what the truth says of them.
 
-Truth: equal scenes told in another way (a moved image is a tilted wavefront); moments by analysis. Static effects
-are those of the model in test_simulate_imaging.
+Truth: equal scenes told in another way (a moved image is a tilted wavefront); moments by analysis. In
+test_simulate_imaging static effects are those of the model.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Static images of the simulator.
 
-Truth: HCIPy on a pupil grid three to six times finer (independent code, `reference_psf`); HCIPy's Zernikes; the
-model that is fitted to such images, which shares no optics with the simulator; energy.
+Truth: HCIPy on a pupil grid three to six times finer (independent code, `reference_psf`); HCIPy's Zernikes;
+the model that is fitted to such images, which shares no optics with the simulator; energy.
 """
 
 from dataclasses import replace
@@ -238,7 +238,7 @@ def test_simulated_images_are_those_of_the_model_of_pupil_shapes(geometry):
     [
         (
             "low_wind_effect",
-            dict.fromkeys(("piston_nm", "tip_nm"), [30.0, -50.0, 80.0, -20.0, 10.0, -60.0])
+            {key: [30.0, -50.0, 80.0, -20.0, 10.0, -60.0] for key in ("piston_nm", "tip_nm")}
             | {"tilt_nm": [0.0] * 6},
         ),
         ("segment_piston", {"piston_nm": np.random.default_rng(1).normal(0, 80, 35).tolist()}),
