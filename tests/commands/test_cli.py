@@ -119,6 +119,8 @@ def test_each_kind_of_failure_has_its_exit_code(bench, behaviour, code):
     result = bench.run("-q")
     assert result.exit_code == code
     assert len(result.stderr.splitlines()) == (code not in (4, 5))
+    whole = ["01_ingest.h5", "02_calibrate.h5", "03_lift.h5"]
+    assert products(bench.output) == whole[: 3 * (code in (4, 5)) or behaviour.startswith("calibrate")]
 
 
 def test_wrong_configuration_exits_with_2_and_one_line_per_mistake(bench):

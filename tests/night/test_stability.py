@@ -30,26 +30,6 @@ def test_every_pair_is_counted_once_in_the_bin_of_its_lag():
             assert getattr(found, name)[row] == pytest.approx(np.mean(np.array(values)[within]), rel=1e-12)
 
 
-@pytest.mark.parametrize(("noise_nm", "error"), [(0.0, 0.05), (6.0, 0.15)])
-def test_white_changes_give_the_same_at_every_lag_and_measurement_noise_is_subtracted(noise_nm, error):
-    count, modes, s_nm = 800, 20, 3.0
-    rng = np.random.default_rng(2)
-    values = rng.normal(0, s_nm, (count, modes)) + rng.normal(0, noise_nm, (count, modes))
-    found = structure_function(DAY_S * np.arange(count), values, np.full((count, modes), noise_nm))
-    assert found.change_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * s_nm**2), rel=error)
-    assert found.noise_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * noise_nm**2))
-
-
-def test_a_random_walk_changes_in_proportion_to_the_lag():
-    """Up to lags of a fortieth of the series, where 100 modes make the mean of the pairs good to 5 %."""
-    count, modes, step_nm = 1200, 100, 0.5
-    values = np.cumsum(np.random.default_rng(3).normal(0, step_nm, (count, modes)), axis=0)
-    found = structure_function(DAY_S * np.arange(count), values, np.zeros((count, modes)))
-    short = found.lag_s < 30 * DAY_S
-    expected = modes * step_nm**2 * found.lag_s[short] / DAY_S
-    assert short.sum() >= 5 and found.change_nm2[short] == pytest.approx(expected, rel=0.1)
-
-
 def test_changes_that_noise_explains_count_as_none():
     values = np.random.default_rng(4).normal(0, 1, (50, 5))
     found = structure_function(DAY_S * np.arange(50), values, np.full((50, 5), 1.2))

@@ -57,11 +57,6 @@ def test_numbers_come_in_order_of_time_with_modes_in_order_of_their_index(tree):
     assert all(np.all(np.diff([point.unix_s for point in one.points]) == DAY_S) for one in trend.series)
 
 
-def test_a_coefficient_out_of_its_band_alarms_and_the_seeing_does_not(tree):
-    alarms = [line.split(" = ")[0] for line in read_trend(tree, RULE).alarms()]
-    assert alarms == [f"{night(19)}/030000_cube/cube: {name}" for name in ("wavefront_nm", "noll_4_nm")]
-
-
 def test_the_trend_until_a_night_equals_the_trend_made_on_that_night(tree):
     with opened(tree) as database:
         found = (database.points(), database.verdicts())

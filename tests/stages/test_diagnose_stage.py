@@ -18,7 +18,6 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.stages.diagnose.output import (
     checks_of,
-    diagnose_results,
     model_yaml,
     recipe_entry,
 )
@@ -27,11 +26,6 @@ from irlos_pipe.stages.diagnose.stage import Config
 from irlos_pipe.stages.diagnose.work import moments_of
 from irlos_pipe.stages.model.recording_settings import pooled_frames
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
-
-
-@pytest.fixture(scope="module")
-def results() -> dict:
-    return diagnose_results(diagnosis_of("companion"), {6: -170.0}).as_json()
 
 
 @pytest.mark.slow

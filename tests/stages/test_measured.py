@@ -37,9 +37,6 @@ def test_the_recipes_are_complete_but_for_their_data(tmp_path, name, data, diame
     assert recipe.instrument.pupil.diameter_m == diameter_m
 
 
-# -- the focus ramp of a bead; truth: the documented travel of the stage -------------------------------
-
-
 # -- a single image of NIRC2 -------------------------------------------------------------------------
 
 HALF_PX = 24  # of the square about the peak in which model and image are compared
