@@ -114,9 +114,9 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
         simulated(tmp_path / "out", spec_of({"cube": CUBE}))
 
 
-# An effect of each kind, switched on in a spec, reaches the frames and the truth, not the side-car; the keys of
-# all are generated. Expected: the same recording without the effect, of the same seed. How large an effect is,
-# the tests of the simulator check.
+# An effect of each kind, switched on in a spec, reaches the frames and the truth, not the side-car; keys of
+# effects are generated. Expected: the same recording without the effect, of the same seed. The tests of the
+# simulator check how large an effect is.
 
 
 SIZES = {
