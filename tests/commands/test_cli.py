@@ -14,18 +14,6 @@ from irlos_pipe.commands.main import cli
 from irlos_pipe.files import shipped
 from irlos_pipe.product.storage import read_product
 
-SHORT = ("sensitivity.mag_step=4", "sensitivity.realisations=2", "sensitivity.frames_per_offset=2")
-
-
-@pytest.mark.slow
-def test_the_demo_runs_to_its_end_and_passes_its_checks(tmp_path):
-    settings = [word for one in SHORT for word in ("--set", one)]
-    outcome = invoke("demo", "--output", str(tmp_path / "demo"), *settings, "--jobs", "1")
-    assert outcome.exit_code == 0, outcome.output
-    results = json.loads((tmp_path / "demo" / "results.json").read_text())
-    assert results["status"] == "ok"
-    assert results["stages"].keys() >= {"ingest", "prior", "calibrate", "lift", "sensitivity"}
-
 
 def test_results_of_samples_say_so_on_the_terminal_and_in_the_results(bench, monkeypatch):
     monkeypatch.setattr(shipped, "shipped_folder", lambda kind: bench.data)

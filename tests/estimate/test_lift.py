@@ -54,7 +54,7 @@ def estimate(model, images, introduced_nm, options=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mag_j", [9, 12, 15, 18])
+@pytest.mark.parametrize("mag_j", [9, 18])
 def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
     images = 400
     true = random_modes(images, seed=mag_j)
@@ -83,7 +83,7 @@ def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mag_j", [12, 18, 19])
+@pytest.mark.parametrize("mag_j", [12, 19])
 def test_a_wrong_prior_biases_map_by_its_share_of_the_information(model, mag_j):
     """Truth: the normal distribution, whose mean given data and prior is that of both, weighted by precision.
 
@@ -202,8 +202,7 @@ def drawn_alike(halo_model: ImageModel, flux_e: float) -> torch.Tensor:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flux_e", [3e5, 3e3])
-@pytest.mark.parametrize("prior", [None, LIMIT])
+@pytest.mark.parametrize(("flux_e", "prior"), [(3e5, None), (3e3, LIMIT)])
 def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, flux_e, prior):
     images_e = drawn_alike(halo_model, flux_e)
     near = alike(halo_model, FRAMES_NM + 10.0, FRAME)

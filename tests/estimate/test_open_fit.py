@@ -300,6 +300,3 @@ def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
     found = likelier_side(wrong, max_iterations=30)
     assert found.solution.objective[0] < wrong.solution.objective[0]
     assert stop_of(found) == pytest.approx(TRUE_M, abs=0.01)
-
-
-# -- effects that a diagnosis found --------------------------------------------------------------
