@@ -13,10 +13,9 @@ import pytest
 from helpers import night_bench
 from helpers.fake_stages import COUNTS
 
-from irlos_pipe.conventions.errors import InputDataError, Locked, NothingToDo
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.run import plan_night, run_night
-from irlos_pipe.product.runfolder import owned_folder
 
 MORNING = "2024-02-11T03:00:00"
 
@@ -34,17 +33,6 @@ def contents(folder) -> dict[str, bytes]:
 
 def change_model(monkeypatch, stage: str = "calibrate") -> None:
     monkeypatch.setattr(sys.modules[f"irlos_pipe.stages.{stage}.stage"], "VERSION", 2)
-
-
-def test_a_night_is_reduced_into_a_folder_per_group_and_recipe(bench):
-    bench.record(MORNING)
-    bench.record("2024-02-11T03:10:00", "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
-    state = bench.run()
-    assert state.exit_code == 0 and list(state.nights) == ["2024-02-10"]
-    for group, recipe in (("030000_cube", "cube"), ("031000_offset", "ramp")):
-        folder = bench.run_folder(group=group, recipe=recipe)
-        assert json.loads((folder / "results.json").read_text())["status"] == "ok"
-        assert (folder / "03_lift.h5").is_file() and f"{group}/{recipe}/report.html" in bench.page()
 
 
 @pytest.mark.slow
@@ -179,13 +167,6 @@ def test_numbers_that_a_killed_run_did_not_store_are_stored_by_the_next_run(benc
     with opened(bench.tree) as database:
         found = {one.name: one.value for one in database.points() if one.name.startswith("noll")}
     assert found == {"noll_4_nm": 30.0, "noll_5_nm": -10.0}
-
-
-def test_a_tree_in_use_is_not_touched(bench):
-    bench.record(MORNING)
-    with owned_folder(bench.tree), pytest.raises(Locked):
-        bench.run()
-    assert not (bench.tree / "night_2024-02-10.html").exists()
 
 
 # -- reprocessing ------------------------------------------------------------------------------
