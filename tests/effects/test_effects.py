@@ -199,6 +199,7 @@ def test_the_simulator_makes_the_shape_of_the_model():
     assert np.ptp(simulated[inside] * defocus_nm_per_um(SINE) - path_nm) < 1e-6 * np.ptp(path_nm)
 
 
+@pytest.mark.slow
 @pytest.fixture(scope="module")
 def ramps():
     """The same ramp, made with high aperture, fitted with the parabola and with the sphere."""
@@ -233,6 +234,7 @@ def test_lift_with_a_common_wavefront_finds_ramp_and_wavefront(ramps):
     assert ramps.sphere.result.chi2_nu.numpy() == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_held_out_images_want_the_sphere(ramps):
     found = compare(ramps.data, ramps.parabola, ramps.sphere, ramps.held_out)
     assert found.favours(5.0) and found.better == 1.0

@@ -324,6 +324,7 @@ def test_a_copy_is_left_out_and_the_same_frames_with_another_side_car_are_a_fail
     assert state.exit_code == 5 and "but another side-car" in state.nights["2024-02-10"].failures[0]
 
 
+@pytest.mark.slow
 def test_a_reduction_that_hangs_is_stopped_and_the_others_go_on(bench, monkeypatch):
     bench.record(MORNING, "hanging")
     bench.record("2024-02-11T04:00:00", "good")

@@ -153,6 +153,7 @@ def model(request) -> PsfModel:
     )
 
 
+@pytest.mark.slow
 @pytest.fixture
 def wavefronts() -> torch.Tensor:
     return torch.cat([vector(ncpa_nm(seed, 21), PSF_JACOBIAN_NOLLS) for seed in (1, 2)])

@@ -135,6 +135,7 @@ def test_a_map_gives_the_image_of_its_samples(flip):
     assert disagreement(image_of(geometry, WAVEFRONT), truth) <= 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "area"),
     [
@@ -170,6 +171,7 @@ def test_pistons_of_segments_agree_with_analysis():
     assert disagreement(image, truth) <= 3e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "geometry",
     [SEGMENTED, PupilGeometry(8.0, 1.1, VANES, obstructions=(Circle(0.7).placed(ASIDE),))],

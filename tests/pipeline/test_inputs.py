@@ -155,6 +155,7 @@ def test_a_product_is_out_of_date_when_a_file_changes_that_was_read(tmp_path, fi
             assert reason == "up to date", file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "name", "expected"),
     [

@@ -134,6 +134,7 @@ def test_products_without_arrays_and_results_still_have_a_section(tmp_path, stag
 CAUSE = {"says": "pixels of 9.7 mas instead of 10", "explains": 0.97, "figure": "cal-residual"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("after", "value"), [(0.742, 0.3), (0.742, 9.0), (0.6, 0.3)])
 def test_the_first_screen_says_whether_the_correction_may_be_applied_and_why_not(tmp_path, after, value):
     """A failed check stands above the numbers with its value, limit, causes and a link to what is there."""
@@ -235,6 +236,7 @@ def test_results_begin_with_what_was_not_tested():
     assert "untested" not in CalibrateResults(wfe_nm=1.0).as_json()
 
 
+@pytest.mark.slow
 def test_the_report_says_so_once_above_the_numbers(tmp_path):
     made = [made_run.calibrate(), made_run.lift()]
     lines = untested_by_cubes({6: -170.0})
