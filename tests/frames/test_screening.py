@@ -9,11 +9,13 @@ from helpers import paths
 from helpers.sparta_files import counts, frames_e, star
 
 from irlos_pipe.frames import screening
+from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.cleaning import clean
 from irlos_pipe.frames.hits import Hits
 from irlos_pipe.frames.measured_noise import MeasuredNoise
 from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector, RawFrames
 from irlos_pipe.frames.screening import (
+    Limits,
     core_of,
     hit_in_core,
     no_reasons,
@@ -70,7 +72,7 @@ def _intensity(phase: np.ndarray, size: int) -> np.ndarray:
     return np.abs(transform @ (_pupil() * np.exp(1j * phase)) @ transform.T) ** 2
 
 
-LIMITS = Config().limits()
+LIMITS = Config().part(Limits)
 IMAGE = star(32, 32, flux_e=1e5)
 
 
@@ -168,7 +170,7 @@ def test_an_exposure_where_the_star_stands_as_in_the_mean_is_none_that_is_made_o
 
 def test_many_hits_reject_a_frame_only_in_the_core():
     peak = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
-    number = LIMITS.core_hits_px + 1
+    number = LIMITS.max_core_hits_px + 1
     hits = Hits(
         frame=np.repeat([1, 2, 3], [number, number, number - 1]),
         row=np.repeat([peak[0], 0, peak[0]], [number, number, number - 1]),
@@ -201,7 +203,7 @@ def cleaned(images_e, sampling_px=SAMPLING_PX, read_noise_e=15.0):
     raw = RawFrames(adu=(images_e / GAIN_E).astype(np.float32), frame_counter=np.arange(len(images_e)))
     config = Config()
     detector = Detector(e_per_adu=GAIN_E, read_noise_e=read_noise_e)
-    return clean(raw, detector, sampling_px, config.thresholds(), config.limits())
+    return clean(raw, detector, sampling_px, config.part(Thresholds), config.part(Limits))
 
 
 def bad(result):
