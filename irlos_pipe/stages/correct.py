@@ -18,6 +18,7 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TI
 from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
+from irlos_pipe.optics.image_quality import CURVES, quality_curves
 from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
 from irlos_pipe.product.product import Check, Product, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
@@ -54,12 +55,7 @@ ARRAYS = {
     "radius_mas": ("mas", "ring", "radius of the rings"),
     "profile_before": ("", "ring", "mean of each ring, without correction"),
     "profile_after": ("", "ring", "mean of each ring, with the offsets applied"),
-    "encircled_radius_mas": ("mas", "radius", "radius of circles about the star"),
-    "encircled_<image>": ("", "radius", "part of the light within a circle"),
-    "otf_x_frequency": ("D/λ", "frequency", "spatial frequency along x"),
-    "otf_y_frequency": ("D/λ", "frequency", "spatial frequency along y"),
-    "otf_x_<image>": ("", "frequency", "modulus of the OTF along x"),
-    "otf_y_<image>": ("", "frequency", "modulus of the OTF along y"),
+    **CURVES,
 } | {"mirror_offset": ("±", "mode", MIRROR_SIGN)}
 CHECKS = {"predicted Strehl": ("predicted Strehl against the best that the AO residual leaves", "")}
 
@@ -91,13 +87,11 @@ def mirror_file(value: Any) -> Any:
 class Config(StageConfig):
     """Settings of the correction."""
 
-    input: str = Field("calibration", description="recipe input whose configuration the prediction uses")
-    gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
-    highest_noll: int = Field(
-        HIGHEST_REPORTED_NOLL, ge=4, le=HIGHEST_NOLL, description="highest Noll mode of the offsets"
-    )
-    mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = Field(
-        None, description="FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
+    input: str = item("calibration", "recipe input whose configuration the prediction uses")
+    gain: float = item(1.0, "part of the measured aberration to correct", gt=0, le=1)
+    highest_noll: int = item(HIGHEST_REPORTED_NOLL, "highest Noll mode of the offsets", ge=4, le=HIGHEST_NOLL)
+    mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = item(
+        None, "FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
     )
 
 
@@ -165,7 +159,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     prediction, budget = _predict(ctx, recording, nolls, zernike)
     table = _table(ctx, offsets, prediction)
-    before_nm, after_nm = _maps_nm(ctx, nolls, zernike)
+    seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike)
+    left = np.where(np.array(nolls) <= ctx.config.highest_noll, (1 - ctx.config.gain) * seen, seen)
+    lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
+    before_nm, after_nm = opd_maps_nm(nolls, seen, lit), opd_maps_nm(nolls, left, lit)
     scale_mas = recording.acquisition.pixel_scale_mas or math.nan
     checks = _checks(ctx, recording, prediction)
     before = checks_behind(ctx.products.values(), ctx.config.input)
@@ -302,16 +299,6 @@ def _parts(nolls: list[int], modes_nm: np.ndarray, highest_noll: int) -> dict[st
     return parts | ({} if first.all() else beyond)
 
 
-def _maps_nm(
-    ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Maps of the wavefront before and after the correction, without tip and tilt."""
-    seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike_nm)
-    left = np.where(np.array(nolls) <= ctx.config.highest_noll, (1 - ctx.config.gain) * seen, seen)
-    lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
-    return opd_maps_nm(nolls, seen, lit), opd_maps_nm(nolls, left, lit)
-
-
 def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:
     names = ("before", "after", "perfect", "radius_mas", "profile_before", "profile_after")
     return {name: getattr(prediction, name) for name in names} | {
@@ -321,16 +308,11 @@ def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:
 
 
 def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
-    """Encircled energy and cuts through the OTF of the predicted images."""
-    arrays: dict[str, Any] = {}
-    for name in ("before", "after", "perfect"):
-        image = getattr(prediction, name)
-        energy = prediction.encircled(image)
-        arrays |= {"encircled_radius_mas": energy.at * pixel_scale_mas, f"encircled_{name}": energy.value}
-        for axis, letter in ((1, "x"), (0, "y")):
-            cut = prediction.transfer(image, axis)
-            arrays |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
-    return arrays
+    """Encircled energy and cuts through the OTF of the predicted images, about the optical axis."""
+    images = {name: getattr(prediction, name) for name in ("before", "after", "perfect")}
+    rows, columns = prediction.before.shape
+    axis = (rows - 1) / 2, (columns - 1) / 2
+    return quality_curves(images, axis, prediction.resolution_px, pixel_scale_mas)
 
 
 # -- the correction in the modes of a mirror ---------------------------------------------------------

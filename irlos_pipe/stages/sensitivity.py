@@ -5,12 +5,11 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import nan
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.late import torch
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from irlos_pipe.stages.lift.input import Ramp
 
 NAME = "sensitivity"
-VERSION = 11
+VERSION = 12
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 CURVE = {
@@ -48,31 +47,23 @@ MANY = 20_000  # estimates from which a scan takes minutes: a processor makes 50
 class Config(StageConfig):
     """Settings of the sensitivity scan."""
 
-    input: str = Field("ramp", description="recipe input that holds the ramp")
-    max_defocus_nm: float = Field(
-        170.0, gt=0, description="frames with a larger introduced defocus are left out"
+    input: str = item("ramp", "recipe input that holds the ramp")
+    max_defocus_nm: float = item(170.0, "frames with a larger introduced defocus are left out", gt=0)
+    mag_step: float = item(1.0, "step of the magnitude grid", ge=0.05, le=5)
+    faintest_mag_j: float = item(
+        19.0, "end of the magnitude grid, which begins at the magnitude of the ramp", ge=0, le=30
     )
-    mag_step: float = Field(1.0, ge=0.05, le=5, description="step of the magnitude grid")
-    faintest_mag_j: float = Field(
-        19.0, ge=0, le=30, description="end of the magnitude grid, which begins at the magnitude of the ramp"
+    realisations: int = item(5, "noise realisations per frame and magnitude", ge=1, le=1000)
+    frames_per_offset: int = item(2, "number of frames used of every offset", ge=1, le=1000)
+    modes: tuple[tuple[Mode, ...], ...] = item(
+        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)), "sets of Noll modes to be estimated", max_length=20
     )
-    realisations: int = Field(5, ge=1, le=1000, description="noise realisations per frame and magnitude")
-    frames_per_offset: int = Field(2, ge=1, le=1000, description="number of frames used of every offset")
-    modes: tuple[tuple[Mode, ...], ...] = Field(
-        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)),
-        max_length=20,
-        description="sets of Noll modes to be estimated",
-    )
-    calibrated: tuple[bool, ...] = Field(
-        (True, False), description="whether the NCPAs are known: with, without, or both"
-    )
-    limit_nm: float = Field(30.0, gt=0, description="largest median error at the limiting magnitude [nm RMS]")
-    limit_failures: float = Field(
-        0.1, ge=0, le=1, description="largest part of failures at the limiting magnitude"
-    )
-    noise: Literal["reads", "recorded"] = Field(
+    calibrated: tuple[bool, ...] = item((True, False), "whether the NCPAs are known: with, without, or both")
+    limit_nm: float = item(30.0, "largest median error at the limiting magnitude [nm RMS]", gt=0)
+    limit_failures: float = item(0.1, "largest part of failures at the limiting magnitude", ge=0, le=1)
+    noise: Literal["reads", "recorded"] = item(
         "reads",
-        description="noise of the dimmed frames: of all the reads of an exposure, with sky and dark current; "
+        "noise of the dimmed frames: of all the reads of an exposure, with sky and dark current; "
         "or as the frames were recorded, which in simulations may be one read without sky",
     )
 
@@ -161,16 +152,16 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"own m_J {bright}: frames can only be dimmed"
         )
     chosen = torch.as_tensor(_choose(ramp, ctx.config))
-    noises = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
+    faint, one_read, noise = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
-    # Side by side: a single fit has too few frames to keep many workers busy.
     fits = ordered_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
-        curves = [
-            scan(
+
+        def curve(fit: RampFit) -> Curve:
+            return scan(
                 fit.model,
                 ramp.data.of(chosen),
                 fit.result.model_e,
@@ -180,14 +171,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
                 fit.start_nm,
                 Criterion(ctx.config.limit_nm, ctx.config.limit_failures),
                 ctx.seed,
-                faint=noises.faint,
-                one_read=noises.one_read,
+                faint=faint,
+                one_read=one_read,
                 near_nm=fit.result.zernike_nm,
                 report=bar.update,
             )
-            for fit in fits
-        ]
-    return _output(ctx.config, combinations, curves, noises.row(ramp.acquisition.exposure_s))
+
+        curves = ordered_map(curve, fits)
+    return _output(ctx.config, combinations, curves, noise)
 
 
 def _choose(ramp: Ramp, config: Config) -> np.ndarray:
@@ -244,10 +235,6 @@ def _output(
         noise=noise,
         crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
     )
-    return StageOutput(arrays, results, summary=_lines(config, rows, noise))
-
-
-def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[str]:
     lines = [
         f"Noise           {_noise_text(noise)}",
         f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
@@ -255,7 +242,7 @@ def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[st
     for row in rows:
         ncpas = "with" if row.calibrated else "without"
         lines.append(f"  {ncpas} NCPAs, {len(row.modes)} modes: {_limit_text(row)}")
-    return lines
+    return StageOutput(arrays, results, summary=lines)
 
 
 def _noise_text(noise: NoiseRow) -> str:
@@ -280,34 +267,22 @@ def _limit_text(row: CurveRow) -> str:
 # -- noise of the frames of a fainter star: of all reads of an exposure, with sky and dark current ---
 
 
-@dataclass(frozen=True)
-class Noises:
-    """Noise of the dimmed frames, that of one read without sky, and what the former consists of."""
-
-    faint: NoiseModel
-    one_read: NoiseModel
-    told: ExposureNoise | None
-
-    def row(self, exposure_s: float | None) -> NoiseRow:
-        """Return the entry of the results for exposures of `exposure_s`."""
-        return NoiseRow.filled_from(
-            self.told,
-            excess_noise_factor=self.faint.excess_noise_factor,
-            exposure_s=exposure_s or math.nan,
-            floor_e2=self.faint.floor_e2,
-            one_read_floor_e2=self.one_read.floor_e2,
-        )
-
-
 def _noises_of(
     ramp: Ramp, mag_j: float, instrument: Instrument, which: Literal["reads", "recorded"]
-) -> Noises:
-    """Return the noise that the dimmed frames of a ramp are given."""
+) -> tuple[NoiseModel, NoiseModel, NoiseRow]:
+    """Return the noise that the dimmed frames of a ramp are given, that of one read without sky, and both."""
     recorded = ramp.data.noise
     told = _exposure_noise(ramp, mag_j, instrument) if which == "reads" else None
-    if told is None:
-        return Noises(recorded, recorded, None)
-    return Noises(told.beyond(recorded), NoiseModel(1.0, told.read_noise_e**2), told)
+    faint = recorded if told is None else told.beyond(recorded)
+    one_read = recorded if told is None else NoiseModel(1.0, told.read_noise_e**2)
+    row = NoiseRow.filled_from(
+        told,
+        excess_noise_factor=faint.excess_noise_factor,
+        exposure_s=ramp.acquisition.exposure_s or math.nan,
+        floor_e2=faint.floor_e2,
+        one_read_floor_e2=one_read.floor_e2,
+    )
+    return faint, one_read, row
 
 
 def _exposure_noise(ramp: Ramp, mag_j: float, instrument: Instrument) -> ExposureNoise | None:

@@ -13,7 +13,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.lift import image_problem, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import PhotonFit, alike
+from irlos_pipe.estimate.lift_problems import REACH_NM, PhotonFit, near
 from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
@@ -37,12 +37,8 @@ def model() -> PsfModel:
 
 def drawn(model, coefficients, flux_e, seed, noise=NOISE):
     """Images of the model with noise, float32."""
-    mean = (model.images(coefficients).double() * flux_e).numpy()
-    rng = np.random.default_rng(seed)
-    gain = noise.excess_noise_factor
-    shot = gain * rng.poisson(np.maximum(mean, 0) / gain)
-    read = np.sqrt(noise.floor_e2) * rng.standard_normal(mean.shape)
-    return torch.as_tensor(shot + read, dtype=torch.float32)
+    mean_e = (model.images(coefficients).double() * flux_e).clamp_min(0).numpy()
+    return cases.draw_frames(mean_e, len(mean_e), seed, noise)
 
 
 def random_modes(images: int, seed: int) -> torch.Tensor:
@@ -58,7 +54,7 @@ def estimate(model, images, introduced_nm, options=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mag_j", [9, 12, 15, 18])
+@pytest.mark.parametrize("mag_j", [9, 18])
 def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
     images = 400
     true = random_modes(images, seed=mag_j)
@@ -87,7 +83,7 @@ def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mag_j", [12, 18, 19])
+@pytest.mark.parametrize("mag_j", [12, 19])
 def test_a_wrong_prior_biases_map_by_its_share_of_the_information(model, mag_j):
     """Truth: the normal distribution, whose mean given data and prior is that of both, weighted by precision.
 
@@ -181,12 +177,11 @@ def test_errors_of_a_robust_loss_hold_and_are_not_smaller_than_those_of_the_like
     assert float(result.chi2_nu.mean()) == pytest.approx(1, abs=0.02)
 
 
-# -- realisations with the curvature of their frames ---------------------------------------------
+# -- realisations of a frame, near its wavefront -------------------------------------------------
 
 
 NOLLS, REALISATIONS = (2, 3, 4, 5, 7, 8), 12
-FRAMES_NM = torch.tensor([[5.0, -8, 60, 20, -15, 10], [-3.0, 4, -90, -10, 20, 5]]).double()
-FRAME = torch.arange(2).repeat(REALISATIONS)
+FRAME_NM = torch.tensor([5.0, -8, 60, 20, -15, 10]).double()
 LIMIT = torch.tensor([20.0, 20.0, 40.0, 20.0, 20.0, 20.0]).double()
 
 
@@ -198,62 +193,61 @@ def halo_model() -> ImageModel:
     return ImageModel(psf, known.held(known.starts))
 
 
-def drawn_alike(halo_model: ImageModel, flux_e: float) -> torch.Tensor:
-    flux = torch.full((2,), flux_e).double()
-    mean_e = halo_model.predict(FRAMES_NM, flux, torch.zeros(2).double()).numpy()
-    realisations = [cases.draw_frames(mean_e[f], 1, seed) for seed, f in enumerate(FRAME.tolist())]
-    return torch.cat(realisations)
+def realisations(halo_model: ImageModel, flux_e: float) -> torch.Tensor:
+    mean_e = halo_model.predict(FRAME_NM[None], torch.full((1,), flux_e).double(), torch.zeros(1).double())
+    return cases.draw_frames(mean_e[0].numpy(), REALISATIONS, seed=1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flux_e", [3e5, 3e3])
-@pytest.mark.parametrize("prior", [None, LIMIT])
-def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, flux_e, prior):
-    images_e = drawn_alike(halo_model, flux_e)
-    near = alike(halo_model, FRAMES_NM + 10.0, FRAME)
-    found = [
-        lift(
-            halo_model,
-            images_e,
-            cases.everything(images_e),
-            cases.READ_NOISE,
-            torch.zeros(len(images_e), len(NOLLS)).double(),
-            LiftOptions(noise="model", prior_sigma_nm=prior, alike=one),
-        )
-        for one in (None, near)
-    ]
-    theirs, ours = found
+@pytest.mark.parametrize(("flux_e", "prior"), [(3e5, None), (3e3, LIMIT)])
+def test_estimates_near_a_wavefront_are_those_of_the_exact_model(halo_model, flux_e, prior):
+    images_e = realisations(halo_model, flux_e)
+    start_nm = torch.zeros(REALISATIONS, len(NOLLS)).double()
+    fitted = images_e, cases.everything(images_e), cases.READ_NOISE, start_nm
+    options = LiftOptions(noise="model", prior_sigma_nm=prior)
+    theirs = lift(halo_model, *fitted, options)
+    ours = lift(halo_model, *fitted, options, near=near(halo_model, FRAME_NM + 10.0))
     assert ours.solution.converged.all()
     assert float(((ours.zernike_nm - theirs.zernike_nm).abs() / theirs.sigma_nm).max()) < 0.1
     assert ours.sigma_nm.numpy() == pytest.approx(theirs.sigma_nm.numpy(), rel=0.3)
 
 
 @pytest.mark.slow
-def test_a_coarse_model_is_exact_at_the_frames_and_its_gradient_that_of_its_value(halo_model):
-    images_e, layout, which = drawn_alike(halo_model, 3e4), Layout(NOLLS), torch.arange(len(FRAME))
-    near = alike(halo_model, FRAMES_NM, FRAME)
-    variance = torch.full_like(images_e, 100.0)
-    exact = image_problem(halo_model, layout, images_e, variance, cases.everything(images_e), near)
-    coarse = exact.quicker
-    x = layout.start(images_e.flatten(1), FRAMES_NM[FRAME])
-    assert coarse.model is not exact.model
-    there = halo_model.predict(FRAMES_NM[FRAME], x[:, -2], x[:, -1]).flatten(1)
-    assert float((coarse.predict_all(x) - there).abs().max()) < 1e-5 * float(there.max())
+def test_a_near_model_is_exact_there_and_its_derivatives_are_those_of_its_images(halo_model):
+    images_e, layout, which = realisations(halo_model, 3e4), Layout(NOLLS), torch.arange(REALISATIONS)
+    model, variance = near(halo_model, FRAME_NM), torch.full_like(images_e, 100.0)
+    fit = image_problem(model, layout, images_e, variance, cases.everything(images_e))
+    x = layout.start(images_e.flatten(1), FRAME_NM)
+    there = halo_model.predict(FRAME_NM[None], x[:1, -2], x[:1, -1]).flatten(1)
+    assert float((fit.predict_all(x[:1]) - there).abs().max()) < 1e-5 * float(there.max())
     x[:, :-2] += 15.0
-    gradient = coarse.gradient(x, which)[1]
+    gradient, equations = fit.gradient(x, which)[1], fit.normal_equations(x, which)[1]
+    assert torch.allclose(gradient, equations, rtol=1e-4, atol=1e-4 * float(gradient.abs().max()))
     for column, step in ((0, 1.0), (2, 1.0), (5, 1.0), (-2, 100.0)):
         move = torch.zeros_like(x)
         move[:, column] = step
-        change = (coarse.gradient(x + move, which)[0] - coarse.gradient(x - move, which)[0]) / (2 * step)
+        change = (fit.gradient(x + move, which)[0] - fit.gradient(x - move, which)[0]) / (2 * step)
         assert torch.allclose(gradient[:, column], change, atol=0.01 * float(change.abs().max()))
 
 
-# The Cramér-Rao bound. Truth: Fisher matrices from finite differences of images, and analysis.
+@pytest.mark.slow
+def test_fits_that_leave_the_limits_of_a_near_model_are_given_up_and_the_others_are_not(halo_model):
+    images_e = realisations(halo_model, 3e4)[:3]
+    start_nm = torch.zeros(3, len(NOLLS)).double()
+    start_nm[1, 2] = FRAME_NM[2] + 1.2 * REACH_NM
+    good, options = cases.everything(images_e), LiftOptions(noise="model")
+    found = lift(
+        halo_model, images_e, good, cases.READ_NOISE, start_nm, options, near=near(halo_model, FRAME_NM)
+    )
+    assert found.solution.converged.tolist() == [True, False, True]
+    assert found.solution.iterations[1] == 0
+
+
+# The Cramér-Rao bound. Truth: Fisher matrices by automatic differentiation of images, and analysis.
 
 
 CRAMER_RAO_NOLLS = (2, 3, 4, 5, 7)
 CRAMER_RAO_NOISE = NoiseModel(1.3, 9.0)
-STEP_NM = 0.1
 
 
 @pytest.fixture(scope="module")
@@ -266,25 +260,19 @@ def wavefronts() -> torch.Tensor:
     return torch.cat([vector(ncpa_nm(seed, 7, 80.0), CRAMER_RAO_NOLLS) for seed in (1, 2, 3)])
 
 
-def bound_by_differences(model_of_cramer_rao, x, flux_e, optics, background_e) -> np.ndarray:
+def bound_by_differentiation(model_of_cramer_rao, x, flux_e, optics, background_e) -> np.ndarray:
     """Standard errors from the Fisher matrix of modes, flux and background."""
 
-    def image(modes, flux, background):
-        return (flux * model_of_cramer_rao.images(modes[None], optics)[0] + background).numpy().ravel()
+    def image(modes):
+        return model_of_cramer_rao.images(modes[None], optics)[0].flatten()
 
-    columns = [
-        (image(x + move, flux_e, background_e) - image(x - move, flux_e, background_e)) / (2 * STEP_NM)
-        for move in STEP_NM * torch.eye(len(CRAMER_RAO_NOLLS), dtype=torch.float64)
-    ]
-    columns.append((image(x, 1.01 * flux_e, 0) - image(x, 0.99 * flux_e, 0)) / (0.02 * flux_e))
-    columns.append(np.ones_like(columns[0]))
-    variance = (
-        CRAMER_RAO_NOISE.excess_noise_factor * image(x, flux_e, background_e) + CRAMER_RAO_NOISE.floor_e2
-    )
-    jacobian = np.stack(columns, axis=1)
-    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ (jacobian / variance[:, None]))))[
-        : len(CRAMER_RAO_NOLLS)
-    ]
+    with torch.enable_grad():
+        by_modes = flux_e * torch.func.jacfwd(image)(x)
+    light = image(x)
+    jacobian = torch.column_stack([by_modes, light, torch.ones_like(light)]).numpy()
+    mean_e = (flux_e * light + background_e).numpy()
+    variance = CRAMER_RAO_NOISE.excess_noise_factor * mean_e + CRAMER_RAO_NOISE.floor_e2
+    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ (jacobian / variance[:, None]))))[: len(x)]
 
 
 @pytest.mark.parametrize("background_e", [0.0, 20.0])
@@ -297,7 +285,7 @@ def test_the_bound_is_the_inverse_of_the_fisher_matrix(
     flux = torch.tensor([1e4, 1e5, 1e6], dtype=torch.float64)
     ours = cramer_rao_nm(whole, wavefronts, flux, CRAMER_RAO_NOISE, background_e=background_e).numpy()
     theirs = [
-        bound_by_differences(model_of_cramer_rao, x, float(f), whole.optics, background_e)
+        bound_by_differentiation(model_of_cramer_rao, x, float(f), whole.optics, background_e)
         for x, f in zip(wavefronts, flux, strict=True)
     ]
     assert ours == pytest.approx(np.array(theirs), rel=1e-4)

@@ -58,12 +58,15 @@ def arrays_from_recording(recording: Recording) -> dict[str, Quantity]:
 def arrays_of(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
     """Return all arrays that ingest leaves of a `recording`, made from `raw` and `cleaned`."""
     hits = cleaned.hits
+    rows, columns = found_bad(recording, raw).T
+    mean_adu = mean_frame(picked(raw.adu, recording.used))
+    background, gain = cleaned.background, recording.acquisition.detector.e_per_adu
     own = {
         "raw_adu": raw.adu,
         "background_adu": cleaned.background.adu,
         "flat": cleaned.background.flat,
         "cosmic_hits": np.stack([hits.frame, hits.row, hits.column], axis=1),
-        "screened_e": _screened_e(recording, cleaned, raw),
+        "screened_e": ((mean_adu - background.adu) / background.flat * gain)[rows, columns],
     } | frame_series(recording.images_e, recording.good)
     return arrays_from_recording(recording) | declared(RECORDING, own, below=f"{prefix_of(recording)}/")
 
@@ -137,30 +140,24 @@ def _recording(product: Product, owner: str, name: str) -> Recording:
 
 def _overview(product: Product, owner: str, name: str) -> Overview:
     prefix = f"{ROOT}/{owner}/{name}"
-    # products of earlier versions have no mean
-    mean = product.arrays.get(f"{prefix}/mean_e")
+    stored = {key for key in RECORDING if f"{prefix}/{key}" in product.arrays}
+
+    def own(key: str) -> np.ndarray:
+        return np.asarray(product.arrays[f"{prefix}/{key}"].value)
+
     return Overview(
         name,
         owner,
         _acquisition(product, prefix),
-        product.arrays[f"{prefix}/pixel_mask"].value,
-        float(product.arrays[f"{prefix}/start_unix_s"].value),
-        _recording(product, owner, name).mean_e if mean is None else mean.value,
-        np.asarray(product.arrays[f"{prefix}/used"].value),
-        np.asarray(product.arrays[f"{prefix}/time_s"].value),
-        {
-            key: product.arrays[f"{prefix}/{key}"].value
-            for key in DECLARED
-            if f"{prefix}/{key}" in product.arrays
-        },
+        own("pixel_mask"),
+        float(own("start_unix_s")),
+        own("mean_e")
+        if "mean_e" in stored
+        else _recording(product, owner, name).mean_e,  # of earlier versions
+        own("used"),
+        own("time_s"),
+        {key: own(key) for key in DECLARED if key in stored},
     )
-
-
-def _screened_e(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> np.ndarray:
-    rows, columns = found_bad(recording, raw).T
-    mean_adu = mean_frame(picked(raw.adu, recording.used))
-    background, gain = cleaned.background, recording.acquisition.detector.e_per_adu
-    return ((mean_adu - background.adu) / background.flat * gain)[rows, columns]
 
 
 def _acquisition(product: Product, prefix: str) -> Acquisition:
