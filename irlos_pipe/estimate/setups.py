@@ -49,11 +49,8 @@ POINTING = 2  # Noll 2 and 3, the first modes
 FOCUSED = 3  # Noll 2 to 4
 TWIN_ITERATIONS = 80  # planes exclude the twin: its fit goes back a long way to the solution
 LEAST_SETUPS = 3  # set-ups from which they can contradict each other
-LEAST, FIRST, LARGEST = (
-    1e-4,
-    0.1,
-    0.3,
-)  # accuracy of introduced defoci, as a part of them: limits, and a start
+# accuracy of introduced defoci, as a part of them: where the search begins, and its limits
+FIRST, LEAST, LARGEST = 0.1, 1e-4, 0.3
 ROUNDS, CLOSE = 12, 0.2  # to find it, and how close, as a part of it
 
 

@@ -164,7 +164,7 @@ UNEVEN = {"edge": 0.15, "side_x": 0.05, "side_y": -0.05}
 
 @pytest.fixture(scope="module")
 def behind_a_cone():
-    """Frames behind a residual that is stronger at the edge, a fit of their mean that lists none, the modes."""
+    """Frames behind a residual that is stronger at the edge, a fit that does not list it, the modes."""
     true = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
     model = PsfModel(cases.settings(40), NOLLS, dtype=torch.float64)
     halo = SeeingHalo(cases.BAND, cases.RESIDUAL_LAW, 0.8)
