@@ -7,6 +7,7 @@ in a file of its own as soon as it is there: a run is gone on with where it stop
 from __future__ import annotations
 
 import json
+import logging
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
@@ -23,6 +24,11 @@ from tqdm import tqdm
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
 from irlos_pipe.files.processes import in_processes
+from irlos_pipe.pipeline.resources import silent_progress
+from irlos_pipe.product.product import Check, Product
+from irlos_pipe.recipe import Recipe
+from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import StageContext
 
 REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
@@ -170,6 +176,23 @@ def worked(
         except Exception as problem:  # one case that breaks must not end hours of others
             broken[case.name] = f"{type(problem).__name__}: {problem}"
     return outcomes, broken
+
+
+def reduced(
+    recipe: Recipe, scratch: Path, log: logging.Logger, leave_out: Sequence[str] = ("correct",)
+) -> tuple[dict[str, Product], list[Check]]:
+    """Run the stages of a recipe one after the other, without files and report.
+
+    Returns their products, and the checks that failed.
+    """
+    products: dict[str, Product] = {}
+    for name in (one for one in recipe.stages if one not in leave_out):
+        config, of = recipe.configs[name], (recipe.model, recipe.instrument, recipe.inputs, products)
+        how = "cpu", recipe.seed, 1, silent_progress, log, scratch / name
+        output = STAGES[name].run(StageContext(config, *of, *how))
+        content = output.arrays, output.results.as_json(), list(output.checks), config.model_dump(mode="json")
+        products[name] = Product(name, *content)
+    return products, [one for product in products.values() for one in product.checks if not one.passed]
 
 
 # -- outcomes that are kept with the project ---------------------------------------------------

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Outcome
+from benchmarks.harness import Outcome, reduced
 from benchmarks.misled.cases import (
     CALIBRATION,
     DIAGNOSIS,
@@ -29,13 +29,9 @@ from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.night.reduce import Job, Reduced
 from irlos_pipe.night.run import Request, run_night
 from irlos_pipe.night.settings import load_settings
-from irlos_pipe.pipeline.resources import silent_progress
-from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import read_run_results
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageContext
 
 # Recipe, its inputs, settings, and the stage whose numbers count. Noll 66 ends the modes: the open basis
 # costs five times as long and has the same low modes.
@@ -91,28 +87,7 @@ def _recordings(case: Case, scratch: Path, warned: Collected) -> Numbers:
     )
     log = logging.Logger("misled")
     log.addHandler(warned)
-    products: dict[str, Product] = {}
-    for name in recipe.stages:
-        if name == "correct":
-            continue
-        stage, config = STAGES[name], recipe.configs[name]
-        ctx: StageContext[Any] = StageContext(
-            config,
-            recipe.model,
-            recipe.instrument,
-            recipe.inputs,
-            products,
-            "cpu",
-            recipe.seed,
-            1,
-            silent_progress,
-            log,
-            scratch / name,
-        )
-        output = stage.run(ctx)
-        settings_used, results = config.model_dump(mode="json"), output.results.as_json()
-        products[name] = Product(name, output.arrays, results, list(output.checks), settings_used)
-    failed = [check for product in products.values() for check in product.checks if not check.passed]
+    products, failed = reduced(recipe, scratch, log)
     results = products[last].results
     return {
         "accused": [check.name for check in failed],

@@ -16,13 +16,10 @@ import numpy as np
 
 from benchmarks import harness
 from benchmarks.harness import Outcome, Rate, Suite, file_name, markdown
+from benchmarks.misled.reducing import mode_errors
 from benchmarks.mistakes.making import MISTAKES, SCALES_MAS, UNDECIDABLE, made
 from irlos_pipe.conventions.errors import IrlosError
-from irlos_pipe.pipeline.resources import silent_progress
-from irlos_pipe.product.product import Product
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageContext
 
 REPORTED_SEED, TRIAL_SEED = 26535897, 57721566  # nothing may rest on the cases of the former
 WRONG_SIGMA = 5.0
@@ -68,32 +65,10 @@ def outcome_of(case: Case, *_) -> Outcome:
 
 
 def _reduced(scratch: Path, settings: Sequence[str], ncpa_nm: dict[int, float]) -> dict[str, Any]:
-    recipe = load_recipe("ncpa_calibration", settings, [f"calibration={scratch / 'cube.fits'}"])
-    products: dict[str, Product] = {}
-    log = logging.Logger("mistakes")
-    for name in ("ingest", "calibrate"):
-        config, inputs = recipe.configs[name], recipe.inputs
-        ctx: StageContext[Any] = StageContext(
-            config,
-            recipe.model,
-            recipe.instrument,
-            inputs,
-            products,
-            "cpu",
-            1,
-            1,
-            silent_progress,
-            log,
-            scratch,
-        )
-        output = STAGES[name].run(ctx)
-        used = recipe.configs[name].model_dump(mode="json")
-        products[name] = Product(name, output.arrays, output.results.as_json(), list(output.checks), used)
+    recipe = load_recipe("ncpa_calibration", settings, [f"calibration={scratch / 'cube.fits'}"], seed=1)
+    products, failed = harness.reduced(recipe, scratch, logging.Logger("mistakes"))
     results = products["calibrate"].results
-    failed = [check for product in products.values() for check in product.checks if not check.passed]
-    nolls = [noll for noll in results["zernike_nm"] if int(noll) > 3]
-    error = np.array([results["zernike_nm"][n] - ncpa_nm.get(int(n), 0.0) for n in nolls])
-    sigma = np.array([results["sigma_nm"][n] for n in nolls])
+    errors = mode_errors(results["zernike_nm"], results["sigma_nm"], ncpa_nm)
     return {
         "failed": [check.name for check in failed],
         "why": "; ".join(check.message for check in failed),
@@ -101,8 +76,7 @@ def _reduced(scratch: Path, settings: Sequence[str], ncpa_nm: dict[int, float]) 
             {key: one.get(key) for key in ("name", "says", "explains")} for one in results.get("causes", [])
         ],
         "untested": results.get("untested", []),
-        "sigmas": float(np.max(np.abs(error / sigma))),
-        "error_nm": float(np.linalg.norm(error)),
+        **{key: errors[key] for key in ("sigmas", "error_nm")},
         "seconds": results["seconds"],
     }
 
@@ -134,18 +108,8 @@ def report(outcomes: Sequence[Outcome], *_: Any) -> str:
         first, three = (sum(named(one, most) for one in noticed) for most in (1, 3))
         silent = [said_before(one) for one in group if looks_right(one)]
         harmless = len(group) - len(noticed) - len(silent)
-        rows.append(
-            (
-                mistake,
-                len(group),
-                len(noticed),
-                first,
-                three,
-                sum(silent),
-                len(silent) - sum(silent),
-                harmless,
-            )
-        )
+        counts = len(group), len(noticed), first, three, sum(silent), len(silent) - sum(silent), harmless
+        rows.append((mistake, *counts))
     head = (
         "mistake", "cubes", "noticed", "named first", "among three", "wrong, said before",
         "wrong without a word", "harmless",

@@ -16,7 +16,7 @@ import numpy as np
 from irlos_pipe.conventions.late import Tensor
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects.base import Effect
-from irlos_pipe.effects.declaration import Conditions, Parameter, Refraction, direction, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public, Refraction, direction
 from irlos_pipe.effects.planes import OtfEffect, SamplingEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.fourier_matrices import phasor
@@ -48,7 +48,7 @@ class AtmosphericDispersion(OtfEffect):
     mild = True
     instrumental = False
     public = (
-        number("mas_per_um", "mas/µm towards longer waves", 0.0, 5000.0),
+        Public("mas_per_um", "mas/µm towards longer waves", 0.0, 5000.0),
         direction("angle_deg"),
     )
     sentence = "a chromatic elongation of {mas_per_um:.0f} mas/µm along {angle_deg:.0f}°"
@@ -110,9 +110,9 @@ class Spectrum(SamplingEffect):
     instrumental = False  # belongs to the filter
     fact = True
     public = (
-        number("wavelength_nm", "nm, true weighted mean, not its shift", 300.0, 5000.0, required=False),
-        number("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),
-        number("width", "in units of the assumed one", 0.01, 10.0, required=False),
+        Public("wavelength_nm", "nm, true weighted mean, not its shift", 300.0, 5000.0, required=False),
+        Public("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),
+        Public("width", "in units of the assumed one", 0.01, 10.0, required=False),
     )
     sentence = (
         "a spectrum about {wavelength_nm:.1f} nm instead of {told_nm:.1f} nm, {width:.2f} times as wide"
@@ -179,7 +179,7 @@ class PlateScale(SamplingEffect):
     name = "plate_scale"
     formula = "pixel scale × (1 + fraction)"
     fact = varies = True
-    public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
+    public = (Public("fraction", "of the assumed scale", -0.05, 0.05),)
     look_alike = "spectrum in a narrow band; two stars of known distance distinguish them"
     reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"
     parameters = (Parameter("fraction", "", 0.0, 0.0, 0.02, -0.05, 0.05, plausible=(-0.03, 0.03)),)
@@ -221,7 +221,7 @@ class Anamorphism(SamplingEffect):
     )
     fact = True
     public = (
-        number("fraction", "largest less smallest scale of the image, over their mean", 0.0, 0.14),
+        Public("fraction", "largest less smallest scale of the image, over their mean", 0.0, 0.14),
         direction("angle_deg", "deg of the largest, from +x towards +y, 0 to 180"),
     )
     sentence = "an image {percent:.2f} % larger along {angle_deg:.0f}° than across"

@@ -8,7 +8,7 @@ import numpy as np
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect, Several, Values
-from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction
 from irlos_pipe.effects.motion import damping
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
@@ -79,8 +79,8 @@ class Companion(CopiesOfStar):
     most = 0.9
     instrumental = False
     public = (
-        number("flux_ratio", "secondary over primary", 0.0, 1.0),
-        number("sep_mas", "mas", 0.0, 5000.0, role="position"),
+        Public("flux_ratio", "secondary over primary", 0.0, 1.0),
+        Public("sep_mas", "mas", 0.0, 5000.0, role="position"),
         direction("pa_deg"),
     )
     sentence = "a second source of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°"
@@ -136,11 +136,11 @@ class Ghost(CopiesOfStar):
     widens = Companion.name
     most = 0.5
     public = (
-        number("flux_ratio", "ghost over star", 0.0, 1.0),
-        number("sep_mas", "mas", 0.0, 5000.0, role="position"),
+        Public("flux_ratio", "ghost over star", 0.0, 1.0),
+        Public("sep_mas", "mas", 0.0, 5000.0, role="position"),
         direction("pa_deg"),
-        number("defocus_nm", "nm RMS, more than the star has", -1000.0, 1000.0, required=False),
-        number("blur_mas", "mas RMS per axis, beyond the star's", 0.0, LARGEST_BLUR_MAS, required=False),
+        Public("defocus_nm", "nm RMS, more than the star has", -1000.0, 1000.0, required=False),
+        Public("blur_mas", "mas RMS per axis, beyond the star's", 0.0, LARGEST_BLUR_MAS, required=False),
     )
     sentence = (
         "a ghost of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°, "

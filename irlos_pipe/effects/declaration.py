@@ -56,15 +56,15 @@ class Public:
 
     name: str
     unit: str
-    # A number; a table of Noll indices; numbers of the pupil's parts; a list of (row, column); Noll indices;
-    # a name.
-    kind: Kind = "number"
     lower: float = -INFINITE  # limits of every number in it
     upper: float = INFINITE
     required: bool = True  # whether an effect held at known values must be given it
     # A size grows with the effect; a position or a direction, which is an angle, does not; a component is
     # that of a displacement whose direction does not matter.
     role: Role = "size"
+    # A number; a table of Noll indices; numbers of the pupil's parts; a list of (row, column); Noll indices;
+    # a name.
+    kind: Kind = "number"
     choices: tuple[str, ...] = ()  # what a name may be
 
 
@@ -161,19 +161,6 @@ class Calibrated:
     brightest_e: float  # brightest pixel of the modelled mean image, of several cubes the mean of theirs [e-]
 
 
-def number(
-    name: str,
-    unit: str,
-    lower: float = -INFINITE,
-    upper: float = INFINITE,
-    *,
-    required: bool = True,
-    role: Role = "size",
-) -> Public:
-    """A public number, see `Public` for `name`, `unit`, `lower`, `upper`, `required` and `role`."""
-    return Public(name, unit, "number", lower, upper, required, role)
-
-
 def direction(name: str, unit: str = "deg from +x towards +y") -> Public:
     """A public angle, see `Public` for `name` and `unit`."""
-    return number(name, unit, role="direction")
+    return Public(name, unit, role="direction")

@@ -10,7 +10,7 @@ import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.base import FixedEffect
-from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, direction, number
+from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, direction
 from irlos_pipe.effects.planes import DetectorEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
 
@@ -28,7 +28,7 @@ class InterpixelCrosstalk(DetectorEffect):
     formula = "s → (1 − f) s + ¼ f · (sum of the four neighbours), f = fraction"
     mild = True
     order = 0
-    public = (number("fraction", "shared with the four neighbours together", 0.0, 0.8),)
+    public = (Public("fraction", "shared with the four neighbours together", 0.0, 0.8),)
     blurs = "detector"
     sentence = "charge shared between pixels, {fraction:.2%}"
     look_alike = "tip_tilt_jitter, which moves the centroids of single frames"
@@ -58,7 +58,7 @@ class DetectorNonlinearity(DetectorEffect):
     formula = "s → s (1 − f s / s_peak), f = fraction_at_peak"
     mild = True
     order = 1
-    public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
+    public = (Public("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
     sentence = "a loss of {fraction_at_peak:.1%} at the brightest pixel"
     look_alike = "tip_tilt_jitter, which conserves the light; a fainter star distinguishes them"
     reference = "Plazas et al. 2017, JINST 12, C04009"
@@ -102,7 +102,7 @@ class BackgroundGradient(DetectorEffect):
     order = 2
     instrumental = False
     public = (
-        number("e_per_pixel", "e-/px", 0.0, 1e6),
+        Public("e_per_pixel", "e-/px", 0.0, 1e6),
         direction("angle_deg", "deg from +x towards +y, uphill"),
     )
     sentence = "a background slope of {e_per_pixel:.2g} e⁻/px towards {angle_deg:.0f}°"
@@ -141,9 +141,9 @@ class CorrelatedNoise(DetectorEffect):
     instrumental = False
     found_by = "noise"
     public = (
-        number("e_rms", "e- per frame", 0.0, 1e6),
-        Public("axis", "pixels that are alike", "word", required=False, choices=("rows", "columns")),
-        number("period_px", "px across the stripes; 1/f noise if left out", 2.0, 1e4, required=False),
+        Public("e_rms", "e- per frame", 0.0, 1e6),
+        Public("axis", "pixels that are alike", kind="word", required=False, choices=("rows", "columns")),
+        Public("period_px", "px across the stripes; 1/f noise if left out", 2.0, 1e4, required=False),
     )
     sentence = "noise of {e_rms:.2g} e⁻ that rows or columns share"
     look_alike = "background_gradient, which does not change; read noise, which no two pixels share"
@@ -185,7 +185,7 @@ class BadPixels(DetectorEffect):
     name = "bad_pixels"
     formula = "s_p → s_p + offset_p for every pixel p listed"
     order = 3
-    public = (Public("pixels", "[row, column]", "pixels"),)
+    public = (Public("pixels", "[row, column]", kind="pixels"),)
     found_by = "pixels"
     look_alike = "a companion, or whatever else a single pixel pulls at; its course in time is not the star's"
     reference = "Baarda 1968, A testing procedure for use in geodetic networks (data snooping)"

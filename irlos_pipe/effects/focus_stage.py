@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
-from irlos_pipe.effects.declaration import Conditions, Parameter, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import LensEffect, RampEffect
 from irlos_pipe.optics.defocus import HIGHEST_SINE
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -37,7 +37,7 @@ class FocusStageHysteresis(RampEffect):
 
     name = "focus_stage_hysteresis"
     formula = "introduced = commanded ± nm, + where reached upwards, − where reached downwards"
-    public = (number("nm", "nm RMS, half the width of the loop", -1000.0, 1000.0),)
+    public = (Public("nm", "nm RMS, half the width of the loop", -1000.0, 1000.0),)
     sentence = "a focus stage hysteresis of {nm:+.0f} nm"
     separated_by = "every offset reached from both sides"
     look_alike = "a drift of focus; every offset from both sides distinguishes them"
@@ -62,8 +62,8 @@ class FocusStageOffset(RampEffect):
     name = "focus_stage_offset"
     formula = "introduced = commanded + nm, where above_nm < commanded < below_nm"
     repeatable = True  # of different parts of a ramp
-    public = (number("nm", "nm RMS", -2000.0, 2000.0),)
-    options = (number("above_nm", "nm RMS"), number("below_nm", "nm RMS"))
+    public = (Public("nm", "nm RMS", -2000.0, 2000.0),)
+    options = (Public("above_nm", "nm RMS"), Public("below_nm", "nm RMS"))
     sentence = "a focus stage offset of {nm:+.0f} nm"
     separated_by = "the same offsets in another order, and a calibration at one of them"
     look_alike = "defocus among the NCPAs, exactly, unless it concerns a part of the ramp"
@@ -101,7 +101,7 @@ class FocusStageScale(RampEffect):
 
     name = "focus_stage_scale"
     formula = "introduced = commanded · (1 + fraction)"
-    public = (number("fraction", "more than commanded", -0.9, 10.0),)
+    public = (Public("fraction", "more than commanded", -0.9, 10.0),)
     sentence = "a focus stage scale of {fraction:+.1%}"
     separated_by = "larger offsets on both sides; a known lens"
     look_alike = "wrong wavelength or pixel scale, which scale all modes alike"
@@ -126,7 +126,7 @@ class HighAperture(LensEffect):
     formula = (
         "shape of defocus: √(1 − sine² ρ²) in place of ρ², ρ: radius over that of the pupil; same Noll 4"
     )
-    public = (number("sine", "NA / n where the focus moves", 0.0, HIGHEST_SINE),)
+    public = (Public("sine", "NA / n where the focus moves", 0.0, HIGHEST_SINE),)
     sentence = "a focus moved in a beam of NA / n = {sine:.2f}"
     look_alike = "focus_stage_scale in the estimates of a ramp; its images far from focus distinguish them"
     reference = "Hopkins 1945, Proc. Phys. Soc. 55, 116"

@@ -31,9 +31,9 @@ class LensletImages(OtfEffect):
     fact = True
     formula = "T_k(b) = (1 + f_k) exp(−2πi b·s_k/λ) for the image of lenslet k"
     public = (
-        Public("x_mas", f"mas, {WHICH}", "parts", -1000.0, 1000.0),
-        Public("y_mas", "mas, in the same order", "parts", -1000.0, 1000.0),
-        Public("flux", "relative, in the same order", "parts", -0.9, 9.0),
+        Public("x_mas", f"mas, {WHICH}", -1000.0, 1000.0, kind="parts"),
+        Public("y_mas", "mas, in the same order", -1000.0, 1000.0, kind="parts"),
+        Public("flux", "relative, in the same order", -0.9, 9.0, kind="parts"),
     )
     sentence = "images of the lenslets {rms_mas:.1f} mas RMS beside their places, and {percent:.0f} % uneven"
     look_alike = "the static wavefront: defocus moves all four images outwards"

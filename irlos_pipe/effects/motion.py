@@ -16,7 +16,7 @@ import numpy as np
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction
 from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.optics.grids import OtfGrid
 
@@ -47,7 +47,7 @@ class TipTiltJitter(OtfEffect):
     belongs_to = "moment"
     mild = True
     usual = True
-    public = (number("sigma_mas", "mas RMS per axis", 0.0, LARGEST_MAS),)
+    public = (Public("sigma_mas", "mas RMS per axis", 0.0, LARGEST_MAS),)
     blurs = "motion"
     sentence = "image motion of {sigma_mas:.1f} mas RMS per axis"
     look_alike = "interpixel_crosstalk, which does not move the centroids of single frames"
@@ -85,8 +85,8 @@ class Vibration(OtfEffect):
         "angle_deg"
     )
     belongs_to = "moment"
-    public = (number("sigma_mas", "mas RMS", 0.0, LARGEST_MAS), direction("angle_deg"))
-    options = (Public("shape", "course of the motion", "word", choices=SHAPES),)
+    public = (Public("sigma_mas", "mas RMS", 0.0, LARGEST_MAS), direction("angle_deg"))
+    options = (Public("shape", "course of the motion", kind="word", choices=SHAPES),)
     blurs = "motion"
     sentence = "a vibration of {sigma_mas:.1f} mas RMS along {angle_deg:.0f}°"
     limit = "a vibration of {sigma_mas:.1f} mas"

@@ -8,7 +8,7 @@ import numpy as np
 
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.declaration import Conditions, Parameter, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.wavefront import OpdMap
 from irlos_pipe.optics.grids import PupilGrid
@@ -87,10 +87,10 @@ class PhaseBump(PupilPlace, OpdMap):
     height = Parameter("nm", "nm", 50.0, 0.0, 300.0, plausible=(-1000.0, 1000.0))
     width = Parameter("width_m", "m", 0.0625, 0.075, 0.075, 0.0125, 0.375, None, (0.019, 0.25))
     public = (
-        number("nm", "nm, peak", -2000.0, 2000.0),
-        number("x_m", "m", -20.0, 20.0, role="position"),
-        number("y_m", "m", -20.0, 20.0, role="position"),
-        number("width_m", "m, sigma", 0.01, 20.0, role="position"),
+        Public("nm", "nm, peak", -2000.0, 2000.0),
+        Public("x_m", "m", -20.0, 20.0, role="position"),
+        Public("y_m", "m", -20.0, 20.0, role="position"),
+        Public("width_m", "m, sigma", 0.01, 20.0, role="position"),
     )
     sentence = "a bump of {nm:.0f} nm at ({x_m:.1f}, {y_m:.1f}) m in the pupil, {width_m:.1f} m wide"
     look_alike = "high_order_ncpa, of which every mode takes a part of the bump; pupil_spot in a narrow band"
@@ -116,10 +116,10 @@ class PupilSpot(PupilPlace):
     height = Parameter("opacity", "", 0.5, 0.0, 1.0, 0.0, 1.0, natural=True)
     width = Parameter("radius_m", "m", 0.05, 0.05, 0.05, 0.00625, 0.25, None)
     public = (
-        number("opacity", "part of the amplitude", 0.0, 1.0),
-        number("x_m", "m", -20.0, 20.0, role="position"),
-        number("y_m", "m", -20.0, 20.0, role="position"),
-        number("radius_m", "m, where it is half as dark", 0.01, 20.0, role="position"),
+        Public("opacity", "part of the amplitude", 0.0, 1.0),
+        Public("x_m", "m", -20.0, 20.0, role="position"),
+        Public("y_m", "m", -20.0, 20.0, role="position"),
+        Public("radius_m", "m, where it is half as dark", 0.01, 20.0, role="position"),
     )
     sentence = (
         "a spot in the pupil at ({x_m:.1f}, {y_m:.1f}) m, {radius_m:.2f} m in radius, that stops "

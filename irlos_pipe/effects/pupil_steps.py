@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial, reduce
 from itertools import pairwise
 from typing import Any
@@ -31,55 +31,10 @@ PISTONS_AND_SLOPES = {"piston_nm": 1, "tip_nm": 2, "tilt_nm": 3}
 RMS_OF_PISTON, RMS_OF_SLOPES = "piston_rms_nm", "slopes_rms_nm"
 
 
-class DividedPupil(DrawnEffect):
-    """Gives parts of the pupil, as it is drawn, wavefronts of their own."""
-
-    order = -1  # the first of those that act on the drawing, as it joins them
-
-    @classmethod
-    def together(cls, effects: Sequence[Effect]) -> Effect | None:
-        """See `Effect.together`: the parts of one drawing, where there is one."""
-        redrawn = any(isinstance(one.base, RedrawnPupil) for one in effects)
-        return RedrawnAndDivided(effects) if redrawn else None
-
-    @staticmethod
-    def parts_of(geometry: PupilGeometry) -> Division:
-        """Return the parts of a pupil `geometry`."""
-        raise NotImplementedError
-
-    def factors(self, values: Tensor, grid: PupilGrid) -> list[Tensor]:
-        """Return the complex factor of each part at `values` on `grid`, (wavelengths, n, n)."""
-        raise NotImplementedError
-
-    def moved(
-        self, values: Tensor, amplitudes: Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[Tensor]:
-        """Return derivatives of the field by the `wanted` parameters, see `slopes`.
-
-        `amplitudes` (parts, n, n) are those of the parts on `grid`; `values` (parameters,).
-        """
-        raise NotImplementedError
-
-    def opd_where(self, values: Tensor, index: Tensor, grid: PupilGrid) -> Tensor:
-        """Return the OPD at `values`, (n, n) [nm]; `index` (n, n) is the number of the part at points of
-        `grid`.
-        """
-        raise NotImplementedError
-
-    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
-        return _added(field, _parts(type(self), grid, Drawing(grid.geometry)), self.factors(values, grid))
-
-    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
-        return self.moved(values, _parts(type(self), grid, Drawing(grid.geometry)), grid, wanted)
-
-    def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
-        return self.opd_where(values, _index_on(type(self), grid, Drawing(grid.geometry)), grid)
-
-
 class RedrawnAndDivided(Several, DrawnEffect):
     """A drawing of the pupil, and wavefronts of its parts.
 
-    Each of the `effects` is a `RedrawnPupil` or a `DividedPupil`, some of whose parameters may be held.
+    Each of the `effects` is a `RedrawnPupil` or a `PupilSteps`, some of whose parameters may be held.
     """
 
     name = "redrawn_and_divided_pupil"
@@ -92,7 +47,7 @@ class RedrawnAndDivided(Several, DrawnEffect):
         redrawing = [pair for pair in pairs if isinstance(pair[0].base, RedrawnPupil)]
         self._redrawn = RedrawnTogether([one for one, _ in redrawing])
         self._drawing = [place for _, piece in redrawing for place in piece]
-        self._dividing = [pair for pair in pairs if isinstance(pair[0].base, DividedPupil)]
+        self._dividing = [pair for pair in pairs if isinstance(pair[0].base, PupilSteps)]
 
     def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
         drawing = values[self._drawing]
@@ -135,13 +90,13 @@ class RedrawnAndDivided(Several, DrawnEffect):
         ]
         return torch.stack(maps).sum(0)
 
-    def _parts(self, kind: type[DividedPupil], grid: PupilGrid, drawing: Tensor) -> Tensor:
+    def _parts(self, kind: type[PupilSteps], grid: PupilGrid, drawing: Tensor) -> Tensor:
         return _parts(kind, grid, self._drawn(drawing, grid))
 
     def _drawn(self, drawing: Tensor, grid: PupilGrid) -> Drawing:
         return self._redrawn.redrawn(drawing.tolist(), Drawing(grid.geometry))
 
-    def _each(self, values: Tensor) -> list[tuple[DividedPupil, Tensor]]:
+    def _each(self, values: Tensor) -> list[tuple[PupilSteps, Tensor]]:
         """Every effect of parts with all its parameters."""
         return [(one.base, one.all_values(values[piece])) for one, piece in self._dividing]  # type: ignore[misc]
 
@@ -153,7 +108,7 @@ def _added(field: Tensor, parts: Tensor, factors: Sequence[Tensor]) -> Tensor:
     return field
 
 
-def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Tensor:
+def _parts(kind: type[PupilSteps], grid: PupilGrid, drawing: Drawing) -> Tensor:
     """Amplitude of each part of a `drawing`, (parts, n, n): as declared, and what the drawing changes."""
     geometry, samples = grid.geometry, grid.samples
     parts, declared = amplitudes_of(kind.parts_of(geometry), geometry, samples), Drawing(geometry)
@@ -165,7 +120,7 @@ def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Tenso
 
 @lru_cache(maxsize=8)
 def _drawn_parts(
-    kind: type[DividedPupil], declared: PupilGeometry, drawing: Drawing, samples: int
+    kind: type[PupilSteps], declared: PupilGeometry, drawing: Drawing, samples: int
 ) -> np.ndarray:
     """Band-limited amplitude of each part of a pupil as `declared`, as it is drawn, (parts, n, n)."""
     division = _division(kind, declared, drawing)
@@ -174,7 +129,7 @@ def _drawn_parts(
 
 
 def _part_slopes(
-    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, light: float, values: Tensor
+    effect: RedrawnPupil, kind: type[PupilSteps], grid: PupilGrid, light: float, values: Tensor
 ) -> list[Tensor]:
     """Derivatives of the amplitudes of all parts, times `light`, by each parameter, (parts, n, n) each."""
     declared = Drawing(grid.geometry)
@@ -182,13 +137,13 @@ def _part_slopes(
     return [light * one for one in slopes_of_drawing(effect, grid, values, range(len(values)), division)]
 
 
-def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> Tensor:
+def _index_on(kind: type[PupilSteps], grid: PupilGrid, drawing: Drawing) -> Tensor:
     """Number of the part of a `drawing` at the points of a `grid`, (n, n)."""
     x_m, y_m = (axis * grid.radius_m for axis in grid.xy)
     return torch.as_tensor(_division(kind, grid.geometry, drawing).index(x_m, y_m))
 
 
-def _division(kind: type[DividedPupil], declared: PupilGeometry, drawing: Drawing) -> Division:
+def _division(kind: type[PupilSteps], declared: PupilGeometry, drawing: Drawing) -> Division:
     """The parts of a pupil as `declared`, turned as it is drawn."""
     parts, turn = kind.parts_of(declared), np.deg2rad(drawing.turned_deg)
     cosine, sine = np.cos(turn), np.sin(turn)
@@ -201,10 +156,12 @@ def _division(kind: type[DividedPupil], declared: PupilGeometry, drawing: Drawin
     return Division(index, parts.count)
 
 
-class PupilSteps(DividedPupil):
-    """Smooth wavefronts of each of `count` parts of the pupil, with steps between them."""
+class PupilSteps(DrawnEffect):
+    """Smooth wavefronts of each of `count` parts of the pupil as it is drawn, with steps between them."""
 
+    order = -1  # the first of those that act on the drawing, as it joins them
     aberration = True
+    parts_of: Callable[[PupilGeometry], Division]  # of a pupil
     # public name of a coefficient of each part: its mode, by Noll index of the whole pupil
     kinds: Mapping[str, int]
     part_name: str  # what error messages call the parts
@@ -237,23 +194,44 @@ class PupilSteps(DividedPupil):
             )
         return {"count": counts.pop()} if counts else {}
 
+    @classmethod
+    def together(cls, effects: Sequence[Effect]) -> Effect | None:
+        """See `Effect.together`: the parts of one drawing, where there is one."""
+        redrawn = any(isinstance(one.base, RedrawnPupil) for one in effects)
+        return RedrawnAndDivided(effects) if redrawn else None
+
     @property
     def pistons(self) -> range:
         """Positions of the pistons among the parameters: the first of the kinds."""
         return range(self.count)
 
+    def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
+        return _added(field, _parts(type(self), grid, Drawing(grid.geometry)), self.factors(values, grid))
+
+    def slopes(self, values: Tensor, field: Tensor, grid: PupilGrid, wanted: Sequence[int]) -> list[Tensor]:
+        return self.moved(values, _parts(type(self), grid, Drawing(grid.geometry)), grid, wanted)
+
+    def opd_nm(self, values: Tensor, grid: PupilGrid) -> Tensor:
+        return self.opd_where(values, _index_on(type(self), grid, Drawing(grid.geometry)), grid)
+
     def factors(self, values: Tensor, grid: PupilGrid) -> list[Tensor]:
+        """Return the complex factor of each part at `values` on `grid`, (wavelengths, n, n)."""
         return [grid.phasor(opd) for opd in self._opds_nm(values, grid)]
 
     def moved(
         self, values: Tensor, amplitudes: Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> list[Tensor]:
+        """Return derivatives of the field by the `wanted` parameters, see `slopes`.
+
+        `amplitudes` (parts, n, n) are those of the parts on `grid`; `values` (parameters,).
+        """
         modes = torch.tensor(grid.modes([*self.kinds.values()])) * 1j
         pairs = zip(amplitudes, self.factors(values, grid), strict=True)
         moved = [amplitude * grid.phase_per_nm * factor for amplitude, factor in pairs]
         return [moved[index % self.count] * modes[index // self.count] for index in wanted]
 
     def opd_where(self, values: Tensor, index: Tensor, grid: PupilGrid) -> Tensor:
+        """Return the OPD at `values`, (n, n) [nm]; `index` (n, n): number of the part at points of `grid`."""
         opds = self._opds_nm(values, grid)
         return reduce(torch.add, (torch.where(index == part, opd, 0.0) for part, opd in enumerate(opds)))
 
@@ -296,7 +274,7 @@ def _rms(apart: np.ndarray) -> float:
 
 def per_part(kinds: Mapping[str, int], unit: str) -> tuple[Public, ...]:
     """Public lists of one number per part for each of the `kinds`, in a `unit`."""
-    return tuple(Public(kind, unit, "parts", -3000.0, 3000.0) for kind in kinds)
+    return tuple(Public(kind, unit, -3000.0, 3000.0, kind="parts") for kind in kinds)
 
 
 class LowWindEffect(PupilSteps):

@@ -16,7 +16,7 @@ import numpy as np
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.pupil_drawing import ON_AXIS, PupilGeometry, turned, with_sizes
 from irlos_pipe.effects.base import Effect, FixedEffect, Several
-from irlos_pipe.effects.declaration import Conditions, Parameter, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import Division, band_limited
@@ -184,9 +184,9 @@ class PupilMisregistration(RedrawnPupil):
     )
     fact = varies = True
     public = (
-        number("dx_m", "m", -1.0, 1.0, role="component"),
-        number("dy_m", "m", -1.0, 1.0, role="component"),
-        number("rotation_deg", "deg of the vanes, anticlockwise", -180.0, 180.0),
+        Public("dx_m", "m", -1.0, 1.0, role="component"),
+        Public("dy_m", "m", -1.0, 1.0, role="component"),
+        Public("rotation_deg", "deg of the vanes, anticlockwise", -180.0, 180.0),
     )
     look_alike = "amplitude_aberration of Noll 2 and 3, which has no sharp edges"
     reference = "Dohlen et al. 2006, SPIE 6269, 62690Q; VLT pupil stops"
@@ -251,8 +251,8 @@ class PupilSizes(RedrawnPupil):
     formula = "P(u) drawn with the hole obscuration_m wide and vanes of mean width vane_width_m"
     fact = varies = True
     public = (
-        number("obscuration_m", "m, diameter, not its change", 0.0, 50.0, required=False),
-        number("vane_width_m", "m, mean of all vanes, not its change", 0.0, 5.0, required=False),
+        Public("obscuration_m", "m, diameter, not its change", 0.0, 50.0, required=False),
+        Public("vane_width_m", "m, mean of all vanes, not its change", 0.0, 5.0, required=False),
     )
     look_alike = (
         "pupil_misregistration, whose stop darkens one side; amplitude_aberration, which has no edges"

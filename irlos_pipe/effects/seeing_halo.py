@@ -27,7 +27,7 @@ from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, direction, number
+from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, direction
 from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid, PupilMode
@@ -78,16 +78,16 @@ class SeeingHalo(OtfEffect):
     belongs_to = "moment"
     usual = True
     public = (
-        number("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
-        number("scale", "of the WFE expected at the seeing", 0.0, 10.0, required=False),
+        Public("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
+        Public("scale", "of the WFE expected at the seeing", 0.0, 10.0, required=False),
     )
     derived = (
-        number("in_band_wfe_nm", "nm RMS inside the correction band"),
-        number("slope", "exponent of the spectrum inside the band"),
-        number("stretch", "two-fold anisotropy"),
+        Public("in_band_wfe_nm", "nm RMS inside the correction band"),
+        Public("slope", "exponent of the spectrum inside the band"),
+        Public("stretch", "two-fold anisotropy"),
         direction("stretch_angle_deg"),
-        number("cross", "four-fold anisotropy"),
-        number("aliasing", "part of the variance inside the band"),
+        Public("cross", "four-fold anisotropy"),
+        Public("aliasing", "part of the variance inside the band"),
     )
     speckles = True
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
@@ -282,7 +282,7 @@ class AoCutoff(OtfEffect):
         "cut-off, a residual as f^−2 inside"
     )
     fact = True
-    public = (number("per_m", "1/m, the cut-off, not its change", 1e-3, 1e6),)
+    public = (Public("per_m", "1/m, the cut-off, not its change", 1e-3, 1e6),)
     sentence = "a correction that ends at {per_m:.3f} cycles per metre"
     look_alike = "seeing_halo, which has no edge; without one in the window, flux and background"
     reference = "Fétick et al. 2019, A&A 628, A99"
@@ -373,7 +373,7 @@ class UnevenResidual(OtfEffect):
     formula = "D(x, x + b) = D(b) + ½ [g(x) + g(x + b)] D_in(b); g = edge Z_4 + side_x Z_2 + side_y Z_3"
     belongs_to = "moment"
     public = tuple(
-        number(name, f"of the variance, Noll {noll}", -LARGEST, LARGEST, required=False)
+        Public(name, f"of the variance, Noll {noll}", -LARGEST, LARGEST, required=False)
         for name, noll in NOLLS.items()
     )
     parameters = tuple(

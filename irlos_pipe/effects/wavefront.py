@@ -11,7 +11,7 @@ import numpy as np
 from irlos_pipe.conventions.late import Tensor, torch
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, number
+from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public
 from irlos_pipe.effects.planes import PupilEffect, TimeEffect
 from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import PupilGrid
@@ -99,7 +99,7 @@ class DiversityError(OpdMap):
     name = "diversity_error"
     formula = "Φ → Φ + nm · Σ d_k Z_k / |d|; d: the declared diversity, Noll k"
     mild = True
-    public = (number("nm", "nm RMS, more than introduced", -500.0, 500.0),)
+    public = (Public("nm", "nm RMS, more than introduced", -500.0, 500.0),)
     sentence = "{nm:.0f} nm more diversity"
     look_alike = "an NCPA of the same Noll index, exactly, but for a recording with another diversity"
     reference = "Gonsalves 1982, Opt. Eng. 21, 829; Blanc et al. 2003, A&A 399, 373"
@@ -173,8 +173,8 @@ class HighOrderNcpa(ZernikeOpd):
     name, table = "high_order_ncpa", "zernike_nm"
     formula = "Φ → Φ + Σ c_k Z_k, k beyond the modes of the model"
     aberration = True
-    public = (Public(table, "Noll index: nm RMS", "zernike", -1000.0, 1000.0),)
-    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    public = (Public(table, "Noll index: nm RMS", -1000.0, 1000.0, kind="zernike"),)
+    options = (Public("nolls", "Noll indices to estimate", kind="nolls"),)
     coefficient = Parameter("", "nm", 0.0, 0.0, HIGH_ORDER_SIGMA_NM, plausible=(-200.0, 200.0))
     sentence = "{size:.0f} nm RMS of modes beyond those of the model"
     look_alike = "phase_bump and low_wind_effect, of which each mode takes a part"
@@ -196,8 +196,8 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     name, table = "amplitude_aberration", "zernike"
     formula = "P(u) → P(u) · (1 + Σ c_k Z_k(u))"
     mild = True
-    public = (Public(table, "Noll index: relative amplitude", "zernike", -1.0, 1.0),)
-    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    public = (Public(table, "Noll index: relative amplitude", -1.0, 1.0, kind="zernike"),)
+    options = (Public("nolls", "Noll indices to estimate", kind="nolls"),)
     coefficient = Parameter("", "", 0.0, 0.0, 0.1, -0.5, 0.5, plausible=(-0.3, 0.3))
     sentence = "a pupil whose amplitude is uneven by {size:.1%} RMS"
     look_alike = "pupil_misregistration, which has sharp edges; the halo, which is not static"
@@ -228,8 +228,10 @@ class NcpaDrift(ZernikeTable, TimeEffect):
     formula = "Φ(t) = Φ + (t − ½) Σ c_k Z_k, t from 0 at the first frame to 1 at the last"
     instrumental = False
     belongs_to = "moment"
-    public = (Public(table, "Noll index: nm RMS from the first frame to the last", "zernike", -1e4, 1e4),)
-    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    public = (
+        Public(table, "Noll index: nm RMS from the first frame to the last", -1e4, 1e4, kind="zernike"),
+    )
+    options = (Public("nolls", "Noll indices to estimate", kind="nolls"),)
     coefficient = Parameter("", "nm", 0.0, 0.0, 50.0, plausible=(-300.0, 300.0))
     sentence = "a drift of the wavefront of {size:.0f} nm RMS from the first frame to the last"
     look_alike = "tip_tilt_jitter and seeing_halo in the mean image; none in the frames"
@@ -283,10 +285,10 @@ class ChromaticNcpa(_Table):
     name, table, default = "chromatic_ncpa", "zernike_nm_per_um", CHROMATIC_NOLLS
     formula = "Φ(λ) = Φ + (λ − λ_ref) Σ c_k Z_k, λ_ref = reference_nm"
     aberration = True
-    public = (Public(table, "Noll index: nm RMS per µm", "zernike", -2000.0, 2000.0),)
+    public = (Public(table, "Noll index: nm RMS per µm", -2000.0, 2000.0, kind="zernike"),)
     options = (
-        Public("nolls", "Noll indices to estimate", "nolls"),
-        number("reference_nm", "nm, where it vanishes; that of the NCPAs if left out", 300.0, 5000.0),
+        Public("nolls", "Noll indices to estimate", kind="nolls"),
+        Public("reference_nm", "nm, where it vanishes; that of the NCPAs if left out", 300.0, 5000.0),
     )
     coefficient = Parameter("", "nm/µm", 0.0, 0.0, WITHOUT_LAW_NM, plausible=(-1000.0, 1000.0))
     sentence = "aberrations that change by {size:.0f} nm RMS per µm of wavelength"
@@ -326,10 +328,10 @@ class FilterNcpa(_Table):
     formula = "Φ → Φ + Σ c_k Z_k in recordings through the filter or lens"
     aberration = True
     repeatable = True
-    public = (Public(table, "Noll index: nm RMS", "zernike", -2000.0, 2000.0),)
+    public = (Public(table, "Noll index: nm RMS", -2000.0, 2000.0, kind="zernike"),)
     options = (
-        Public("nolls", "Noll indices to estimate", "nolls"),
-        Public("of", "filter or source of diversity; both of the recording if left out", "word"),
+        Public("nolls", "Noll indices to estimate", kind="nolls"),
+        Public("of", "filter or source of diversity; both of the recording if left out", kind="word"),
     )
     coefficient = Parameter("", "nm", 0.0, 0.0, WITHOUT_LAW_NM, plausible=(-300.0, 300.0))
     sentence = "a wavefront of the filter or lens of {size:.0f} nm RMS"

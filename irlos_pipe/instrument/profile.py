@@ -249,7 +249,7 @@ class Profile(Section):
             if name not in self.facts:
                 text = FACTS[name].text
                 raise ValueError(f"fact '{name}' is missing ({text}); docs/instruments.md lists all")
-        known = {*FACTS, *self._used()}
+        known = {*FACTS, *(name for _, name, _ in self._uses())}
         for name, entries in self.facts.items():
             if name not in known and not re.fullmatch(FAMILIES, name):
                 raise ValueError(f"unknown fact '{name}'{suggestion(name, FACTS)}")
@@ -268,24 +268,18 @@ class Profile(Section):
         _require_correction(self.facts)
 
     def _uses(self) -> Iterator[tuple[str, str, str | None]]:
-        """Keys that a fact gives as it is: the key, the fact, and the unit of the key."""
+        """Keys that refer to facts: key, fact, and the unit of the key where the fact is its value."""
         for key, name in self.defaults.items():
             if isinstance(name, str):
                 yield f"defaults.{key}", name, unit_of_name(key)
+            else:
+                yield from ((f"defaults.{key}", one, None) for one in name.divide)
         for mode, entry in self.modes.items():
             yield f"modes.{mode}.pixel_scale", entry.pixel_scale, "mas"
             yield f"modes.{mode}.apd_gain", entry.apd_gain, "1"
         for monitor, scale in self.seeing_scales.items():
             yield f"seeing_scales.{monitor}.ratio", scale.ratio, "1"
             yield f"seeing_scales.{monitor}.offset_arcsec", scale.offset_arcsec, "arcsec"
-
-    def _used(self) -> set[str]:
-        """Names of facts to which other sections refer."""
-        references = self.defaults.values()
-        of_defaults = (name for one in references for name in ([one] if isinstance(one, str) else one.divide))
-        of_modes = (name for mode in self.modes.values() for name in (mode.pixel_scale, mode.apd_gain))
-        of_scales = (name for one in self.seeing_scales.values() for name in (one.ratio, one.offset_arcsec))
-        return {*of_defaults, *of_modes, *of_scales}
 
 
 def _require_value(name: str, rule: FactRule, value: Any) -> None:

@@ -25,6 +25,7 @@ Reference: Kaiser & Schafer 1980, IEEE Trans. ASSP 28, 105 (length and attenuati
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -117,18 +118,26 @@ class FocusTable:
         self.settings, self.nolls, self.device, self.dtype = psf.settings, psf.nolls, psf.device, psf.dtype
         self.grids, self.reach, self._tabulated = psf.grids, reach, (psf, optics)
         self.tilts, self.focus = [self.nolls.index(2), self.nolls.index(3)], place_of_focus(self.nolls)
-        beyond, band = _pixels_beyond(psf, optics, reach), _band_per_px(psf, optics)
-        window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
-        like = torch.empty(0, dtype=self.dtype, device=self.device)
-        self.shift = ShiftMatrices(window, beyond, band, pixel_nm, like)
-        self._stretch = _stretch(psf, optics).to(self.device)
+        seen, window = _Seen.of(psf, optics), self.settings.window
+        beyond, like = seen.pixels_beyond(reach), torch.empty(0, dtype=self.dtype, device=self.device)
+        self.shift = ShiftMatrices(window, beyond, seen.band, seen.pixel_nm, like)
+        self._stretch = seen.stretch.to(self.device)
         self.middle_nm = float(np.mean(reach.focus_nm))
         self.half_nm = float(OPEN_END * np.ptp(reach.focus_nm) / 2)
-        self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
+        # Further pixels on each side, and margins that leave the period of the OTF factors.
+        settings, more_mas = psf.settings, beyond * psf.settings.pixel_scale_mas
+        margin_mas = max(settings.margin_mas - more_mas, FIELD_MARGIN_MAS)
+        further = window[0] + 2 * beyond, window[1] + 2 * beyond
+        wide = psf.in_window(further, margin_mas, settings.halo_margin_mas - more_mas)
+        self._tabulate(wide, optics, seen.shortest_m)
 
-    def _tabulate(self, wide: LightPath, optics: Optics) -> None:
+    def _tabulate(self, wide: LightPath, optics: Optics, shortest_m: float) -> None:
         """Chebyshev coefficients (terms, pixels), reversed along both axes as in `ShiftMatrices`."""
-        terms = self._terms(wide, optics)
+        grid, noll = wide.grids.pupil, self.nolls[self.focus]
+        mode = shaped_modes(grid, [noll], wide.settings.focus_sine)[0][np.hypot(*grid.xy) <= 1]
+        phase = 2 * np.pi * NM / shortest_m * self.half_nm * np.ptp(mode)
+        orders = np.arange(int(2 * phase) + 40)
+        terms = int(orders[np.abs(jv(orders, phase)) > TRUNCATION].max()) + 1
         angle = np.pi * (np.arange(terms) + 0.5) / terms
         nodes_nm = torch.zeros(terms, len(self.nolls), dtype=torch.float64)
         nodes_nm[:, self.focus] = torch.as_tensor(self.middle_nm + self.half_nm * np.cos(angle))
@@ -137,15 +146,6 @@ class FocusTable:
         series = torch.as_tensor(to_series / terms, device=self.device) @ images.flatten(1).double()
         self.table, self.shape = series.flip(1).to(self.dtype), images.shape[1:]
         self.orders = torch.arange(terms, device=self.device, dtype=torch.float64)
-
-    def _terms(self, psf: LightPath, optics: Optics) -> int:
-        """Length of the series."""
-        grid = psf.grids.pupil
-        noll, sine = self.nolls[self.focus], psf.settings.focus_sine
-        mode = shaped_modes(grid, [noll], sine)[0][np.hypot(*grid.xy) <= 1]
-        phase = 2 * np.pi * NM / _shortest_m(psf, optics) * self.half_nm * np.ptp(mode)
-        orders = np.arange(int(2 * phase) + 40)
-        return int(orders[np.abs(jv(orders, phase)) > TRUNCATION].max()) + 1
 
     # -- LightPath ---------------------------------------------------------------------------
 
@@ -177,7 +177,11 @@ class FocusTable:
         """See `LightPath.images_and_jacobian`; there are no parameters but the modes."""
         x, (height, width) = modes_nm.to(self.device, torch.float64), self.settings.window
         rows, columns = self.shift(x[:, self.tilts] @ self._stretch)
-        images, slopes = self._series(x)
+        angle = self._angle(x)
+        multiples = angle * self.orders
+        steepness = self.orders * multiples.sin() / (angle.sin() * self.half_nm)
+        weights = torch.cat([multiples.cos(), steepness]).to(self.dtype)
+        images, slopes = (weights @ self.table).view(2, -1, *self.shape)  # before the shift, and by the focus
         along_x = torch.bmm(images, columns.mT)  # shifted, and the derivative of that
         both = torch.bmm(rows, along_x[:, :, :width])
         jacobian = both.new_empty(len(x), 3, height, width)
@@ -201,15 +205,6 @@ class FocusTable:
         """The focus as θ, ``T_n = cos nθ``, (images, 1)."""
         return ((x[:, self.focus, None] - self.middle_nm) / self.half_nm).acos()
 
-    def _series(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Images before the shift, and their derivatives with respect to the focus."""
-        angle = self._angle(x)
-        multiples = angle * self.orders
-        slopes = self.orders * multiples.sin() / (angle.sin() * self.half_nm)
-        weights = torch.cat([multiples.cos(), slopes]).to(self.dtype)
-        images, slopes = (weights @ self.table).view(2, -1, *self.shape)
-        return images, slopes
-
 
 def is_family(nolls: tuple[int, ...]) -> bool:
     """Return whether modes are tip, tilt and one more."""
@@ -227,50 +222,33 @@ def can_tabulate(psf: LightPath, optics: Optics, reach: Reach) -> bool:
 
     They must be well sampled, and the shifts must fit into the field.
     """
-    if _band_per_px(psf, optics) > WELL_SAMPLED:
+    seen, room_mas = _Seen.of(psf, optics), psf.settings.halo_margin_mas - FIELD_MARGIN_MAS
+    if seen.band > WELL_SAMPLED:
         return False
-    room_mas = psf.settings.halo_margin_mas - FIELD_MARGIN_MAS
-    return _pixels_beyond(psf, optics, reach) * psf.settings.pixel_scale_mas <= room_mas
+    return seen.pixels_beyond(reach) * psf.settings.pixel_scale_mas <= room_mas
 
 
-def _wider(psf: LightPath, beyond: int) -> tuple[tuple[int, int], float, float]:
-    """Window with further pixels on each side, and margins that leave the period of the OTF factors."""
-    settings, more_mas = psf.settings, beyond * psf.settings.pixel_scale_mas
-    rows, columns = settings.window
-    margin_mas = max(settings.margin_mas - more_mas, FIELD_MARGIN_MAS)
-    return (rows + 2 * beyond, columns + 2 * beyond), margin_mas, settings.halo_margin_mas - more_mas
+class _Seen(NamedTuple):
+    """How the pixels see the light of a path."""
 
+    shortest_m: float  # wavelength
+    stretch: torch.Tensor  # of an image, a symmetric matrix (2, 2)
+    pixel_nm: float  # tip or tilt that moves an image by a pixel [nm RMS]
+    band: float  # highest frequency of the images [cycles/px]
 
-def _pixels_beyond(psf: LightPath, optics: Optics, reach: Reach) -> int:
-    """Pixels that are tabulated on each side of the window."""
-    farthest_nm = reach.tilt_nm * float(_stretch(psf, optics).abs().sum(1).max())
-    shifts = int(np.ceil(farthest_nm / _pixel_nm(psf, optics)))
-    return shifts + kernel_half_length(_band_per_px(psf, optics))
+    @classmethod
+    def of(cls, psf: LightPath, optics: Optics) -> _Seen:
+        sampling, diameter_m = optics.sampling or psf.grids.sampling, psf.settings.geometry.diameter_m
+        shortest_m, pixel_mas = float(sampling.wavelengths_m.min()), float(sampling.pixel_scale_mas)
+        stretch = pixel_map(-sampling.strain.detach())
+        smallest = float(torch.linalg.eigvalsh(stretch).min())
+        band = cutoff_per_px(shortest_m, diameter_m, pixel_mas) / smallest
+        return cls(shortest_m, stretch, tilt_nm(pixel_mas, diameter_m), band)
 
-
-def _pixel_nm(psf: LightPath, optics: Optics) -> float:
-    """Tip or tilt that moves the image by a pixel [nm RMS]."""
-    return tilt_nm(_pixel_mas(psf, optics), psf.settings.geometry.diameter_m)
-
-
-def _band_per_px(psf: LightPath, optics: Optics) -> float:
-    """Highest frequency of the images [cycles/px]."""
-    diameter_m = psf.settings.geometry.diameter_m
-    smallest = float(torch.linalg.eigvalsh(_stretch(psf, optics)).min())
-    return cutoff_per_px(_shortest_m(psf, optics), diameter_m, _pixel_mas(psf, optics)) / smallest
-
-
-def _stretch(psf: LightPath, optics: Optics) -> torch.Tensor:
-    """How an image is stretched, a symmetric matrix (2, 2)."""
-    return pixel_map(-(optics.sampling or psf.grids.sampling).strain.detach())
-
-
-def _pixel_mas(psf: LightPath, optics: Optics) -> float:
-    return float((optics.sampling or psf.grids.sampling).pixel_scale_mas)
-
-
-def _shortest_m(psf: LightPath, optics: Optics) -> float:
-    return float((optics.sampling or psf.grids.sampling).wavelengths_m.min())
+    def pixels_beyond(self, reach: Reach) -> int:
+        """Pixels that are tabulated on each side of the window."""
+        farthest_nm = reach.tilt_nm * float(self.stretch.abs().sum(1).max())
+        return int(np.ceil(farthest_nm / self.pixel_nm)) + kernel_half_length(self.band)
 
 
 class FocusImages:

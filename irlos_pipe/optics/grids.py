@@ -118,24 +118,14 @@ class OtfGrid:
         mean_m = (sampling.wavelengths_m * sampling.weights).sum()
         return cls(focal, _colours(sampling.wavelengths_m), mean_m)
 
-    @property
-    def baseline_x_m(self) -> np.ndarray:
-        """Baselines along x, (p//2 + 1,) [m]."""
-        return self.focal.baseline_x_m
-
-    @property
-    def baseline_y_m(self) -> np.ndarray:
-        """Baselines along y, (p,) [m]."""
-        return self.focal.baseline_y_m
-
     @cached_property
     def length2_m2(self) -> torch.Tensor:
         """Squared length of the baselines, (p, p//2 + 1)."""
-        return torch.as_tensor(self.baseline_x_m[None, :] ** 2 + self.baseline_y_m[:, None] ** 2)
+        return torch.as_tensor(self.focal.baseline_x_m[None, :] ** 2 + self.focal.baseline_y_m[:, None] ** 2)
 
     def path_m(self, x_rad, y_rad) -> torch.Tensor:
         """Scalar product ``b·s`` with the direction (`x_rad`, `y_rad`) on the sky [m], (..., p, p//2 + 1)."""
-        along_x, along_y = (torch.as_tensor(b) for b in (self.baseline_x_m, self.baseline_y_m))
+        along_x, along_y = (torch.as_tensor(b) for b in (self.focal.baseline_x_m, self.focal.baseline_y_m))
         return along_x[None, :] * x_rad + along_y[:, None] * y_rad
 
 

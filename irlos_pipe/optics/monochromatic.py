@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -59,38 +59,30 @@ class FocalPlane:
     def widest(self) -> FocalGrid:
         return max(self.grids, key=lambda grid: grid.samples)
 
-    def to_pixels(self, index: int, sampling: Sampling | None, *, filtered: bool) -> Matrices:
+    def to_pixels(
+        self, index: int, sampling: Sampling | None, *, filtered: bool, slope: bool = False
+    ) -> Matrices:
         """Return matrices to rows, weighted, and to columns, at the wavelength `index`.
 
         A `sampling` is given where effects change it. Matrices are applied to the real FFT of the focal
-        intensity if `filtered`, otherwise to the intensity itself.
+        intensity if `filtered`, otherwise to the intensity itself. With `slope` they are the derivatives by
+        the logarithm of pixel scale over wavelength.
         """
-        make = self._filtered_matrices if filtered else self._plain_matrices
-        return make(index, sampling or self.sampling)
-
-    def pixel_slopes(self, index: int, sampling: Sampling, *, filtered: bool) -> Matrices:
-        """Return the derivatives of `to_pixels` by the logarithm of pixel scale over wavelength."""
-        make = self._filtered_matrices if filtered else self._plain_matrices
-        return make(index, sampling, slope=True)
+        sampling, grid, (rows, columns) = sampling or self.sampling, self.grids[index], self.window
+        sky = sampling.pixel_scale_mas, sampling.wavelengths_m[index], grid
+        if filtered:
+            along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False, slope=slope)
+            along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True, slope=slope)
+        else:
+            made = {px: focal_to_pixels(px, *sky, slope=slope) for px in {rows, columns}}
+            along_y, along_x = made[rows], made[columns]
+        like = self.like.device, COMPLEX[self.like.dtype] if filtered else self.like.dtype
+        return (sampling.weights[index] * along_y).to(*like), along_x.to(*like)
 
     def strained(self, index: int, sampling: Sampling) -> Strained:
         """Return the matrices to pixels of a strained image, at the wavelength `index`."""
         like = self.like.new_empty(0, dtype=COMPLEX[self.like.dtype])
         return Strained.of(self.window, sampling, index, self.grids[index], like)
-
-    def _plain_matrices(self, index: int, sampling: Sampling, *, slope: bool = False) -> Matrices:
-        sky = sampling.pixel_scale_mas, sampling.wavelengths_m[index], self.grids[index]
-        made = {px: focal_to_pixels(px, *sky, slope=slope) for px in {*self.window}}
-        rows, columns = (made[px] for px in self.window)
-        return (sampling.weights[index] * rows).to(self.like), columns.to(self.like)
-
-    def _filtered_matrices(self, index: int, sampling: Sampling, *, slope: bool = False) -> Matrices:
-        grid = self.grids[index]
-        (rows, columns), sky = self.window, (sampling.pixel_scale_mas, sampling.wavelengths_m[index], grid)
-        along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False, slope=slope)
-        along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True, slope=slope)
-        device, dtype = self.like.device, COMPLEX[self.like.dtype]
-        return (sampling.weights[index] * along_y).to(device, dtype), along_x.to(device, dtype)
 
 
 def _focal_grids(settings: PsfSettings, wavelengths_m: np.ndarray, pupil: PupilGrid) -> list[FocalGrid]:
@@ -329,64 +321,42 @@ class Rates(NamedTuple):
         )
 
 
-class PixelSlopes(Protocol):
-    """Derivatives of weighted images while pixels change."""
-
-    def __call__(
-        self, intensity: torch.Tensor, image: torch.Tensor, every: Sequence[Rates]
-    ) -> list[torch.Tensor]:
-        """Return those of the `image` of a focal `intensity`, (frames, rows, columns) for each of `every`."""
-
-
-class SquarePixels:
-    """Derivatives while the pixels of a `colour` stay squares, see `FocalPlane.pixel_slopes`."""
-
-    def __init__(self, colour: Colour, rows: torch.Tensor, columns: torch.Tensor):
-        self._along = colour._replace(to_rows=rows), colour._replace(to_columns=columns)
-
-    def __call__(
-        self, intensity: torch.Tensor, image: torch.Tensor, every: Sequence[Rates]
-    ) -> list[torch.Tensor]:
-        wider = self._along[0].image(intensity) + self._along[1].image(intensity)
-        return [(rates.scale - rates.wavelength) * wider for rates in every]
-
-
-class SkewPixels:
-    """Derivatives while pixels become parallelograms: those of a `colour`, `strained` by `strain`, (2,)."""
-
-    def __init__(self, colour: Colour, strained: Strained, strain: torch.Tensor):
-        self._colour, self._strained, self._strain = colour, strained, strain.detach()
-
-    def __call__(
-        self, intensity: torch.Tensor, image: torch.Tensor, every: Sequence[Rates]
-    ) -> list[torch.Tensor]:
-        """See `PixelSlopes`; a pixel that is larger by a factor shows its square times the light."""
-        larger = [rates.scale - rates.wavelength for rates in every]
-        changes = [
-            factor * self._strained.pixels.map + pixel_map_slope(self._strain, rates.strain)
-            for factor, rates in zip(larger, every, strict=True)
-        ]
-        slopes = self._strained.slopes(self._colour.waves(intensity), changes)
-        return [2 * factor * image + slope for factor, slope in zip(larger, slopes, strict=True)]
-
-
 def resampled(
-    colour: Colour, dft: MatrixDft, by_pixels: PixelSlopes, opd_nm: torch.Tensor, every: Sequence[Rates]
+    colour: Colour,
+    plane: FocalPlane,
+    index: int,
+    sampling: Sampling,
+    opd_nm: torch.Tensor,
+    every: Sequence[Rates],
 ) -> torch.Tensor:
     """Return derivatives of weighted images at one wavelength, (parameters, frames, rows, columns).
 
-    Light of the `colour` with the wavefronts `opd_nm` (frames, n, n) reaches its focal plane by `dft` and
-    changes with pixels as `by_pixels` says, at the rates `every`, one per parameter.
+    Light of the `colour`, number `index` of a `sampling`, falls on a `plane` with the wavefronts `opd_nm`
+    (frames, n, n) and changes at the rates `every`, one per parameter.
     """
-    phasor = colour.phasor(opd_nm)
+    phasor, dft = colour.phasor(opd_nm), plane.dfts[index]
     field = behind(colour.pupil, phasor)
     amplitude = dft.amplitude(field)
     intensity = intensity_of(amplitude)
-    image = colour.image(intensity)
+    image, larger = colour.image(intensity), [rates.scale - rates.wavelength for rates in every]
+    if colour.strained or any(rates.strain.any() for rates in every):  # pixels become parallelograms
+        strained, strain = plane.strained(index, sampling), sampling.strain.detach()
+        changes = [
+            factor * strained.pixels.map + pixel_map_slope(strain, rates.strain)
+            for factor, rates in zip(larger, every, strict=True)
+        ]
+        slopes = strained.slopes(colour.waves(intensity), changes)
+        # A pixel that is larger by a factor shows its square times the light.
+        by_pixels = [2 * factor * image + slope for factor, slope in zip(larger, slopes, strict=True)]
+    else:
+        rows, columns = plane.to_pixels(index, sampling, filtered=colour.transfer is not None, slope=True)
+        along = colour._replace(to_rows=rows), colour._replace(to_columns=columns)
+        wider = along[0].image(intensity) + along[1].image(intensity)
+        by_pixels = [factor * wider for factor in larger]
     turned = times_i(field)
     phase = (opd_nm * (2 * np.pi * NM / colour.wavelength_m))[:, None]
     found = []
-    for rates, pixels in zip(every, by_pixels(intensity, image, every), strict=True):
+    for rates, pixels in zip(every, by_pixels, strict=True):
         slope = rates.weight * image + pixels
         moved = -rates.wavelength * phase * turned
         if rates.pupil is not None:

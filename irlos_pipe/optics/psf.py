@@ -36,17 +36,14 @@ from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.defocus import defocus_series, shaped_modes
 from irlos_pipe.optics.fourier_matrices import MatrixDft, mirrored, products_up_to
-from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, PupilMode, Sampling, Tangents
+from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.monochromatic import (
     COMPLEX,
     ByMode,
     Colour,
     FocalPlane,
-    PixelSlopes,
     Rates,
-    SkewPixels,
-    SquarePixels,
     amplitudes,
     amplitudes_of,
     beat_of,
@@ -102,7 +99,13 @@ class PsfModel:
         self.weights = weights / weights.sum()
         self.colours: Sequence[int] = range(len(self.weights))  # those whose light is propagated
         self.pupil_grid = pupil_grid(settings) if grid is None else grid
-        self._set_pupil(self.pupil_grid)
+        self.amplitude = self._map(self.pupil_grid.amplitude)
+        known = settings.known.total_nm
+        modes, of_known = (
+            shaped_modes(self.pupil_grid, some, settings.focus_sine) for some in (nolls, [*known])
+        )
+        self.basis = self._map(modes).flatten(1)
+        self.known_nm = self._map(np.tensordot(np.array([*known.values()]), of_known, 1))
         self._set_products(self.pupil_grid)
         self.focal_plane = self._focal_plane(settings)
         self._colours: dict[tuple[int, int], tuple[Optics, Colour]] = {}
@@ -142,21 +145,6 @@ class PsfModel:
 
     def _focal_plane(self, settings: PsfSettings) -> FocalPlane:
         return FocalPlane(settings, self._sampling(), self.pupil_grid, self.polynomials, self.amplitude)
-
-    def _set_pupil(self, grid: PupilGrid) -> None:
-        self.amplitude = self._map(grid.amplitude)
-        self.basis = self._map(self._modes(grid, self.nolls)).flatten(1)
-        known = self.settings.known.total_nm
-        self.known_nm = self._map(np.tensordot(np.array([*known.values()]), self._modes(grid, [*known]), 1))
-
-    def _mode_map(self, mode: PupilMode, wavelength_m: float | torch.Tensor) -> torch.Tensor:
-        """Map of a mode of `Optics.by_mode` at a wavelength."""
-        found = self._map(self.pupil_grid.modes([mode.noll])[0].copy())
-        return found if mode.of_amplitude else 2 * np.pi * NM / wavelength_m * found
-
-    def _modes(self, grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
-        """Modes as maps (modes, n, n), defocus in its shape."""
-        return shaped_modes(grid, nolls, self.settings.focus_sine)
 
     def _set_products(self, grid: PupilGrid) -> None:
         """Every mode in products of Chebyshev polynomials, and the transforms that serve these products."""
@@ -207,11 +195,13 @@ class PsfModel:
         pupil, grid = self._pupil(optics.pupil, index), plane.grids[index]
         pupil = self.amplitude if pupil is None else pupil
         strained = plane.strained(index, sampling) if sampling is not None and sampling.strains else None
-        by_mode = tuple(
-            ByMode(self._mode_map(mode, wavelength_m), mode.of_amplitude, self._factor(factors, index))
-            for mode, factors in optics.by_mode
-        )
-        return Colour(wavelength_m, pupil, transfer, *matrices, grid.padded, grid.samples, strained, by_mode)
+        by_mode = []
+        for mode, factors in optics.by_mode:
+            in_pupil = self._map(self.pupil_grid.modes([mode.noll])[0].copy())
+            in_pupil = in_pupil if mode.of_amplitude else 2 * np.pi * NM / wavelength_m * in_pupil
+            by_mode.append(ByMode(in_pupil, mode.of_amplitude, self._factor(factors, index)))
+        samples = grid.padded, grid.samples
+        return Colour(wavelength_m, pupil, transfer, *matrices, *samples, strained, tuple(by_mode))
 
     def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
         return None if pupils is None else self._amplitudes(pupils[index])
@@ -315,19 +305,13 @@ class PsfModel:
 
     def _resampled(self, colour: Colour, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Derivatives of weighted images by the parameters of the sampling; see `resampled`."""
-        optics, tangents, index, plane = path.optics, path.tangents, path.colour, self.focal_plane
+        optics, index = path.optics, path.colour
         sampling = optics.sampling or self.grids.sampling
         every = [
             Rates.of(sampling, change, index, self._pupil(pupil, index), self._transfer(transfer, index))
-            for pupil, transfer, change in tangents.sampling
+            for pupil, transfer, change in path.tangents.sampling
         ]
-        pixels: PixelSlopes
-        if colour.strained or any(rates.strain.any() for rates in every):
-            pixels = SkewPixels(colour, plane.strained(index, sampling), sampling.strain)
-        else:
-            slopes = plane.pixel_slopes(index, sampling, filtered=colour.transfer is not None)
-            pixels = SquarePixels(colour, *slopes)
-        return resampled(colour, plane.dfts[index], pixels, opd, every)
+        return resampled(colour, self.focal_plane, index, sampling, opd, every)
 
     def _changes(self, dft: MatrixDft, pupils: torch.Tensor, phasor) -> torch.Tensor:
         """Focal amplitudes behind several pupils (k, n, n), (k, frames, 2, m, m)."""

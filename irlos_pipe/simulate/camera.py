@@ -93,11 +93,6 @@ def pupil_of(scene: Scene) -> Pupil:
     return _build(as_built, scene.pupil_samples, stops_m[0] if stops_m else None)
 
 
-def nominal_area_m2(scene: Scene) -> float:
-    """Return the clear area of the undisturbed pupil, which the photometry refers to [m²]."""
-    return _build(scene.geometry, scene.pupil_samples, None).area_m2
-
-
 @lru_cache(maxsize=8)
 def _build(as_built: PupilGeometry, samples: int, stop_m: tuple[float, float] | None) -> Pupil:
     step_m, total = as_built.diameter_m / samples, samples + 2 * PAD
@@ -302,7 +297,7 @@ class Camera:
         self._imager = Imager(
             pupil.u_m,
             {one: amplitude(scene, pupil, *one) for one in dict.fromkeys(ray.pupil for ray in rays)},
-            nominal_area_m2(scene),
+            _build(scene.geometry, scene.pupil_samples, None).area_m2,  # undisturbed, as photometry has it
             rays,
             PixelGrid((rows, columns), self._part_mas, 1 if self._sampled else STATIC_NODES),
             np.complex64 if scene.moves else np.complex128,

@@ -182,11 +182,6 @@ class Pixels:
         counts = rng.poisson(np.broadcast_to(self.dark_e, (frames, *self.dark_e.shape)))
         return self._analogue_e(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
 
-    def dark_moments_e(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean [e-] and variance [e-²] of a read without light, before the effects came."""
-        charge_e2 = self.detector.excess_noise_factor * self.dark_e * self.response**2
-        return self.dark_e * self.response, charge_e2 + self.detector.read_noise_e**2
-
     def read(self, values: np.ndarray, stuck: np.ndarray) -> np.ndarray:
         """Return frames (..., rows, columns) of `values` with the constant readings of `stuck` pixels."""
         return np.where(np.isnan(self.stuck_e), values, stuck)
@@ -199,30 +194,6 @@ class Pixels:
         noise_e = read_noise_e * rng.standard_normal(node_e.shape)
         signal_e = node_e + noise_e
         return signal_e if self.pattern is None else signal_e + self.pattern.drawn_e(node_e.shape, rng)
-
-
-def nominal_pixels(
-    detector: DetectorModel, window: tuple[int, int], exposure_s: float, sky_e_per_s: float = 0.0
-) -> Pixels:
-    """Return the pixels of a `detector` without effects, in a `window` (rows, columns).
-
-    A frame takes `exposure_s`; the sky sends `sky_e_per_s` to every pixel.
-    """
-    reads = detector.reads(exposure_s)
-    read_s = exposure_s / reads
-    return Pixels(
-        detector,
-        response_map(detector, window),
-        dark_map_e(detector, window, read_s),
-        detector.crosstalk_fraction,
-        detector.nonlinearity_per_e,
-        hot_e=np.zeros(window),
-        background_e=np.zeros(window),
-        alive=np.ones(window),
-        stuck_e=np.full(window, np.nan),
-        reads=reads,
-        sky_e=sky_e_per_s * read_s,
-    )
 
 
 def shared(charge_e: np.ndarray, fraction: float) -> np.ndarray:
@@ -258,17 +229,12 @@ def compressed(signal_e: np.ndarray, nonlinearity_per_e: float, full_well_e: flo
 
 def flat_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
     """Return the gain of each pixel of the `detector` in a `window`, as the flat shows it; 0 in dead ones."""
-    gain = _scattered(detector.flat_rms, detector, window, FLAT_STREAM)
+    gain = scattered(detector.flat_rms, detector, window, FLAT_STREAM)
     return np.where(marked(detector.dead, window), 0.0, gain)
 
 
-def response_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
-    """Return the relative gain of each pixel of the `detector` in a `window`; 0 in dead pixels."""
-    error = _scattered(detector.flat_error_rms, detector, window, FLAT_ERROR_STREAM)
-    return flat_map(detector, window) * error
-
-
-def _scattered(rms: float, detector: DetectorModel, window: tuple[int, int], stream: int) -> np.ndarray:
+def scattered(rms: float, detector: DetectorModel, window: tuple[int, int], stream: int) -> np.ndarray:
+    """Return factors about one with a scatter of `rms`, by a `stream` of the seed of the `detector`."""
     rng = np.random.default_rng([detector.pattern_seed, stream])
     return np.maximum(1 + rms * rng.standard_normal(window), 0.0)
 
@@ -277,11 +243,3 @@ def pedestal_map_adu(detector: DetectorModel, window: tuple[int, int]) -> np.nda
     """Return the level of each pixel of the `detector` in a `window` without light [ADU]."""
     rng = np.random.default_rng([detector.pattern_seed, PEDESTAL_STREAM])
     return detector.pedestal_adu + detector.fixed_pattern_adu * rng.standard_normal(window)
-
-
-def dark_map_e(detector: DetectorModel, window: tuple[int, int], exposure_s: float) -> np.ndarray:
-    """Return the mean dark charge of each pixel of the `detector` in a `window` after `exposure_s` [e-]."""
-    dark_e = np.full(window, detector.dark_e_per_s * exposure_s)
-    for pixel, e_per_s in detector.hot_e_per_s:
-        dark_e[tuple(pixel)] += e_per_s * exposure_s
-    return dark_e

@@ -5,8 +5,9 @@ scene states them; everything else is truth, errors of the two included, because
 finds.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -29,42 +30,24 @@ class Exposure:
     stated_nm: dict[int, float]  # modes of the wavefront that the scene states as such, Noll: nm RMS
 
 
-class Wavefronts:
-    """Wavefronts on the grid of a `telescope`, gathered frame after frame: their modes, and the average."""
-
-    def __init__(self, telescope: Telescope):
-        self.telescope = telescope
-        self._sum_nm = np.zeros_like(telescope.transmission)
-        self._zernike_nm: list[np.ndarray] = []
-
-    def add(self, opd_nm: np.ndarray, stated_nm: Mapping[int, float]) -> None:
-        """Take one more, `opd_nm` (n, n), of which the modes `stated_nm` are known, Noll: nm RMS."""
-        self._sum_nm += opd_nm
-        self._zernike_nm.append(self.telescope.fit_zernike_nm(opd_nm, LAST_NOLL, stated_nm))
-
-    @property
-    def mean_opd_nm(self) -> np.ndarray:
-        """Average over the frames, (n, n) [nm]."""
-        return self._sum_nm / len(self._zernike_nm)
-
-    @property
-    def zernike_nm(self) -> np.ndarray:
-        """Noll 2..31 of every frame, (frames, 30) [nm RMS]: stated modes, and a fit of the rest."""
-        return np.array(self._zernike_nm)
-
-    def mean_zernike_nm(self) -> dict[int, float]:
-        """Return Noll 2..31 of the average: nm RMS."""
-        return _mean_zernike_nm(self.zernike_nm)
-
-
 @dataclass(frozen=True, eq=False)
-class Exposed:
-    """All frames of a scene; wavefronts are without the declared diversity and introduced defocus."""
+class Wavefronts:
+    """Wavefronts of all frames of a scene, without the declared diversity and introduced defocus."""
 
-    mean_e: np.ndarray  # mean photo-electrons, (frames, rows, columns), float32
-    mean_opd_nm: np.ndarray  # averaged over all frames, (n, n)
-    zernike_nm: np.ndarray  # (frames, 30), see `Wavefronts.zernike_nm`
+    mean_opd_nm: np.ndarray  # averaged over the frames, (n, n)
+    zernike_nm: np.ndarray  # (frames, 30): Noll 2..31 [nm RMS]: stated modes, and a fit of the rest
     telescope: Telescope
+
+    @classmethod
+    def of(
+        cls, telescope: Telescope, frames: Iterable[tuple[np.ndarray, Mapping[int, float]]], **more: Any
+    ) -> Self:
+        """Gather wavefronts, (n, n) [nm] each, with the modes that are known of them, Noll: nm RMS."""
+        total_nm, zernike_nm = np.zeros_like(telescope.transmission), []
+        for opd_nm, stated_nm in frames:
+            total_nm += opd_nm
+            zernike_nm.append(telescope.fit_zernike_nm(opd_nm, LAST_NOLL, stated_nm))
+        return cls(total_nm / len(zernike_nm), np.array(zernike_nm), telescope, **more)
 
     @property
     def transmission(self) -> np.ndarray:
@@ -72,27 +55,28 @@ class Exposed:
         return self.telescope.transmission
 
     def mean_zernike_nm(self) -> dict[int, float]:
-        """Return Noll 2..31 of the average wavefront: nm RMS."""
-        return _mean_zernike_nm(self.zernike_nm)
+        """Return Noll 2..31 of the average: nm RMS."""
+        return dict(enumerate(self.zernike_nm.mean(axis=0).tolist(), start=2))
 
 
-def _mean_zernike_nm(zernike_nm: np.ndarray) -> dict[int, float]:
-    return dict(enumerate(zernike_nm.mean(axis=0).tolist(), start=2))
+@dataclass(frozen=True, eq=False)
+class Exposed(Wavefronts):
+    mean_e: np.ndarray  # mean photo-electrons, (frames, rows, columns), float32
 
 
-def expose(scene: Scene, report: Callable[[int], None] | None = None) -> Exposed:
-    """Expose all frames of a `scene` and keep them; `report` gets the number of frames after every frame.
+def expose(scene: Scene) -> Exposed:
+    """Expose all frames of a `scene` and keep them.
 
     Raises `SceneError` for parameters of effects that do not fit the scene.
     """
-    wavefronts = Wavefronts(telescope_of(scene))
     mean_e = np.empty((scene.frames, *scene.window), np.float32)
-    for index, exposure in enumerate(exposures(scene)):
-        mean_e[index] = exposure.mean_e
-        wavefronts.add(exposure.opd_nm, exposure.stated_nm)
-        if report is not None:
-            report(index + 1)
-    return Exposed(mean_e, wavefronts.mean_opd_nm, wavefronts.zernike_nm, wavefronts.telescope)
+
+    def wavefronts() -> Iterator[tuple[np.ndarray, dict[int, float]]]:
+        for index, exposure in enumerate(exposures(scene)):
+            mean_e[index] = exposure.mean_e
+            yield exposure.opd_nm, exposure.stated_nm
+
+    return Exposed.of(telescope_of(scene), wavefronts(), mean_e=mean_e)
 
 
 def telescope_of(scene: Scene) -> Telescope:

@@ -12,11 +12,12 @@ import numpy as np
 
 from irlos_pipe.simulate.detector import (
     ADC_TOP_ADU,
+    FLAT_ERROR_STREAM,
     Pixels,
     flat_map,
     marked,
-    nominal_pixels,
     pedestal_map_adu,
+    scattered,
 )
 from irlos_pipe.simulate.effects.detector import DetectorEffect
 from irlos_pipe.simulate.scene import Scene
@@ -30,7 +31,24 @@ def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
 
     At the peak of its mean image `mean_image_e`, (rows, columns) [e-], a non-linearity is stated.
     """
-    pixels = nominal_pixels(scene.detector, scene.window, scene.exposure_s, scene.sky_e_per_s)
+    detector, window = scene.detector, scene.window
+    read_s = scene.exposure_s / scene.reads
+    dark_e = np.full(window, detector.dark_e_per_s * read_s)
+    for pixel, e_per_s in detector.hot_e_per_s:
+        dark_e[tuple(pixel)] += e_per_s * read_s
+    pixels = Pixels(
+        detector,
+        flat_map(detector, window) * scattered(detector.flat_error_rms, detector, window, FLAT_ERROR_STREAM),
+        dark_e,
+        detector.crosstalk_fraction,
+        detector.nonlinearity_per_e,
+        hot_e=np.zeros(window),
+        background_e=np.zeros(window),
+        alive=np.ones(window),
+        stuck_e=np.full(window, np.nan),
+        reads=scene.reads,
+        sky_e=scene.sky_e_per_s * read_s,
+    )
     for effect in scene.acting(DetectorEffect):
         pixels = effect.on(pixels, mean_image_e / pixels.reads)
     return pixels
@@ -76,11 +94,7 @@ class Readout:
     @property
     def top_adu(self) -> int:
         """Return the highest value of a raw frame [ADU]."""
-        return self.pixels.reads * self._top_of_read_adu
-
-    @property
-    def _top_of_read_adu(self) -> int:
-        return int(min(self.pixels.detector.saturation_adu, ADC_TOP_ADU))
+        return self.pixels.reads * int(min(self.pixels.detector.saturation_adu, ADC_TOP_ADU))
 
     def frames_adu(self, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return raw frames of mean light `mean_e`, (..., rows, columns) [e-], with noise of `rng`.
@@ -97,14 +111,17 @@ class Readout:
 
     def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
         """Return the mean of `DARK_FRAMES` raw frames without light, (rows, columns) float32 [ADU]."""
-        reads, noise_e = self.pixels.reads, self.pixels.detector.analogue_noise_e
+        pixels, reads, detector = self.pixels, self.pixels.reads, self.pixels.detector
+        noise_e = detector.analogue_noise_e
         if reads == 1:
-            signal_e = self.pixels.dark_signal_e(DARK_FRAMES, noise_e, rng)
+            signal_e = pixels.dark_signal_e(DARK_FRAMES, noise_e, rng)
             return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
         # the mean of thousands of reads is normal; to draw each would take longer than all frames of a star
-        mean_e, variance_e2 = self.pixels.dark_moments_e()
+        mean_e = pixels.dark_e * pixels.response
+        charge_e2 = detector.excess_noise_factor * pixels.dark_e * pixels.response**2
+        variance_e2 = charge_e2 + detector.read_noise_e**2
         error_e = np.sqrt(variance_e2 / (DARK_FRAMES * reads)) * rng.standard_normal(mean_e.shape)
-        dark_adu = reads * ((mean_e + error_e) / self.pixels.detector.e_per_adu + self.pedestal_adu)
+        dark_adu = reads * ((mean_e + error_e) / detector.e_per_adu + self.pedestal_adu)
         return dark_adu.astype(np.float32)
 
     def flat(self, rng: np.random.Generator) -> np.ndarray | None:
@@ -120,7 +137,7 @@ class Readout:
 
     def _converted(self, signal_e: np.ndarray) -> np.ndarray:
         level_adu = np.rint(np.nan_to_num(signal_e) / self.pixels.detector.e_per_adu + self.pedestal_adu)
-        return np.clip(level_adu, 0, self._top_of_read_adu).astype(np.uint16)
+        return np.clip(level_adu, 0, self.top_adu // self.pixels.reads).astype(np.uint16)
 
 
 def _summed(read: Callable[[], np.ndarray], reads: int) -> np.ndarray:

@@ -246,7 +246,7 @@ def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
     inside, both = (
         SeeingHalo(BAND, RESIDUAL_LAW, seeing).exponent(values, grid)[0] for seeing in (1e-4, 0.8)
     )
-    lengths = np.hypot(grid.baseline_x_m[None], grid.baseline_y_m[:, None])
+    lengths = np.hypot(grids.focal.baseline_x_m[None], grids.focal.baseline_y_m[:, None])
     beyond = 0.5 * (2 * np.pi / 1600) ** 2 * fitting_structure_nm2(lengths, BAND, seeing_to_r0_m(0.8))
     within = lengths < 8.0  # no two points of the pupil are further apart
     assert (both - inside).numpy()[within] == pytest.approx(beyond[within], abs=1e-5)

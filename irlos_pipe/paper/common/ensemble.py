@@ -3,10 +3,9 @@
 import hashlib
 import json
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +51,18 @@ def run_samples(function: Function, samples: Sequence[Any], ctx: StageContext[An
             with in_processes(min(ctx.jobs, len(calls)), _work, calls) as futures:
                 names = {future: one.name for future, one in zip(futures, missing.values(), strict=True)}
                 for done in as_completed(futures):
-                    with _naming(names[done], desc):
+                    try:
                         done.result()
+                    except BrokenProcessPool as error:
+                        raise IrlosError(
+                            f"{desc}: a worker process was killed, perhaps because memory ran out; finished "
+                            "samples stay: run the same command to go on, with fewer --jobs"
+                        ) from error
+                    except IrlosError as error:
+                        raise type(error)(f"{desc}: sample {names[done]}: {error}") from error
+                    except Exception as error:
+                        error.add_note(f"{desc}: sample {names[done]}")
+                        raise
                     bar.update(1)
     return [_read(file) for file in files]
 
@@ -87,20 +96,3 @@ def _read(file: Path) -> Rows:
                 index, _, name = key.partition("/")
                 rows[int(index)][name] = found[key]
     return rows
-
-
-@contextmanager
-def _naming(name: str, desc: str) -> Iterator[None]:
-    """Name the sample in every error."""
-    try:
-        yield
-    except BrokenProcessPool as error:
-        raise IrlosError(
-            f"{desc}: a worker process was killed, perhaps because memory ran out; finished samples "
-            "stay: run the same command to go on, with fewer --jobs"
-        ) from error
-    except IrlosError as error:
-        raise type(error)(f"{desc}: sample {name}: {error}") from error
-    except Exception as error:
-        error.add_note(f"{desc}: sample {name}")
-        raise

@@ -57,16 +57,19 @@ def record(planned: Planned, folder: Path, spool: Path, report: Callable[[int], 
     which is known only at the end. Memory does not grow with the number of frames, whose number so far
     `report` is called after every frame.
     """
-    scene = planned.scene
-    wavefronts, mean_image_e = Wavefronts(telescope_of(scene)), np.zeros(scene.window)
-    defocus = wavefronts.telescope.mode(DEFOCUS)
-    with open(spool, "wb") as stream:
-        for index, exposure in enumerate(exposures(scene)):
-            stream.write(exposure.mean_e.astype(np.float32).tobytes())
-            mean_image_e += exposure.mean_e / scene.frames
-            introduced_nm = scene.introduced_per_frame_nm[index]
-            wavefronts.add(exposure.opd_nm + introduced_nm * defocus, exposure.stated_nm)
-            report(index + 1)
+    scene, mean_image_e = planned.scene, np.zeros(planned.scene.window)
+    telescope = telescope_of(scene)
+
+    def exposed() -> Iterator[tuple[np.ndarray, Mapping[int, float]]]:
+        with open(spool, "wb") as stream:
+            for index, exposure in enumerate(exposures(scene)):
+                stream.write(exposure.mean_e.astype(np.float32).tobytes())
+                mean_image_e[:] += exposure.mean_e / scene.frames
+                introduced_nm = scene.introduced_per_frame_nm[index] * telescope.mode(DEFOCUS)
+                yield exposure.opd_nm + introduced_nm, exposure.stated_nm
+                report(index + 1)
+
+    wavefronts = Wavefronts.of(telescope, exposed())
     rng = np.random.default_rng([*scene.seed, DETECTOR_STREAM])
     readout = Readout.of(scene, mean_image_e)
     brightest, saturated = 0, 0
