@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from irlos_pipe.stages.lift.input import Ramp
 
 NAME = "sensitivity"
-VERSION = 11
+VERSION = 12
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 CURVE = {
@@ -157,11 +157,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
-    # Side by side: a single fit has too few frames to keep many workers busy.
     fits = ordered_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
-        curves = [
-            scan(
+
+        def curve(fit: RampFit) -> Curve:
+            return scan(
                 fit.model,
                 ramp.data.of(chosen),
                 fit.result.model_e,
@@ -176,8 +176,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
                 near_nm=fit.result.zernike_nm,
                 report=bar.update,
             )
-            for fit in fits
-        ]
+
+        curves = ordered_map(curve, fits)
     return _output(ctx.config, combinations, curves, noise)
 
 
