@@ -155,9 +155,7 @@ class EvidenceTask(Task):
         error of the model, which grows by what a wrong side misses, would hide that: here there is none. All
         else follows first, or the kink would draw back what has just begun elsewhere.
         """
-        fitted, posterior = laplace.fitted, laplace.posterior
-        covariance = posterior.covariance
-        sharp = replace(posterior, covariance=covariance.with_errors(0.0, covariance.flat_rms))
+        fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
         starts: list[tuple[torch.Tensor, list[int]]] = []
         for label in fitted.problem.effects.labels:
             angle = direction_of(fitted, label)
@@ -215,20 +213,29 @@ class EvidenceTask(Task):
             return None
 
     def _in_best_form(self, laplace: Laplace, label: str, *, wider: bool) -> tuple[Laplace, str]:
-        """The fit with an effect, or with a wider or narrower form that has better odds, and its label."""
-        fitted, best = laplace.fitted, (laplace, label)
-        others = fitted.continued_by_label()
+        """The fit with an effect, or with a wider or narrower form that has better odds, and its label.
+
+        An error of the model would hide that a form is too narrow: for wider ones there is none.
+        """
+        fitted, others = laplace.fitted, laplace.fitted.continued_by_label()
         if label not in others:
-            return best
+            return laplace, label
         found = others.pop(label)
         forms = in_other_forms(found.name, self.conditions, fitted.values_of(label), wider=wider)
+        if not forms:
+            return laplace, label
+        judge = laplace.posterior.sharp if wider else laplace.posterior
+        best = judge.minimised(laplace.x, AGAIN, roughly=True, slopes=laplace.columns)
         for form in (side for one in forms for side in _sides(one, len(found.base.parameters))):
-            posterior = laplace.posterior.with_effects([*others.values(), form.only_in(found.acts_in)])
-            other = posterior.minimised(posterior.start(fitted), JOINTLY, roughly=True)
-            if other.log_evidence > best[0].log_evidence + (PROMISING if wider else -PROMISING):
-                known = {*others}
-                best = other, next(one for one in other.fitted.problem.effects.labels if one not in known)
-        return best
+            posterior = judge.with_effects([*others.values(), form.only_in(found.acts_in)])
+            other = posterior.minimised(posterior.start(fitted), AGAIN, roughly=True)
+            if other.log_evidence > best.log_evidence + (PROMISING if wider else -PROMISING):
+                best = other
+        new = [one for one in best.fitted.problem.effects.labels if one not in others]
+        if new == [label]:
+            return laplace, label
+        posterior = laplace.posterior.with_effects(best.fitted.continued())
+        return posterior.minimised(best.x, JOINTLY, roughly=True), new[0]
 
     # -- proposals -------------------------------------------------------------------------------
 

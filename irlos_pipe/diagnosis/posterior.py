@@ -277,6 +277,11 @@ class Posterior:
         self.exact, self.coarse = exact, coarse
         self.prior_mean, self.prior_precision = mean, precision
 
+    @property
+    def sharp(self) -> Posterior:
+        """The same without an error of the model, which grows by what is missing and hides it."""
+        return replace(self, covariance=self.covariance.with_errors(0.0, self.covariance.flat_rms))
+
     def with_effects(self, effects: Sequence[Effect]) -> Posterior:
         return replace(self, effects=effects)
 
