@@ -32,16 +32,16 @@ class Division:
 
     def shares(
         self, x_m: np.ndarray, y_m: np.ndarray, step_m: float
-    ) -> Iterable[tuple[int, slice, np.ndarray]]:
-        """Return which light of some cells the parts have that touch them.
+    ) -> Iterator[tuple[int, slice, np.ndarray]]:
+        """Yield which light of some cells the parts have that touch them.
 
         The middles of the cells, of the side `step_m`, are `x_m`, (1, columns), and `y_m`, (rows, 1).
-        Returned are numbers of parts, each with a slice of columns and its share of the light of each cell
+        Yielded are numbers of parts, each with a slice of columns and its share of the light of each cell
         there.
         """
-        return self.shared(x_m, y_m, step_m) if self.shared else self._at_middle(x_m, y_m)
-
-    def _at_middle(self, x_m: np.ndarray, y_m: np.ndarray) -> Iterator[tuple[int, slice, np.ndarray]]:
+        if self.shared:
+            yield from self.shared(x_m, y_m, step_m)
+            return
         index = self.index(x_m, y_m)
         for number in np.unique(index).tolist():
             inside = index == number
@@ -191,8 +191,12 @@ def _filtered_in_blocks(
     for vane in geometry.vanes:
         along, beside = vane.along_m(x, y), np.abs(vane.across_m(x, y)) < vane.width_m / 2 + reach_m
         at_vanes.append(beside & (along > -reach_m) & (along < vane.axis[1] + reach_m))
-    at_circles = _at_a_circle(geometry, x, y, reach_m, stop_m)
-    rows, columns = np.nonzero(np.logical_or.reduce([at_circles, *at_vanes]))
+    at_circles = [  # of the pupil or of the stop
+        np.abs(np.hypot(x - x0, y - y0) - diameter_m / 2) < reach_m
+        for x0, y0 in {(0.0, 0.0), stop_m}
+        for diameter_m in (geometry.diameter_m, geometry.obscuration_m)
+    ]
+    rows, columns = np.nonzero(np.logical_or.reduce([*at_circles, *at_vanes]))
     cells_x, cells_y = fine[columns][:, None, :], fine[rows][:, :, None]
     cells = outline_cover(geometry, cells_x, cells_y, step, stop_m)
     for vane, there in zip(geometry.vanes, at_vanes, strict=True):
@@ -202,18 +206,6 @@ def _filtered_in_blocks(
     clear[:] = outline_cover(geometry, x, y, step, stop_m)[:, None, :, None]
     clear[rows, :, columns] = cells
     return filtering @ (clear.reshape(2 * fine_m.shape) @ filtering.T)
-
-
-def _at_a_circle(
-    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, reach_m: float, stop_m: tuple[float, float]
-) -> np.ndarray:
-    """Whether blocks at (`x`, `y`) may lie on a rim or on a hole, of the pupil or of the stop."""
-    found = np.zeros(x.shape, dtype=bool)
-    for x0, y0 in {(0.0, 0.0), stop_m}:
-        radius = np.hypot(x - x0, y - y0)
-        for diameter_m in (geometry.diameter_m, geometry.obscuration_m):
-            found |= np.abs(radius - diameter_m / 2) < reach_m
-    return found
 
 
 @lru_cache(maxsize=8)

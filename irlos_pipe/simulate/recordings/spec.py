@@ -75,7 +75,7 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
         seed=(seed,),
         throughput=_throughput(keys),
         frame_rate_hz=keys.frame_rate_hz or 1 / keys.exposure_s,
-        lenslet_tilts_mas=lenslets.tilts_mas,
+        lenslet_tilts_mas=tuple(zip(lenslets.x_mas, lenslets.y_mas, strict=True)),
         lenslet_flux=lenslets.flux,
         pixel_scale_mas=_pixel_scale_mas(instrument, keys),
         ncpa_nm=_aberrations(keys.ncpa, instrument, seed, "ncpa"),
@@ -320,34 +320,24 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
         yield Planned(member.name, own, member.commanded_nm, hidden, *how)
 
 
-def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
-    if keys.offsets_nm:
-        return _ramp(name, keys, keys.offsets_nm, hidden, rng)
-    commanded_nm: Defocus
-    true_nm: Defocus
-    reached = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects_of(hidden), rng)
+def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> Iterator[_Member]:
+    effects, angle_deg = effects_of(hidden), keys.derotator_angle_deg
+    if offsets_nm := keys.offsets_nm:
+        order = visiting_order(offsets_nm, keys.order)
+        reached = reached_nm([offsets_nm[index] for index in order], effects, rng).tolist()
+        for index, own in enumerate(numbered(name, "offset", offsets_nm)):
+            place = order.index(index)
+            yield _Member(own, place, offsets_nm[index], reached[place], angle_deg)
+        return
+    of_frames = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects, rng)
+    defocus: tuple[Defocus, Defocus]
     if isinstance(keys.introduced_nm, list):
-        commanded_nm, true_nm = tuple(keys.introduced_nm), tuple(reached.tolist())
+        defocus = tuple(keys.introduced_nm), tuple(of_frames.tolist())
     else:
-        commanded_nm, true_nm = keys.introduced_nm, float(reached[0])
-    if not keys.angles_deg:
-        return [_Member(name, 0, commanded_nm, true_nm, keys.derotator_angle_deg)]
-    turns = zip(numbered(name, "angle", keys.angles_deg), keys.angles_deg, strict=True)
-    return [_Member(own, index, commanded_nm, true_nm, angle) for index, (own, angle) in enumerate(turns)]
-
-
-def _ramp(
-    name: str, keys: RecordingKeys, offsets_nm: Sequence[float], hidden: Mapping, rng: np.random.Generator
-) -> list[_Member]:
-    order = visiting_order(offsets_nm, keys.order)
-    reached = reached_nm([offsets_nm[index] for index in order], effects_of(hidden), rng).tolist()
-    places = [order.index(index) for index in range(len(order))]
-    return [
-        _Member(own, place, commanded_nm, reached[place], keys.derotator_angle_deg)
-        for own, place, commanded_nm in zip(
-            numbered(name, "offset", offsets_nm), places, offsets_nm, strict=True
-        )
-    ]
+        defocus = keys.introduced_nm, float(of_frames[0])
+    names = numbered(name, "angle", keys.angles_deg) if keys.angles_deg else [name]
+    for index, (own, angle) in enumerate(zip(names, keys.angles_deg or [angle_deg], strict=True)):
+        yield _Member(own, index, *defocus, angle)
 
 
 def numbered(name: str, what: str, values: Sequence[float]) -> list[str]:
