@@ -20,8 +20,7 @@ from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.numerics.directional import with_pullback
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import Division, band_limited
-from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
+from irlos_pipe.optics.pupil import Division, Edges, band_limited, pupil_edges
 
 CELL_M = 0.008  # side of the fine cells of the drawing
 DIRECTIONS = 8  # in which a search shifts the stop
