@@ -76,10 +76,10 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 530, "commands": 1920, "control": 510, "conventions": 1000, "diagnosis": 6300, "effects": 4180,
-    "esorex": 110, "estimate": 7110, "files": 980, "focus": 2350, "frames": 2020, "instrument": 870,
-    "night": 3410, "numerics": 880, "optics": 3790, "paper": 5650, "pipeline": 1190, "product": 2440,
-    "readers": 2520, "recipe": 390, "reference": 320, "report": 4300, "simulate": 4400, "stages": 6890,
+    "api": 530, "commands": 1920, "control": 510, "conventions": 1000, "diagnosis": 6300, "effects": 4100,
+    "esorex": 110, "estimate": 7110, "files": 980, "focus": 2350, "frames": 2020, "instrument": 860,
+    "night": 3410, "numerics": 910, "optics": 3670, "paper": 5610, "pipeline": 1190, "product": 2440,
+    "readers": 2520, "recipe": 390, "reference": 320, "report": 4300, "simulate": 4350, "stages": 6890,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

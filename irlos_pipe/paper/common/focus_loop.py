@@ -212,7 +212,8 @@ def close_loops(
     for place, loop in enumerate(loops):
         alike.setdefault((loop.sensor, loop.exposures), []).append(place)
     command_nm, alive = np.zeros(shape), np.ones(len(loops), dtype=bool)
-    found = Records(*np.full((3, *shape), np.nan), np.zeros(shape, dtype=bool))
+    nothing, due = np.full((3, *shape), np.nan), np.zeros(shape, dtype=bool)
+    found = Records(nothing[0], nothing[1], nothing[2], due)
     images_e = np.zeros((len(loops), *table.series_e.shape[2:]))
     for frame, drift in enumerate(drift_nm):
         left_nm = drift - command_nm[:, frame]

@@ -12,32 +12,8 @@ from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.telescope import Telescope
 
 
-class PupilEffect(SimulatedEffect):
-    """Changes where light passes the pupil, or puts steps into the wavefront there."""
-
-    @property
-    def stop_m(self) -> tuple[float, float] | None:
-        """Position (x, y) of an internal stop [m]."""
-        return None
-
-    def built(self, geometry: PupilGeometry) -> PupilGeometry:
-        """Return the pupil as it is built, of which the side-car states the `geometry`."""
-        return geometry
-
-    def transparency(self, pupil: Telescope) -> np.ndarray | float:
-        """Return the relative amplitude on the samples of the `pupil`, (n, n)."""
-        return 1.0
-
-    def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray | None:
-        """Return the wavefront with steps [nm] at points (`x_m`, `y_m`), shapes that broadcast.
-
-        None for an effect that makes no steps in the pupil `geometry`.
-        """
-        return None
-
-
 @dataclass(frozen=True)
-class PupilMisregistration(PupilEffect):
+class PupilMisregistration(SimulatedEffect):
     """An internal stop displaced by (`dx_m`, `dy_m`), and the vanes turned by `rotation_deg`."""
 
     name = "pupil_misregistration"
@@ -54,7 +30,7 @@ class PupilMisregistration(PupilEffect):
 
 
 @dataclass(frozen=True)
-class PupilSizes(PupilEffect):
+class PupilSizes(SimulatedEffect):
     """A central obscuration of `obscuration_m`, and vanes `vane_width_m` wide on average."""
 
     name = "pupil_geometry"
@@ -66,7 +42,7 @@ class PupilSizes(PupilEffect):
 
 
 @dataclass(frozen=True)
-class AmplitudeAberration(PupilEffect):
+class AmplitudeAberration(SimulatedEffect):
     """Smooth non-uniform transmission: one plus the sum of `zernike`, Noll: relative amplitude."""
 
     name = "amplitude_aberration"
@@ -77,7 +53,7 @@ class AmplitudeAberration(PupilEffect):
 
 
 @dataclass(frozen=True)
-class PupilSpot(PupilEffect):
+class PupilSpot(SimulatedEffect):
     """A disc at (`x_m`, `y_m`) that stops a part `opacity`, half as much at `radius_m` from its centre.
 
     Its edge is soft: the fourth power of the distance is in an exponential.
@@ -95,7 +71,7 @@ class PupilSpot(PupilEffect):
 
 
 @dataclass(frozen=True)
-class LowWindEffect(PupilEffect):
+class LowWindEffect(SimulatedEffect):
     """Piston, tip and tilt of the petals, which calm nights bring.
 
     One value per petal each, anticlockwise from the one nearest to the +45° diagonal; tip and tilt are Noll 2
@@ -123,7 +99,7 @@ class LowWindEffect(PupilEffect):
 
 
 @dataclass(frozen=True)
-class SegmentPiston(PupilEffect):
+class SegmentPiston(SimulatedEffect):
     """Piston of the segments of the pupil, `piston_nm` in the order of their numbers."""
 
     name = "segment_piston"

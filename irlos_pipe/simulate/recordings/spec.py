@@ -20,7 +20,7 @@ from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects import EFFECTS, effects_of
-from irlos_pipe.simulate.effects.wavefront import FocusStageEffect, reached_nm
+from irlos_pipe.simulate.effects.wavefront import reached_nm
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.recordings.files import DOUBLE, LOOP_HZ, Defocus, Planned
 from irlos_pipe.simulate.recordings.keys import (
@@ -67,7 +67,7 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
     allows, or the central hole as wide as the pupil.
     """
     diversity, lenslets = keys.diversity, keys.lenslet_images or LensletKeys()
-    effects = {one: its for one, its in keys.hidden.items() if not issubclass(EFFECTS[one], FocusStageEffect)}
+    effects = {one: its for one, its in keys.hidden.items() if not hasattr(EFFECTS[one], "reached_nm")}
     scene = Scene(
         name=name,
         facility=_facility(instrument.facility, keys),
@@ -93,31 +93,21 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
         raise ConfigurationError(
             f"the profile {instrument.name} states no photons_per_s_m15, which mag_j needs; add the fact"
         )
-    _require_unfolded(scene)
-    _require_correction_band(scene)
-    return scene
-
-
-def _require_unfolded(scene: Scene) -> None:
-    """Refuse a window in which the image of a sampled pupil would repeat itself."""
-    needed = scene.needed_samples
+    needed = scene.needed_samples  # below, the image of a sampled pupil would repeat itself
     if needed > scene.pupil_samples:
         raise ConfigurationError(
             f"a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
             f"needs {needed} samples across the pupil; give sampling.pupil_samples >= {needed}, "
             "or a smaller window"
         )
-
-
-def _require_correction_band(scene: Scene) -> None:
-    """Refuse a residual whose correction band the usual sampling of the pupil cannot hold."""
-    cutoff_per_m, diameter_m = scene.facility.cutoff_per_m, scene.geometry.diameter_m
-    needed = math.ceil(2 * cutoff_per_m * diameter_m)
+    cutoff_per_m = scene.facility.cutoff_per_m  # the correction band must fit into the usual sampling
+    needed = math.ceil(2 * cutoff_per_m * scene.geometry.diameter_m)
     if scene.sky is not None and scene.sampling.pupil_samples is None and needed > scene.pupil_samples:
         raise ConfigurationError(
             f"sky.cutoff_per_m = {cutoff_per_m:g} needs {needed} samples across the "
             f"pupil; give sampling.pupil_samples >= {needed}, or a lower cut-off"
         )
+    return scene
 
 
 def _aberrations(
@@ -330,14 +320,15 @@ def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Gen
             yield _Member(own, place, offsets_nm[index], reached[place], angle_deg)
         return
     of_frames = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects, rng)
-    defocus: tuple[Defocus, Defocus]
+    commanded_nm: Defocus
+    true_nm: Defocus
     if isinstance(keys.introduced_nm, list):
-        defocus = tuple(keys.introduced_nm), tuple(of_frames.tolist())
+        commanded_nm, true_nm = tuple(keys.introduced_nm), tuple(of_frames.tolist())
     else:
-        defocus = keys.introduced_nm, float(of_frames[0])
+        commanded_nm, true_nm = keys.introduced_nm, float(of_frames[0])
     names = numbered(name, "angle", keys.angles_deg) if keys.angles_deg else [name]
     for index, (own, angle) in enumerate(zip(names, keys.angles_deg or [angle_deg], strict=True)):
-        yield _Member(own, index, *defocus, angle)
+        yield _Member(own, index, commanded_nm, true_nm, angle)
 
 
 def numbered(name: str, what: str, values: Sequence[float]) -> list[str]:
