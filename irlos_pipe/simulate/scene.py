@@ -17,7 +17,6 @@ from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects import effects_of
-from irlos_pipe.simulate.effects.base import RecordingSetup
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.mirror import Mirror
 from irlos_pipe.simulate.motion import Motion
@@ -86,8 +85,7 @@ class Scene:
     first_counter: int = 1000
 
     def __post_init__(self) -> None:
-        setup = RecordingSetup(self.geometry, len(self.bands), self.window, self.diversity_nm)
-        for problem in filter(None, (effect.misfit(setup) for effect in effects_of(self.effects))):
+        for problem in filter(None, (effect.misfit(self) for effect in self.acting("misfit"))):
             raise SceneError(problem)
         given = self.frames if isinstance(self.introduced_nm, float | int) else len(self.introduced_nm)
         if given != self.frames:

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.simulate.detector import Axis, Pattern, Pixel, Pixels, marked, outside_window, shared
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 
 Kind = Literal["hot", "dead", "stuck"]
 
@@ -81,8 +81,8 @@ class BadPixels(SimulatedEffect):
     kind: Kind = "hot"
     level_e: float = key(1000.0, "e- per frame, of hot and stuck pixels", ge=0.0, le=1e6)
 
-    def misfit(self, setup: RecordingSetup) -> str:
-        return outside_window("effects.bad_pixels", self.pixels, setup.window)
+    def misfit(self, scene: Any) -> str:
+        return outside_window("effects.bad_pixels", self.pixels, scene.window)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
         bad, level_e = marked(self.pixels, pixels.response.shape), self.level_e / pixels.reads

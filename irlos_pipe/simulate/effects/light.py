@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.keys import key
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
 
 GHOST_NODES = 6  # nodes per axis of the Gauss–Hermite rule for the blur of a ghost
@@ -24,10 +25,12 @@ class Spectrum(SimulatedEffect):
     # factor on the photons of each band
     weights: Sequence[float] | None = key(None, "factor on the photons of each band", ge=0.0, le=1000.0)
 
-    def misfit(self, setup: RecordingSetup) -> str:
-        if self.weights is None or len(self.weights) == setup.bands:
+    def misfit(self, scene: Any) -> str:
+        if self.weights is None or len(self.weights) == len(scene.bands):
             return ""
-        return f"effects.spectrum.weights has {len(self.weights)} factors; give one per band, {setup.bands}"
+        return (
+            f"effects.spectrum.weights has {len(self.weights)} factors; give one per band, {len(scene.bands)}"
+        )
 
     def spectrum(
         self, wavelengths_nm: np.ndarray, weights: np.ndarray, bands: Sequence[Band]

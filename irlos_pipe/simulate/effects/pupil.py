@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.simulate.aperture import petal_count, petal_index, segment_count, segment_index
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.telescope import Telescope
 
 
@@ -83,10 +84,10 @@ class LowWindEffect(SimulatedEffect):
     tip_nm: Sequence[float] | None = None
     tilt_nm: Sequence[float] | None = None
 
-    def misfit(self, setup: RecordingSetup) -> str:
+    def misfit(self, scene: Any) -> str:
         """Return why there are not as many values as petals."""
         given = {"piston_nm": self.piston_nm, "tip_nm": self.tip_nm, "tilt_nm": self.tilt_nm}
-        return _misfit(self.name, "petals", petal_count(setup.geometry), given)
+        return _misfit(self.name, "petals", petal_count(scene.geometry), given)
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         index, radius_m = petal_index(geometry, x_m, y_m), geometry.diameter_m / 2
@@ -105,9 +106,9 @@ class SegmentPiston(SimulatedEffect):
     name = "segment_piston"
     piston_nm: Sequence[float]
 
-    def misfit(self, setup: RecordingSetup) -> str:
+    def misfit(self, scene: Any) -> str:
         """Return why there are not as many values as segments."""
-        return _misfit(self.name, "segments", segment_count(setup.geometry), {"piston_nm": self.piston_nm})
+        return _misfit(self.name, "segments", segment_count(scene.geometry), {"piston_nm": self.piston_nm})
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         return np.asarray(self.piston_nm, float)[segment_index(geometry, x_m, y_m)]

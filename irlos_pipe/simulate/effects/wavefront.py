@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.telescope import Telescope
 
 REST_NM = 0.0  # where the focus stage stands before the first move
@@ -38,8 +39,8 @@ class DiversityError(SimulatedEffect):
     name = "diversity_error"
     nm: float = key(ge=-1e4, le=1e4)
 
-    def misfit(self, setup: RecordingSetup) -> str:
-        if any(setup.diversity_nm.values()):
+    def misfit(self, scene: Any) -> str:
+        if any(scene.diversity_nm.values()):
             return ""
         return "effects.diversity_error needs a diversity; add the section 'diversity'"
 
