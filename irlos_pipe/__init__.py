@@ -17,7 +17,7 @@ HOMES = {
     "run": "api.running",
     "open_run": "api.running",
     "read_product": "product.storage",
-    "figures": "report.figures",
+    "figures": "report.build",
     "calibrate": "api.reducing",
     "lift": "api.reducing",
     "diagnose": "api.reducing",

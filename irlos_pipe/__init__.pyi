@@ -13,7 +13,7 @@ from irlos_pipe.optics.zernike import noll_nm as noll_nm
 from irlos_pipe.product.storage import read_product as read_product
 from irlos_pipe.recipe import load_recipe as load_recipe
 from irlos_pipe.reference.lookup import explain as explain
-from irlos_pipe.report.figures import figures as figures
+from irlos_pipe.report.build import figures as figures
 
 __version__: str
 HOMES: dict[str, str]

@@ -77,9 +77,9 @@ SCIENCE_MAY_USE = {
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 530, "commands": 1920, "control": 510, "conventions": 1000, "diagnosis": 6300, "effects": 4100,
-    "esorex": 110, "estimate": 7110, "files": 980, "focus": 2350, "frames": 2020, "instrument": 860,
-    "night": 3410, "numerics": 910, "optics": 3670, "paper": 5610, "pipeline": 1190, "product": 2440,
-    "readers": 2520, "recipe": 390, "reference": 320, "report": 4300, "simulate": 4350, "stages": 6890,
+    "esorex": 110, "estimate": 7110, "files": 980, "focus": 2340, "frames": 2000, "instrument": 860,
+    "night": 3380, "numerics": 910, "optics": 3670, "paper": 5610, "pipeline": 1170, "product": 2430,
+    "readers": 2500, "recipe": 390, "reference": 320, "report": 4260, "simulate": 4200, "stages": 6720,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))
@@ -143,25 +143,6 @@ def test_every_module_belongs_to_a_package_of_the_list():
 @pytest.mark.parametrize("module", MODULES[1:], ids=str)
 def test_a_module_imports_only_what_its_package_may(module):
     assert violations(text(module), module) == []
-
-
-@pytest.mark.parametrize(
-    ("source", "module", "expected"),
-    [
-        ("import h5py", "irlos_pipe/optics/x.py", ["h5py"]),
-        ("from pathlib import Path", "irlos_pipe/optics/psf.py", ["pathlib"]),
-        ("from ..estimate import lift", "irlos_pipe/optics/x.py", ["irlos_pipe.estimate"]),
-        ("from irlos_pipe import optics, pipeline", "irlos_pipe/estimate/x.py", ["irlos_pipe.pipeline"]),
-        ("def f():\n    from irlos_pipe.commands.main import cli", "irlos_pipe/stages/x.py",
-         ["irlos_pipe.commands.main"]),
-        ("from irlos_pipe.simulate.scene import Scene", "irlos_pipe/simulate/recordings/x.py", []),
-        ("from irlos_pipe.simulate.recordings import spec", "irlos_pipe/simulate/x.py",
-         ["irlos_pipe.simulate.recordings"]),
-        ("from .base import A\nfrom ..optics import B\nimport numpy.fft", "irlos_pipe/effects/x.py", []),
-    ],
-)  # fmt: skip
-def test_the_guard_sees_forbidden_imports_and_lets_others_pass(source, module, expected):
-    assert violations(source, Path(module)) == expected
 
 
 @pytest.mark.parametrize("package", LINES)

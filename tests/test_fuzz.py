@@ -83,6 +83,3 @@ def test_the_judge_sees_a_misdeed(deed, monkeypatch):
     monkeypatch.setattr(judge, "cli", command)
     monkeypatch.setattr(judge, "TIME_S", 0.2)
     assert DEEDS[deed] in judge.judged("recipe", 0).finding
-
-
-# -- the journal of searches that go on where they stopped --------------------------------------

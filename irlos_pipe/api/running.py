@@ -58,7 +58,7 @@ class Run(Mapping[str, Product]):
 
     def figures(self) -> dict[str, Figure]:
         """Return the figures of the report by name, drawn again, see `figures`."""
-        from irlos_pipe.report.figures import figures
+        from irlos_pipe.report.build import figures
 
         return figures(self.path)
 
@@ -67,7 +67,7 @@ class Run(Mapping[str, Product]):
 
         Raises `ConfigurationError` for an unknown name, and for a figure of several axes on `axes`.
         """
-        from irlos_pipe.report.figures import figure
+        from irlos_pipe.report.build import figure
 
         return figure(self.path, name, axes)
 

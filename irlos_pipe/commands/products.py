@@ -130,8 +130,7 @@ def report(
     if formats and not figures:
         raise click.UsageError("--format is that of the figures: give --figures as well")
     with owned_folder(existing_run(folder).path) as run_folder:
-        from irlos_pipe.report.build import write_report
-        from irlos_pipe.report.figures import FORMATS, write_figures
+        from irlos_pipe.report.build import FORMATS, write_figures, write_report
 
         with readable(folder):
             click.echo(write_report(run_folder.path))

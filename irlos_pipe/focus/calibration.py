@@ -256,7 +256,14 @@ class CalibrationRequest:
     def _frames(self, ctx: StageContext[Config]) -> _Frames:
         """How frames are taken, good pixels, the noise of one, and those of the ramp."""
         if self.acquisition is None:
-            return _like_the_ramp(ctx, self.run)
+            recordings = recordings_from_product(ctx.products["ingest"])
+            if not any(one.input == ctx.config.input and one.acquisition.role in ROLES for one in recordings):
+                raise ConfigurationError(
+                    f"{self.run}: has no input '{ctx.config.input}' that says how the frames of the loop are "
+                    "taken; describe them with --acquisition FILE"
+                )
+            ramp = read_ramp(ctx, ctx.config.input)
+            return ramp.recordings[0], ramp.data.good.numpy(), ramp.data.noise, ramp.data.images_e.numpy()
         calibrated = recordings_from_product(ctx.products["ingest"])[0]
         window = self.window or calibrated.window
         good = calibrated.good if calibrated.window == window else np.ones(window, bool)
@@ -276,18 +283,6 @@ def _failed_checks(folder: RunFolder) -> str:
 
 def _no_progress(*_: object, **__: object) -> None:
     raise NotImplementedError("a loop shows no progress bars")
-
-
-def _like_the_ramp(ctx: StageContext[Config], run: Path) -> _Frames:
-    """As the stage `lift` takes the run's own ramp."""
-    recordings = recordings_from_product(ctx.products["ingest"])
-    if not any(one.input == ctx.config.input and one.acquisition.role in ROLES for one in recordings):
-        raise ConfigurationError(
-            f"{run}: has no input '{ctx.config.input}' that says how the frames of the loop are taken; "
-            "describe them with --acquisition FILE"
-        )
-    ramp = read_ramp(ctx, ctx.config.input)
-    return ramp.recordings[0], ramp.data.good.numpy(), ramp.data.noise, ramp.data.images_e.numpy()
 
 
 def _described(path: Path, window: tuple[int, int], instrument: Instrument) -> Recording:

@@ -66,7 +66,15 @@ class RingWriter:
     def __init__(self, path: Path, window: tuple[int, int], slots: int = 64):
         self._shape = _Shape(*window, slots)
         if not path.exists():
-            _create(path, self._shape)
+            temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+            try:
+                with open(temporary, "wb") as stream:
+                    stream.write(HEAD.pack(MAGIC, VERSION, *self._shape))
+                    stream.flush()
+                    os.posix_fallocate(stream.fileno(), 0, self._shape.size)
+                os.replace(temporary, path)
+            finally:
+                temporary.unlink(missing_ok=True)
         rows, columns, kept = found = _shape_of(path)
         if found != self._shape:
             raise InputDataError(
@@ -217,45 +225,26 @@ def _crc(counter: int, unix_s: float, pixels: bytes) -> int:
     return zlib.crc32(pixels, zlib.crc32(struct.pack("<qd", counter, unix_s)))
 
 
-def _create(path: Path, shape: _Shape) -> None:
-    """Make an empty ring that appears whole."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(temporary, "wb") as stream:
-            stream.write(HEAD.pack(MAGIC, VERSION, *shape))
-            stream.flush()
-            os.posix_fallocate(stream.fileno(), 0, shape.size)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def _opened(path: Path) -> tuple[int, _Shape]:
     """A descriptor of a ring, and its shape."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # of a pipe, too, without waiting
         try:
-            return descriptor, _checked(
-                path, os.pread(descriptor, HEAD.size, 0), os.fstat(descriptor).st_size
-            )
+            head = os.pread(descriptor, HEAD.size, 0)
+            if len(head) < HEAD.size or not head.startswith(MAGIC):
+                raise InputDataError(
+                    f"{path}: not a ring of frames; give the file that the recorder writes frames to"
+                )
+            _, version, *numbers = HEAD.unpack(head)
+            shape = _Shape(*numbers)
+            sound = 0 < shape.rows <= LARGEST_SIDE and 0 < shape.columns <= LARGEST_SIDE and shape.slots > 1
+            if version != VERSION or not sound or os.fstat(descriptor).st_size < shape.size:
+                raise InputDataError(
+                    f"{path}: a damaged ring of frames, or one of another version; let it be made anew"
+                )
+            return descriptor, shape
         except BaseException:
             os.close(descriptor)
             raise
     except OSError as error:
         raise InputDataError(f"{path}: cannot be read as a ring of frames: {error.strerror}") from error
-
-
-def _checked(path: Path, head: bytes, size: int) -> _Shape:
-    """What the head of a file of some size states."""
-    if len(head) < HEAD.size or not head.startswith(MAGIC):
-        raise InputDataError(
-            f"{path}: not a ring of frames; give the file that the recorder writes frames to"
-        )
-    _, version, *numbers = HEAD.unpack(head)
-    shape = _Shape(*numbers)
-    sound = 0 < shape.rows <= LARGEST_SIDE and 0 < shape.columns <= LARGEST_SIDE and shape.slots > 1
-    if version != VERSION or not sound or size < shape.size:
-        raise InputDataError(
-            f"{path}: a damaged ring of frames, or one of another version; let it be made anew"
-        )
-    return shape

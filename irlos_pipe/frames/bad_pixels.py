@@ -29,12 +29,11 @@ MAX_ROUNDS = 60
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits beyond which a pixel counts as bad."""
+    """Limits beyond which a pixel counts as bad, by their keys in a recipe."""
 
-    # sigma, fraction: deviation from the neighbours over the noise, and over their own brightness; both must
-    # be exceeded
-    sigma: float
-    fraction: float
+    # deviation from the neighbours over the noise, and over their own brightness; both must be exceeded
+    bad_pixel_sigma: float
+    bad_pixel_fraction: float
     stuck_ratio: float  # scatter over time of a stuck pixel over the read noise
     noisy_ratio: float  # scatter of a noisy pixel over the scatter expected
     flicker_fraction: float  # of the frames, in which a pixel may be hit before it counts as bad
@@ -145,7 +144,7 @@ def _deviation(sample: np.ndarray, good: np.ndarray, by: Criteria) -> tuple[np.n
     tolerated = np.maximum(
         optical_limit(prediction, mean, thresholds), _usual(deviation, prediction, mean, good)
     )
-    return deviation, np.maximum(thresholds.sigma * scale * sigma, tolerated)
+    return deviation, np.maximum(thresholds.bad_pixel_sigma * scale * sigma, tolerated)
 
 
 def optical_limit(prediction: Prediction, mean: np.ndarray, thresholds: Thresholds) -> np.ndarray:
@@ -155,8 +154,8 @@ def optical_limit(prediction: Prediction, mean: np.ndarray, thresholds: Threshol
     `thresholds` those over brightness and noise are used.
     """
     around = np.sqrt(scipy.ndimage.uniform_filter(np.square(mean), size=2 * REACH_PX + 1, mode="nearest"))
-    by_optics = thresholds.sigma * prediction.error * around
-    return np.hypot(thresholds.fraction * _brightness(prediction, mean), by_optics)
+    by_optics = thresholds.bad_pixel_sigma * prediction.error * around
+    return np.hypot(thresholds.bad_pixel_fraction * _brightness(prediction, mean), by_optics)
 
 
 def _brightness(prediction: Prediction, mean: np.ndarray) -> np.ndarray:
@@ -186,7 +185,7 @@ def _noise_ratio(sample: np.ndarray, prediction: Prediction, by: Criteria) -> np
     mean = sample.mean(axis=0, dtype=np.float64)
     scatter = _inner_scatter(sample - prediction.of(sample))
     expected = np.sqrt(prediction.variance(by.noise.variance_e2(mean)))
-    by_optics = optical_limit(prediction, mean, by.thresholds) / by.thresholds.sigma
+    by_optics = optical_limit(prediction, mean, by.thresholds) / by.thresholds.bad_pixel_sigma
     tolerated = np.hypot(expected, by_optics)
     ratio = scatter / tolerated
     return ratio / np.maximum(1.0, scipy.ndimage.median_filter(ratio, size=9, mode="nearest"))

@@ -120,7 +120,7 @@ def _cleaned(
     valid = picked(raw.adu, reasons == "")
     level = saturation_level(valid, detector)
     good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, by.thresholds.stuck_ratio)
-    reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.saturated_px), SATURATED)
+    reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.max_saturated_px), SATURATED)
     background = find_background(valid, raw.calibration, good, raw.lenslets)
     good &= ~background.bad
     if raw.calibration.dark_adu is not None:
@@ -151,6 +151,12 @@ def _cleaned(
     noise = MeasuredNoise()
     if by.well_sampled:
         noise = measure_noise(_sample(images, used), good, by.prediction(good), by.noise)
+    # Without a dark or sky the detector's own pattern is in the frames and counts as noise of a dark.
+    taken = raw.calibration.dark_adu is not None or raw.calibration.background_adu is not None
+    at_most_e2 = raw.calibration.dark_variance_adu2 * detector.e_per_adu**2 if taken else np.inf
+    sky = raw.calibration.background_adu
+    sky_e = 0.0 if sky is None else max(0.0, float(np.nanmedian(sky)) * detector.e_per_adu)
+    known_e2 = max(sky_e, detector.background_e) * detector.excess_noise_factor
     return Cleaned(
         images_e=images,
         reasons=reasons,
@@ -160,8 +166,8 @@ def _cleaned(
         clipped=clipped_often,
         noise=noise,
         saturation_adu=level,
-        background_variance_e2=_background_variance_e2(raw.calibration, detector, noise),
-        dark_variance_e2=_dark_variance_e2(raw.calibration, detector, picked(images, reasons == ""), good),
+        background_variance_e2=max(noise.beyond_e2(detector.read_noise_e**2), known_e2),
+        dark_variance_e2=dark_variance_e2(picked(images, reasons == ""), good, at_most_e2),
     )
 
 
@@ -201,26 +207,6 @@ def _odd(
     if by.well_sampled and len(used) >= FRAMES_TO_COMPARE:
         odd[used] = odd_frames(images, used, good, core, by)
     return odd
-
-
-def _background_variance_e2(maps: CalibrationMaps, detector: Detector, noise: MeasuredNoise) -> float:
-    """Variance beyond read noise and star: measured, else from the sky as recorded or declared."""
-    sky = maps.background_adu
-    sky_e = 0.0 if sky is None else max(0.0, float(np.nanmedian(sky)) * detector.e_per_adu)
-    known_e2 = max(sky_e, detector.background_e) * detector.excess_noise_factor
-    return max(noise.beyond_e2(detector.read_noise_e**2), known_e2)
-
-
-def _dark_variance_e2(
-    maps: CalibrationMaps, detector: Detector, images_e: np.ndarray, good: np.ndarray
-) -> float:
-    """Noise of the dark: not more than the dark itself says, nor than the mean of the frames shows.
-
-    Where neither dark nor sky was taken, the detector's own pattern is in the frames and counts instead.
-    """
-    taken = maps.dark_adu is not None or maps.background_adu is not None
-    at_most_e2 = maps.dark_variance_adu2 * detector.e_per_adu**2 if taken else np.inf
-    return dark_variance_e2(images_e, good, at_most_e2)
 
 
 def find_background(

@@ -88,7 +88,7 @@ def _excess(
     usual = np.median(sample - prediction.of(sample), axis=0)
     mean = sample.mean(axis=0, dtype=np.float64)
     sigma = np.sqrt(prediction.variance(by.noise.variance_e2(mean)))
-    limit = np.maximum(by.thresholds.sigma * sigma, optical_limit(prediction, mean, by.thresholds))
+    limit = np.maximum(by.thresholds.bad_pixel_sigma * sigma, optical_limit(prediction, mean, by.thresholds))
     most = []
     for block in blocks(len(frames)):
         searched = images_e[frames[block]]

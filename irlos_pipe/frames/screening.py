@@ -31,16 +31,16 @@ COMBINED_VARIANCE = 0.25  # variance over that of the others: the mean of five o
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits beyond which a frame is not used."""
+    """Limits beyond which a frame is not used, by their keys in a recipe."""
 
-    saturated_px: int  # saturated pixels that are tolerated
-    star_snr: float  # peak of the star over the noise, both after averaging over 3x3 pixels
-    edge_px: float  # distance of the star from the edge of the window [px]
+    max_saturated_px: int  # saturated pixels that are tolerated
+    min_star_snr: float  # peak of the star over the noise, both after averaging over 3x3 pixels
+    min_edge_px: float  # distance of the star from the edge of the window [px]
     # deviation from the median flux over its robust scatter, and over the median; both must be exceeded
     flux_sigma: float
     flux_fraction: float
     core_fraction: float  # pixels brighter than this fraction of the peak are the core
-    core_hits_px: int  # hit pixels of the core that are tolerated; their neighbours determine so few
+    max_core_hits_px: int  # hit pixels of the core that are tolerated; their neighbours determine so few
 
 
 def no_reasons(frames: int) -> np.ndarray:
@@ -146,14 +146,14 @@ def star_faults(
     if used.size == 0:
         return reasons
     typical = np.median(images_e[used[sample_frames(len(used))]], axis=0)
-    bright = star_peaks(typical[None]).snr[0] >= limits.star_snr
-    if not (bright or spread_stars(typical[None], limits.star_snr)[0]):
+    bright = star_peaks(typical[None]).snr[0] >= limits.min_star_snr
+    if not (bright or spread_stars(typical[None], limits.min_star_snr)[0]):
         return also(reasons, np.ones(len(reasons), dtype=bool), NO_STAR)
     peaks = star_peaks(images_e)
-    if np.median(peaks.snr[used]) > 2 * limits.star_snr:
-        doubtful = (peaks.snr < limits.star_snr) | (peaks.edge_px < limits.edge_px)
-        doubtful[doubtful] = ~spread_stars(images_e[doubtful], limits.star_snr)
-        reasons = also(reasons, doubtful & (peaks.snr < limits.star_snr), NO_STAR)
+    if np.median(peaks.snr[used]) > 2 * limits.min_star_snr:
+        doubtful = (peaks.snr < limits.min_star_snr) | (peaks.edge_px < limits.min_edge_px)
+        doubtful[doubtful] = ~spread_stars(images_e[doubtful], limits.min_star_snr)
+        reasons = also(reasons, doubtful & (peaks.snr < limits.min_star_snr), NO_STAR)
         reasons = also(reasons, doubtful, AT_EDGE)
     reasons = also(reasons, combined_frames(images_e, reasons == ""), COMBINED)
     flux_e, planes = frame_flux(images_e), np.zeros(len(reasons)) if plane is None else plane
@@ -208,4 +208,4 @@ def core_of(mean_e: np.ndarray, limits: Limits) -> np.ndarray:
 def hit_in_core(hits: Hits, core: np.ndarray, frames: int, limits: Limits) -> np.ndarray:
     """Return which of so many `frames` have more `hits` in the `core` of the star than `limits` tolerates."""
     in_core = core[hits.row, hits.column]
-    return np.bincount(hits.frame[in_core], minlength=frames) > limits.core_hits_px
+    return np.bincount(hits.frame[in_core], minlength=frames) > limits.max_core_hits_px

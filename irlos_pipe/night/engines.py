@@ -71,7 +71,10 @@ def dask_runner(scheduler: str) -> Runner:
         When no worker joins the cluster.
     """
     _distributed()
-    if not _is_private(scheduler):
+    # private: within this process, this machine, or with certificates
+    scheme, _, location = scheduler.rpartition("://")
+    host = location.rpartition(":")[0].strip("[]")
+    if not (scheme in ("tls", "inproc") or host in ("localhost", "::1") or host.startswith("127.")):
         RUN.warning(
             "--scheduler %s: whoever reaches it can run programs as its user; use tls:// (docs/scale_out.md)",
             scheduler,
@@ -90,13 +93,6 @@ def dask_runner(scheduler: str) -> Runner:
                 yield _outcome(future, task)
 
     return run
-
-
-def _is_private(scheduler: str) -> bool:
-    """Whether no one else can reach a scheduler: within this process, this machine, or with certificates."""
-    scheme, _, location = scheduler.rpartition("://")
-    host = location.rpartition(":")[0].strip("[]")
-    return scheme in ("tls", "inproc") or host in ("localhost", "::1") or host.startswith("127.")
 
 
 def _futures(

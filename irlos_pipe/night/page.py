@@ -1,7 +1,7 @@
 """The page of a night, night_<date>.html: recordings, reductions, trend."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from irlos_pipe.files.atomic import write_bytes, write_if_changed
-from irlos_pipe.night.recordings import Description, utc_time
+from irlos_pipe.night.recordings import utc_time
 from irlos_pipe.night.reduce import UNCHANGED, Job, Reduced
 from irlos_pipe.night.state import Night, page_path
 from irlos_pipe.night.terminal import validity_number, validity_text
@@ -51,14 +51,10 @@ GAP_LEAD = "Gap: Σ|measured − predicted| / Σ measured of frames that no fit 
 MAX_VERDICT_ROWS, MAX_VERDICTS = 30, 4  # rows of the table, and numbers at the top
 FEW_ROWS = 12  # rows above which a table is folded
 REDUCTION_COLUMNS = ("group", "recipe", "target", "result", "what was done", "why", "report")
-VERDICT_COLUMNS = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
 INDEX_NUMBERS = ("chi2_nu", "ncpa_nm", "defocus_bias_nm")
 INDEX_COLUMNS = (
     "night", "reduction", "target", "result", "checks passed", "χ²/ν", "NCPAs [nm]", "defocus bias [nm]",
     "diagnosis",
-)  # fmt: skip
-RECORDING_COLUMNS = (
-    "recording", "role", "begin (UTC)", "target", "frames", "window [px]", "exposure", "configuration",
 )  # fmt: skip
 
 
@@ -116,12 +112,6 @@ def _listed(one: Mapping[str, Any]) -> tuple[str, ...]:
         *(with_error(one[name][0], one[name][1], ".3g") if name in one else "" for name in INDEX_NUMBERS),
         one["verdict"] or "",
     )
-
-
-def is_finished(tree: Path, date: str) -> bool:
-    """Whether the page in `tree` of a `date` exists and is not that of a run that was killed or stopped."""
-    path = page_path(tree, date)
-    return path.is_file() and FINISHED.encode() in path.read_bytes()
 
 
 def _status(night: Night) -> str:
@@ -202,21 +192,23 @@ def _verdicts(trend: Trend, date: str) -> Section | None:
     """The verdicts of `diagnose` up to the night of `date`."""
     latest = [one for one in trend.verdicts if one.night <= date][-MAX_VERDICT_ROWS:][::-1]
     gaps = _gaps(trend)
-    rows = [
-        (
-            one.night,
-            one.group,
-            one.target or MISSING,
-            one.verdict,
-            ", ".join(one.effects) or MISSING,
-            *(number(gaps.get((one.run, f"gap_{when}")), ".4f") for when in ("before", "after", "floor")),
-        )
-        for one in latest
-    ]
-    marks = ["bad" if one.verdict == "unknown" else "" for one in latest]
-    title, folded = plural(len(rows), "verdict"), len(rows) > FEW_ROWS
-    table = Table(VERDICT_COLUMNS, rows, title, marks=marks, folded=folded)
-    return Section("verdicts", "What the model lacks", GAP_LEAD, [table]) if rows else None
+    table = Table.of(
+        latest,
+        {
+            "night": lambda one: one.night,
+            "group": lambda one: one.group,
+            "target": lambda one: one.target or MISSING,
+            "verdict": lambda one: one.verdict,
+            "effects": lambda one: ", ".join(one.effects) or MISSING,
+            "gap before": lambda one: number(gaps.get((one.run, "gap_before")), ".4f"),
+            "gap after": lambda one: number(gaps.get((one.run, "gap_after")), ".4f"),
+            "floor": lambda one: number(gaps.get((one.run, "gap_floor")), ".4f"),
+        },
+        plural(len(latest), "verdict"),
+        marks=["bad" if one.verdict == "unknown" else "" for one in latest],
+        folded=len(latest) > FEW_ROWS,
+    )
+    return Section("verdicts", "What the model lacks", GAP_LEAD, [table]) if latest else None
 
 
 def trend_section(trend: Trend) -> Section | None:
@@ -269,28 +261,25 @@ def main_series(trend: Trend, name: str) -> Series | None:
 def _left_out(night: Night) -> Section | None:
     left = [*night.not_reduced, *night.unusable]
     rows = [(one.recording.name, one.recording.role or MISSING, _wrapped(one.reason)) for one in left]
-    marks = ["bad" if one.alarming else "" for one in left]
-    table = Table(("recording", "role", "why"), rows, marks=marks)
+    table = Table(("recording", "role", "why"), rows, marks=["bad" if one.alarming else "" for one in left])
     return Section("left-out", "Not reduced", "", [table]) if rows else None
 
 
 def _recordings(night: Night) -> Section | None:
     ordered = sorted(night.recordings, key=lambda one: (one.start_unix_s or 0.0, one.name))
-    rows = list(_recording_rows(ordered))
-    title, folded = plural(len(rows), "recording"), len(rows) > FEW_ROWS
-    table = Table(RECORDING_COLUMNS, rows, title, folded=folded)
-    return Section("recordings", "Recordings", "", [table]) if rows else None
-
-
-def _recording_rows(recordings: list[Description]) -> Iterator[tuple[str, ...]]:
-    for one in recordings:
-        yield (
-            one.name,
-            one.role,
-            utc_time(one.start_unix_s) or f"not stated; night by {one.night_by}",
-            one.target or MISSING,
-            str(one.frames),
-            f"{one.window[0]}x{one.window[1]}",
-            number(one.exposure_s, "g", "s"),
-            one.configuration,
-        )
+    table = Table.of(
+        ordered,
+        {
+            "recording": lambda one: one.name,
+            "role": lambda one: one.role,
+            "begin (UTC)": lambda one: utc_time(one.start_unix_s) or f"not stated; night by {one.night_by}",
+            "target": lambda one: one.target or MISSING,
+            "frames": lambda one: str(one.frames),
+            "window [px]": lambda one: f"{one.window[0]}x{one.window[1]}",
+            "exposure": lambda one: number(one.exposure_s, "g", "s"),
+            "configuration": lambda one: one.configuration,
+        },
+        plural(len(ordered), "recording"),
+        folded=len(ordered) > FEW_ROWS,
+    )
+    return Section("recordings", "Recordings", "", [table]) if ordered else None

@@ -197,7 +197,11 @@ def _describe(
     """Describe the recording in a file; `single` if no other lies in its folder."""
     if not file.is_file():
         raise InputDataError(f"{file}: not a regular file, or a link to one that is gone")
-    stamp = _stamp(file, keys, single)
+    parts: list[Any] = [DESCRIPTION_VERSION, single, keys]
+    for path in files_of(file):
+        status = path.stat()
+        parts += [path, status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
+    stamp = canonical_json(parts)
     known = _stored(database.description(file, stamp))
     if known is not None:
         return known
@@ -254,12 +258,3 @@ def _described(file: Path, source: Source, single: bool, instrument: Instrument,
 def _night_of_file(path: Path, instrument: Instrument) -> str:
     """The date in the path, else the night when the file was written."""
     return date_in_path(path) or night_of(path.stat().st_mtime, instrument.longitude_deg)
-
-
-def _stamp(file: Path, keys: AcquisitionKeys, single: bool) -> str:
-    """Everything that the description depends on: settings, and sizes and times of the files."""
-    parts: list[Any] = [DESCRIPTION_VERSION, single, keys]
-    for path in files_of(file):
-        status = path.stat()
-        parts += [path, status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
-    return canonical_json(parts)

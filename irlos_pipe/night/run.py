@@ -13,10 +13,10 @@ from irlos_pipe.night import reduce
 from irlos_pipe.night.database import NAME, Database, copied, opened
 from irlos_pipe.night.grouping import Group, group_recordings
 from irlos_pipe.night.numbers import read_measurements
-from irlos_pipe.night.page import is_finished, write_index, write_page
+from irlos_pipe.night.page import FINISHED, write_index, write_page
 from irlos_pipe.night.recordings import LeftOut, date_in_path, discover, known_recordings, night_of
 from irlos_pipe.night.settings import NightSettings
-from irlos_pipe.night.state import Night, RunState, read_acknowledged
+from irlos_pipe.night.state import Night, RunState, page_path, read_acknowledged
 from irlos_pipe.night.trend import make_trend
 from irlos_pipe.pipeline import Step
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
@@ -220,7 +220,8 @@ def _write_pages(request: Request, state: RunState) -> None:
 
 
 def _needs_page(request: Request, night: Night) -> bool:
-    return night.changed or not is_finished(request.tree, night.date)
+    page = page_path(request.tree, night.date)  # it may be that of a run that was killed or stopped
+    return night.changed or not (page.is_file() and FINISHED.encode() in page.read_bytes())
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files import shipped
 from irlos_pipe.files.shipped import named_file
 from irlos_pipe.files.validation import absolute, read_validated
+from irlos_pipe.product.results import item
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 Kind = Literal["calibration", "ramp", "derotator", "psf", "two_by_two"]
@@ -39,19 +40,19 @@ class _Section(BaseModel):
 class BandSettings(_Section):
     """When a number counts as out of its band; see `bands.band_of`."""
 
-    false_alarm: float = Field(default=1e-4, gt=0, lt=0.5, description="false-alarm probability per number")
-    nights: int = Field(default=60, ge=3, le=10000, description="number of latest earlier nights used")
-    least_nights: int = Field(
-        5, ge=3, le=1000, description="fewest earlier nights that give a band to a number without error"
+    false_alarm: float = item(1e-4, "false-alarm probability per number", gt=0, lt=0.5)
+    nights: int = item(60, "number of latest earlier nights used", ge=3, le=10000)
+    least_nights: int = item(
+        5, "fewest earlier nights that give a band to a number without error", ge=3, le=1000
     )
-    least_nights_with_errors: int = Field(
-        3, ge=2, le=1000, description="fewest earlier nights that give a band to a number with an error"
+    least_nights_with_errors: int = item(
+        3, "fewest earlier nights that give a band to a number with an error", ge=2, le=1000
     )
-    limits: dict[str, Limits] = Field(
-        default={}, description="number: [low, high], null for no limit; alarms also where the sky decides"
+    limits: dict[str, Limits] = item(
+        {}, "number: [low, high], null for no limit; alarms also where the sky decides"
     )
-    valid_change_nm: float = Field(
-        default=20.0, gt=0, description="RMS change of the NCPAs until which a calibration is valid [nm]"
+    valid_change_nm: float = item(
+        20.0, "RMS change of the NCPAs until which a calibration is valid [nm]", gt=0
     )
 
     @field_validator("limits")
@@ -70,23 +71,17 @@ class BandSettings(_Section):
 class NightSettings(_Section):
     """The file given with ``--config``; every key is optional."""
 
-    instrument: str = Field(default="irlos", description="profile of recordings whose side-cars state none")
-    acquisition: AcquisitionKeys = Field(
-        default=AcquisitionKeys(), description="side-car keys that override the side-cars"
+    instrument: str = item("irlos", "profile of recordings whose side-cars state none")
+    acquisition: AcquisitionKeys = item(AcquisitionKeys(), "side-car keys that override the side-cars")
+    recipes: dict[Kind, list[str]] = item(
+        {}, "recipes by kind of group: names, or paths relative to this file"
     )
-    recipes: dict[Kind, list[str]] = Field(
-        default={}, description="recipes by kind of group: names, or paths relative to this file"
+    settings: dict[str, dict[str, Any]] = item({}, "recipe name: {stage.key: value}")
+    series_gap_min: float = item(30.0, "longest time between two recordings of a series [min]", gt=0, le=1440)
+    calibration_nights: int = item(
+        7, "a ramp may use a calibration up to this many nights away", ge=0, le=400
     )
-    settings: dict[str, dict[str, Any]] = Field(default={}, description="recipe name: {stage.key: value}")
-    series_gap_min: float = Field(
-        default=30.0, gt=0, le=1440, description="longest time between two recordings of a series [min]"
-    )
-    calibration_nights: int = Field(
-        default=7, ge=0, le=400, description="a ramp may use a calibration up to this many nights away"
-    )
-    limit_min: float = Field(
-        default=60.0, gt=0, description="longest time for one reduction [min]; it is stopped then"
-    )
+    limit_min: float = item(60.0, "longest time for one reduction [min]; it is stopped then", gt=0)
     band: BandSettings = Field(default=BandSettings())
 
     def recipes_of(self, kind: Kind) -> list[Path]:

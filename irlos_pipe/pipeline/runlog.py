@@ -18,10 +18,6 @@ TRACE = ROOT.getChild("trace")
 WARNINGS = logging.getLogger("py.warnings")
 
 
-def stage_logger(name: str) -> logging.Logger:
-    return ROOT.getChild(f"stage.{name}")
-
-
 @contextmanager
 def written_to(path: Path) -> Iterator[None]:
     """Append all messages of the package, and Python warnings, to a file while the block lasts.

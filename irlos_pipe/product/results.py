@@ -32,9 +32,9 @@ EffectValues = dict[str, Any]
 LOST = "Lost"  # begins the lines of a summary that say which exposures failed
 
 
-def item(default: Any, meaning: str = "") -> Any:
-    """Return the field of a model of results: its value where a file lacks it, and what it means."""
-    return Field(default, description=meaning)
+def item(default: Any, meaning: str = "", **limits: Any) -> Any:
+    """Return the field of a model of results or settings: value where it is not given, meaning, limits."""
+    return Field(default, description=meaning, **limits)
 
 
 class ResultsPart(BaseModel):

@@ -335,12 +335,6 @@ def version_folders(folder: Path) -> list[Path]:
     return sorted((path for path in found if path.is_dir()), key=lambda path: int(path.name))
 
 
-def new_version(folder: Path) -> Path:
-    """Return the folder of the version after the newest in a `folder`; it is not made here."""
-    there = version_folders(folder)
-    return folder / f"{(int(there[-1].name) if there else 0) + 1:0{DIGITS}d}"
-
-
 def require_free_for_versions(folder: Path) -> None:
     """Refuse a `folder` with files in it that are no versions, or whose ``latest`` is no link.
 

@@ -52,11 +52,6 @@ class Damaged(ValueError):
         super().__init__("its content does not fit its checksum")
 
 
-def block_bytes(metadata: bytes) -> int:
-    """Return the size of the user block that holds `metadata`, a power of two as HDF5 asks for."""
-    return max(HEAD_BYTES, 1 << (HEAD_BYTES + len(metadata) - 1).bit_length())
-
-
 def seal(content: memoryview, metadata: bytes) -> None:
     """Write `metadata` and checksums into the user block of the `content` of an HDF5 file, in place."""
     content[HEAD_BYTES : HEAD_BYTES + len(metadata)] = metadata
@@ -151,7 +146,9 @@ def write_product(product: Product, path: Path) -> None:
     metadata = json_text(head | {"arrays": list(product.arrays)} | sections, indent=None).encode()
     # HDF5 builds the file in memory: it cannot recover from a disk that fills up half way.
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w", userblock_size=block_bytes(metadata)) as file:
+    # The user block in front holds the metadata; HDF5 asks for a power of two.
+    block_bytes = max(HEAD_BYTES, 1 << (HEAD_BYTES + len(metadata) - 1).bit_length())
+    with h5py.File(buffer, "w", userblock_size=block_bytes) as file:
         file.attrs.update(head)
         for name, quantity in product.arrays.items():
             dataset = _write_array(file, f"arrays/{name}", np.asarray(quantity.value))

@@ -77,6 +77,13 @@ def _recording(detector: Any, name: str, path: Path) -> RawRecording:
     adu = require_cube(native(np.asarray(pixels.data)), where)
     times = _per_frame(pixels.time, "timestamps", len(adu))
     counter = _per_frame(pixels.time, "frame_numbers", len(adu))
+    scale = None if detector.pixel_scale is None else detector.pixel_scale / MAS
+    numbers = {
+        "pixel_scale_mas": scale,
+        "exposure_s": detector.integration_time,
+        "frame_rate_hz": detector.frame_rate,
+        "detector.excess_noise_factor": detector.excess_noise,
+    }
     return RawRecording(
         name=name,
         path=path,
@@ -84,7 +91,9 @@ def _recording(detector: Any, name: str, path: Path) -> RawRecording:
         adu=adu,
         frame_counter=np.arange(len(adu)) if counter is None else counter.astype(np.int64),
         unix_s=times,
-        header=_known(detector),
+        header={
+            key: float(value) for key, value in numbers.items() if value is not None and np.isfinite(value)
+        },
         calibration=_maps(detector, adu.shape[1:], where),
         start_unix_s=float("nan") if times is None else float(times[0]),
     )
@@ -93,17 +102,6 @@ def _recording(detector: Any, name: str, path: Path) -> RawRecording:
 def _per_frame(time: Any, attribute: str, frames: int) -> np.ndarray | None:
     values = np.asarray(getattr(time, attribute, None) or [], dtype=np.float64)
     return values if len(values) == frames and np.all(np.isfinite(values)) else None
-
-
-def _known(detector: Any) -> dict[str, float]:
-    scale = None if detector.pixel_scale is None else detector.pixel_scale / MAS
-    numbers = {
-        "pixel_scale_mas": scale,
-        "exposure_s": detector.integration_time,
-        "frame_rate_hz": detector.frame_rate,
-        "detector.excess_noise_factor": detector.excess_noise,
-    }
-    return {key: float(value) for key, value in numbers.items() if value is not None and np.isfinite(value)}
 
 
 def _maps(detector: Any, window: tuple[int, int], where: str) -> CalibrationMaps:

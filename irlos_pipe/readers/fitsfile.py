@@ -6,7 +6,7 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,7 +191,16 @@ def _checked(place: int, header: bytes, label: str, file_bytes: int) -> StoredHd
             f"{max(0, file_bytes - hdu.begin)}: truncated, or a wrong header"
         )
     image = _size("Z", cards, label) if cards.get("ZIMAGE") == "T" else 0
-    _require_unpackable(image, size, label)
+    if image > MAX_COMPRESSION * size:
+        raise InputDataError(
+            f"{label}: the header announces {image} bytes of data, more than {size} compressed bytes can "
+            "hold: truncated, or a wrong header"
+        )
+    if image > MAX_TILED_BYTES:
+        raise InputDataError(
+            f"{label}: {image} bytes when unpacked, more than {MAX_TILED_BYTES} are not unpacked in "
+            "memory; unpack the file"
+        )
     require_memory(2.0 * max(size, image), label, InputDataError, "cut it into parts")
     return hdu
 
@@ -243,20 +252,6 @@ def _whole(
     return int(text)
 
 
-def _require_unpackable(size: int, stored: int, label: str) -> None:
-    """Refuse a tile-compressed image that announces more than it can hold, or than is unpacked unseen."""
-    if size > MAX_COMPRESSION * stored:
-        raise InputDataError(
-            f"{label}: the header announces {size} bytes of data, more than {stored} compressed bytes can "
-            "hold: truncated, or a wrong header"
-        )
-    if size > MAX_TILED_BYTES:
-        raise InputDataError(
-            f"{label}: {size} bytes when unpacked, more than {MAX_TILED_BYTES} are not unpacked in "
-            "memory; unpack the file"
-        )
-
-
 def _sum(stream: BinaryIO, hdu: StoredHdu) -> int:
     """Sum of the data in ones' complement, of whose two zeros this is the one."""
     stream.seek(hdu.begin)
@@ -298,9 +293,17 @@ def open_fits(path: Path, *, verify: bool = True, notes: list[str] | None = None
             if verify:
                 require_sums(stream, stored)
             if unreadable := unreadable_cards(stored):
-                stream = _without(stream, unreadable)
+                stream.seek(0)
+                content = io.BytesIO(stream.read())
+                for place in unreadable:
+                    content.seek(place)
+                    content.write(b" " * CARD_BYTES)
+                stream = content
                 if notes is not None:
-                    notes.append(_note(path, list(unreadable.values())))
+                    cards = list(unreadable.values())
+                    more = f" and {len(cards) - SHOWN_CARDS} more" if len(cards) > SHOWN_CARDS else ""
+                    shown = ", ".join(f"'{card}'" for card in cards[:SHOWN_CARDS])
+                    notes.append(f"{path}: cards that cannot be read are left out: {shown}{more}")
             stream.seek(0)
             # what follows the last HDU is not for astropy, nor are more of them than there are
             with fits.open(stream, memmap=False, lazy_load_hdus=True) as opened:
@@ -430,18 +433,3 @@ def _require_fits(stream: BinaryIO, path: Path) -> None:
     if begin != FITS_BEGIN:
         what = what_else(stream) or f"not a FITS file, for it does not begin with '{FITS_BEGIN.decode()}'"
         raise InputDataError(f"{path}: {what}")
-
-
-def _without(stream: BinaryIO, cards: Mapping[int, str]) -> BinaryIO:
-    stream.seek(0)
-    content = io.BytesIO(stream.read())
-    for place in cards:
-        content.seek(place)
-        content.write(b" " * CARD_BYTES)
-    return content
-
-
-def _note(path: Path, cards: Sequence[str]) -> str:
-    more = f" and {len(cards) - SHOWN_CARDS} more" if len(cards) > SHOWN_CARDS else ""
-    shown = ", ".join(f"'{card}'" for card in cards[:SHOWN_CARDS])
-    return f"{path}: cards that cannot be read are left out: {shown}{more}"

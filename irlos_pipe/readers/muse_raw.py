@@ -40,6 +40,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     header = hdus[0].header
     mode = _mode(header, instrument, path)
     target = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
+    implied = {} if mode.lenslets == 1 else instrument.profile.lenslets  # 2x2: no lens for a diversity
     whole = RawRecording(
         name=stem(path),
         path=path,
@@ -48,7 +49,13 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
         frame_counter=np.arange(len(adu)),
         header=header_keys(header) | target | _from_atmosphere(hdus),
         mode=mode.name,
-        of_mode=_from_mode(mode, instrument),
+        of_mode=AcquisitionKeys.model_validate(implied).flat()
+        | {
+            "pixel_scale_mas": mode.pixel_scale_mas,
+            "frame_rate_hz": mode.frame_rate_hz,
+            "exposure_s": 1 / mode.frame_rate_hz,
+            "detector.e_per_adu": mode.e_per_adu,
+        },
         start_unix_s=_start(hdus, header, path),
     )
     if mode.lenslets == 1:
@@ -78,17 +85,6 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
             f"of {name}, which have changed; add pixel_scale_mas and detector.e_per_adu to the side-car"
         )
     return modes[name]
-
-
-def _from_mode(mode: Mode, instrument: Instrument) -> dict[str, Any]:
-    """What the mode implies: more in 2x2 modes, which have no lens for a diversity."""
-    implied = {} if mode.lenslets == 1 else instrument.profile.lenslets
-    return AcquisitionKeys.model_validate(implied).flat() | {
-        "pixel_scale_mas": mode.pixel_scale_mas,
-        "frame_rate_hz": mode.frame_rate_hz,
-        "exposure_s": 1 / mode.frame_rate_hz,
-        "detector.e_per_adu": mode.e_per_adu,
-    }
 
 
 def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:

@@ -58,12 +58,6 @@ def log_scale(*images: np.ndarray) -> Normalize:
     return LogNorm(high * 10**-DECADES, high, clip=True)
 
 
-def linear_scale(*images: np.ndarray) -> Normalize:
-    """One linear scale for several images."""
-    low, high = _range(*images)
-    return Normalize(min(low, 0.0), high)
-
-
 def symmetric_scale(limit: float, linear_width: float | None = None) -> Normalize:
     """Return a scale from -`limit` to `limit`: linear, or asinh, which is linear within `linear_width`."""
     if linear_width is None:
@@ -240,9 +234,11 @@ def image_views(
 
     Pixels that are not `good` get a cross in the first image; `width` is that of all together.
     """
-    choices = {}
-    for label, scale_of in {"logarithmic": brightness_scale, "linear": linear_scale}.items():
-        look = {"scale": scale_of(*(image for image, _ in images.values())), "unit": "e⁻"}
+    choices, shown = {}, [image for image, _ in images.values()]
+    low, high = _range(*shown)
+    scales = {"logarithmic": brightness_scale(*shown), "linear": Normalize(min(low, 0.0), high)}
+    for label, scale in scales.items():
+        look = {"scale": scale, "unit": "e⁻"}
         choices[label] = _side_by_side(
             f"{name}-{label}", images, good, pixel_scale_mas=pixel_scale_mas, **look
         )

@@ -170,15 +170,15 @@ def _read_truths(path: Path) -> dict[str, Truth]:
 def _read_truth(path: Path) -> Truth:
     try:
         content = json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputDataError(f"{path}: not a readable JSON file ({error})") from error
-    if not isinstance(content, dict):
-        raise InputDataError(f"{path}: holds a {type(content).__name__}, not an object with mean_zernike_nm")
-    try:
+        if not isinstance(content, dict):
+            kind = type(content).__name__
+            raise InputDataError(f"{path}: holds a {kind}, not an object with mean_zernike_nm")
         return Truth.model_validate(content)
     except ValidationError as error:
         key = ".".join(map(str, error.errors()[0]["loc"]))
         raise InputDataError(f"{path}: {key}: {error.errors()[0]['msg']}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputDataError(f"{path}: not a readable JSON file ({error})") from error
 
 
 def _truth_of(name: str, truths: Truths) -> Truth | None:
@@ -205,37 +205,26 @@ def score_text(score: Score) -> str:
     """Return a table for the calibration and one for the ramp of a `score`."""
     tables: list[list[tuple[str, ...]]] = []
     if calibration := score.calibration:
-        head = (
-            f"calibration ({', '.join(calibration.recordings)})",
-            f"error, {REPORTED_TEXT}",
-            "defocus",
-            "time",
-        )
-        rows = [
-            (
-                one.method,
-                f"{one.error_nm:.1f} nm RMS",
-                f"{one.defocus_error_nm:+.1f} nm",
-                f"{one.seconds:.1f} s",
-            )
-            for one in calibration.methods
-        ]
-        static = [("against the static modes", "its pulls")]
-        static += [
-            (f"{one.static_error_nm:.1f} nm RMS", f"{one.pull_rms:.2f}") for one in calibration.methods
-        ]
-        known = calibration.static_known
-        tables.append(
-            [(*row, *more) if known else row for row, more in zip([head, *rows], static, strict=True)]
-        )
+        columns = {
+            f"calibration ({', '.join(calibration.recordings)})": "{0.method}",
+            f"error, {REPORTED_TEXT}": "{0.error_nm:.1f} nm RMS",
+            "defocus": "{0.defocus_error_nm:+.1f} nm",
+            "time": "{0.seconds:.1f} s",
+        }
+        if calibration.static_known:
+            columns |= {
+                "against the static modes": "{0.static_error_nm:.1f} nm RMS",
+                "its pulls": "{0.pull_rms:.2f}",
+            }
+        cells = [tuple(cell.format(one) for cell in columns.values()) for one in calibration.methods]
+        tables.append([tuple(columns), *cells])
     if ramp := score.ramp:
         errors = {
             "frames against the introduced defocus": ramp.against_introduced_nm,
             "frames against the true mean defocus": ramp.against_true_nm,
             "means of recordings against the true mean defocus": ramp.means_against_true_nm,
         }
-        known_errors = [(name, f"{rms:.1f} nm RMS") for name, rms in errors.items() if math.isfinite(rms)]
-        tables.append(
-            [(f"ramp ({ramp.recordings} recordings, {ramp.frames} frames)", "error"), *known_errors]
-        )
+        head = f"ramp ({ramp.recordings} recordings, {ramp.frames} frames)"
+        known = [(name, f"{rms:.1f} nm RMS") for name, rms in errors.items() if math.isfinite(rms)]
+        tables.append([(head, "error"), *known])
     return "\n\n".join(aligned(table, numbers=True) for table in tables)

@@ -282,7 +282,8 @@ def _law(of: Prior) -> Figure:
     defocus = np.array(results.valid_nm)
 
     def draw(axes: Axes) -> None:
-        _frames(axes, introduced, ratio)
+        many = len(introduced) > MANY
+        axes.plot(introduced, ratio, "o", color=BLUE, markersize=3, label="frames", rasterized=many)
         if results.A and np.isfinite([results.A, results.B, *defocus]).all():
             axes.axvspan(defocus.min(), defocus.max(), color=FAINT, alpha=0.35, linewidth=0)
             law = 1 + (defocus - results.B) / results.A
@@ -290,7 +291,3 @@ def _law(of: Prior) -> Figure:
 
     labels = ("introduced defocus [nm RMS]", "axis ratio σ₁/σ₂")
     return plot("prior-law", draw, labels, "Axis ratio against introduced defocus", LAW, "half", (4.4, 2.9))
-
-
-def _frames(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    axes.plot(x, y, "o", color=BLUE, markersize=3, label="frames", rasterized=len(x) > MANY)

@@ -1,7 +1,6 @@
 """Sections on the run: the recordings that went in, quality control, provenance."""
 
 from collections import Counter
-from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
@@ -18,7 +17,6 @@ from irlos_pipe.report.images import MANY_DIGITS, thumbnail
 from irlos_pipe.report.run_data import RunData, frame_times
 from irlos_pipe.report.text import number, plural
 from irlos_pipe.stages.correct import CorrectResults
-from irlos_pipe.stages.ingest.recording_arrays import Overview
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 
 MOST_THUMBNAILS = 60  # images of recordings that are shown
@@ -80,7 +78,9 @@ def _frames(run: RunData, owner: str) -> Figure | None:
     if sum(one.used.sum() for one in recordings) < 2:
         return None
     seconds, scales = frame_times(recordings)[0], [one.acquisition.pixel_scale_mas for one in recordings]
-    perfect = _perfect(run, recordings[0])
+    image = run.of(CorrectResults).arrays.get("perfect")
+    known = image is not None and image.value.shape == recordings[0].mean_e.shape
+    perfect = float(image.value.max() / image.value.sum()) if image is not None and known else None
 
     def series(name: str, in_mas: bool = False) -> np.ndarray:
         values = (one.series[name][one.used] for one in recordings)
@@ -115,13 +115,6 @@ def _frames(run: RunData, owner: str) -> Figure | None:
         else "."
     )
     return figure(f"frames-{owner}", (6.0, 5.2), draw, f"Frames of {owner}", caption)
-
-
-def _perfect(run: RunData, recording: Overview) -> float | None:
-    """Brightest pixel over the sum of the image without aberrations; None where it is not known."""
-    image = run.of(CorrectResults).arrays.get("perfect")
-    known = image is not None and image.value.shape == recording.mean_e.shape
-    return float(image.value.max() / image.value.sum()) if image is not None and known else None
 
 
 # -- quality control ---------------------------------------------------------------------------
@@ -167,7 +160,10 @@ def origin_section(run: RunData) -> Section:
         [(stage, provenance_of(product)) for stage, product in run.products.items()],
         {
             "stage": lambda one: one[0],
-            "files": lambda one: _file_links([*run.names.get(one[0], ()), *one[1].files]),
+            "files": lambda one: Markup(", ").join(
+                Markup('<a href="{0}">{0}</a>').format(name)
+                for name in (*run.names.get(one[0], ()), *one[1].files)
+            ),
             "finished": lambda one: _moment(one[1].finished),
             "time [s]": lambda one: number(one[1].seconds),
             "device": lambda one: one[1].device,
@@ -180,10 +176,6 @@ def origin_section(run: RunData) -> Section:
     files = Table(("file", "sha256"), inputs, f"Input files ({len(inputs)})", folded=True)
     recipe = Text(run.recipe_text, "Resolved recipe", verbatim=True, folded=True)
     return Section("origin", "Provenance", " · ".join(facts), [stages, *shown(files, recipe)])
-
-
-def _file_links(names: Sequence[str]) -> Markup:
-    return Markup(", ").join(Markup('<a href="{0}">{0}</a>').format(name) for name in names)
 
 
 def finished(run: RunData) -> str:

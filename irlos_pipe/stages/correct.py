@@ -91,13 +91,11 @@ def mirror_file(value: Any) -> Any:
 class Config(StageConfig):
     """Settings of the correction."""
 
-    input: str = Field("calibration", description="recipe input whose configuration the prediction uses")
-    gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
-    highest_noll: int = Field(
-        HIGHEST_REPORTED_NOLL, ge=4, le=HIGHEST_NOLL, description="highest Noll mode of the offsets"
-    )
-    mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = Field(
-        None, description="FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
+    input: str = item("calibration", "recipe input whose configuration the prediction uses")
+    gain: float = item(1.0, "part of the measured aberration to correct", gt=0, le=1)
+    highest_noll: int = item(HIGHEST_REPORTED_NOLL, "highest Noll mode of the offsets", ge=4, le=HIGHEST_NOLL)
+    mirror_modes: Annotated[MirrorFile | None, BeforeValidator(mirror_file)] = item(
+        None, "FITS cube of a mirror's modes, n × n OPD maps across the pupil [nm per unit]"
     )
 
 
@@ -165,7 +163,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     prediction, budget = _predict(ctx, recording, nolls, zernike)
     table = _table(ctx, offsets, prediction)
-    before_nm, after_nm = _maps_nm(ctx, nolls, zernike)
+    seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike)
+    left = np.where(np.array(nolls) <= ctx.config.highest_noll, (1 - ctx.config.gain) * seen, seen)
+    lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
+    before_nm, after_nm = opd_maps_nm(nolls, seen, lit), opd_maps_nm(nolls, left, lit)
     scale_mas = recording.acquisition.pixel_scale_mas or math.nan
     checks = _checks(ctx, recording, prediction)
     before = checks_behind(ctx.products.values(), ctx.config.input)
@@ -300,16 +301,6 @@ def _parts(nolls: list[int], modes_nm: np.ndarray, highest_noll: int) -> dict[st
     parts = {f"Noll 4–{highest_noll}": np.where(first, modes_nm, 0.0)}
     beyond = {f"Noll {highest_noll + 1}–{nolls[-1]}": np.where(first, 0.0, modes_nm)}
     return parts | ({} if first.all() else beyond)
-
-
-def _maps_nm(
-    ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Maps of the wavefront before and after the correction, without tip and tilt."""
-    seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike_nm)
-    left = np.where(np.array(nolls) <= ctx.config.highest_noll, (1 - ctx.config.gain) * seen, seen)
-    lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
-    return opd_maps_nm(nolls, seen, lit), opd_maps_nm(nolls, left, lit)
 
 
 def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from math import nan
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
@@ -62,21 +61,16 @@ CERTAIN = 9.0  # Δχ² between the senses, in units of χ²/ν: three sigma
 class Config(StageConfig):
     """Settings of the derotator test."""
 
-    sense: Literal["estimate", "anticlockwise", "clockwise"] = Field(
-        "estimate", description="sense in which the wavefront before the derotator turns with growing angle"
+    sense: Literal["estimate", "anticlockwise", "clockwise"] = item(
+        "estimate", "sense in which the wavefront before the derotator turns with growing angle"
     )
-    turn_per_degree: float = Field(
-        1.0,
-        gt=0,
-        le=2,
-        description="rotation of the image per degree of the angle; 2 for the angle of a K-mirror",
+    turn_per_degree: float = item(
+        1.0, "rotation of the image per degree of the angle; 2 for the angle of a K-mirror", gt=0, le=2
     )
-    highest_noll: int | None = Field(
-        None, ge=4, le=HIGHEST_NOLL, description="highest Noll mode used; null: all estimated modes"
+    highest_noll: int | None = item(
+        None, "highest Noll mode used; null: all estimated modes", ge=4, le=HIGHEST_NOLL
     )
-    max_chi2_nu: float = Field(
-        10.0, gt=0, description="QC limit on how well the two parts explain the single estimates"
-    )
+    max_chi2_nu: float = item(10.0, "QC limit on how well the two parts explain the single estimates", gt=0)
 
 
 class PartRow(ResultsPart):

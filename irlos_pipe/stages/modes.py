@@ -7,7 +7,7 @@ from math import nan
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
@@ -45,21 +45,17 @@ MIN_MODES = 4  # one more than the parameters of the law
 class Config(StageConfig):
     """Settings of the mode statistics."""
 
-    same_ncpas: bool = Field(
-        False, description="whether the cubes have the same NCPAs, and so count as one draw of every mode"
+    same_ncpas: bool = item(
+        False, "whether the cubes have the same NCPAs, and so count as one draw of every mode"
     )
-    law_highest_noll: int | None = Field(
+    law_highest_noll: int | None = item(
         None,
+        "highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
         ge=7,
         le=HIGHEST_NOLL,
-        description="highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
     )
-    numbers: tuple[int, ...] = Field(
-        (21, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
-    )
-    cubes: int = Field(
-        4, ge=0, description="number of cubes, from the first, that the numbers of modes are tried on"
-    )
+    numbers: tuple[int, ...] = item((21, 36, 45, 55, 66, 78, 91, 105), "highest Noll modes to try")
+    cubes: int = item(4, "number of cubes, from the first, that the numbers of modes are tried on", ge=0)
 
     @field_validator("numbers")
     @classmethod
@@ -143,13 +139,17 @@ Results = ModesResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Fit a law to the scatter of the modes, and try several numbers of modes."""
-    from irlos_pipe.estimate.mode_law import fit_mode_law
+    from irlos_pipe.estimate.mode_law import fit_mode_law, mode_scatter
     from irlos_pipe.estimate.mode_number import MIN_FRAMES, choose
 
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:
         raise ConfigurationError("modes needs the cubes one by one: set calibrate.each to true")
-    scatter = _scatter(cubes, ctx.config.same_ncpas)
+    zernike_nm, sigma_nm = (np.stack([getattr(c, key) for c in cubes]) for key in ("zernike_nm", "sigma_nm"))
+    if ctx.config.same_ncpas:
+        zernike_nm = zernike_nm.mean(axis=0, keepdims=True)
+        sigma_nm = np.sqrt(np.mean(sigma_nm**2, axis=0, keepdims=True) / len(cubes))
+    scatter = mode_scatter(cubes[0].nolls, zernike_nm, sigma_nm)
     fitted = _fitted(scatter, ctx.config.law_highest_noll)
     start = ctx.instrument.facility.ncpa_law
     laws = {
@@ -161,7 +161,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     scans, numbers = _scans(ctx, MIN_FRAMES), None
     if scans:
         choice = choose(np.concatenate([scan.misfit for scan in scans], axis=1))
-        arrays |= _scan_arrays(scans, choice)
+        arrays |= {
+            "numbers/highest_noll": scans[0].highest_nolls,
+            "numbers/noll": scans[0].nolls,
+            "numbers/zernike_nm": np.stack([scan.zernike_nm for scan in scans]),
+            "numbers/misfit": np.stack([scan.misfit for scan in scans]),
+            "numbers/excess": (choice.excess, choice.excess_sigma),
+        }
         numbers = _numbers(scans, choice)
         lines += _number_lines(numbers)
     else:
@@ -177,16 +183,6 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 # -- appendix A ----------------------------------------------------------------------------------
-
-
-def _scatter(cubes: list[CubeEstimate], same_ncpas: bool) -> ModeScatter:
-    from irlos_pipe.estimate.mode_law import mode_scatter
-
-    zernike_nm, sigma_nm = (np.stack([getattr(c, key) for c in cubes]) for key in ("zernike_nm", "sigma_nm"))
-    if same_ncpas:
-        zernike_nm = zernike_nm.mean(axis=0, keepdims=True)
-        sigma_nm = np.sqrt(np.mean(sigma_nm**2, axis=0, keepdims=True) / len(cubes))
-    return mode_scatter(cubes[0].nolls, zernike_nm, sigma_nm)
 
 
 def _fitted(scatter: ModeScatter, highest_noll: int | None) -> np.ndarray:
@@ -295,13 +291,3 @@ def _number_lines(numbers: NumberScan) -> list[str]:
         f"  {numbers.recommended - 1} modes (Noll 2–{numbers.recommended}) suffice for unseen frames: "
         f"χ²/ν {numbers.held_out_chi2_nu[index]:.3f}, smallest with Noll {numbers.best}"
     ]
-
-
-def _scan_arrays(scans: Sequence[ModeScan], choice: Choice) -> dict[str, Any]:
-    return {
-        "numbers/highest_noll": scans[0].highest_nolls,
-        "numbers/noll": scans[0].nolls,
-        "numbers/zernike_nm": np.stack([scan.zernike_nm for scan in scans]),
-        "numbers/misfit": np.stack([scan.misfit for scan in scans]),
-        "numbers/excess": (choice.excess, choice.excess_sigma),
-    }

@@ -7,7 +7,6 @@ from math import nan
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.late import torch
@@ -39,8 +38,8 @@ CHECKS = {
 class Config(StageConfig):
     """Settings of the elongation prior."""
 
-    input: str = Field("ramp", description="recipe input whose frames get a prior")
-    max_failed_fraction: float = Field(0.1, ge=0, le=1, description="QC limit on Gaussian fits that fail")
+    input: str = item("ramp", "recipe input whose frames get a prior")
+    max_failed_fraction: float = item(0.1, "QC limit on Gaussian fits that fail", ge=0, le=1)
 
 
 class DefocusPrior(ResultsPart):
@@ -78,7 +77,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
     first = recordings[0]
     try:
-        law = _law(ctx, first)
+        from irlos_pipe.effects import expected, fixed_optics
+        from irlos_pipe.estimate.elongation import calibrate_law
+        from irlos_pipe.optics.psf import PsfModel
+        from irlos_pipe.stages.model.effects import model_effects
+        from irlos_pipe.stages.model.recording_settings import psf_settings
+
+        model = PsfModel(psf_settings(ctx.instrument, ctx.model, first), [4], device=ctx.device)
+        effects = expected(model_effects(ctx.instrument, ctx.model, first))
+        law = calibrate_law(model, fixed_optics(effects, model.grids))
     except ValueError as problem:
         raise InputDataError(f"{first.name}: {problem}; leave the stage `prior` out for such data") from None
     listed = good_pixels(model_effects(ctx.instrument, ctx.model, first), first.window)
@@ -90,18 +97,6 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         "elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm
     )
     return _output(ctx.config, recordings, law, ratios)
-
-
-def _law(ctx: StageContext[Config], recording: Recording) -> ElongationLaw:
-    from irlos_pipe.effects import expected, fixed_optics
-    from irlos_pipe.estimate.elongation import calibrate_law
-    from irlos_pipe.optics.psf import PsfModel
-    from irlos_pipe.stages.model.effects import model_effects
-    from irlos_pipe.stages.model.recording_settings import psf_settings
-
-    model = PsfModel(psf_settings(ctx.instrument, ctx.model, recording), [4], device=ctx.device)
-    effects = expected(model_effects(ctx.instrument, ctx.model, recording))
-    return calibrate_law(model, fixed_optics(effects, model.grids))
 
 
 def _output(

@@ -10,7 +10,7 @@ from math import nan
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.late import torch
@@ -48,31 +48,23 @@ MANY = 20_000  # estimates from which a scan takes minutes: a processor makes 50
 class Config(StageConfig):
     """Settings of the sensitivity scan."""
 
-    input: str = Field("ramp", description="recipe input that holds the ramp")
-    max_defocus_nm: float = Field(
-        170.0, gt=0, description="frames with a larger introduced defocus are left out"
+    input: str = item("ramp", "recipe input that holds the ramp")
+    max_defocus_nm: float = item(170.0, "frames with a larger introduced defocus are left out", gt=0)
+    mag_step: float = item(1.0, "step of the magnitude grid", ge=0.05, le=5)
+    faintest_mag_j: float = item(
+        19.0, "end of the magnitude grid, which begins at the magnitude of the ramp", ge=0, le=30
     )
-    mag_step: float = Field(1.0, ge=0.05, le=5, description="step of the magnitude grid")
-    faintest_mag_j: float = Field(
-        19.0, ge=0, le=30, description="end of the magnitude grid, which begins at the magnitude of the ramp"
+    realisations: int = item(5, "noise realisations per frame and magnitude", ge=1, le=1000)
+    frames_per_offset: int = item(2, "number of frames used of every offset", ge=1, le=1000)
+    modes: tuple[tuple[Mode, ...], ...] = item(
+        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)), "sets of Noll modes to be estimated", max_length=20
     )
-    realisations: int = Field(5, ge=1, le=1000, description="noise realisations per frame and magnitude")
-    frames_per_offset: int = Field(2, ge=1, le=1000, description="number of frames used of every offset")
-    modes: tuple[tuple[Mode, ...], ...] = Field(
-        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)),
-        max_length=20,
-        description="sets of Noll modes to be estimated",
-    )
-    calibrated: tuple[bool, ...] = Field(
-        (True, False), description="whether the NCPAs are known: with, without, or both"
-    )
-    limit_nm: float = Field(30.0, gt=0, description="largest median error at the limiting magnitude [nm RMS]")
-    limit_failures: float = Field(
-        0.1, ge=0, le=1, description="largest part of failures at the limiting magnitude"
-    )
-    noise: Literal["reads", "recorded"] = Field(
+    calibrated: tuple[bool, ...] = item((True, False), "whether the NCPAs are known: with, without, or both")
+    limit_nm: float = item(30.0, "largest median error at the limiting magnitude [nm RMS]", gt=0)
+    limit_failures: float = item(0.1, "largest part of failures at the limiting magnitude", ge=0, le=1)
+    noise: Literal["reads", "recorded"] = item(
         "reads",
-        description="noise of the dimmed frames: of all the reads of an exposure, with sky and dark current; "
+        "noise of the dimmed frames: of all the reads of an exposure, with sky and dark current; "
         "or as the frames were recorded, which in simulations may be one read without sky",
     )
 
@@ -244,10 +236,6 @@ def _output(
         noise=noise,
         crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
     )
-    return StageOutput(arrays, results, summary=_lines(config, rows, noise))
-
-
-def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[str]:
     lines = [
         f"Noise           {_noise_text(noise)}",
         f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
@@ -255,7 +243,7 @@ def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[st
     for row in rows:
         ncpas = "with" if row.calibrated else "without"
         lines.append(f"  {ncpas} NCPAs, {len(row.modes)} modes: {_limit_text(row)}")
-    return lines
+    return StageOutput(arrays, results, summary=lines)
 
 
 def _noise_text(noise: NoiseRow) -> str:

@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ import irlos_pipe
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.product.product import SPELLINGS, Product, Quantity
 from irlos_pipe.stages import LIGHT_PATH, STAGES
-from irlos_pipe.stages.model.untested import CUBES_IN_SHORT
 
 SAMPLE = REPOSITORY / "data_samples" / "ramp" / "offset_00"
 
@@ -142,14 +140,3 @@ def test_recordings_are_read_and_cleaned():
 def test_a_wrong_setting_is_told_as_on_the_command_line():
     with pytest.raises(ConfigurationError, match="did you mean 'highest_noll'"):
         irlos_pipe.calibrate(SAMPLE, settings={"calibrate.highest_nol": 66})
-
-
-def test_a_run_shows_the_number_first_and_then_what_was_not_tested_or_lost(tmp_path):
-    beside = [CUBES_IN_SHORT, "Lost            b.fits: truncated"]
-    summary = ["NCPA            5 nm RMS", "  seeing_halo", *beside]
-    made = made_run.products("ingest", "calibrate")
-    made[1] = replace(made[1], provenance=made[1].provenance | {"summary": summary})
-    shown = repr(irlos_pipe.open_run(made_run.write_run(tmp_path, made))).splitlines()
-    calibrate = [line for line in shown if "calibrate" in line][-1]
-    assert calibrate.split() == ["calibrate", "1/1", "NCPA", "5", "nm", "RMS"]
-    assert [line.strip() for line in shown[shown.index(calibrate) + 1 :]] == beside

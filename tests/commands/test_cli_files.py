@@ -9,7 +9,6 @@ from astropy.io import fits
 from conftest import invoke
 from helpers.sparta_files import SIDECAR, counts, star
 
-from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument.instrument import PROFILES
 from irlos_pipe.recipe import load_recipe
@@ -153,22 +152,6 @@ def test_show_says_what_a_file_is_and_what_to_do_with_it(tmp_path):
 def test_what_is_typed_in_the_wrong_place_is_answered_by_the_right_one(command, answer):
     result = invoke(*command)
     assert result.exit_code == 2 and answer in result.stderr
-
-
-def test_a_word_finds_what_holds_it_and_equal_entries_are_one():
-    assert "correct.strehl_after" in invoke("explain", "strehl").stdout
-    lines = invoke("explain", "chi2_nu").stdout.splitlines()
-    said = [line.split("  ")[-1] for line in lines if ".chi2_nu" in line]
-    assert len(set(said)) == len(said) and not any("see `" in line for line in lines)
-
-
-def test_the_help_has_every_command_once_in_whole_sentences_and_the_exit_codes_once():
-    text = invoke("--help").stdout
-    assert {
-        name: len(re.findall(rf"^  {name} ", text, re.MULTILINE)) for name in cli.commands
-    } == dict.fromkeys(cli.commands, 1)
-    assert "..." not in text.partition("COMMAND [ARGS]...")[2] and text.count("bad input data") == 1
-    assert "bad input data" not in invoke("run", "--help").stdout
 
 
 def test_a_recipe_that_states_an_instrument_wins_over_the_side_car(tmp_path):

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import pytest
 from conftest import invoke
-from filelock import FileLock
 from helpers.paths import RECIPES
 from helpers.simulation_specs import CUBE, RAMP, spec_of, written
 
@@ -23,18 +22,6 @@ def test_a_dry_run_tells_what_would_be_made_and_touches_nothing(spec, tmp_path):
     first, *ramp = result.stdout.splitlines()
     assert result.exit_code == 0 and not (tmp_path / "out").exists() and len(ramp) == 3
     assert first.split()[:4] == ["cube", "7", "x", "0.1"] and first.endswith("simulate  not there yet")
-
-
-@pytest.mark.slow
-def test_a_run_tells_what_it_made_and_where_it_is(spec, tmp_path):
-    out = tmp_path / "out"
-    result = invoke("simulate", spec, "--output", str(out), "--jobs", "1")
-    assert result.exit_code == 0
-    assert result.stdout.splitlines() == [
-        f"cube   {out}/data/cube", f"ramp   {out}/data/ramp", f"truth  {out}/truth"]  # fmt: skip
-    told = result.stderr.splitlines()
-    assert "irlos: ramp/offset_00: not there yet" in told
-    assert any(line.startswith("irlos: cube: 3 frames, brightest pixel ") for line in told)
 
 
 def test_a_second_run_says_that_all_is_up_to_date_and_what_changed_otherwise(spec, tmp_path):
@@ -67,12 +54,6 @@ def test_a_folder_with_files_of_others_exits_with_2(spec, tmp_path):
     (tmp_path / "out" / "thesis.tex").touch()
     result = invoke("simulate", spec, "--output", str(tmp_path / "out"))
     assert result.exit_code == 2 and "holds other files (thesis.tex)" in result.stderr
-
-
-def test_a_folder_in_use_exits_with_75(spec, tmp_path):
-    (tmp_path / "out").mkdir()
-    with FileLock(tmp_path / "out" / ".lock"):
-        assert invoke("simulate", spec, "--output", str(tmp_path / "out")).exit_code == 75
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ def at_terminal(bench: Bench, *call: str, typed: bytes) -> tuple[int, str]:
     return process.wait(), shown.decode()
 
 
+@pytest.mark.slow
 def test_a_crash_at_a_terminal_leaves_the_user_where_it_happened(bench):
     bench.make("calibrate.crash")
     call = ("run", str(bench.recipe), "--output", str(bench.output), "--device", "cpu", "--pdb")

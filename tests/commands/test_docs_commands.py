@@ -45,20 +45,3 @@ def test_a_command_of_a_page_works(request, call):
         words = filled_in(words, bench)
     result = invoke(*words)
     assert result.exit_code == 0 and result.output, result.output
-
-
-def test_versions_are_kept_listed_and_compared_as_the_page_on_data_says(bench):
-    """The three lines of the page, one after the other; the first reduces the stand-in recording."""
-    text = (REPOSITORY / "docs" / "data.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"^```sh\n.*?^```", text, re.DOTALL | re.MULTILINE)
-    run, *others = commands(next(one for one in blocks if "--numbered" in one), "irlos")
-    assert run[:2] == ["run", "full_reduction"] and run[-3:] == ["--output", "reduced", "--numbered"]
-    for call in (["run", str(bench.recipe), *run[-3:]], *others):
-        words = [re.sub(r"^reduced(?=/|$)", str(bench.output), word) for word in call]
-        result = invoke(*words)
-        assert result.exit_code == 0, result.output
-
-
-def test_the_example_of_an_export_names_a_recording_of_the_demonstration():
-    names = re.findall(r"recordings/(\w+)/([\w-]+)/", invoke("export", "--help").output)
-    assert names and all((REPOSITORY / "data_samples" / name).is_dir() for _, name in names)

@@ -12,7 +12,7 @@ from astropy.time import Time
 from astropy.wcs import WCS
 from click.testing import Result
 from conftest import invoke
-from helpers.sparta_files import counts, star
+from helpers.sparta_files import counts, star, write_muse
 
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.storage import write_product
@@ -129,7 +129,8 @@ def test_an_export_replaces_a_file_only_when_forced(product, tmp_path):
 def run(tmp_path_factory) -> Path:
     """The correction from a small MUSE raw file."""
     folder = tmp_path_factory.mktemp("handed-on")
-    write_muse(folder / "MUSE.fits")
+    adu = counts(star(32, 32), frames=8, pedestal_adu=200.0)
+    write_muse(folder / "MUSE.fits", adu, header=RAW_HEADER).with_suffix(".yaml").write_text(SIDECAR)
     recipe = folder / "small.yaml"
     recipe.write_text(SMALL)
     result = invoke(
@@ -137,16 +138,6 @@ def run(tmp_path_factory) -> Path:
     )
     assert result.exit_code in (0, 4), result.stderr
     return folder / "run"
-
-
-def write_muse(path: Path) -> None:
-    adu = counts(star(32, 32), frames=8, pedestal_adu=200.0)
-    cube = fits.ImageHDU(adu, name="SPARTA_TT_CUBE")
-    primary = fits.PrimaryHDU()
-    for key, value in RAW_HEADER.items():
-        primary.header[key if len(key) <= 8 else f"HIERARCH {key}"] = value
-    fits.HDUList([primary, cube]).writeto(path)
-    path.with_suffix(".yaml").write_text(SIDECAR)
 
 
 @pytest.mark.slow

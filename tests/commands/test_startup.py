@@ -62,6 +62,7 @@ def test_every_command_either_computes_or_starts_at_once():
     assert set(QUICK) | MAY_LOAD == set(cli.commands)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["--version", "--help", *QUICK, "run", "night"])
 def test_a_command_that_computes_nothing_loads_nothing_large(loaded, name):
     """A library once loaded stays: the first command to fail is it."""
@@ -82,6 +83,7 @@ def test_what_is_up_to_date_is_found_to_be_so_without_anything_large(tmp_path):
     assert all(not large for large in _loaded_by(calls).values())
 
 
+@pytest.mark.slow
 def test_a_plan_for_data_that_nobody_touched_opens_none_of_them(tmp_path):
     """Of a run whose settings changed since, and what reads no recording anyway: astropy is not loaded."""
     data, recipe, run = tmp_path / "data", tmp_path / "recipe.yaml", tmp_path / "run"

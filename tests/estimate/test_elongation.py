@@ -26,7 +26,6 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import (
     axis_ratios,
     calibrate_law,
-    diversity_angle_deg,
     fit_gaussians,
 )
 from irlos_pipe.estimate.residual import Mirrored
@@ -53,14 +52,6 @@ def test_the_ratio_of_a_gaussian_s_axes_is_recovered(first_px, second_px, angle_
     ratio = axis_ratios(image, everything(image), angle_deg)
     assert ratio == pytest.approx([first_px / second_px], rel=1e-3)
     assert fit.values[0, :2].numpy() == pytest.approx([1.3, -2.1], abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("diversity", "angle_deg"),
-    [({6: -170.0}, 0), ({6: 170.0}, 0), ({5: 100.0}, 45), ({5: -100.0}, 45), ({5: 50.0, 6: 50.0}, 22.5)],
-)
-def test_the_axes_are_those_of_the_diversity(diversity, angle_deg):
-    assert diversity_angle_deg(diversity) % 90 == pytest.approx(angle_deg)
 
 
 @pytest.mark.parametrize(

@@ -132,6 +132,7 @@ def test_without_diversity_the_sign_is_open_and_the_twin_is_named():
     assert "twin" in found.reasons
 
 
+@pytest.mark.slow
 def test_no_faint_image_gives_a_valid_wrong_defocus(focus):
     truth = anywhere(150, 900.0)
     found = [focus.measurement(image) for image in drawn(truth, 400.0)]
@@ -154,6 +155,7 @@ def test_models_without_a_table_are_refused(model, words):
         Focus(model, GOOD, NOISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [(48, 48), (48, 40)])
 def test_images_read_out_in_another_orientation_are_named_and_those_of_a_halo_are_not(window):
     known = cases.settings(window, TWO_COLOURS, {6: -170.0, 7: 60.0, 8: 50.0, 11: -30.0, 5: 40.0})

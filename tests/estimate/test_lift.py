@@ -37,12 +37,8 @@ def model() -> PsfModel:
 
 def drawn(model, coefficients, flux_e, seed, noise=NOISE):
     """Images of the model with noise, float32."""
-    mean = (model.images(coefficients).double() * flux_e).numpy()
-    rng = np.random.default_rng(seed)
-    gain = noise.excess_noise_factor
-    shot = gain * rng.poisson(np.maximum(mean, 0) / gain)
-    read = np.sqrt(noise.floor_e2) * rng.standard_normal(mean.shape)
-    return torch.as_tensor(shot + read, dtype=torch.float32)
+    mean_e = (model.images(coefficients).double() * flux_e).clamp_min(0).numpy()
+    return cases.draw_frames(mean_e, len(mean_e), seed, noise)
 
 
 def random_modes(images: int, seed: int) -> torch.Tensor:
@@ -58,7 +54,7 @@ def estimate(model, images, introduced_nm, options=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mag_j", [9, 12, 15, 18])
+@pytest.mark.parametrize("mag_j", [9, 18])
 def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
     images = 400
     true = random_modes(images, seed=mag_j)
@@ -87,7 +83,7 @@ def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mag_j", [12, 18, 19])
+@pytest.mark.parametrize("mag_j", [12, 19])
 def test_a_wrong_prior_biases_map_by_its_share_of_the_information(model, mag_j):
     """Truth: the normal distribution, whose mean given data and prior is that of both, weighted by precision.
 
@@ -206,8 +202,7 @@ def drawn_alike(halo_model: ImageModel, flux_e: float) -> torch.Tensor:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flux_e", [3e5, 3e3])
-@pytest.mark.parametrize("prior", [None, LIMIT])
+@pytest.mark.parametrize(("flux_e", "prior"), [(3e5, None), (3e3, LIMIT)])
 def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, flux_e, prior):
     images_e = drawn_alike(halo_model, flux_e)
     near = alike(halo_model, FRAMES_NM + 10.0, FRAME)
@@ -248,12 +243,11 @@ def test_a_coarse_model_is_exact_at_the_frames_and_its_gradient_that_of_its_valu
         assert torch.allclose(gradient[:, column], change, atol=0.01 * float(change.abs().max()))
 
 
-# The Cramér-Rao bound. Truth: Fisher matrices from finite differences of images, and analysis.
+# The Cramér-Rao bound. Truth: Fisher matrices by automatic differentiation of images, and analysis.
 
 
 CRAMER_RAO_NOLLS = (2, 3, 4, 5, 7)
 CRAMER_RAO_NOISE = NoiseModel(1.3, 9.0)
-STEP_NM = 0.1
 
 
 @pytest.fixture(scope="module")
@@ -266,25 +260,19 @@ def wavefronts() -> torch.Tensor:
     return torch.cat([vector(ncpa_nm(seed, 7, 80.0), CRAMER_RAO_NOLLS) for seed in (1, 2, 3)])
 
 
-def bound_by_differences(model_of_cramer_rao, x, flux_e, optics, background_e) -> np.ndarray:
+def bound_by_differentiation(model_of_cramer_rao, x, flux_e, optics, background_e) -> np.ndarray:
     """Standard errors from the Fisher matrix of modes, flux and background."""
 
-    def image(modes, flux, background):
-        return (flux * model_of_cramer_rao.images(modes[None], optics)[0] + background).numpy().ravel()
+    def image(modes):
+        return model_of_cramer_rao.images(modes[None], optics)[0].flatten()
 
-    columns = [
-        (image(x + move, flux_e, background_e) - image(x - move, flux_e, background_e)) / (2 * STEP_NM)
-        for move in STEP_NM * torch.eye(len(CRAMER_RAO_NOLLS), dtype=torch.float64)
-    ]
-    columns.append((image(x, 1.01 * flux_e, 0) - image(x, 0.99 * flux_e, 0)) / (0.02 * flux_e))
-    columns.append(np.ones_like(columns[0]))
-    variance = (
-        CRAMER_RAO_NOISE.excess_noise_factor * image(x, flux_e, background_e) + CRAMER_RAO_NOISE.floor_e2
-    )
-    jacobian = np.stack(columns, axis=1)
-    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ (jacobian / variance[:, None]))))[
-        : len(CRAMER_RAO_NOLLS)
-    ]
+    with torch.enable_grad():
+        by_modes = flux_e * torch.func.jacfwd(image)(x)
+    light = image(x)
+    jacobian = torch.column_stack([by_modes, light, torch.ones_like(light)]).numpy()
+    mean_e = (flux_e * light + background_e).numpy()
+    variance = CRAMER_RAO_NOISE.excess_noise_factor * mean_e + CRAMER_RAO_NOISE.floor_e2
+    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ (jacobian / variance[:, None]))))[: len(x)]
 
 
 @pytest.mark.parametrize("background_e", [0.0, 20.0])
@@ -297,7 +285,7 @@ def test_the_bound_is_the_inverse_of_the_fisher_matrix(
     flux = torch.tensor([1e4, 1e5, 1e6], dtype=torch.float64)
     ours = cramer_rao_nm(whole, wavefronts, flux, CRAMER_RAO_NOISE, background_e=background_e).numpy()
     theirs = [
-        bound_by_differences(model_of_cramer_rao, x, float(f), whole.optics, background_e)
+        bound_by_differentiation(model_of_cramer_rao, x, float(f), whole.optics, background_e)
         for x, f in zip(wavefronts, flux, strict=True)
     ]
     assert ours == pytest.approx(np.array(theirs), rel=1e-4)

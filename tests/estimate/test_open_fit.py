@@ -300,15 +300,3 @@ def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
     found = likelier_side(wrong, max_iterations=30)
     assert found.solution.objective[0] < wrong.solution.objective[0]
     assert stop_of(found) == pytest.approx(TRUE_M, abs=0.01)
-
-
-# -- effects that a diagnosis found --------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def cube_fit() -> CubeFit:
-    psf = PsfModel(cases.settings(), NOLLS, dtype=torch.float64)
-    modes_nm = cases.vector(cases.ncpa_nm(4, highest_noll=11, total_nm=60.0), NOLLS)
-    images = cases.draw_frames(psf.images(modes_nm)[0].double().numpy() * 3e6, 4, seed=5)
-    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
-    return CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)

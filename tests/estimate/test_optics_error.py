@@ -33,13 +33,8 @@ def estimated(images: torch.Tensor):
     return model, lift(model, images, GOOD, NOISE, start)
 
 
-@pytest.fixture(scope="module")
-def right():
-    return estimated(images_e({}))
-
-
-def test_the_slopes_are_those_of_estimates_with_a_slightly_wrong_ncpa(right):
-    model, result = right
+def test_the_slopes_are_those_of_estimates_with_a_slightly_wrong_ncpa_and_errors_add_up_by_them():
+    model, result = estimated(images_e({}))
     wide = ImageModel(PsfModel(model.psf.settings, KNOWN, dtype=torch.float64))
     slopes = np.array([defocus_slopes(model, wide, result, frame, GOOD, NOISE) for frame in range(3)])
     for noll in (4, 5, 6, 8, 11, 14):
@@ -47,14 +42,8 @@ def test_the_slopes_are_those_of_estimates_with_a_slightly_wrong_ncpa(right):
         found = [estimated(images_e({noll: sign * step}))[1].mode(4)[0].numpy() for sign in (1, -1)]
         numeric = (found[0] - found[1]) / (2 * step)
         assert slopes[:, KNOWN.index(noll)] == pytest.approx(numeric, abs=0.02)
-
-
-def test_errors_add_up_by_their_covariance(right):
-    model, result = right
     rng = np.random.default_rng(1)
     root = rng.normal(0, 2, (len(KNOWN), len(KNOWN)))
-    wide = ImageModel(PsfModel(model.psf.settings, KNOWN, dtype=torch.float64))
-    slopes = np.array([defocus_slopes(model, wide, result, frame, GOOD, NOISE) for frame in range(3)])
     drawn = rng.normal(size=(40_000, len(KNOWN))) @ root.T @ slopes.T
     sigma_nm = optics_sigma_nm(model, result, GOOD, NOISE, KNOWN, root @ root.T)
     assert sigma_nm == pytest.approx(drawn.std(axis=0), rel=0.02)

@@ -99,6 +99,7 @@ def test_a_file_that_is_no_text_or_huge_is_refused(tmp_path, content, message):
         load_yaml(tmp_path / "f.yaml")
 
 
+@pytest.mark.slow
 @QUICK
 @given(st.text(max_size=60) | st.lists(WORDS | TEXTS, max_size=6).map(": ".join))
 @example("a: 9" + "9" * 5000)

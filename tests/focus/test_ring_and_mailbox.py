@@ -1,7 +1,5 @@
 """The files between the processes. Truth: what was written; damage done by hand."""
 
-import os
-
 import numpy as np
 import pytest
 from helpers import focus_loop as made
@@ -104,22 +102,6 @@ def looked(source: RingSource) -> list:
 def remade(path, window=(3, 4)) -> RingWriter:
     path.unlink()
     return RingWriter(path, window, 8)
-
-
-def test_a_ring_that_is_cut_short_is_named_once_and_read_again_when_it_is_whole(path):
-    writer = RingWriter(path, (3, 4), 8)
-    source = RingSource(path)
-    writer.write(read(1))
-    assert [one.counter for one in source.poll(0.0)] == [1]
-    os.truncate(path, 0)
-    assert source.poll(0.0) == []  # a look has still to come, and no signal kills the process
-    (notice,) = looked(source)
-    assert str(path) in notice.text and "waiting for it" in notice.text
-    assert looked(source) == []
-    remade(path).write(read(7))
-    (notice,) = looked(source)
-    assert "made anew" in notice.text and notice.counts_anew
-    assert [one.counter for one in source.poll(0.0)] == [7]
 
 
 @pytest.mark.parametrize("window", [(3, 4), (5, 6)])

@@ -1,7 +1,6 @@
 """The program around the loop. Truth: the reads that were given to it, and the loop by itself."""
 
 import re
-import sqlite3
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from irlos_pipe.focus import service as service_module
 from irlos_pipe.focus.calibration import CalibrationWatch, require_exchangeable
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.service import LoopSettings, Service
-from irlos_pipe.focus.source import Fault, Notice
+from irlos_pipe.focus.source import Fault
 
 SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0), reads=2)
 lines = made.lines
@@ -108,14 +107,6 @@ def test_two_loops_on_one_output_are_refused(tmp_path):
     made.served(tmp_path, First([]), SETTINGS)
 
 
-def test_an_interrupted_loop_records_what_it_has(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        made.served(tmp_path, made.Listed(reads(0, 4), then=KeyboardInterrupt), SETTINGS)
-    assert len(lines(tmp_path)[0]) == 2
-    with sqlite3.connect(tmp_path / "focus.sqlite") as connection:
-        assert connection.execute("SELECT count(*) FROM records").fetchone() == (2,)
-
-
 # -- calibrations exchanged -------------------------------------------------------------------------
 
 
@@ -191,15 +182,6 @@ def test_after_a_restart_a_recording_goes_on_where_it_was(tmp_path):
     assert (given[1].recordings, given[1].last) == (frozenset({"b"}), "b")
     assert given[1].since_unix_s > 1.7e9
     assert [one["exposure"] for one in lines(tmp_path)[0]] == [0, 1, 2, 3]
-
-
-def test_a_ring_that_is_made_anew_loses_no_exposure(tmp_path):
-    anew = [Notice("made anew", counts_anew=True)]
-    served(tmp_path, [*reads(1000, 1004), anew, *reads(0, 4)])
-    records, events = lines(tmp_path)
-    assert [one["exposure"] for one in records] == [500, 501, 0, 1]
-    assert [one["reads_damaged"] for one in records] == [0] * 4
-    assert "made anew" in events
 
 
 @pytest.fixture

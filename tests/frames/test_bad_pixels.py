@@ -6,6 +6,7 @@ from helpers.sparta_files import SAMPLING_PX, frames_e, star
 
 from irlos_pipe.frames.bad_pixels import (
     Criteria,
+    Thresholds,
     deviant_pixels,
     hot_in_dark,
     noisy_pixels,
@@ -18,7 +19,7 @@ from irlos_pipe.frames.recording import Detector
 from irlos_pipe.stages.ingest.stage import Config
 
 DETECTOR = Detector(e_per_adu=0.5, read_noise_e=1.0)
-THRESHOLDS = Config().thresholds()
+THRESHOLDS = Config().part(Thresholds)
 ALL = np.ones((48, 44), bool)
 BY = Criteria(SAMPLING_PX, NoiseModel.of_detector(DETECTOR), THRESHOLDS)
 SETTINGS = (ALL, BY)

@@ -214,7 +214,7 @@ def on_sky_e(flux_e: float, count: int = 40) -> np.ndarray:
     return rng.poisson(seen) + rng.normal(0, 9.0, seen.shape)
 
 
-@pytest.mark.parametrize("unit", [1e-6, 1e-5, 1e-3, 0.03, 30.0, 1e3, 1e6])
+@pytest.mark.parametrize("unit", [1e-6, 0.03, 1e6])
 @pytest.mark.parametrize("flux_e", [300.0, 1e5])
 def test_frames_in_another_unit_have_the_same_noise_in_that_unit(flux_e, unit):
     """The slope is proportional to the unit, the floor to its square, to the rounding of the frames."""
@@ -227,15 +227,6 @@ def test_frames_in_another_unit_have_the_same_noise_in_that_unit(flux_e, unit):
     assert scaled.excess_noise_error / unit == pytest.approx(found.excess_noise_error, rel=1e-4)
     assert scaled.floor_e2 / unit**2 == pytest.approx(found.floor_e2, rel=1e-4)
     assert scaled.floor_error_e2 / unit**2 == pytest.approx(found.floor_error_e2, rel=1e-4)
-
-
-@pytest.mark.parametrize("unit", [1e-6, 1e6])
-def test_the_noise_is_that_of_the_frames_in_any_unit(unit):
-    images = (on_sky_e(3e3) * unit).astype(np.float32)
-    found = measure_noise(images, ALL_GOOD, neighbour_prediction(ALL_GOOD, 4.2), NoiseModel(1.0, 81.0))
-    assert found.excess_noise_factor == pytest.approx(unit, abs=5 * found.excess_noise_error)
-    assert found.floor_e2 == pytest.approx(81.0 * unit**2, abs=5 * found.floor_error_e2)
-    assert found.excess_noise_error < 0.1 * unit and found.floor_error_e2 < 5 * unit**2
 
 
 def test_image_motion_that_fills_a_small_window_is_not_taken_for_noise():

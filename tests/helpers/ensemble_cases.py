@@ -4,7 +4,6 @@ A folder is the tests' window on the workers: every computed sample leaves ``<na
 and one for which ``<name>.hold`` exists says ``<name>.waiting`` and goes on when it is gone.
 """
 
-import logging
 import os
 import signal
 import sys
@@ -13,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from helpers import fake_stages
+from helpers.stage_context import stage_context
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.paper.common.ensemble import run_samples
 from irlos_pipe.product.product import Quantity
@@ -77,15 +76,9 @@ def computed(folder: Path) -> list[str]:
     return [mark.stem for mark in marks]
 
 
-def silent_progress(total: int, desc: str) -> tqdm:
-    return tqdm(total=total, desc=desc, disable=True)
-
-
 def context(scratch: Path, jobs: int = 2) -> StageContext:
     """The context of a stage that looks only at its scratch folder and its jobs."""
-    return StageContext(
-        StageConfig(), None, None, {}, {}, "cpu", 0, jobs, silent_progress, logging.getLogger("test"), scratch
-    )
+    return stage_context(StageConfig(), jobs=jobs, scratch=scratch)
 
 
 def lift(ctx: StageContext) -> StageOutput:

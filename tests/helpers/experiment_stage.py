@@ -1,35 +1,19 @@
 """Run the stage of an experiment on samples that are there already, and build its section of the report."""
 
-import logging
 from collections.abc import Callable
-from pathlib import Path
 
 from helpers import optics_cases as cases
-from irlos_pipe.instrument.instrument import load_instrument
+from helpers.stage_context import stage_context
 from irlos_pipe.paper import experiment
 from irlos_pipe.paper.experiment import Sample
-from irlos_pipe.pipeline.resources import silent_progress
 from irlos_pipe.product.product import Product
 from irlos_pipe.report.content import Section
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.model.section import ModelConfig
 
 
 def context(config, seed: int = 5) -> StageContext:
-    return StageContext(
-        config,
-        ModelConfig(),
-        load_instrument("irlos"),
-        {},
-        {},
-        "cpu",
-        seed,
-        1,
-        silent_progress,
-        logging.getLogger("test"),
-        Path("scratch"),
-    )
+    return stage_context(config, seed=seed)
 
 
 def sample(module, seed: tuple[int, ...] = (31, 0), facility=cases.FACILITY, sizes=None, **of) -> Sample:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import yaml
 
+from helpers.recordings import recording as made
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.frames.recording import Detector, Recording
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.storage import write_product
 from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording
@@ -44,20 +45,10 @@ def recording(name: str, owner: str, frames: int, introduced_nm: float = 0.0) ->
     """A recording of identical frames with one masked pixel."""
     mask = np.ones((SIDE, SIDE), bool)
     mask[0, 0] = False
-    acquisition = Acquisition("psf", Detector(2.0, 1.0), ((1600.0, 1.0),), {6: -170.0}, 9.7, target="HD 1")
-    return Recording(
-        name,
-        owner,
-        np.repeat(star()[None].astype(np.float32), frames, axis=0),
-        np.ones(frames, bool),
-        np.full(frames, ""),
-        mask,
-        np.arange(frames) * 0.1,
-        np.arange(frames),
-        np.full(frames, introduced_nm),
-        acquisition,
-        start_unix_s=1707618000.0,
-    )
+    return made(
+        np.repeat(star()[None], frames, axis=0), name, owner, role="psf", good=mask, target="HD 1",
+        detector=Detector(2.0, 1.0), introduced_nm=introduced_nm, start_unix_s=1707618000.0,
+    )  # fmt: skip
 
 
 def row(name: str, owner: str, frames: int) -> dict[str, Any]:

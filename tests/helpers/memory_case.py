@@ -17,9 +17,11 @@ from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import axis_ratios
+from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.cleaning import clean
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Detector, RawFrames
+from irlos_pipe.frames.screening import Limits
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.stages.ingest.stage import Config
 
@@ -64,7 +66,7 @@ def main(frames: int) -> dict[str, int]:
 
     def ingest(count: int) -> None:
         raw = RawFrames(adu=adu[:count], frame_counter=np.arange(count))
-        limits = CONFIG.thresholds(), CONFIG.limits()
+        limits = CONFIG.part(Thresholds), CONFIG.part(Limits)
         kept["images"] = clean(raw, Detector(1.0, 1.0), SAMPLING_PX, *limits).images_e
 
     def cube(count: int) -> Frames:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-import irlos_pipe.report.figures  # noqa: F401 - before a stand-in takes the place of what it imports
+import irlos_pipe.report.build  # noqa: F401 - before a stand-in takes the place of what it imports
 from helpers import fake_stages
 from helpers.fake_stages import COUNTS
 from helpers.sparta_files import counts, star, write_recorder

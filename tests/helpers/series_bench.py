@@ -3,19 +3,18 @@
 Frames are drawn from the pipeline's own model: what is tested is what stages make of estimates.
 """
 
-import logging
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from helpers import optics_cases as cases
-from helpers.ensemble_cases import silent_progress
-from irlos_pipe.frames.recording import Acquisition, Detector, Recording
-from irlos_pipe.instrument.instrument import load_instrument
+from helpers.recordings import recording as made
+from helpers.stage_context import stage_context
+from irlos_pipe.frames.recording import Detector, Recording
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.zernike import rotation_matrix
 from irlos_pipe.product.product import Product
-from irlos_pipe.stages.base import Stage, StageContext, StageOutput
+from irlos_pipe.stages.base import Stage, StageOutput
 from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording
 from irlos_pipe.stages.model.section import ModelConfig
 
@@ -37,23 +36,11 @@ def recording(
     """A cube without AO residual, of which the first frames are used."""
     zernike_nm = cases.vector(static_nm(angle_deg), NOLLS)
     image = PsfModel(cases.settings(WINDOW), NOLLS).images(zernike_nm)[0].double().numpy()
-    acquisition = Acquisition(
-        "derotator", Detector(2.0, 1.0), cases.NARROW_H, dict(cases.DIVERSITY), cases.SCALE_MAS,
+    return made(
+        cases.draw_frames(image * FLUX_E, frames, seed).numpy(), name, "cube", role="derotator",
+        used=np.arange(frames) < (frames if used is None else used), detector=Detector(2.0, 1.0),
         derotator_angle_deg=angle_deg,
     )  # fmt: skip
-    kept = np.arange(frames) < (frames if used is None else used)
-    return Recording(
-        name,
-        "cube",
-        cases.draw_frames(image * FLUX_E, frames, seed).numpy(),
-        kept,
-        np.where(kept, "", "saturated"),
-        np.ones((WINDOW, WINDOW), bool),
-        0.1 * np.arange(frames),
-        np.arange(frames),
-        np.zeros(frames),
-        acquisition,
-    )
 
 
 def ingest_product(recordings: Sequence[Recording]) -> Product:
@@ -67,18 +54,6 @@ def ingest_product(recordings: Sequence[Recording]) -> Product:
 def run_stage(stage: Stage, products: Mapping[str, Product], **settings) -> tuple[StageOutput, Product]:
     """Run a stage; returns its output and the product the pipeline would make of it."""
     config = stage.Config(**settings)
-    ctx = StageContext(
-        config,
-        ModelConfig(effects=()),
-        load_instrument("irlos"),
-        {},
-        dict(products),
-        "cpu",
-        0,
-        1,
-        silent_progress,
-        logging.getLogger("test"),
-        None,
-    )
+    ctx = stage_context(config, model=ModelConfig(effects=()), products=dict(products))
     output = stage.run(ctx)
     return output, Product(stage.NAME, output.arrays, output.results.as_json(), config=config.model_dump())

@@ -1,28 +1,19 @@
 """Instrument profiles."""
 
-import dataclasses
 import math
-import os
 import re
-from collections.abc import Iterator
 
 import pytest
 import yaml
 from helpers.paths import REPOSITORY
-from pydantic import BaseModel
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.pupil_parts import PARTS
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
 from irlos_pipe.instrument.profile import (
-    DEFAULTS,
     FACTS,
-    ModeEntry,
-    SeeingScaleEntry,
     require_unit,
     unit_of_name,
 )
-from irlos_pipe.instrument.pupil import MapEntry, PupilSection, TurnRule, VaneEntry
 from irlos_pipe.optics.pupil import petals_of, segments_of
 from irlos_pipe.simulate.recordings.run import plan_simulation
 from irlos_pipe.simulate.recordings.spec import load_spec
@@ -116,7 +107,7 @@ def test_a_mistake_in_a_profile_is_told_with_the_file(tmp_path, profile, where, 
     assert "mine.yaml" in str(caught.value)
 
 
-# docs/instruments.md: its example works, its reference lists every key.
+# The example of docs/instruments.md works.
 
 
 PAGE = REPOSITORY / "docs/instruments.md"
@@ -197,78 +188,3 @@ def test_a_unit_that_contradicts_the_name_is_told_in_one_line(tmp_path, profile,
 def test_a_unit_may_be_written_in_the_usual_ways(wanted, spellings):
     for unit in spellings:
         require_unit("a fact", unit, wanted)
-
-
-MARKED = re.compile(r"(<!-- made by .*? -->\n).*?(\n<!-- end -->)", re.DOTALL)
-
-
-PART_KEYS = {
-    "diameter_m": "m",
-    "corners_m": "[[x, y], …] in m, three or more",
-    "flat_to_flat_m": "width of a segment between opposite sides, m",
-    "gap_m": "between neighbours, m",
-    "rings": "round the central segment",
-    "missing": "numbers of segments that are not there",
-}
-
-
-def rows(model: type[BaseModel], above: str) -> Iterator[str]:
-    for name, entry in model.model_fields.items():
-        need = "" if entry.is_required() else " (optional)"
-        yield f"| `{above}{name}` | {entry.description}{need} |"
-
-
-def reference() -> str:
-    facts = [
-        f"| `{name}` | {rule.unit} | {rule.text}{'' if rule.required else ' (optional)'} | "
-        f"{rule.low:g} to {rule.high:g} |"
-        for name, rule in FACTS.items()
-    ]
-    parts = [
-        f"| `{title}` | "
-        + "; ".join(
-            f"`{f.name}`: {PART_KEYS[f.name]}" for f in dataclasses.fields(part) if f.name != "placement"
-        )
-        + " |"
-        for title, part in PARTS.items()
-    ]
-    sections = [
-        *rows(PupilSection, "pupil."),
-        *rows(VaneEntry, "pupil.vanes[]."),
-        *rows(MapEntry, "pupil.map."),
-        *rows(TurnRule, "pupil.turns."),
-        *rows(ModeEntry, "modes.NAME."),
-        *rows(SeeingScaleEntry, "seeing_scales.NAME."),
-    ]
-    return "\n".join(
-        [
-            "\n| fact | unit | what it is | limits |",
-            "|---|---|---|---|",
-            *facts,
-            "",
-            "`amplifier_e_per_adu` is needed where there are `modes`. Other facts may have any name if",
-            "`defaults`, `modes` or `seeing_scales` refer to them.",
-            "",
-            "| key | what it is |",
-            "|---|---|",
-            "| `name`, `title` | name of the instrument; one line for people (optional) |",
-            *sections,
-            "",
-            "| part | keys, in addition to `centre_m`, `rotation_deg` and `flip` (optional) |",
-            "|---|---|",
-            *parts,
-            "",
-            "`defaults` gives side-car keys that may be left out the name of the fact that stands in for",
-            "each, or `{divide: [fact, fact, …]}`, the first divided by the others:",
-            ", ".join(f"`{name}`" for name in DEFAULTS[:5]) + ",",
-            ", ".join(f"`{name}`" for name in DEFAULTS[5:]) + ".\n",
-        ]
-    )
-
-
-def test_the_reference_lists_every_key():
-    text = PAGE.read_text()
-    expected = MARKED.sub(lambda found: found[1] + reference() + found[2], text)
-    if os.environ.get("REWRITE"):
-        PAGE.write_text(expected)
-    assert text == expected

@@ -32,13 +32,6 @@ def test_false_alarms_are_not_more_frequent_than_requested(nights, probability):
     assert alarms <= allowed and alarms >= 0.2 * trials * probability
 
 
-def test_a_jump_after_forty_quiet_nights_is_out_of_its_band():
-    values = np.random.default_rng(5).normal(30, 1, 41)
-    values[-1] = 45.0
-    band = bands(dates(41), values, [0.5] * 41, BandSettings())[-1]
-    assert not band.holds(45.0) and band.holds(30.0) and band.nights == 40
-
-
 def test_outlying_nights_hardly_move_the_band():
     values = np.random.default_rng(6).normal(0, 1, 41)
     clean = band_of_last(values)

@@ -135,11 +135,6 @@ def test_groups_are_named_by_time_and_name_keep_it_when_they_grow_and_are_number
     assert found == ["recording", "c", "000000_c", "000000_c-2"]
 
 
-@pytest.mark.parametrize(("utc_h", "day"), [(16.6, 10), (16.8, 11)])
-def test_a_night_ends_at_noon_of_paranal(utc_h, day):
-    assert night_of(EVENING_S + 3600 * utc_h) == f"2024-02-{day}"
-
-
 @pytest.mark.parametrize("longitude_deg", [-155.5, -70.4, 0.0, 149.1])
 def test_a_night_ends_at_noon_of_its_site(longitude_deg):
     """The mean sun culminates at longitude 0 at 12 h UTC, and 4 minutes earlier per degree to the east."""

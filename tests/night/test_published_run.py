@@ -33,13 +33,6 @@ def run(tmp_path) -> PublishedRun:
     return run
 
 
-def test_new_products_are_visible_when_they_are_published_and_not_before(run):
-    work(run, "new")
-    assert shown(run) == ["old", "old", "old"]
-    run.publish()
-    assert shown(run) == ["new", "new", "oldnew"]
-
-
 def test_work_starts_with_hard_links_to_the_published_products_and_is_continued(run):
     begun = run.prepare()
     (begun / "c.h5").touch()
@@ -138,9 +131,3 @@ def test_products_are_published_on_a_disk_without_links(run, monkeypatch):
     work(run, "new")
     run.publish()
     assert shown(run) == ["new", "new", "oldnew"]
-
-
-def test_something_else_with_its_name_is_not_replaced(tmp_path):
-    (tmp_path / "cube").mkdir()
-    with pytest.raises(IrlosError, match="is in the way"):
-        PublishedRun(tmp_path / "cube").prepare()

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import re
 import shutil
 import sqlite3
 import sys
@@ -14,10 +13,9 @@ import pytest
 from helpers import night_bench
 from helpers.fake_stages import COUNTS
 
-from irlos_pipe.conventions.errors import InputDataError, Locked, NothingToDo
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.run import plan_night, run_night
-from irlos_pipe.product.runfolder import owned_folder
 
 MORNING = "2024-02-11T03:00:00"
 
@@ -35,36 +33,6 @@ def contents(folder) -> dict[str, bytes]:
 
 def change_model(monkeypatch, stage: str = "calibrate") -> None:
     monkeypatch.setattr(sys.modules[f"irlos_pipe.stages.{stage}.stage"], "VERSION", 2)
-
-
-def test_a_night_is_reduced_into_a_folder_per_group_and_recipe(bench):
-    bench.record(MORNING)
-    bench.record("2024-02-11T03:10:00", "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
-    state = bench.run()
-    assert state.exit_code == 0 and list(state.nights) == ["2024-02-10"]
-    for group, recipe in (("030000_cube", "cube"), ("031000_offset", "ramp")):
-        folder = bench.run_folder(group=group, recipe=recipe)
-        assert json.loads((folder / "results.json").read_text())["status"] == "ok"
-        assert (folder / "03_lift.h5").is_file() and f"{group}/{recipe}/report.html" in bench.page()
-
-
-def test_the_index_lists_every_reduction_of_every_night_and_those_without_any(bench):
-    bench.record(MORNING)
-    bench.record("2024-02-12T03:00:00", "later")
-    torn = bench.record("2024-02-14T03:30:00", "torn")
-    (torn / "torn.fits").write_bytes((torn / "torn.fits").read_bytes()[:3000])
-    bench.run()
-    index = bench.tree / "index.html"
-    rows = re.findall(r"<tr.*?</tr>", index.read_text(), re.DOTALL)[1:]
-    dates = [re.search(r"night_(\S+)\.html", row)[1] for row in rows]
-    assert len(dates) == 3 and dates == sorted(dates, reverse=True)
-    links = [re.findall(r'href="([^"]+)"', row) for row in rows]
-    assert [len(one) for one in links] == [1, 2, 2]
-    assert all((bench.tree / link).is_file() for one in links for link in one)
-    assert "50" in rows[-1] and "1 of 1" in rows[-1]
-    before = index.stat().st_mtime_ns
-    bench.run()
-    assert index.stat().st_mtime_ns == before
 
 
 @pytest.mark.slow
@@ -189,18 +157,6 @@ def test_a_crash_is_stated_on_the_page_and_the_next_run_completes_the_night(benc
     assert bench.run().exit_code == 0 and ">ok<" in bench.page()
 
 
-def test_the_page_of_a_run_that_is_killed_says_that_it_is_not_finished(bench):
-    bench.record(MORNING)
-    seen = []
-
-    def runner(work, tasks):
-        seen.append(bench.page())
-        return map(work, tasks)
-
-    run_night(bench.request(), runner)
-    assert "continues where it stopped" in seen[0] and ">not finished<" in seen[0]
-
-
 def test_numbers_that_a_killed_run_did_not_store_are_stored_by_the_next_run(bench):
     bench.record(MORNING)
     bench.run()
@@ -211,13 +167,6 @@ def test_numbers_that_a_killed_run_did_not_store_are_stored_by_the_next_run(benc
     with opened(bench.tree) as database:
         found = {one.name: one.value for one in database.points() if one.name.startswith("noll")}
     assert found == {"noll_4_nm": 30.0, "noll_5_nm": -10.0}
-
-
-def test_a_tree_in_use_is_not_touched(bench):
-    bench.record(MORNING)
-    with owned_folder(bench.tree), pytest.raises(Locked):
-        bench.run()
-    assert not (bench.tree / "night_2024-02-10.html").exists()
 
 
 # -- reprocessing ------------------------------------------------------------------------------
@@ -375,6 +324,7 @@ def test_a_copy_is_left_out_and_the_same_frames_with_another_side_car_are_a_fail
     assert state.exit_code == 5 and "but another side-car" in state.nights["2024-02-10"].failures[0]
 
 
+@pytest.mark.slow
 def test_a_reduction_that_hangs_is_stopped_and_the_others_go_on(bench, monkeypatch):
     bench.record(MORNING, "hanging")
     bench.record("2024-02-11T04:00:00", "good")

@@ -9,8 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from irlos_pipe.night.stability import DAY_S, LAG_EDGES_S, Validity, structure_function, with_confidence
-from irlos_pipe.night.terminal import validity_text
+from irlos_pipe.night.stability import DAY_S, LAG_EDGES_S, structure_function, with_confidence
 
 
 def test_every_pair_is_counted_once_in_the_bin_of_its_lag():
@@ -29,32 +28,6 @@ def test_every_pair_is_counted_once_in_the_bin_of_its_lag():
         assert found.pairs[row] == within.sum()
         for name, values in (("lag_s", lags), ("change_nm2", changes), ("noise_nm2", noises)):
             assert getattr(found, name)[row] == pytest.approx(np.mean(np.array(values)[within]), rel=1e-12)
-
-
-def test_white_changes_give_the_same_at_every_lag():
-    count, modes, s_nm = 800, 20, 3.0
-    values = np.random.default_rng(1).normal(0, s_nm, (count, modes))
-    found = structure_function(DAY_S * np.arange(count), values, np.zeros((count, modes)))
-    assert found.change_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * s_nm**2), rel=0.05)
-
-
-def test_measurement_noise_is_subtracted():
-    count, modes, s_nm, noise_nm = 800, 20, 3.0, 6.0
-    rng = np.random.default_rng(2)
-    values = rng.normal(0, s_nm, (count, modes)) + rng.normal(0, noise_nm, (count, modes))
-    found = structure_function(DAY_S * np.arange(count), values, np.full((count, modes), noise_nm))
-    assert found.change_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * s_nm**2), rel=0.15)
-    assert found.noise_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * noise_nm**2))
-
-
-def test_a_random_walk_changes_in_proportion_to_the_lag():
-    """Up to lags of a fortieth of the series, where 100 modes make the mean of the pairs good to 5 %."""
-    count, modes, step_nm = 1200, 100, 0.5
-    values = np.cumsum(np.random.default_rng(3).normal(0, step_nm, (count, modes)), axis=0)
-    found = structure_function(DAY_S * np.arange(count), values, np.zeros((count, modes)))
-    short = found.lag_s < 30 * DAY_S
-    expected = modes * step_nm**2 * found.lag_s[short] / DAY_S
-    assert short.sum() >= 5 and found.change_nm2[short] == pytest.approx(expected, rel=0.1)
 
 
 def test_changes_that_noise_explains_count_as_none():
@@ -94,14 +67,3 @@ def test_nights_that_change_more_at_once_are_not_valid_at_all():
     nights = drifting(np.random.default_rng(3), 25, 27, 900.0, 0.0, 0.7)
     _, validity = with_confidence(structure_function(*nights), *nights, change_nm=20.0)
     assert validity.days == 0.0
-
-
-def test_how_long_a_calibration_is_valid_is_one_sentence():
-    inf = float("inf")
-    assert validity_text(Validity(20.0, 12.0, 8.0, 19.0, 30.0)) == (
-        "The NCPAs stay within 20 nm RMS for 12 days (95 %: 8 to 19)."
-    )
-    assert "at least 30 days" in validity_text(Validity(20.0, inf, 400.0, inf, 30.0))
-    assert "at least 9 days" in validity_text(Validity(20.0, 300.0, 9.0, inf, 30.0))
-    assert "for 4 days (95 %: 1.5 or more)" in validity_text(Validity(20.0, 4.0, 1.5, inf, 30.0))
-    assert "From one calibration to the next" in validity_text(Validity(20.0, 0.0, 0.0, 3.0, 30.0))

@@ -15,7 +15,7 @@ from conftest import invoke
 from helpers.stored_nights import DAY_S, measured, night, put
 
 from irlos_pipe.night.database import NAME, opened
-from irlos_pipe.night.page import main_series, numbers_of_night, trend_section
+from irlos_pipe.night.page import main_series, numbers_of_night
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import make_trend, read_trend
@@ -55,11 +55,6 @@ def test_numbers_come_in_order_of_time_with_modes_in_order_of_their_index(tree):
     trend = read_trend(tree, RULE)
     assert [one.name for one in trend.series] == ["noll_2_nm", "noll_4_nm", "noll_11_nm", "seeing_arcsec"]
     assert all(np.all(np.diff([point.unix_s for point in one.points]) == DAY_S) for one in trend.series)
-
-
-def test_a_coefficient_out_of_its_band_alarms_and_the_seeing_does_not(tree):
-    alarms = [line.split(" = ")[0] for line in read_trend(tree, RULE).alarms()]
-    assert alarms == [f"{night(19)}/030000_cube/cube: {name}" for name in ("wavefront_nm", "noll_4_nm")]
 
 
 def test_the_trend_until_a_night_equals_the_trend_made_on_that_night(tree):
@@ -113,15 +108,6 @@ def test_the_table_shows_what_alarms_the_stability_and_counts_the_rest(tree):
     line = "irlos: error: 2 numbers out of band: 2024-02-29/030000_cube/cube: wavefront_nm = "
     assert result.stderr.startswith(line)
     assert "noll_11_nm" in invoke("trend", str(tree), "--all").stdout
-
-
-def test_many_modes_fit_a_terminal(tmp_path):
-    rng = np.random.default_rng(1)
-    for day in range(12):
-        modes = {f"noll_{noll}_nm": rng.normal(0, 0.5) for noll in range(2, 31)}
-        put(tmp_path, day, measured(verdict="none", ncpa_nm=50.0, seeing_arcsec=0.6, **modes))
-    lines = invoke("trend", str(tmp_path)).stdout.splitlines()
-    assert len(lines) <= 24 and max(map(len, lines)) <= 80
 
 
 def test_csv_and_json_hold_every_point_with_its_band(tree):
@@ -194,16 +180,6 @@ def test_a_database_of_the_first_version_is_read_again_from_the_products(tmp_pat
         connection.execute("PRAGMA user_version = 1")
     with opened(tmp_path) as database:
         assert database.run_key(run) == "" and len(database.points()) == 1
-
-
-def test_the_page_of_one_night_lists_numbers_and_that_of_many_says_how_long_a_calibration_is_valid(tree):
-    last = night(18)
-    first = trend_section(read_trend(tree, RULE, until=night(0)))
-    assert [block.kind for block in first.blocks] == ["table"] and len(first.blocks[0].rows) == 4
-    put(tree, 18, measured(noll_4_nm=40.0, noll_2_nm=20.0, noll_11_nm=110.0, ncpa_nm=50.0))
-    tiles = {one.label: one for one in numbers_of_night(Night(last), read_trend(tree, RULE, until=last))}
-    tile = tiles["Calibration valid for"]
-    assert tile.value.endswith(" days") and "20 nm RMS" in tile.note
 
 
 def test_the_queries_of_the_dashboard_find_what_was_put_in(tmp_path):

@@ -250,11 +250,3 @@ def test_no_stage_mixes_tensors_of_two_devices(monkeypatch, tmp_path):
         result = invoke(*told)
     assert result.exit_code == 0, result.stderr
     assert device.operations > 10_000
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-def test_a_device_that_is_not_there_is_an_error_of_one_line_and_of_usage(tmp_path):
-    result = invoke("run", "ncpa_calibration", "--samples", "--output", tmp_path, "--device", "cuda")
-    assert result.exit_code == 2
-    assert "PyTorch finds no CUDA device" in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1

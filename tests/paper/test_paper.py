@@ -15,7 +15,7 @@ from helpers.fake_stages import COUNTS
 from helpers.paths import RECIPES
 from pydantic import Field
 
-import irlos_pipe.report.figures  # noqa: F401 - before a stand-in takes the place of what it imports
+import irlos_pipe.report.build  # noqa: F401 - before a stand-in takes the place of what it imports
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.paper.common.table import read_csv

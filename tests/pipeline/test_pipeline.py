@@ -7,7 +7,7 @@ import pytest
 from helpers.fake_stages import COUNTS
 from helpers.running import STAGES, reasons, results, run, visible
 
-from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
 
 PRODUCTS = ["01_ingest.h5", "02_calibrate.h5", "03_lift.h5"]
 
@@ -65,22 +65,6 @@ def test_a_bug_is_reported_in_one_line_with_the_traceback_in_the_log(bench):
     assert str(caught.value) == f"unexpected ZeroDivisionError: a bug; the traceback is in {log}"
     assert "Traceback" in log.read_text() and "fake_stages.py" in log.read_text()
     assert caught.value.exit_code == 1
-
-
-@pytest.mark.parametrize(
-    ("behaviour", "error", "message"),
-    [
-        ("missing_file", InputDataError, "x.fits: No such file or directory"),
-        ("disk_full", IrlosError, "the disk is full"),
-        ("nothing", NothingToDo, "no recordings found"),
-        ("interrupt", KeyboardInterrupt, None),
-    ],
-)
-def test_what_stops_a_stage_keeps_its_kind_and_leaves_no_product(bench, behaviour, error, message):
-    bench.make(f"calibrate.{behaviour}")
-    with pytest.raises(error, match=message):
-        run(bench)
-    assert [name for name in visible(bench) if name.endswith(".h5")] == ["01_ingest.h5"]
 
 
 def test_a_report_that_cannot_be_built_costs_no_product(bench, monkeypatch):

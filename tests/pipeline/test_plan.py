@@ -45,20 +45,6 @@ def test_a_stage_is_redone_only_for_what_it_depends_on(bench, settings, expected
     assert reasons(bench, seed=3)["lift"] == "seed changed 0 -> 3"
 
 
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        (lambda data: (data / "a.dat").write_bytes(b"54321"), "input file cube/data/a.dat changed"),
-        (lambda data: (data / "b.dat").unlink(), "input file cube/data/b.dat is gone"),
-        (lambda data: (data / "c.dat").touch(), "input file cube/data/c.dat is new"),
-    ],
-)
-def test_a_changed_input_file_is_named(bench, change, expected):
-    run(bench)
-    change(bench.data)
-    assert reasons(bench)["ingest"] == expected
-
-
 def test_touching_or_moving_input_files_redoes_nothing(bench):
     run(bench)
     (bench.data / "a.dat").touch()

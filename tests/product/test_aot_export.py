@@ -11,7 +11,6 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.readers.find import read_recordings
 
-aotpy = pytest.importorskip("aotpy")
 RECIPE = "recipe: one\ninputs: {cube: data}\nstages: [ingest]\n"
 TIMES = {"Seconds": 1707620400 + np.arange(5), "USeconds": np.arange(5) * 1000}
 

@@ -85,19 +85,6 @@ def test_equal_names_are_reported_apart_by_their_folders(tmp_path):
     assert unique_name("x", tmp_path / "a" / "b" / "x.fits", {*taken, "x-2"}) == "x-3"
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("text.fits", b"these are not the data", "not a FITS file"),
-        ("cube.npy", b"\x93NUMPY", "not a FITS file"),
-    ],
-)
-def test_a_file_of_another_kind_is_refused(tmp_path, name, content, message):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputDataError, match=message):
-        [read_recordings(path, IRLOS) for path in recording_files([tmp_path / name])]
-
-
 def test_a_path_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(InputDataError, match=r"gone: no such file or folder"):
         recording_files([tmp_path / "gone"])
@@ -342,28 +329,6 @@ def test_a_file_with_two_cubes_is_refused_but_not_one_with_a_named_map_beside_it
             read_recordings(path, IRLOS)
     (raw,) = read_recordings(cubes("c.fits", "SCI", "ERR"), IRLOS)
     assert raw.frames == 3 and "ERR" in raw.warnings[0]
-
-
-@pytest.mark.parametrize("seconds", [1e18, -5.0, np.nan])
-def test_a_time_that_cannot_be_is_refused(tmp_path, seconds):
-    table = pixel_table(SEARCH_CUBE)
-    table = fits.BinTableHDU.from_columns(
-        table.columns + fits.Column("Seconds", "D", array=np.full(3, seconds)), name="IRPixelFrame"
-    )
-    fits.HDUList([fits.PrimaryHDU(), table]).writeto(tmp_path / "c.fits")
-    with pytest.raises(InputDataError, match="is no time from 1970 to 2100"):
-        read_recordings(tmp_path / "c.fits", IRLOS)
-
-
-def test_a_frame_counter_with_several_values_per_frame_is_refused(tmp_path):
-    table = pixel_table(SEARCH_CUBE)
-    columns = [column for column in table.columns if column.name != "FrameCounter"]
-    columns.append(fits.Column("FrameCounter", "2J", array=np.zeros((3, 2), int)))
-    fits.HDUList([fits.PrimaryHDU(), fits.BinTableHDU.from_columns(columns, name="IRPixelFrame")]).writeto(
-        tmp_path / "c.fits"
-    )
-    with pytest.raises(InputDataError, match="'FrameCounter' has 2 values per row"):
-        read_recordings(tmp_path / "c.fits", IRLOS)
 
 
 FOLDERS = st.sampled_from(["a", "b", "a/c", "b/d", "a/c/e"])

@@ -9,10 +9,11 @@ import yaml
 from astropy.io import fits
 from astropy.time import Time
 from helpers.optics_cases import vector
+from helpers.recordings import recording as made
 from helpers.sparta_files import counts, sidecar, star, write_recorder
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.recording import HEADER, Acquisition, Detector, Recording
+from irlos_pipe.frames.recording import HEADER
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.readers.acquisition import resolve
@@ -120,22 +121,8 @@ def test_an_angle_that_the_rule_needs_has_to_be_known(tmp_path):
         rotation_deg(tmp_path, instrument)
 
 
-def recording(name, angle_deg) -> Recording:
-    acquisition = Acquisition(
-        "psf", Detector(1.0, 1.0), ((1600.0, 1.0),), {}, 9.7, pupil_rotation_deg=angle_deg
-    )
-    return Recording(
-        name=name,
-        input="cube",
-        acquisition=acquisition,
-        images_e=np.ones((1, 32, 32), np.float32),
-        used=np.ones(1, bool),
-        reason=np.array([""]),
-        good=np.ones((32, 32), bool),
-        time_s=np.zeros(1),
-        frame_counter=np.zeros(1, int),
-        introduced_defocus_nm=np.zeros(1),
-    )
+def recording(name, angle_deg):
+    return made(np.ones((1, 32, 32)), name, role="psf", diversity={}, pupil_rotation_deg=angle_deg)
 
 
 def test_the_image_turns_with_the_pupil():

@@ -228,45 +228,50 @@ def test_a_lost_frame_is_counted_as_missing(counter, missing):
     assert frames_missing(np.array(counter)) == missing
 
 
-def test_a_window_that_changes_is_refused_and_the_row_named(tmp_path, cube):
-    path = write_recorder(tmp_path / "rec", cube, sizes=([9, 9, 8], [6, 6, 6]))
-    with pytest.raises(InputDataError, match=r"window changes from 9x6 to 8x6 \(x, y\) px in row 3"):
-        read(path)
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"sizes": ([9, 9, 8], [6, 6, 6])}, r"window changes from 9x6 to 8x6 \(x, y\) px in row 3"),
+        ({"sizes": ([9] * 3, [7] * 3)}, "needs 63 values, column 'Pixels' holds 54"),
+        ({"sizes": ([0] * 3, [6] * 3)}, "a window of 0x6"),
+        ({"sizes": ([2] * 3, [6] * 3)}, "expected 5 to 4096 px a side"),
+        ({"adu": ramp_image(6, 9, 0)}, "no frames"),
+        (
+            {"maps": {"DARK": np.zeros((9, 9))}},
+            r"IRAcq\.DET1\.DARK\.fits.*9x9 \(y, x\) px do not fit the window of 6x9",
+        ),
+        ({"maps": {"DEAD": np.ones((6, 9))}}, "marks 54 of 54 pixels as dead"),  # a map upside down
+    ],
+)
+def test_a_recorder_folder_that_contradicts_itself_is_refused(tmp_path, cube, given, message):
+    with pytest.raises(InputDataError, match=message):
+        read(write_recorder(tmp_path / "rec", **{"adu": cube} | given))
+
+
+VECTORS = np.empty(3, dtype=object)
+VECTORS[:] = [np.arange(54, dtype=np.float32)] * 3
 
 
 @pytest.mark.parametrize(
-    ("sizes", "message"),
+    ("name", "column", "message"),
     [
-        (([9] * 3, [7] * 3), "needs 63 values, column 'Pixels' holds 54"),
-        (([0] * 3, [6] * 3), "a window of 0x6"),
-        (([2] * 3, [6] * 3), "expected 5 to 4096 px a side"),
+        *(
+            (name, [], rf"HDU 1 \(IRPIXELFRAME\): no column '{name}'")
+            for name in ("FrameCounter", "WindowSizeX", "WindowSizeY", "Pixels")
+        ),
+        ("Pixels", ["PE()", VECTORS], "varying length"),
+        ("FrameCounter", ["2J", np.zeros((3, 2), int)], "'FrameCounter' has 2 values per row"),
+        *(("Seconds", ["D", np.full(3, one)], "no time from 1970 to 2100") for one in (1e18, -5.0, np.nan)),
     ],
 )
-def test_a_window_that_cannot_be_is_refused(tmp_path, cube, sizes, message):
-    with pytest.raises(InputDataError, match=message):
-        read(write_recorder(tmp_path / "rec", cube, sizes=sizes))
-
-
-@pytest.mark.parametrize("name", ["FrameCounter", "WindowSizeX", "WindowSizeY", "Pixels"])
-def test_a_missing_column_is_named(tmp_path, cube, name):
+def test_a_pixel_table_whose_columns_cannot_be_is_refused(tmp_path, cube, name, column, message):
     path = write_recorder(tmp_path / "rec", cube)
-    table = pixel_table(cube)
-    kept = fits.BinTableHDU.from_columns([c for c in table.columns if c.name != name], name="IRPixelFrame")
-    fits.HDUList([fits.PrimaryHDU(), kept]).writeto(path, overwrite=True)
-    with pytest.raises(InputDataError, match=rf"HDU 1 \(IRPIXELFRAME\): no column '{name}'"):
-        read(path)
-
-
-def test_vectors_of_varying_length_are_refused(tmp_path, cube):
-    path = write_recorder(tmp_path / "rec", cube)
-    vectors = np.empty(3, dtype=object)
-    vectors[:] = [np.arange(54, dtype=np.float32)] * 3
-    others = [c for c in pixel_table(cube).columns if c.name != "Pixels"]
-    table = fits.BinTableHDU.from_columns(
-        [*others, fits.Column("Pixels", "PE()", array=vectors)], name="IRPixelFrame"
-    )
+    columns = [one for one in pixel_table(cube).columns if one.name != name]
+    if column:
+        columns.append(fits.Column(name, column[0], array=column[1]))
+    table = fits.BinTableHDU.from_columns(columns, name="IRPixelFrame")
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(path, overwrite=True)
-    with pytest.raises(InputDataError, match="varying length"):
+    with pytest.raises(InputDataError, match=message):
         read(path)
 
 
@@ -288,27 +293,9 @@ def test_a_stack_of_darks_is_averaged_and_its_noise_known(tmp_path):
     assert maps.dark_variance_adu2 == pytest.approx(16 / 100, rel=0.1)
 
 
-def test_a_calibration_image_of_another_size_is_refused(tmp_path, cube):
-    path = write_recorder(tmp_path / "rec", cube, maps={"DARK": np.zeros((9, 9))})
-    with pytest.raises(
-        InputDataError, match=r"IRAcq\.DET1\.DARK\.fits.*9x9 \(y, x\) px do not fit the window of 6x9"
-    ):
-        read(path)
-
-
-def test_a_map_of_dead_pixels_upside_down_is_refused(tmp_path, cube):
-    with pytest.raises(InputDataError, match="marks 54 of 54 pixels as dead"):
-        read(write_recorder(tmp_path / "rec", cube, maps={"DEAD": np.ones((6, 9))}))
-
-
 def test_frames_without_a_time_are_placed_by_their_counter():
     times = relative_times(np.array([10.0, np.nan, 10.4]), np.array([0, 20, 80]), frame_rate_hz=1.0)
     assert times == pytest.approx([0.0, 0.1, 0.4])
-
-
-def test_a_table_without_rows_is_refused(tmp_path, cube):
-    with pytest.raises(InputDataError, match="no frames"):
-        read(write_recorder(tmp_path / "rec", cube[:0]))
 
 
 def test_weights_that_leave_a_small_window_are_no_bad_pixels(tmp_path, cube):

@@ -115,6 +115,8 @@ def zipped() -> bytes:
     ("content", "what"),
     [
         (b"", "empty"),
+        (b"these are not the data", "not a FITS file"),
+        (b"\x93NUMPY", "not a FITS file"),
         (b"\x1f\x9d\x90" + bytes(50), r"packed by compress \(\.Z\).*gzip -d"),
         (zipped(), "a zip archive"),
         (b"\n<!DOCTYPE html><html>", "a web page"),
@@ -205,20 +207,20 @@ def refusal(path) -> str:
     return str(caught.value)
 
 
-def test_data_that_do_not_fit_their_checksum_are_refused(path):
-    content = bytearray(path.read_bytes())
-    content[-2880] ^= 1
-    path.write_bytes(content)
-    assert "HDU 1: the data do not fit their DATASUM" in refusal(path)
-
-
-def test_something_behind_the_last_hdu_that_is_no_extension_is_refused_but_padding_is_not(path):
-    whole = path.read_bytes()
-    path.write_bytes(whole + bytes(2880))
-    with open_fits(path) as hdus:
-        assert len(hdus) == 2
-    path.write_bytes(whole + b"x" * 100)
-    assert "something follows HDU 1 that is no extension" in refusal(path)
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (
+            lambda whole: whole[:-2880] + bytes([whole[-2880] ^ 1]) + whole[-2879:],
+            "data do not fit their DATASUM",
+        ),
+        (lambda whole: whole + b"x" * 100, "something follows HDU 1 that is no extension"),
+        (lambda whole: gzip.compress(with_card(whole, "NAXIS3", 10**9)), "truncated, or a wrong header"),
+    ],
+)
+def test_data_that_contradict_checksum_or_header_are_refused(path, spoil, message):
+    path.write_bytes(spoil(path.read_bytes()))
+    assert message in refusal(path)
 
 
 @pytest.mark.parametrize("name", ["a.fits", "a.fits.gz"])
@@ -229,13 +231,6 @@ def test_headers_with_billions_of_axes_or_columns_are_refused_at_once(tmp_path, 
     content = with_card((tmp_path / "whole.fits").read_bytes(), key, 2**31)
     (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith("gz") else content)
     assert f"{key} = 2147483648 in a header, FITS allows 999" in refusal(tmp_path / name)
-
-
-def test_a_small_compressed_file_whose_header_announces_more_than_it_holds_is_refused(tmp_path):
-    fits.writeto(tmp_path / "whole.fits", COUNTED)
-    content = with_card((tmp_path / "whole.fits").read_bytes(), "NAXIS3", 10**9)
-    (tmp_path / "a.fits.gz").write_bytes(gzip.compress(content))
-    assert "truncated, or a wrong header" in refusal(tmp_path / "a.fits.gz")
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress])

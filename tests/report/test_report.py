@@ -89,22 +89,7 @@ def test_a_product_of_another_run_is_not_shown_as_that_of_this(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_full_run_has_all_sections_results_first(full):
-    assert full.sections == [
-        "calibrate",
-        "correct",
-        "prior",
-        "lift",
-        "sensitivity",
-        "ingest",
-        "quality",
-        "meaning",
-        "origin",
-    ]
-
-
-@pytest.mark.slow
-def test_a_browser_is_told_to_run_and_load_nothing(full):
+def test_a_full_page_is_whole_has_numbers_with_their_units_and_a_browser_runs_and_loads_nothing(full):
     (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', full.text)
     rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
     assert rules["default-src"] == "'none'"  # scripts, frames, fonts, connections
@@ -112,28 +97,10 @@ def test_a_browser_is_told_to_run_and_load_nothing(full):
     assert "script-src" not in rules
     assert all(address.startswith("data:") for address in full.loaded)
     assert not re.search(r"\son\w+=|javascript:|<script|<link|@import", full.text)
-
-
-@pytest.mark.slow
-def test_one_way_of_showing_a_picture_is_chosen_at_first(full):
-    groups = re.findall(r'<div class="views.*?(?=<div class="view blocks">)', full.text, re.DOTALL)
-    assert groups
-    for group in groups:
-        inputs = re.findall(r"<input [^>]*>", group)
-        assert [" checked" in one for one in inputs] == [True] + [False] * (len(inputs) - 1)
-        assert re.findall(r'id="([^"]*)"', " ".join(inputs)) == re.findall(r'<label for="([^"]*)"', group)
-
-
-@pytest.mark.slow
-def test_elements_are_closed_identifiers_unique_and_every_reference_has_its_target(full):
     assert len(full.identifiers) == len(set(full.identifiers))
     assert full.open == []
     wanted = {reference[1:] for reference in full.references} | set(re.findall(r"url\(#([^)]*)\)", full.text))
     assert wanted <= set(full.identifiers)
-
-
-@pytest.mark.slow
-def test_the_numbers_to_see_first_are_there_with_their_units(full):
     for shown in (
         "50.0 ± 2.8 nm", "22.4 ± 2.8 nm", "0.998 ± 0.003", "+1.0 nm", "1.2 nm RMS", "≥ 16.0 mag",
         "0.631 → 0.742", "0.50 arcsec", "110 nm RMS", "6.9 mas RMS", "HD 1", "2024-02-11 02:20", "dip_avg",
@@ -164,50 +131,10 @@ def test_products_without_arrays_and_results_still_have_a_section(tmp_path, stag
     assert page.sections == [stage, "origin"]
 
 
-@pytest.mark.parametrize(
-    ("twin", "said"),
-    [
-        ({}, "at -190 nm, has Δχ² = 1,234: it is excluded"),
-        ({"chi2_nu": 100.0, "evidence": 12.3}, "1,234, 12 in units of the misfit: it is excluded"),
-        ({"evidence": 3.0}, "it is not excluded, and the sign of defocus is open"),
-        ({"evidence": -30.0}, "it fits better, and the estimate of this frame is wrong"),
-        ({"twin_nm": None}, "There is no other minimum: the twin is excluded"),
-    ],
-)
-def test_the_page_says_whether_the_twin_is_excluded(tmp_path, monkeypatch, twin, said):
-    monkeypatch.setattr(made_run, "TWIN", made_run.TWIN | twin)
-    page = report(tmp_path, [made_run.lift()])
-    assert "Is the twin excluded?" in page.text and said in page.text
-
-
-def test_failed_checks_come_first_and_are_marked(tmp_path):
-    made = [
-        replace(
-            made_run.ingest(),
-            checks=[
-                Check("fine", 1.0, "", None, 2.0, "good"),
-                Check("too wide", 5.0, "px", None, 4.0, "off centre"),
-            ],
-        )
-    ]
-    text = report(tmp_path, made, status="qc_failed").text
-    row = re.search(r'<tr class="bad">.*?</tr>', text, re.DOTALL)[0]
-    assert re.findall(r"<td[^>]*>(.*?)</td>", row) == [
-        "FAILED",
-        "ingest",
-        "too wide",
-        "5 px",
-        "≤ 4",
-        "off centre",
-    ]
-    assert text.index("too wide") < text.index(">fine</td>")
-    assert "1 of 2" in text
-    assert "needs a look" in text
-
-
 CAUSE = {"says": "pixels of 9.7 mas instead of 10", "explains": 0.97, "figure": "cal-residual"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("after", "value"), [(0.742, 0.3), (0.742, 9.0), (0.6, 0.3)])
 def test_the_first_screen_says_whether_the_correction_may_be_applied_and_why_not(tmp_path, after, value):
     """A failed check stands above the numbers with its value, limit, causes and a link to what is there."""
@@ -228,12 +155,6 @@ def test_the_first_screen_says_whether_the_correction_may_be_applied_and_why_not
     assert head.count('href="#cal-residual"') == 2 and head.count('href="#calibrate"') == 1
     assert "do not apply" in tiles and "→" not in tiles
     assert {link[1:] for link in page.references} <= set(page.identifiers)
-
-
-def test_a_bench_run_shows_no_seeing(tmp_path):
-    product = made_run.calibrate()
-    product.results["effects"] = {"tip_tilt_jitter": {"sigma_mas": 6.9}}
-    assert "arcsec" not in report(tmp_path, [product]).text
 
 
 def test_warnings_and_lost_exposures_are_shown(tmp_path):
@@ -261,42 +182,12 @@ def test_what_a_diagnosis_says_of_files_cannot_change_the_page(tmp_path):
     assert "why it is not named" in text
 
 
-def test_the_page_of_a_diagnosis_opens_with_its_verdict(tmp_path):
-    results = {
-        "verdict": "effect",
-        "grade": "complete",
-        "sentence": "Missing in the model: a second source.",
-        "gap": {"before": 0.12, "after": 0.0215, "floor": 0.0045, "shrink": 0.85},
-        "chi2_nu": {"before": 12.3, "after": 1.02},
-        "frames": {"training": 45, "held_out": 15},
-        "steps": [
-            {
-                "effect": "companion",
-                "phrase": "a second source of 4.00 ± 0.02 %",
-                "shown": {"flux_ratio": 0.04, "sep_mas": 150.0},
-                "shown_sigma": {"flux_ratio": 0.0002, "sep_mas": 0.5},
-                "held_out_z": 12.3,
-                "ranking": [
-                    {"name": "companion", "gain": 900.0, "explained": 0.99},
-                    {"name": "vibration", "gain": 700.0, "explained": 0.53, "held_out_z": 7.7},
-                ],
-            }
-        ],
-    }
+def test_the_page_of_a_diagnosis_opens_with_its_verdict_and_numbers_with_errors(tmp_path):
+    step = {"effect": "companion", "shown": {"flux_ratio": 0.04}, "shown_sigma": {"flux_ratio": 0.0002}}
+    results = {"verdict": "effect", "grade": "complete", "sentence": "Missing: a star.", "steps": [step]}
     text = report(tmp_path, [Product("diagnose", {}, results)]).text
     head = text[: text.index("<main>")]
-    for shown in (
-        '<p class="verdict good">Missing in the model',
-        "named, complete",
-        "4.000 ± 0.020 %",
-        "separation 150.00 ± 0.50 mas",
-        "0.1200 → 0.0215",
-        "noise alone 0.0045",
-        "12.30 → 1.02",
-        "z 12.3",
-        "loses by Δχ² 200; explains 53.0%, not 99.0%; unseen data against it: z 7.7",
-    ):
-        assert shown in head, shown
+    assert '<p class="verdict good">Missing: a star.' in head and "4.000 ± 0.020 %" in head
 
 
 @pytest.mark.slow
@@ -319,11 +210,6 @@ def test_no_frames_are_read_for_the_page(tmp_path, monkeypatch):
     monkeypatch.setattr(storage, "_read_array", lambda dataset: read.append(dataset.name) or real(dataset))
     assert "<img" in report(tmp_path, made_run.products()).text
     assert read and not [name for name in read if name.endswith(("/images_e", "/raw_adu"))]
-
-
-def test_a_folder_without_a_run_is_refused(tmp_path):
-    with pytest.raises(InputDataError, match="not the folder of a run"):
-        write_report(tmp_path)
 
 
 # -- what the data cannot tell is said before the numbers, in results.json first ----------------
@@ -350,6 +236,7 @@ def test_results_begin_with_what_was_not_tested():
     assert "untested" not in CalibrateResults(wfe_nm=1.0).as_json()
 
 
+@pytest.mark.slow
 def test_the_report_says_so_once_above_the_numbers(tmp_path):
     made = [made_run.calibrate(), made_run.lift()]
     lines = untested_by_cubes({6: -170.0})

@@ -1,26 +1,18 @@
-"""Every effect of the catalogue that acts before the detector.
+"""Effects that move or change from frame to frame, and what the truth says of them.
 
-Truth: HCIPy on a finer pupil for what changes the pupil; equal scenes told in another way (a moved
-image is a tilted wavefront, a shifted band is another band); areas and moments by analysis.
+Truth: equal scenes told in another way (a moved image is a tilted wavefront); moments by analysis. In
+test_simulate_imaging static effects are those of the model.
 """
 
 import numpy as np
 import pytest
-from helpers.reference_psf import reference
-from helpers.simulated_scenes import MAS_RAD, NCPA_NM, UT4, image, of_light, scene, tilt_nm_rms, worst
-from scipy.special import j1
+from helpers.simulated_scenes import NCPA_NM, image, of_light, scene, tilt_nm_rms, worst
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.effects.pupil import LowWindEffect
-from irlos_pipe.simulate.exposure import expose, telescope_of, with_effective_sky
+from irlos_pipe.simulate.exposure import expose, with_effective_sky
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.scene import Sampling
-
-SAMPLES = 512  # of HCIPy's pupil
-TOTAL_NM = {**NCPA_NM, 6: NCPA_NM[6] - 170.0}
-PETALS = {"piston_nm": [70, -70, 50, -30], "tip_nm": [0, 20, 0, -20], "tilt_nm": [25, 0, -25, 0]}
 
 
 def moved(x_mas: float, y_mas: float, **changes) -> np.ndarray:
@@ -95,56 +87,10 @@ def test_a_halo_on_the_sky_rescales_the_residual(effect, expected_nm):
     assert np.isclose(happening.residual_wfe_nm, expected_nm)
 
 
-def test_dispersion_moves_wavelengths_apart_about_their_mean():
-    bands = (Band(1500.0, 1e-6, 0.25), Band(1700.0, 1e-6, 0.75))
-    effect = {"atmospheric_dispersion": {"mas_per_um": 100.0, "angle_deg": 40.0}}
-    expected = 0.0
-    # 100 mas/µm at the mean wavelength, 1650 nm, of what is very nearly a + b/λ² (Cauchy).
-    shifts_mas = [50 * 1.65**3 * (1.65**-2 - um**-2) for um in (1.5, 1.7)]
-    for band, shift_mas in zip(bands, shifts_mas, strict=True):
-        x_mas, y_mas = shift_mas * np.cos(np.deg2rad(40)), shift_mas * np.sin(np.deg2rad(40))
-        expected = expected + moved(x_mas, y_mas, bands=(band,))
-    assert worst(image(bands=bands, effects=effect), expected) < 5e-4
-
-
-def test_chromatic_aberrations_are_those_of_each_wavelength():
-    bands = (Band(1500.0, 1e-6, 0.25), Band(1700.0, 1e-6, 0.75))
-    table, expected = {4: 200.0, 7: -150.0}, 0.0
-    for band, distance_um in zip(bands, (-0.1, 0.1), strict=True):
-        opd = {noll: nm + distance_um * table.get(noll, 0.0) for noll, nm in NCPA_NM.items()}
-        expected = expected + image(bands=(band,), ncpa_nm=opd)
-    found = {"zernike_nm_per_um": table, "reference_nm": 1600.0}
-    assert worst(image(bands=bands, effects={"chromatic_ncpa": found}), expected) < 1e-6
-
-
-@pytest.mark.slow
-def test_the_spectrum_shifts_and_reddens():
-    two = (Band(1500.0, 1e-6, 0.5), Band(1700.0, 1e-6, 0.5))
-    shifted = image(bands=two, effects={"spectrum": {"wavelength_nm": 1630.0}})
-    expected = image(bands=(Band(1530.0, 1e-6, 0.5), Band(1730.0, 1e-6, 0.5)))
-    assert worst(shifted, expected) < 1e-6
-    redder = (Band(1500.0, 1e-6, 0.4), Band(1700.0, 1e-6, 0.6))  # 1 ± 0.1 µm · 2 /µm
-    assert worst(image(bands=two, effects={"spectrum": {"slope": 2.0}}), image(bands=redder)) < 1e-6
+def test_bands_have_factors_of_their_own():
+    two, redder = ((Band(1500.0, 1e-6, a), Band(1700.0, 1e-6, b)) for a, b in ((0.5, 0.5), (0.4, 0.6)))
     unequal = image(bands=two, effects={"spectrum": {"weights": [2.0, 3.0]}})
     assert worst(unequal, image(bands=redder)) < 1e-6
-
-
-STRETCHED = {"anamorphism": {"fraction": 0.05, "angle_deg": 33.0}}
-
-
-def test_the_airy_pattern_is_larger_along_the_angle_of_an_anamorphism():
-    """Analysis: scales whose difference is 5 % of their mean and whose product is one."""
-    along = np.sqrt(1.025 / 0.975)
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    y, x = np.meshgrid(*2 * [((np.arange(25) - 12)[:, None] + nodes / 2).ravel()], indexing="ij")
-    c, s = np.cos(np.deg2rad(33.0)), np.sin(np.deg2rad(33.0))
-    per_px = 9.7 * MAS_RAD * np.pi * 8.0 / 1.6e-6
-    z = np.hypot((c * x + s * y) / along, (c * y - s * x) * along) * per_px
-    fine = (2 * j1(z) / z) ** 2 * per_px**2 / (4 * np.pi)  # integral over the plane: 1
-    expected = np.einsum("yjxi,j,i->yx", fine.reshape(25, 6, 25, 6), weights / 2, weights / 2)
-    disc = {"geometry": PupilGeometry(8.0), "ncpa_nm": {}, "diversity_nm": {}, "window": (25, 25)}
-    assert worst(image(effects=STRETCHED, **disc), expected) < 3e-5
-    assert worst(image(**disc), expected) > 0.01
 
 
 def test_the_error_of_the_diversity_is_part_of_the_truth():
@@ -152,46 +98,6 @@ def test_the_error_of_the_diversity_is_part_of_the_truth():
     exposed = expose(wrong)
     assert worst(of_light(exposed, wrong), image(diversity_nm={6: -195.0})) < 1e-6
     assert np.isclose(exposed.mean_zernike_nm()[6], NCPA_NM[6] - 25.0)
-
-
-def test_a_displaced_stop_passes_light_where_both_pupils_do():
-    open_pupil = PupilGeometry(8.0, UT4.obscuration_m)
-    shifted = scene(geometry=open_pupil, effects={"pupil_misregistration": {"dx_m": 0.12, "dy_m": -0.05}})
-
-    def lens_m2(radius_m: float, distance_m: float) -> float:
-        """Overlap of two equal discs."""
-        half = np.arccos(distance_m / (2 * radius_m))
-        return radius_m**2 * (2 * half - np.sin(2 * half))
-
-    holes, distance_m = 2 * np.pi * open_pupil.obscuration_m**2 / 4, 0.13
-    expected = lens_m2(4.0, distance_m) - (holes - lens_m2(open_pupil.obscuration_m / 2, distance_m))
-    telescope = telescope_of(shifted)
-    assert np.isclose(telescope.area_m2, expected, rtol=1e-4)
-    lit = np.flatnonzero(telescope.transmission.sum(axis=0) > 0)
-    assert lit[0] > 0 and lit[-1] == len(telescope.u_m) - 1  # moved towards +x
-
-
-@pytest.mark.slow
-def test_vanes_turn_anticlockwise():
-    turned = telescope_of(scene(effects={"pupil_misregistration": {"rotation_deg": 30.0}})).transmission
-    straight = telescope_of(scene()).transmission
-    quarter = telescope_of(scene(effects={"pupil_misregistration": {"rotation_deg": 90.0}})).transmission
-    assert np.abs(quarter - np.rot90(straight, -1)).mean() < 1e-3  # rows count upwards
-    assert np.abs(turned - straight).mean() > 0.01
-
-
-def petals_on(source) -> np.ndarray:
-    """The simulator's low-wind wavefront at the points of HCIPy's grid [nm]."""
-    x, y = np.asarray(source.grid.x), np.asarray(source.grid.y)
-    return LowWindEffect(**PETALS).steps_nm(UT4, x, y).reshape(SAMPLES, SAMPLES)
-
-
-@pytest.mark.slow
-def test_low_wind_images_agree_with_hcipy():
-    source = reference(SAMPLES)
-    opd_nm = source.opd_nm(TOTAL_NM) + petals_on(source).ravel()
-    expected = source.image(opd_nm, 1600.0, (48, 48), 9.7)
-    assert worst(image(effects={"low_wind_effect": PETALS}), expected) < 1e-4
 
 
 def test_a_drift_is_linear_over_the_cube_and_its_mean_is_in_the_truth():
@@ -202,15 +108,6 @@ def test_a_drift_is_linear_over_the_cube_and_its_mean_is_in_the_truth():
     assert np.isclose(exposed.mean_zernike_nm()[5], 20.0)
     last = exposed.mean_e[-1] / drifting.photons
     assert worst(last, image(ncpa_nm={5: 40.0, 37: 50.0})) < 1e-6
-
-
-def test_a_ghost_is_sharp_unless_it_is_said_to_be_out_of_focus_or_blurred():
-    place = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
-    assert np.array_equal(image(effects={"ghost": place}), image(effects={"companion": place}))
-    angle = np.deg2rad(300.0)
-    second = moved(150 * np.cos(angle), 150 * np.sin(angle), introduced_nm=80.0)
-    found = image(effects={"ghost": place | {"defocus_nm": 80.0}})
-    assert worst(found, image() + 0.04 * second) < 1e-6
 
 
 @pytest.mark.parametrize(

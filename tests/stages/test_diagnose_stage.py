@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from helpers.diagnose_cases import CASE, CONDITIONS, cube, diagnosis_of, with_companion
+from helpers.diagnose_cases import CASE, CONDITIONS, diagnosis_of
 from helpers.made_run import recording
+from helpers.recordings import recording as made
 from helpers.simulation_specs import simulated
 from pydantic import ValidationError
 
 from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import CATALOGUE, FixedEffect
-from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.stages.diagnose.output import (
     checks_of,
-    diagnose_results,
     model_yaml,
     recipe_entry,
 )
@@ -27,11 +26,6 @@ from irlos_pipe.stages.diagnose.stage import Config
 from irlos_pipe.stages.diagnose.work import moments_of
 from irlos_pipe.stages.model.recording_settings import pooled_frames
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
-
-
-@pytest.fixture(scope="module")
-def results() -> dict:
-    return diagnose_results(diagnosis_of("companion"), {6: -170.0}).as_json()
 
 
 @pytest.mark.slow
@@ -54,22 +48,9 @@ def test_the_companion_found_is_one_that_the_recipe_can_place():
 
 
 def test_a_recording_without_frames_is_refused_with_its_name():
-    frames, good = cube(with_companion()).images_e[:0].numpy(), np.ones(CASE.window, bool)
-    acquisition = Acquisition("psf", Detector(1.0, 1.0), ((1600.0, 1.0),), {}, 9.7)
-    recording = Recording(
-        "short",
-        "cube",
-        frames,
-        np.ones(0, bool),
-        np.full(0, ""),
-        good,
-        np.arange(0.0),
-        np.arange(0),
-        np.zeros(0),
-        acquisition,
-    )
+    none, good = made(np.zeros((0, *CASE.window)), "short"), np.ones(CASE.window, bool)
     with pytest.raises(InputDataError, match="short: no used frame is left"):
-        pooled_frames([recording], good, CONDITIONS.settings)
+        pooled_frames([none], good, CONDITIONS.settings)
 
 
 def test_bad_pixels_of_the_model_and_those_found_make_one_list():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from helpers.effect_cases import STRONG
+from helpers.recordings import recording as made
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.model.effects import (
@@ -17,12 +17,8 @@ from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 IRLOS = load_instrument("irlos")
 
 
-def recording(diversity) -> Recording:
-    acquisition = Acquisition("ncpa_calibration", Detector(1.0, 1.0), ((1600.0, 1.0),), diversity, 9.7)
-    used, mask = np.ones(1, bool), np.ones((64, 64), bool)
-    per_frame = np.zeros(1), np.zeros(1, int), np.zeros(1)
-    images = np.zeros((1, 64, 64), np.float32)
-    return Recording("cube", "calibration", images, used, np.array([""]), mask, *per_frame, acquisition)
+def recording(diversity):
+    return made(np.zeros((1, 64, 64)), diversity=diversity)
 
 
 def effects_of(*entries, diversity=None):

@@ -1,6 +1,5 @@
 """Ingest as a whole: files in, recordings in electrons out."""
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,22 +16,20 @@ from helpers.sparta_files import (
     write_recorder,
     write_sidecar,
 )
+from helpers.stage_context import stage_context
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
-from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.readers.acquisition import Resolved
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest import stage as ingest
 from irlos_pipe.stages.ingest.recording_arrays import (
     recordings_from_product,
     screened_e,
 )
 from irlos_pipe.stages.ingest.sources import Source, accumulated
-from irlos_pipe.stages.model.section import ModelConfig
 
 SHARED = paths.SHARED / "samples"
 IMAGE = star(32, 32)
@@ -41,21 +38,8 @@ IMAGE = star(32, 32)
 def run(*paths, config=None, **inputs):
     """Run the stage; positional paths are those of the input `cube`."""
     inputs = inputs or {"cube": paths}
-    return ingest.run(
-        StageContext(
-            config=ingest.Config(**config or {}),
-            model=ModelConfig(),
-            instrument=load_instrument("irlos"),
-            inputs={name: tuple(map(Path, files)) for name, files in inputs.items()},
-            products={},
-            device="cpu",
-            seed=0,
-            jobs=1,
-            progress=lambda iterable, **_: iterable,
-            log=logging.getLogger("test"),
-            scratch=Path("scratch"),
-        )
-    )
+    given = {name: tuple(map(Path, files)) for name, files in inputs.items()}
+    return ingest.run(stage_context(ingest.Config(**config or {}), inputs=given))
 
 
 def product_of(output):

@@ -1,7 +1,6 @@
 """Measured recordings of other instruments, where they are at hand."""
 
 import json
-import runpy
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from irlos_pipe.recipe.load import load_recipe
 
 MEASURED = RECIPES / "measured"
 DATA = SHARED / "realdata"
-RAMP = DATA / "npz" / "pyotf_focus_ramp.npz"
 IMAGE = DATA / "keck_nirc2" / "20130801_n0004.fits"
 RECORDING = DATA / "palomar_pharo" / "ca1.fits"
 
@@ -37,20 +35,6 @@ def measured(path):
 def test_the_recipes_are_complete_but_for_their_data(tmp_path, name, data, diameter_m):
     recipe = load_recipe(MEASURED / f"{name}.yaml", (), [f"{data}={tmp_path}"])
     assert recipe.instrument.pupil.diameter_m == diameter_m
-
-
-# -- the focus ramp of a bead; truth: the documented travel of the stage -------------------------------
-
-QUICK = ("model.effects=[tip_tilt_jitter]", "lift.common_modes=[6,7,8,11,16,22,37]")
-
-
-@pytest.fixture(scope="module")
-def stages(tmp_path_factory) -> dict:
-    folder = tmp_path_factory.mktemp("beads")
-    runpy.run_path(str(MEASURED / "beads_to_fits.py"))["main"](str(RAMP), str(folder))
-    recipe = load_recipe(MEASURED / "beads.yaml", QUICK, [f"ramp={folder / 'beads.fits'}"])
-    run_recipe(recipe, folder / "run")
-    return json.loads((folder / "run" / "results.json").read_text())["stages"]
 
 
 # -- a single image of NIRC2 -------------------------------------------------------------------------

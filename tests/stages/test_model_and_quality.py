@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.effect_cases import CONDITIONS
+from helpers.recordings import recording as made
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import SeeingHalo, TipTiltJitter
@@ -16,7 +17,7 @@ from irlos_pipe.estimate.calibration_errors import NominalChi2
 from irlos_pipe.estimate.cube import Motion
 from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.estimate.twin import TwinCheck
-from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
@@ -126,20 +127,8 @@ DETECTOR = Detector(1.0, 1.0)
 
 
 def recording(name, spectrum=NARROW, diversity=170.0, source="mirror", focus_nm=(0.0, 0.0), **changes):
-    acquisition = Acquisition("ncpa_calibration", DETECTOR, spectrum, {6: diversity}, 9.7, source, **changes)
-    frames = len(focus_nm)
-    return Recording(
-        name,
-        "calibration",
-        np.ones((frames, 8, 8), np.float32),
-        np.ones(frames, bool),
-        np.full(frames, ""),
-        np.ones((8, 8), bool),
-        np.arange(frames, dtype=float),
-        np.arange(frames),
-        np.array(focus_nm),
-        acquisition,
-    )
+    told = {"spectrum": spectrum, "diversity": {6: diversity}, "diversity_source": source}
+    return made(np.ones((len(focus_nm), 8, 8)), name, introduced_nm=focus_nm, **told, **changes)
 
 
 CUBES = [recording("a"), recording("b", BROAD, -170.0, "lens"), recording("c")]
@@ -270,26 +259,17 @@ def test_airmass_stands_in_for_the_altitude_and_must_not_contradict_it():
 IRLOS = load_instrument("irlos")
 
 
-def recording_of_light_path(window: int = 64, **changes) -> Recording:
-    spectrum, diversity = ((1600.0, 1.0),), {6: -170.0}
-    acquisition = Acquisition("ncpa_calibration", Detector(1.0, 1.0), spectrum, diversity, 9.7, **changes)
-    images = np.zeros((1, window, window), np.float32)
-    used, mask = np.ones(1, bool), np.ones((window, window), bool)
-    per_frame = np.zeros(1), np.zeros(1, int), np.zeros(1)
-    return Recording("cube", "calibration", images, used, np.array([""]), mask, *per_frame, acquisition)
-
-
 def test_the_residual_band_and_a_missing_seeing_are_those_of_the_instrument():
     facility = replace(IRLOS.facility, cutoff_per_m=9.0, outer_scale_m=30.0, typical_seeing_arcsec=0.7)
     own = replace(IRLOS, facility=facility)
     assert residual_band(own, ModelConfig()) == ResidualBand(1 / 8, 9.0, 30.0)
     assert residual_band(own, ModelConfig(cutoff_per_m=6.0)) == ResidualBand(1 / 8, 6.0, 30.0)
-    assert seeing_arcsec(own, recording_of_light_path().acquisition) == 0.7
+    assert seeing_arcsec(own, made(np.zeros((1, 64, 64))).acquisition) == 0.7
 
 
 def test_a_window_wider_than_the_sampled_pupil_supports_is_an_error_of_the_recipe():
     with pytest.raises(ConfigurationError, match=r"model\.pupil_samples 48.*times as many"):
-        psf_settings(IRLOS, ModelConfig(pupil_samples=48), recording_of_light_path(window=400))
+        psf_settings(IRLOS, ModelConfig(pupil_samples=48), made(np.zeros((1, 400, 400))))
 
 
 # A Strehl ratio above what the AO residual leaves fails.

@@ -132,7 +132,12 @@ def setups_of(
     first = model_effects(
         ctx.instrument, ctx.model, groups[0][0], highest_noll, ncpa_wavelength_nm=reference_nm
     )
-    common = [_focused(effect) for effect in image_effects(shown(first, conditions)) if is_common(effect)]
+    # Recordings of known focus show the focus of a filter or lens.
+    common = [
+        effect.with_focus() if isinstance(effect, FilterNcpa) else effect
+        for effect in image_effects(shown(first, conditions))
+        if is_common(effect)
+    ]
     return [
         _setup(ctx, group, under, [effect.seen_in(under, conditions[0]) for effect in common], highest_noll)
         for group, under in zip(groups, conditions, strict=True)
@@ -152,11 +157,6 @@ def _conditions(
         introduced_nm=focus,
         ncpa_wavelength_nm=reference_nm,
     )
-
-
-def _focused(effect: Effect) -> Effect:
-    """The effect, with the focus of a filter or lens, which recordings of known focus show."""
-    return effect.with_focus() if isinstance(effect, FilterNcpa) else effect
 
 
 def _setup(

@@ -19,6 +19,7 @@ from irlos_pipe.estimate.calibration_options import (
 )
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.loss import LossName
+from irlos_pipe.product.results import item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import ARRAYS, CHECKS
 from irlos_pipe.stages.calibrate.results import CalibrateResults as Results
@@ -36,55 +37,50 @@ ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 class Limits(StageConfig):
     """Limits of the quality control, part of the stage's settings."""
 
-    max_chi2_nu: float | None = Field(
+    max_chi2_nu: float | None = item(
         None,
-        gt=0,
-        description="QC limit on the reduced chi-square of the mean image; null: by its nominal value, which "
+        "QC limit on the reduced chi-square of the mean image; null: by its nominal value, which "
         "the scatter of the frames tells",
+        gt=0,
     )
-    max_error_nm: float = Field(
-        12.0, gt=0, description="QC limit on the quoted error of Noll 4-30 behind an AO system [nm RMS]"
+    max_error_nm: float = item(
+        12.0, "QC limit on the quoted error of Noll 4-30 behind an AO system [nm RMS]", gt=0
     )
-    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
-    min_frames: int = Field(
-        8, ge=1, description="QC limit on the frames where they scatter by more than noise"
+    min_converged: float = item(0.9, "QC limit on the part of fits that converge", ge=0, le=1)
+    min_frames: int = item(8, "QC limit on the frames where they scatter by more than noise", ge=1)
+    max_motion: float = item(
+        0.25, "QC limit on how far the star moves, over the smaller window side", gt=0, le=1
     )
-    max_motion: float = Field(
-        0.25, gt=0, le=1, description="QC limit on how far the star moves, over the smaller window side"
-    )
-    min_window: float = Field(8.0, ge=0, description="QC limit on the smaller side of the window, in λ/D")
+    min_window: float = item(8.0, "QC limit on the smaller side of the window, in λ/D", ge=0)
 
 
 class Config(Limits):
     """Settings of the calibration."""
 
-    input: str = Field("calibration", description="recipe input that holds the cubes")
-    each: bool = Field(False, description="calibrate every recording by itself instead of all together")
-    method: MethodName = Field(
-        DEFAULT_METHOD,
-        description="calibration method: which images are fitted, and by how many wavefronts",
+    input: str = item("calibration", "recipe input that holds the cubes")
+    each: bool = item(False, "calibrate every recording by itself instead of all together")
+    method: MethodName = item(
+        DEFAULT_METHOD, "calibration method: which images are fitted, and by how many wavefronts"
     )
-    loss: LossName | None = Field(
+    loss: LossName | None = item(
         CalibrationOptions.loss,
-        description="loss function (l1 is rounded within 1 sigma, huber within 2); null: that of the method",
+        "loss function (l1 is rounded within 1 sigma, huber within 2); null: that of the method",
     )
-    optimiser: OptimiserName = Field(
-        CalibrationOptions.optimiser, description="solver: Levenberg-Marquardt, or L-BFGS with autograd"
+    optimiser: OptimiserName = item(
+        CalibrationOptions.optimiser, "solver: Levenberg-Marquardt, or L-BFGS with autograd"
     )
-    highest_noll: ClosedNoll | Literal["open"] | None = Field(
+    highest_noll: ClosedNoll | Literal["open"] | None = item(
         CalibrationOptions.highest_noll,
-        description="highest Noll mode estimated, from 2 on; open: all that the window shows, by a prior "
+        "highest Noll mode estimated, from 2 on; open: all that the window shows, by a prior "
         "whose law is fitted; null: that of the method, open for long_exposure",
     )
-    prior_scale: float | None = Field(
-        3.0, gt=0, le=1000, description="width of the prior over that of the NCPA law; null: no prior"
+    prior_scale: float | None = item(
+        3.0, "width of the prior over that of the NCPA law; null: no prior", gt=0, le=1000
     )
-    max_iterations: int = Field(
-        CalibrationOptions.max_iterations, ge=1, le=10000, description="largest number of iterations of a fit"
+    max_iterations: int = item(
+        CalibrationOptions.max_iterations, "largest number of iterations of a fit", ge=1, le=10000
     )
-    compare: tuple[MethodName, ...] = Field(
-        (), description="further methods to run, for comparison in the report only"
-    )
+    compare: tuple[MethodName, ...] = item((), "further methods to run, for comparison in the report only")
 
     @model_validator(mode="after")
     def _can_be_open(self) -> Config:

@@ -24,7 +24,6 @@ from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.causes import causes_of
 from irlos_pipe.stages.calibrate.input import (
     CubeInput,
     by_setup,
@@ -33,7 +32,7 @@ from irlos_pipe.stages.calibrate.input import (
     require_joint,
     setups_of,
 )
-from irlos_pipe.stages.calibrate.quality import MISFIT, checks_of, motion_line
+from irlos_pipe.stages.calibrate.quality import MISFIT, causes_of, checks_of, motion_line
 from irlos_pipe.stages.calibrate.results import (
     ARRAYS,
     CUBES,
@@ -70,7 +69,9 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     if not used:
         raise InputDataError(_no_frame(recordings[0]))
     if _of_several_setups(used):
-        return _jointly(ctx, used)
+        if ctx.config.compare:
+            ctx.log.warning("calibrate.compare is left out: methods are compared on frames of one set-up")
+        return _joint_output(ctx, _joint_fit(ctx, used), [], used[0].acquisition)
     first = recordings[0].acquisition
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
     cube = cube_input(ctx, recordings, options)
@@ -94,12 +95,6 @@ def _of_several_setups(recordings: Sequence[Recording]) -> bool:
     return len(np.unique(introduced_nm)) > 1 or any(
         differences(recordings[0], other, SETUP_KEYS) for other in recordings[1:]
     )
-
-
-def _jointly(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
-    if ctx.config.compare:
-        ctx.log.warning("calibrate.compare is left out: methods are compared on frames of one set-up")
-    return _joint_output(ctx, _joint_fit(ctx, recordings), [], recordings[0].acquisition)
 
 
 def _joint_fit(ctx: StageContext[Config], recordings: list[Recording]) -> Calibration:
@@ -353,7 +348,7 @@ def _estimate(result: Calibration) -> dict[str, Any]:
         "modes_estimated": len(result.nolls),
         "all_zernike_nm": dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)),
         "tail": _tail(result),
-        "status": _counts(result.frame_status),
+        "status": {name: list(result.frame_status).count(name) for name in sorted(set(result.frame_status))},
     }
 
 
@@ -363,11 +358,6 @@ def _tail(result: Calibration) -> Tail | None:
         return None
     beyond = np.asarray(result.nolls) >= result.tail.first_noll
     return Tail.filled_from(result.tail, wfe_nm=float(np.linalg.norm(result.zernike_nm[beyond])))
-
-
-def _counts(status: Sequence[str]) -> dict[str, int]:
-    """Return how often every status occurs."""
-    return {name: list(status).count(name) for name in sorted(set(status))}
 
 
 def _arrays(

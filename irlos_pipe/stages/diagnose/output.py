@@ -120,7 +120,7 @@ def diagnose_arrays(result: Diagnosis) -> dict[str, Quantity]:
     """Return images, maps and modes of a diagnosis of cubes."""
     pictures, (before, after) = result.pictures, result.modes_nm
     values = {
-        "measured_e": (pictures.measured_e, _finite(pictures.sigma_e)),
+        "measured_e": (pictures.measured_e, np.where(np.isfinite(pictures.sigma_e), pictures.sigma_e, 0.0)),
         "before_e": pictures.before_e,
         "after_e": pictures.after_e,
         "leading_mode": pictures.leading,
@@ -131,11 +131,6 @@ def diagnose_arrays(result: Diagnosis) -> dict[str, Quantity]:
         "zernike_after_nm": (after, result.modes_sigma_nm),
     }
     return declared(ARRAYS, values)
-
-
-def _finite(sigma_e: np.ndarray) -> np.ndarray:
-    """Standard errors, 0 for pixels that are not used."""
-    return np.where(np.isfinite(sigma_e), sigma_e, 0.0)
 
 
 def summary_lines(result: Diagnosis) -> list[str]:

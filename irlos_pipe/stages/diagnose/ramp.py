@@ -57,7 +57,11 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
         ),
         results,
         checks_of(results),
-        summary=_summary(result, lens, gap),
+        summary=[
+            f"diagnosis       {EFFECT if lens else result.verdict}: {sentence(result, lens)}",
+            f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} (held-out "
+            f"frames), χ²/ν of the offsets {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}",
+        ],
     )
     lenses = [{lens.effect.name: lens.public}] if lens else []
     return output, [*lenses, *({one.name: one.public} for one in result.names)]
@@ -97,7 +101,7 @@ def _results(
     corrected: np.ndarray,
     seconds: float,
 ) -> DiagnoseResults:
-    errors = [_rms(estimated - introduced) for introduced in (ramp.commanded_nm, corrected)]
+    errors = [float(np.sqrt(np.nanmean((estimated - one) ** 2))) for one in (ramp.commanded_nm, corrected)]
     return DiagnoseResults(
         verdict=EFFECT if lens else result.verdict,
         sentence=sentence(result, lens),
@@ -177,18 +181,6 @@ def _stage_sentence(result: RampDiagnosis) -> str:
     return f"The ramp needs {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
 
 
-def _summary(result: RampDiagnosis, lens: LightPathName | None, gap: Gap) -> list[str]:
-    return [
-        f"diagnosis       {EFFECT if lens else result.verdict}: {sentence(result, lens)}",
-        f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} (held-out frames), "
-        f"χ²/ν of the offsets {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}",
-    ]
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
-
-
 # -- what introduced defocus is: effects of lenses, from fits of the images --------------------------
 
 
@@ -222,18 +214,14 @@ def _preferred_lens(
     best: tuple[StageContext, LightPathName | None, RampFit] = (ctx, None, plain)
     for effect in candidates:
         values = [one.start for one in effect.parameters]
-        other = _with_effect(ctx, effect, values)
+        entry = {effect.name: effect.describe(np.array(values))}
+        other = replace(ctx, model=ctx.model.model_copy(update={"effects": (*ctx.model.effects, entry)}))
         fit = _fitted(other, ramp, held_out)
         comparison = compare(ramp.data, plain, fit, held_out)
         known = best[1].comparison.significance if best[1] else 0.0
         if comparison.favours(sure) and comparison.significance > known:
             best = other, LightPathName(effect, values, comparison), fit
     return best
-
-
-def _with_effect(ctx: StageContext, effect: LensEffect, values: list[float]) -> StageContext:
-    entry = {effect.name: effect.describe(np.array(values))}
-    return replace(ctx, model=ctx.model.model_copy(update={"effects": (*ctx.model.effects, entry)}))
 
 
 def _fitted(ctx: StageContext, ramp: Ramp, held_out: np.ndarray) -> RampFit:

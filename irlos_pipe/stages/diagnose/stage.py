@@ -10,6 +10,7 @@ from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.files.regular import read_regular
+from irlos_pipe.product.results import item
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.diagnose.results import ARRAYS, CHECKS
@@ -54,34 +55,24 @@ def _wavefront_of(value: Any) -> Any:
 class Config(StageConfig):
     """Settings of the diagnosis."""
 
-    input: str = Field("cube", description="recipe input that holds the cubes, or the ramp")
-    highest_noll: int = Field(
-        66,
-        ge=4,
-        le=HIGHEST_NOLL,
-        description="modes 2 to this belong to every model; beyond: high_order_ncpa",
+    input: str = item("cube", "recipe input that holds the cubes, or the ramp")
+    highest_noll: int = item(
+        66, "modes 2 to this belong to every model; beyond: high_order_ncpa", ge=4, le=HIGHEST_NOLL
     )
-    held_out: float = Field(
-        0.25,
-        gt=0.05,
-        le=0.5,
-        description="part of the frames, or of the pixels of fewer than 16, that no fit sees",
+    held_out: float = item(
+        0.25, "part of the frames, or of the pixels of fewer than 16, that no fit sees", gt=0.05, le=0.5
     )
-    most_names: int = Field(4, ge=1, le=10, description="names at which to stop, of each star and night")
-    recordings: Literal["auto", "together", "apart"] = Field(
-        "auto",
-        description="of one star and night (together), each of its own (apart), or as targets and times tell",
+    most_names: int = item(4, "names at which to stop, of each star and night", ge=1, le=10)
+    recordings: Literal["auto", "together", "apart"] = item(
+        "auto", "of one star and night (together), each of its own (apart), or as targets and times tell"
     )
-    night_drift_nm: float = Field(
-        DRIFT_NM,
-        gt=0,
-        le=100,
-        description="prior σ of the change of every mode between stars and nights [nm]",
+    night_drift_nm: float = item(
+        DRIFT_NM, "prior σ of the change of every mode between stars and nights [nm]", gt=0, le=100
     )
-    sure_sigma: float = Field(5.0, ge=3, le=20, description="significance of a detection")
-    begin_near: Annotated[dict[Noll, Nanometres], BeforeValidator(_wavefront_of)] = Field(
+    sure_sigma: float = item(5.0, "significance of a detection", ge=3, le=20)
+    begin_near: Annotated[dict[Noll, Nanometres], BeforeValidator(_wavefront_of)] = item(
         {},
-        description="a wavefront from which the fit begins as well, Noll index to nm RMS, or the path of a "
+        "a wavefront from which the fit begins as well, Noll index to nm RMS, or the path of a "
         "run that found it in another recording",
     )
 

@@ -92,10 +92,11 @@ def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -
     conditions = conditions_of(
         ctx.instrument, ctx.model, first, ctx.config.highest_noll, introduced_nm={4: _introduced_nm(first)}
     )
+    shown_e = screened_e(ctx.products["ingest"], first)
     return Exposures(
         pooled_frames(alike.recordings, good_pixels(effects, first.window), conditions.settings),
         conditions,
-        _screened_pixels(ctx.products["ingest"], first),
+        [Screened(*pixel, value_e) for pixel, value_e in shown_e.items() if np.isfinite(value_e)],
         alike.moment,
         first.name,
         alike.star,
@@ -138,7 +139,13 @@ def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) 
     times decide.
     """
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
-    _require_common(recordings)
+    for other in recordings[1:]:
+        differing = differences(recordings[0], other, COMMON)
+        if differing:
+            raise InputDataError(
+                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; cubes "
+                "diagnosed together may differ in star, night, focus, diversity and band only"
+            )
     groups: dict[tuple, list[Recording]] = {}
     for recording, moment in zip(recordings, moments_of(recordings, apart), strict=True):
         groups.setdefault((moment, *_setting(recording)), []).append(recording)
@@ -174,24 +181,7 @@ def _introduced_nm(recording: Recording) -> float:
     return float(values[0]) if len(values) else 0.0
 
 
-def _screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
-    """Return the pixels of a `recording` that `ingest` found bad, with the mean of what they showed."""
-    shown_e = screened_e(ingest, recording)
-    return [Screened(*pixel, value_e) for pixel, value_e in shown_e.items() if np.isfinite(value_e)]
-
-
 def _setting(recording: Recording) -> tuple:
     acquisition = recording.acquisition
     diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
     return acquisition.spectrum, diversity, _introduced_nm(recording), acquisition.pupil_rotation_deg
-
-
-def _require_common(recordings: list[Recording]) -> None:
-    """Raise InputDataError unless window, pixel scale and derotator angle are the same."""
-    for other in recordings[1:]:
-        differing = differences(recordings[0], other, COMMON)
-        if differing:
-            raise InputDataError(
-                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; cubes "
-                "diagnosed together may differ in star, night, focus, diversity and band only"
-            )

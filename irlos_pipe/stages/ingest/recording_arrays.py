@@ -58,12 +58,15 @@ def arrays_from_recording(recording: Recording) -> dict[str, Quantity]:
 def arrays_of(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
     """Return all arrays that ingest leaves of a `recording`, made from `raw` and `cleaned`."""
     hits = cleaned.hits
+    rows, columns = found_bad(recording, raw).T
+    mean_adu = mean_frame(picked(raw.adu, recording.used))
+    background, gain = cleaned.background, recording.acquisition.detector.e_per_adu
     own = {
         "raw_adu": raw.adu,
         "background_adu": cleaned.background.adu,
         "flat": cleaned.background.flat,
         "cosmic_hits": np.stack([hits.frame, hits.row, hits.column], axis=1),
-        "screened_e": _screened_e(recording, cleaned, raw),
+        "screened_e": ((mean_adu - background.adu) / background.flat * gain)[rows, columns],
     } | frame_series(recording.images_e, recording.good)
     return arrays_from_recording(recording) | declared(RECORDING, own, below=f"{prefix_of(recording)}/")
 
@@ -154,13 +157,6 @@ def _overview(product: Product, owner: str, name: str) -> Overview:
             if f"{prefix}/{key}" in product.arrays
         },
     )
-
-
-def _screened_e(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> np.ndarray:
-    rows, columns = found_bad(recording, raw).T
-    mean_adu = mean_frame(picked(raw.adu, recording.used))
-    background, gain = cleaned.background, recording.acquisition.detector.e_per_adu
-    return ((mean_adu - background.adu) / background.flat * gain)[rows, columns]
 
 
 def _acquisition(product: Product, prefix: str) -> Acquisition:

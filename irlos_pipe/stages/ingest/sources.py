@@ -59,7 +59,13 @@ def read_sources(
         for file in recording_files(paths):
             with failing_alone(failures, name, file, log):
                 for raw in _named(read_recordings(file, instrument), taken):
-                    source = _source(name, raw, keys_for(name), instrument, log)
+                    then = _instrument_then(instrument, raw.start_unix_s)
+                    resolved = resolve(raw, keys_for(name), then)
+                    for note in raw.notes:
+                        log.info(note)
+                    for line in (*raw.warnings, *resolved.warnings, *image_doubts(raw, resolved, then)):
+                        log.warning(line)
+                    source = Source(name, raw, resolved)
                     own += _unless_a_copy(source, own, log)
         sources += own
     return sources, failures
@@ -146,18 +152,6 @@ def _named(recordings: Sequence[RawRecording], taken: set[str]) -> Iterator[RawR
         name = unique_name(raw.name, raw.path, taken)
         taken.add(name)
         yield replace(raw, name=name)
-
-
-def _source(
-    input_name: str, raw: RawRecording, keys: AcquisitionKeys, instrument: Instrument, log: logging.Logger
-) -> Source:
-    then = _instrument_then(instrument, raw.start_unix_s)
-    resolved = resolve(raw, keys, then)
-    for note in raw.notes:
-        log.info(note)
-    for line in (*raw.warnings, *resolved.warnings, *image_doubts(raw, resolved, then)):
-        log.warning(line)
-    return Source(input_name, raw, resolved)
 
 
 SAMPLED_PX = 2.0  # pixels per λ/D from which an image holds all detail that the optics make

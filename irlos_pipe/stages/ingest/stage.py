@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import Field
 
@@ -12,6 +13,7 @@ from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.screening import Limits
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.product.results import item
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ingest.results import ARRAYS, CHECKS
@@ -25,77 +27,47 @@ ARRAYS_ONLY = True
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 WORK = LateModule("irlos_pipe.stages.ingest.work")
+Part = TypeVar("Part", Thresholds, Limits)
 
 
 class Config(StageConfig):
     """Settings of ingest; every threshold has its unit in its name."""
 
-    acquisition: AcquisitionKeys = Field(
-        AcquisitionKeys(), description="side-car keys that win over the side-cars"
-    )
-    acquisition_of: dict[str, AcquisitionKeys] = Field(
-        {}, description="the same for single inputs, by input name; wins over `acquisition`"
+    acquisition: AcquisitionKeys = item(AcquisitionKeys(), "side-car keys that win over the side-cars")
+    acquisition_of: dict[str, AcquisitionKeys] = item(
+        {}, "the same for single inputs, by input name; wins over `acquisition`"
     )
 
-    accumulate_s: float | None = Field(
-        None, gt=0, le=600, description="raw frames are summed to exposures of this length; longer ones stay"
+    accumulate_s: float | None = item(
+        None, "raw frames are summed to exposures of this length; longer ones stay", gt=0, le=600
     )
-    accumulate_s_of: dict[str, Annotated[float, Field(gt=0, le=600)]] = Field(
-        {}, description="the same for single inputs, by input name; wins over `accumulate_s`"
-    )
-
-    bad_pixel_sigma: float = Field(
-        8.0, ge=3, le=100, description="deviation from the neighbours over the noise"
-    )
-    bad_pixel_fraction: float = Field(
-        0.07, ge=0.02, le=1, description="the same over the neighbours' brightness"
-    )
-    stuck_ratio: float = Field(0.3, ge=0, lt=1, description="scatter of a stuck pixel over the read noise")
-    noisy_ratio: float = Field(
-        5.0, ge=2, le=100, description="scatter of a noisy pixel over the expected one"
-    )
-    flicker_fraction: float = Field(
-        0.05, gt=0, le=1, description="of the frames: a pixel hit more often is bad"
+    accumulate_s_of: dict[str, Annotated[float, Field(gt=0, le=600)]] = item(
+        {}, "the same for single inputs, by input name; wins over `accumulate_s`"
     )
 
-    max_saturated_px: int = Field(0, ge=0, description="saturated pixels tolerated in a frame")
-    min_star_snr: float = Field(8.0, ge=3, le=1000, description="peak of the star over the noise")
-    min_edge_px: float = Field(2.0, ge=0, le=100, description="distance of the star from the window's edge")
-    flux_sigma: float = Field(
-        8.0, ge=3, le=100, description="flux outlier: deviation over the robust scatter"
-    )
-    flux_fraction: float = Field(0.3, gt=0, le=10, description="flux outlier: deviation over the median")
-    core_fraction: float = Field(0.1, gt=0, lt=1, description="of the peak: brighter pixels are the core")
-    max_core_hits_px: int = Field(4, ge=0, description="hit pixels tolerated in the core; they are replaced")
+    bad_pixel_sigma: float = item(8.0, "deviation from the neighbours over the noise", ge=3, le=100)
+    bad_pixel_fraction: float = item(0.07, "the same over the neighbours' brightness", ge=0.02, le=1)
+    stuck_ratio: float = item(0.3, "scatter of a stuck pixel over the read noise", ge=0, lt=1)
+    noisy_ratio: float = item(5.0, "scatter of a noisy pixel over the expected one", ge=2, le=100)
+    flicker_fraction: float = item(0.05, "of the frames: a pixel hit more often is bad", gt=0, le=1)
 
-    max_rejected_fraction: float = Field(0.2, ge=0, le=1, description="QC limit, of the frames")
-    max_saturated_fraction: float = Field(0.05, ge=0, le=1, description="QC limit, of the frames")
-    max_missing_fraction: float = Field(0.1, ge=0, le=1, description="QC limit, of the frames")
-    max_bad_pixel_fraction: float = Field(0.02, ge=0, le=1, description="QC limit, of the window")
-    max_centre_offset_fraction: float = Field(
-        0.25, gt=0, le=1, description="QC limit, of the smaller window side"
-    )
+    max_saturated_px: int = item(0, "saturated pixels tolerated in a frame", ge=0)
+    min_star_snr: float = item(8.0, "peak of the star over the noise", ge=3, le=1000)
+    min_edge_px: float = item(2.0, "distance of the star from the window's edge", ge=0, le=100)
+    flux_sigma: float = item(8.0, "flux outlier: deviation over the robust scatter", ge=3, le=100)
+    flux_fraction: float = item(0.3, "flux outlier: deviation over the median", gt=0, le=10)
+    core_fraction: float = item(0.1, "of the peak: brighter pixels are the core", gt=0, lt=1)
+    max_core_hits_px: int = item(4, "hit pixels tolerated in the core; they are replaced", ge=0)
 
-    def thresholds(self) -> Thresholds:
-        """Return the thresholds for single pixels."""
-        return Thresholds(
-            sigma=self.bad_pixel_sigma,
-            fraction=self.bad_pixel_fraction,
-            stuck_ratio=self.stuck_ratio,
-            noisy_ratio=self.noisy_ratio,
-            flicker_fraction=self.flicker_fraction,
-        )
+    max_rejected_fraction: float = item(0.2, "QC limit, of the frames", ge=0, le=1)
+    max_saturated_fraction: float = item(0.05, "QC limit, of the frames", ge=0, le=1)
+    max_missing_fraction: float = item(0.1, "QC limit, of the frames", ge=0, le=1)
+    max_bad_pixel_fraction: float = item(0.02, "QC limit, of the window", ge=0, le=1)
+    max_centre_offset_fraction: float = item(0.25, "QC limit, of the smaller window side", gt=0, le=1)
 
-    def limits(self) -> Limits:
-        return Limits(
-            saturated_px=self.max_saturated_px,
-            star_snr=self.min_star_snr,
-            edge_px=self.min_edge_px,
-            flux_sigma=self.flux_sigma,
-            flux_fraction=self.flux_fraction,
-            core_fraction=self.core_fraction,
-            core_hits_px=self.max_core_hits_px,
-        )
+    def part(self, kind: type[Part]) -> Part:
+        """Return the settings that a dataclass `kind` of science, `Thresholds` or `Limits`, holds."""
+        return kind(**{one.name: getattr(self, one.name) for one in fields(kind)})
 
     def exposure_of(self, input_name: str) -> float | None:
         """Return the length to which frames of an input are summed [s]; None leaves them as they are."""

@@ -9,11 +9,12 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.files.processes import require_memory
+from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned, clean
 from irlos_pipe.frames.detector import star_position, time_is_last
-from irlos_pipe.frames.recording import PROFILE, Acquisition, Recording
-from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, tally
+from irlos_pipe.frames.recording import PROFILE, Recording
+from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, Limits, tally
 from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, of_counts, told_of
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity
@@ -104,9 +105,12 @@ def _require_room(source: Source) -> None:
 
 def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
     raw, acquisition = source.raw, source.resolved.acquisition
-    sampling = _sampling_px(acquisition, instrument)
-    limits, plane = config.limits(), source.resolved.introduced_defocus_nm
-    cleaned = clean(raw, acquisition.detector, sampling, config.thresholds(), limits, plane)
+    # pixels per λ/D at the shortest wavelength; D is that of a lenslet in 2x2 modes
+    shortest_nm = min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
+    diameter_m = instrument.pupil.diameter_m / acquisition.lenslets
+    sampling = resolution_px(shortest_nm * NM, diameter_m, acquisition.pixel_scale_mas)
+    limits, plane = config.part(Limits), source.resolved.introduced_defocus_nm
+    cleaned = clean(raw, acquisition.detector, sampling, config.part(Thresholds), limits, plane)
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
         raise InputDataError(f"{raw.path}: none of the {raw.frames} frames can be used: {counts}")
@@ -137,16 +141,6 @@ def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
             "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
             "and read-out together)"
         )
-
-
-def _sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
-    """Return the pixels per λ/D at the shortest wavelength of an `acquisition` with an `instrument`.
-
-    D is that of a lenslet in 2x2 modes.
-    """
-    shortest_nm = min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
-    diameter_m = instrument.pupil.diameter_m / acquisition.lenslets
-    return resolution_px(shortest_nm * NM, diameter_m, acquisition.pixel_scale_mas)
 
 
 def _recording(source: Source, cleaned: Cleaned) -> Recording:
@@ -215,7 +209,14 @@ def _row(
         noise={one.name: NoiseRow.filled_from(one) for one in constants_used},
         corner_scatter_e=noise.corner_scatter_e,
         sources=acquisition.sources,
-        observed=_observed(recording, raw, instrument),
+        observed=Observed.filled_from(
+            recording.acquisition,
+            file=raw.path.name,
+            start=iso_time(recording.start_unix_s),
+            cards=dict(raw.cards),
+            instrument=instrument,
+            diversity_nm=recording.acquisition.diversity,
+        ),
         doubts=[one.text for one in told if one.warned],
     )
 
@@ -223,18 +224,6 @@ def _row(
 def _flux_e(recording: Recording) -> float:
     """Median over the used frames of their sum [e-]."""
     return float(np.median(frame_flux(recording.images_e)[recording.used]))
-
-
-def _observed(recording: Recording, raw: RawRecording, instrument: str) -> Observed:
-    """Return what products hand on of a `recording` that was made from `raw`, under a profile's name."""
-    return Observed.filled_from(
-        recording.acquisition,
-        file=raw.path.name,
-        start=iso_time(recording.start_unix_s),
-        cards=dict(raw.cards),
-        instrument=instrument,
-        diversity_nm=recording.acquisition.diversity,
-    )
 
 
 def _contradiction_check(recording: Recording, told: Sequence[Told]) -> Check:

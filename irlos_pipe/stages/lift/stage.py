@@ -10,6 +10,7 @@ from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
 from irlos_pipe.numerics.loss import LossName
+from irlos_pipe.product.results import item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.results import ARRAYS, CHECKS
 from irlos_pipe.stages.lift.results import LiftResults as Results
@@ -33,74 +34,68 @@ ObjectSigma = Literal["calibrated", "fit"] | Annotated[float, Field(ge=0, le=200
 class Config(StageConfig):
     """Settings of LIFT."""
 
-    input: str = Field("ramp", description="recipe input that holds the ramp")
-    modes: tuple[Mode, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
-    common_modes: tuple[Annotated[int, Field(le=HIGHEST_NOLL)], ...] = Field(
+    input: str = item("ramp", "recipe input that holds the ramp")
+    modes: tuple[Mode, ...] = item((2, 3, 4), "Noll modes to estimate; 4 (defocus) among them")
+    common_modes: tuple[Annotated[int, Field(le=HIGHEST_NOLL)], ...] = item(
         (),
-        description="Noll modes of a static wavefront that all frames share, fitted to the ramp by phase "
+        "Noll modes of a static wavefront that all frames share, fitted to the ramp by phase "
         "diversity; instead of a calibration",
     )
-    calibrated: bool = Field(True, description="make the NCPAs of `calibrate` a part of the known wavefront")
-    halo: Literal["calibrated", "fit", "off"] = Field(
-        "calibrated", description="AO residual in the model: as calibrated, fitted to the ramp, or none"
+    calibrated: bool = item(True, "make the NCPAs of `calibrate` a part of the known wavefront")
+    halo: Literal["calibrated", "fit", "off"] = item(
+        "calibrated", "AO residual in the model: as calibrated, fitted to the ramp, or none"
     )
-    object_sigma_mas: ObjectSigma = Field(
+    object_sigma_mas: ObjectSigma = item(
         "calibrated",
-        description="width of the kernel of object and jitter: a number [mas], as calibrated, or "
-        "fitted to the ramp",
+        "width of the kernel of object and jitter: a number [mas], as calibrated, or fitted to the ramp",
     )
-    own_wavefront: Literal["auto", "always", "never"] = Field(
+    own_wavefront: Literal["auto", "always", "never"] = item(
         "auto",
-        description="fit what another filter or lens than the calibration's adds to the wavefront, by "
+        "fit what another filter or lens than the calibration's adds to the wavefront, by "
         "wavelength (chromatic_ncpa) and by itself (filter_ncpa): where the frames misfit, always or never",
     )
-    estimator: Literal["ml", "map"] = Field("ml", description="maximum likelihood, or with a Gaussian prior")
-    prior_scale: float = Field(
-        3.0, gt=0, le=1000, description="width of the prior of MAP over that of the NCPA law"
-    )
-    noise: NoiseSource = Field(
+    estimator: Literal["ml", "map"] = item("ml", "maximum likelihood, or with a Gaussian prior")
+    prior_scale: float = item(3.0, "width of the prior of MAP over that of the NCPA law", gt=0, le=1000)
+    noise: NoiseSource = item(
         LiftOptions.noise,
-        description="variances of the pixels: from the data, from the start's model, or renewed with the fit",
+        "variances of the pixels: from the data, from the start's model, or renewed with the fit",
     )
-    loss: LossName = Field(
+    loss: LossName = item(
         LiftOptions.loss,
-        description="loss function: the likelihood, huber (linear beyond 2 sigma: single wrong pixels count "
+        "loss function: the likelihood, huber (linear beyond 2 sigma: single wrong pixels count "
         "little), or the l1 of the paper's DIP; these two take the variances of the start's model",
     )
-    start: Start = Field(
+    start: Start = item(
         "elongation",
-        description="where the iteration begins: at the elongation prior, at the best of a scan of defocus, "
-        "at the commanded defocus (needed without diversity, where the sign of defocus is ambiguous), or at "
-        "zero",
+        "where the iteration begins: at the elongation prior, at the best of a scan of defocus, at the "
+        "commanded defocus (needed without diversity, where the sign of defocus is ambiguous), or at zero",
     )
-    max_iterations: int = Field(
-        LiftOptions.max_iterations, ge=1, le=1000, description="largest number of iterations of a fit"
+    max_iterations: int = item(
+        LiftOptions.max_iterations, "largest number of iterations of a fit", ge=1, le=1000
     )
-    singly: bool = Field(
+    singly: bool = item(
         False,
-        description="measure every frame by itself from a scan of defocus, to the bit as irlos focus does; "
+        "measure every frame by itself from a scan of defocus, to the bit as irlos focus does; "
         "modes 2, 3, 4 and nothing fitted to the ramp",
     )
-    compare: bool = Field(
+    compare: bool = item(
         True,
-        description="repeat without the NCPAs and without the AO residual, and one frame at every defocus, "
+        "repeat without the NCPAs and without the AO residual, and one frame at every defocus, "
         "for the report",
     )
-    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of frames that converge")
-    max_residual_nm: float = Field(
-        30.0, gt=0, description="QC limit on the scatter about the straight line [nm RMS]"
+    min_converged: float = item(0.9, "QC limit on the part of frames that converge", ge=0, le=1)
+    max_residual_nm: float = item(30.0, "QC limit on the scatter about the straight line [nm RMS]", gt=0)
+    max_slope_error: float = item(
+        0.05, "QC limit on the slope's departure from 1; 5 of its standard errors if more", gt=0
     )
-    max_slope_error: float = Field(
-        0.05, gt=0, description="QC limit on the slope's departure from 1; 5 of its standard errors if more"
+    max_error_nm: float = item(
+        30.0, "QC limit on estimated minus introduced defocus, with NCPAs [nm RMS]", gt=0
     )
-    max_error_nm: float = Field(
-        30.0, gt=0, description="QC limit on estimated minus introduced defocus, with NCPAs [nm RMS]"
+    max_chi2_ratio: float = item(
+        1.75, "QC limit on the median chi-square of the frames over its nominal value", gt=1
     )
-    max_chi2_ratio: float = Field(
-        1.75, gt=1, description="QC limit on the median chi-square of the frames over its nominal value"
-    )
-    unknown_nominal_chi2_nu: float = Field(
-        3.0, gt=0, description="nominal chi-square of a frame where no offset has two frames"
+    unknown_nominal_chi2_nu: float = item(
+        3.0, "nominal chi-square of a frame where no offset has two frames", gt=0
     )
 
     @model_validator(mode="after")

@@ -64,12 +64,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         if text:
             ctx.log.warning(text)
     converged = float(fit.result.solution.converged.double().mean())
+    rows = zip(
+        summary.offsets_nm.tolist(), summary.median_nm.tolist(), summary.scatter_nm.tolist(), strict=True
+    )
     results = LiftResults(
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
         points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
         summary=Line.filled_from(summary),
-        offsets=_offsets(summary),
+        offsets=[Offset(introduced_nm=o, median_nm=m, scatter_nm=s) for o, m, s in rows],
         effects=fit.effects | focus.effects,
         effects_sigma=fit.sigma | focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
@@ -182,17 +185,12 @@ def _curve(ramp: Ramp, fit: RampFit, frame: int) -> FocusCurve:
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
     try:
-        if _of_one_offset(ramp):
+        roles = {recording.acquisition.role for recording in ramp.recordings}
+        if roles == {"psf"} and np.ptp(ramp.data.introduced_nm) == 0:
             return summarise_one_offset(ramp.data.introduced_nm, fit.defocus_nm)
         return summarise(ramp.data.introduced_nm, fit.defocus_nm)
     except ValueError as problem:
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
-
-
-def _of_one_offset(ramp: Ramp) -> bool:
-    """Whether these are images of a star at one focus, and no ramp."""
-    roles = {recording.acquisition.role for recording in ramp.recordings}
-    return roles == {"psf"} and np.ptp(ramp.data.introduced_nm) == 0
 
 
 # -- quality control: what a ramp says against itself, and the likely reasons ------------------------
@@ -341,13 +339,6 @@ def _points(
         )
         for i, name in enumerate(ramp.names)
     ]
-
-
-def _offsets(summary: RampSummary) -> list[Offset]:
-    rows = zip(
-        summary.offsets_nm.tolist(), summary.median_nm.tolist(), summary.scatter_nm.tolist(), strict=True
-    )
-    return [Offset(introduced_nm=o, median_nm=m, scatter_nm=s) for o, m, s in rows]
 
 
 def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray) -> dict[str, Quantity]:

@@ -12,6 +12,7 @@ from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
+from irlos_pipe.product.results import item
 
 FIT = "fit"
 
@@ -123,24 +124,21 @@ class ModelConfig(BaseModel):
 
     model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
-    effects: tuple[Annotated[Any, Field()], ...] = Field(
+    effects: tuple[Annotated[Any, Field()], ...] = item(
         ("seeing_halo", "tip_tilt_jitter"),
-        description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
+        "effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
     )
-    colour: Literal["auto", "listed"] = Field(
+    colour: Literal["auto", "listed"] = item(
         "auto",
-        description="auto: atmospheric dispersion and the star's colour belong to the model of calibrate and "
+        "auto: atmospheric dispersion and the star's colour belong to the model of calibrate and "
         "lift where the band is broad and there is an AO residual; listed: only what effects lists",
     )
-    pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
-    cutoff_per_m: float | None = Field(
-        None,
-        ge=0.01,
-        le=1000,
-        description="AO cut-off, 1/(2 actuator pitch) [1/m]; that of the instrument if left out",
+    pupil_samples: int = item(128, "samples across the pupil diameter", ge=48, le=512)
+    cutoff_per_m: float | None = item(
+        None, "AO cut-off, 1/(2 actuator pitch) [1/m]; that of the instrument if left out", ge=0.01, le=1000
     )
-    outer_scale_m: float | None = Field(
-        None, gt=1, le=1000, description="outer scale of the turbulence [m]; the instrument's if left out"
+    outer_scale_m: float | None = item(
+        None, "outer scale of the turbulence [m]; the instrument's if left out", gt=1, le=1000
     )
 
     @field_validator("effects", mode="after")
