@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -77,16 +78,21 @@ SCIENCE_MAY_USE = {
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 530, "commands": 1920, "control": 510, "conventions": 1000, "diagnosis": 6300, "effects": 4100,
-    "esorex": 110, "estimate": 7110, "files": 980, "focus": 2340, "frames": 2000, "instrument": 860,
-    "night": 3380, "numerics": 910, "optics": 3670, "paper": 5610, "pipeline": 1170, "product": 2430,
-    "readers": 2500, "recipe": 390, "reference": 320, "report": 4260, "simulate": 4200, "stages": 6720,
+    "esorex": 110, "estimate": 7080, "files": 980, "focus": 2340, "frames": 2000, "instrument": 860,
+    "night": 3380, "numerics": 930, "optics": 3700, "paper": 5610, "pipeline": 1170, "product": 2420,
+    "readers": 2500, "recipe": 390, "reference": 320, "report": 4260, "simulate": 4200, "stages": 6650,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))
 
 
+@cache
+def imported(module: Path) -> tuple[str, ...]:
+    """The absolute names of all that a module imports, wherever in the file."""
+    return tuple(imports(text(module), module))
+
+
 def imports(source: str, module: Path) -> Iterator[str]:
-    """Yield the absolute names of all that a module imports, wherever in the file."""
     package = module.parent.parts
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -98,10 +104,10 @@ def imports(source: str, module: Path) -> Iterator[str]:
             yield from (f"{base}.{alias.name}" for alias in node.names) if base == PACKAGE.name else [base]
 
 
-def violations(source: str, module: Path) -> list[str]:
+def violations(module: Path) -> list[str]:
     """Return what a module imports against the list."""
     home = part(dotted(module))
-    return [name for name in imports(source, module) if not may_import(home, name)]
+    return [name for name in imported(module) if not may_import(home, name)]
 
 
 def may_import(home: str, name: str) -> bool:
@@ -131,7 +137,7 @@ def test_the_list_has_no_circle():
 
 def test_modules_import_each_other_without_a_circle_annotations_included():
     known = {dotted(module) for module in MODULES}
-    graph = {dotted(m): {n for n in imports(text(m), m) if n in known and n != dotted(m)} for m in MODULES}
+    graph = {dotted(m): {n for n in imported(m) if n in known and n != dotted(m)} for m in MODULES}
     assert len(list(TopologicalSorter(graph).static_order())) == len(known)
 
 
@@ -142,7 +148,7 @@ def test_every_module_belongs_to_a_package_of_the_list():
 
 @pytest.mark.parametrize("module", MODULES[1:], ids=str)
 def test_a_module_imports_only_what_its_package_may(module):
-    assert violations(text(module), module) == []
+    assert violations(module) == []
 
 
 @pytest.mark.parametrize("package", LINES)
@@ -156,5 +162,5 @@ def test_every_package_has_its_lines():
 
 
 def test_only_the_commands_know_click():
-    users = {module.parent.name for module in MODULES if "click" in imports(text(module), module)}
+    users = {module.parent.name for module in MODULES if "click" in imported(module)}
     assert users == {"commands"}

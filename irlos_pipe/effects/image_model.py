@@ -10,7 +10,6 @@ automatic differentiation of the whole path.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 import torch
@@ -21,7 +20,6 @@ from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import NO_TANGENTS, LightPath
-from irlos_pipe.optics.psf import PsfModel
 
 TIMES = 3  # nodes of the average over a recording: exact for images of 5th order in time
 
@@ -103,7 +101,7 @@ class ImageModel:
         """
         if not self.can_pull_back:
             raise ValueError("the pullback knows no free effects, nor those of the detector or of time")
-        unit, to_modes = self.psf.images_and_pullback(modes_nm, self.optics)
+        unit, to_modes = self._unit_and_pullback(modes_nm)
         flux, background = (v.to(unit)[:, None, None] for v in (flux_e, background_e))
 
         def pullback(factors: Tensor) -> Tensor:
@@ -125,21 +123,19 @@ class ImageModel:
         return self._optics(NOTHING)
 
     @property
+    def limits_nm(self) -> Tensor:
+        """Least and largest coefficients for which the model holds, see `LightPath.limits_nm`."""
+        return self.psf.limits_nm
+
+    def at_limit(self, modes_nm: Tensor) -> Tensor:
+        """Return which wavefronts (images, modes) have run into `limits_nm`, (images,)."""
+        lower, upper = self.limits_nm
+        return ((modes_nm <= lower) | (modes_nm >= upper)).any(1) & torch.isfinite(modes_nm).all(1)
+
+    @property
     def general(self) -> ImageModel:
         """The model without limits that this one may be a quick version of; here itself."""
         return self
-
-    def coarse(self) -> ImageModel:
-        """Return one without free parameters whose images err by some per cent, at a small part of the cost.
-
-        It is the model itself where its light path has nothing that can be left out, see `PsfModel.coarse`.
-        """
-        if not isinstance(self.psf, PsfModel) or not (len(self.psf.weights) > 2 or self.optics.by_mode):
-            return self
-        other = copy(self)
-        other.psf, optics = self.psf.coarse(self.optics)
-        other._last = NOTHING, optics
-        return other
 
     # -- parts -------------------------------------------------------------------------------
 
@@ -182,6 +178,9 @@ class ImageModel:
         moving = self.effects.free_at("time")
         whole = [self._whole_path(modes_nm, values, when, index)[:, None].to(unit.dtype) for index in moving]
         return unit, torch.cat([jacobian, *whole], dim=1)
+
+    def _unit_and_pullback(self, modes_nm: Tensor):
+        return self.psf.images_and_pullback(modes_nm, self.optics)
 
     def _whole_path(self, modes_nm, values: Tensor, when, index: int) -> Tensor:
         """Derivative of the unit-flux images along one effect parameter, the other effects held."""

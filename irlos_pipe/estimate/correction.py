@@ -10,7 +10,7 @@ import torch
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.effects import Effect, fixed_optics
 from irlos_pipe.optics.grids import Optics
-from irlos_pipe.optics.image_quality import Curve, encircled_energy, ring_means, transfer_cut
+from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
@@ -29,15 +29,6 @@ class Prediction:
     profile_before: np.ndarray
     profile_after: np.ndarray
     resolution_px: float  # λ/D at the mean wavelength
-
-    def encircled(self, image: np.ndarray) -> Curve:
-        """Return the part of the light within circles about the optical axis, over the radius [px]."""
-        rows, columns = image.shape
-        return encircled_energy(image, ((rows - 1) / 2, (columns - 1) / 2))
-
-    def transfer(self, image: np.ndarray, axis: int) -> Curve:
-        """Return a cut through the OTF of an `image`, see `image_quality.transfer_cut`."""
-        return transfer_cut(image, self.resolution_px, axis)
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ class ImageFit(ModesFit):
     def _bounds(self, model: ImageModel) -> tuple[torch.Tensor, torch.Tensor]:
         """Least and largest parameters, those of the layout and of the model."""
         lower, upper = self.layout.bounds
-        lower[self.layout.modes], upper[self.layout.modes] = model.psf.limits_nm
+        lower[self.layout.modes], upper[self.layout.modes] = model.limits_nm
         return lower, upper
 
     def with_model(self, model: ImageModel) -> Self:
@@ -120,11 +120,6 @@ class ImageFit(ModesFit):
     def holding(self, values: torch.Tensor) -> Self:
         """Return the same fits with the effects that are not fitted held at `values`."""
         return self._with(held=values)
-
-    @property
-    def quicker(self) -> Self:
-        """The same fits with a quicker model, where there is one that leaves little to the exact one."""
-        return self
 
     def with_tolerance(self, tolerance: float) -> Self:
         """Return the same fits, done where less than this fall of χ² is ahead, see `negligible`."""

@@ -19,7 +19,7 @@ import torch
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import Alike, AlikeFit, PhotonFit
+from irlos_pipe.estimate.lift_problems import NearFit, NearlySolved, NearModel, PhotonFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.parallel import ordered_map
@@ -28,7 +28,7 @@ from irlos_pipe.numerics.solution import Solution, joined, mixed
 DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 IMAGES_AT_ONCE = 128  # images in a piece: a dozen copies of them are made on the way
-ALIKE_AT_ONCE = 32  # of those that are alike, which take long: some for every worker
+NEAR_AT_ONCE = 16  # of those that have a quicker model, which take long: some for every worker
 CLOSE_TOLERANCE = 1e-2  # of a fit that a coarse model began: the step that ends it leaves a tenth of that
 COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with variances that follow the model
 
@@ -76,6 +76,7 @@ def lift(
     start_nm: torch.Tensor,
     options: LiftOptions = DEFAULTS,
     *,
+    near: NearModel | None = None,
     beyond: bool = True,
     report: Callable[[int], None] | None = None,
 ) -> LiftResult:
@@ -83,47 +84,42 @@ def lift(
 
     The effects of the `model` have no free parameters; its known wavefront has the diversity and, if
     calibrated, the NCPAs. Images are (images, rows, columns), `good` is (rows, columns), `start_nm` (images,
-    modes). Unless `beyond` is False, images whose estimate has run into the limits of a table are estimated
-    again without it. For `report` see `solve`.
+    modes). Where there is a quicker model `near` all images, the exact one has the last word only. Unless
+    `beyond` is False, images whose estimate has run into the limits of a table are estimated again without
+    it. For `report` see `solve`.
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
 
     def piece(some: torch.Tensor) -> LiftResult:
-        return _lift(model, images_e[some], good, noise, start_nm[some], options.of(some), report)
+        return _lift(model, near, images_e[some], good, noise, start_nm[some], options.of(some), report)
 
-    size = ALIKE_AT_ONCE if options.alike else IMAGES_AT_ONCE
+    size = NEAR_AT_ONCE if near else IMAGES_AT_ONCE
     pieces = torch.arange(len(images_e)).tensor_split(max(1, -(-len(images_e) // size)))
     result = LiftResult.joined(ordered_map(piece, pieces))
-    stuck = _at_limit(model, result.zernike_nm)
+    stuck = model.at_limit(result.zernike_nm)
     if not (beyond and stuck.any()):
         return result
     again = lift(model.general, images_e[stuck], good, noise, start_nm[stuck], options.of(stuck))
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
-    """Images whose estimate has run into the end of a table, (images,)."""
-    lower, upper = model.psf.limits_nm
-    return ((zernike_nm <= lower) | (zernike_nm >= upper)).any(1) & torch.isfinite(zernike_nm).all(1)
-
-
-def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
+def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options, report) -> LiftResult:
     """A fit with the variances of the images and, unless these are requested, one with those of the model."""
     nolls, quadratic = model.psf.nolls, options.loss_function.quadratic
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
     x = layout.start(images_e.flatten(1) * good.flatten(), start_nm)
     variance = noise.variance_e2(smooth(images_e))
-    problem = image_problem(model, layout, images_e, variance, good, options.alike)
+    problem = image_problem(near or model, layout, images_e, variance, good)
     if options.noise != "data":
         tolerance = COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE
-        rough = problem.quicker.with_tolerance(tolerance)
+        rough = problem.with_tolerance(tolerance)
         x = _finite(solve(rough, x, max_iterations=options.max_iterations, report=report), x)
         report = None
         problem = _with_model_variance(problem, x, images_e, good, noise, options)
     posed = problem if quadratic else problem.with_loss(options.loss_function)
-    if posed.quicker is not posed:
-        x = _finite(solve(posed.quicker, x, max_iterations=options.max_iterations), x)
-        posed = posed.with_tolerance(CLOSE_TOLERANCE)
+    if near is not None:
+        x = _finite(solve(posed, x, max_iterations=options.max_iterations), x)
+        posed = NearlySolved(posed, model).with_tolerance(CLOSE_TOLERANCE)
     solution = solve(posed, x, max_iterations=options.max_iterations, report=report)
     ended, modes = _finite(solution, x), layout.modes
     model_e = problem.predict_all(ended)
@@ -145,7 +141,7 @@ def _with_model_variance(rough: ImageFit, x, images_e, good, noise, options: Lif
         flat = images_e[:, None].flatten(2).to(model.psf.device)
         return PhotonFit(model, layout, flat, good.flatten(), noise)
     variance = noise.variance_e2(rough.predict_all(x)).reshape(images_e.shape)
-    return image_problem(model, layout, images_e, variance, good, options.alike)
+    return image_problem(model, layout, images_e, variance, good)
 
 
 def _finite(solution: Solution, before: torch.Tensor) -> torch.Tensor:
@@ -159,17 +155,15 @@ def image_problem(
     images_e: torch.Tensor,
     variance_e2: torch.Tensor,
     good: torch.Tensor,
-    alike: Alike | None = None,
 ) -> ImageFit:
     """Pose a problem of one image and one parameter vector each, for a whole batch.
 
-    Images and variances are (images, rows, columns), `good` is (rows, columns); `alike` says where the images
-    are realisations of a few frames.
+    Images and variances are (images, rows, columns), `good` is (rows, columns).
     """
     variance = masked_variance(variance_e2, good)[:, None].flatten(2)
     device = model.psf.device
-    arguments = model, layout, images_e[:, None].flatten(2).to(device), variance.to(device)
-    return ImageFit(*arguments) if alike is None else AlikeFit(*arguments, alike=alike)
+    kind = NearFit if isinstance(model, NearModel) else ImageFit
+    return kind(model, layout, images_e[:, None].flatten(2).to(device), variance.to(device))
 
 
 def smooth(images_e: torch.Tensor) -> torch.Tensor:

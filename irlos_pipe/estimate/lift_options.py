@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.numerics.loss import LOSSES, Loss, LossName
-
-if TYPE_CHECKING:
-    from irlos_pipe.estimate.lift_problems import Alike
 
 NoiseSource = Literal["data", "model", "iterative"]
 
@@ -26,17 +23,11 @@ class LiftOptions:
     # Of the residuals: whitened, but in electrons for "l1", the loss of the paper's DIP. Variances cannot
     # follow the very estimate of a robust loss: with "iterative" they are those of "model".
     loss: LossName = "gaussian"
-    # where many images are realisations of a few frames: quicker, covariances are those of the frames
-    alike: Alike | None = None
 
     @property
     def loss_function(self) -> Loss:
         return LOSSES[self.loss]
 
     def of(self, which: torch.Tensor) -> LiftOptions:
-        mean_nm, alike = self.prior_mean_nm, self.alike
-        return replace(
-            self,
-            prior_mean_nm=mean_nm if mean_nm is None else mean_nm[which],
-            alike=alike if alike is None else alike.of(which),
-        )
+        mean_nm = self.prior_mean_nm
+        return replace(self, prior_mean_nm=mean_nm if mean_nm is None else mean_nm[which])

@@ -1,114 +1,89 @@
-"""The problems that LIFT presents to the solver: photon noise, and realisations of a few frames.
+"""The problems that LIFT presents to the solver: photon noise, and images near a known wavefront.
 
-Images that are noise realisations of a few frames are very similar. Their derivatives are computed once
-per frame and serve as curvature for all its realisations, whose gradients are exact and cost a fifth of
-a Jacobian; what the curvature lacks the solver learns. On the way a coarse model will do, with what it lacks
-near the frame to first order: it leaves some hundredths of a standard error to the exact one.
+Noise realisations of a frame are near its wavefront. On the way to their own a coarse model will
+do, with what it lacks near the frame to first order: it leaves some hundredths of a standard error to
+the exact model, whose gradients take a step or two with the curvature of the other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Self
-
 import torch
 
-from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import FRAMES_PER_GRADIENT, ImageFit, Layout
+from irlos_pipe.effects.image_model import NOTHING, ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.problem import CheapGradientProblem
+from irlos_pipe.optics.psf import PsfModel
+
+REACH_NM = 500.0  # from the known wavefront, in every mode: fits that go further get lost in noise
 
 
-@dataclass(frozen=True)
-class Alike:
-    """Which frame every image is a realisation of."""
+class NearModel(ImageModel):
+    """A coarse model with what it lacks of an `exact` one near a wavefront (modes,), to first order."""
 
-    # (frames, modes + 2, pixels), derivatives of the frames' images at unit flux with respect to modes, flux
-    # and background
-    columns: torch.Tensor
-    frame: torch.Tensor  # (images,)
-    reference_nm: torch.Tensor  # (frames, modes), where `columns` were taken
-    coarse: ImageModel
-    lacking: torch.Tensor  # (frames, modes + 2, pixels), what they have more than those of the `coarse` model
-
-    def of(self, which: torch.Tensor) -> Alike:
-        return replace(self, frame=self.frame[which])
-
-
-def alike(model: ImageModel, reference_nm: torch.Tensor, frame: torch.Tensor) -> Alike | None:
-    """Derivatives at wavefronts near those of the images; None where single fits are quick, or the only way.
-
-    The wavefronts `reference_nm` (frames, modes) are those of frames, and `frame` (images,) says of which one
-    each image is a realisation.
-    """
-    if model.general is not model or not model.can_pull_back:
-        return None
-    one, coarse = torch.ones(len(reference_nm), dtype=torch.float64), model.coarse()
-    exact, rough = (
-        each.predict_and_jacobian(reference_nm, one, torch.zeros_like(one), held=True)[1].flatten(2)
-        for each in (model, coarse)
-    )
-    return Alike(exact, frame, reference_nm, coarse, exact - rough)
-
-
-class AlikeFit(ImageFit):
-    """`ImageFit` with the curvature of other images; single images, least squares, no free effects."""
-
-    per_member = (*ImageFit.per_member, "_hessian")
-
-    def __init__(self, *arguments, alike: Alike):
-        super().__init__(*arguments)
-        self._alike = alike
-        every = torch.arange(len(self.images))
-        self._hessian = self._map(self._curvature, self.prior_mean, every, FRAMES_PER_GRADIENT)[0]
+    def __init__(self, exact: ImageModel, near_nm: torch.Tensor):
+        psf, optics = exact.psf.coarse(exact.optics)
+        rough, one = ImageModel(psf, exact.effects), torch.ones(1, dtype=torch.float64)
+        super().__init__(psf, exact.effects)
+        self._near_nm, self._last = near_nm, (NOTHING, optics)
+        rough._last = self._last
+        there = [
+            model.predict_and_jacobian(near_nm[None], one, 0 * one, held=True) for model in (exact, rough)
+        ]
+        (image, columns), (rough_image, rough_columns) = there
+        self._slopes = (columns - rough_columns)[0, :-2]
+        self._image = (image - rough_image)[0].to(columns)
 
     @property
-    def quicker(self) -> Self:
-        quick = self._alike.coarse
-        return self if self.model is quick else self._with(model=quick)
+    def limits_nm(self) -> torch.Tensor:
+        return torch.stack([self._near_nm - REACH_NM, self._near_nm + REACH_NM])
 
-    def members(self, which: torch.Tensor) -> Self:
-        return super().members(which)._with(_alike=self._alike.of(which))
+    def _unit(self, modes_nm, *arguments):
+        return super()._unit(modes_nm, *arguments) + self._lacking(modes_nm)
+
+    def _unit_and_jacobian(self, modes_nm, *arguments):
+        unit, jacobian = super()._unit_and_jacobian(modes_nm, *arguments)
+        return unit + self._lacking(modes_nm), jacobian + self._slopes
+
+    def _unit_and_pullback(self, modes_nm):
+        unit, to_modes = super()._unit_and_pullback(modes_nm)
+        slopes = self._slopes.flatten(1).mT
+
+        def pullback(factors: torch.Tensor) -> torch.Tensor:
+            return to_modes(factors) + factors.flatten(1).to(slopes) @ slopes
+
+        return unit + self._lacking(modes_nm), pullback
+
+    def _lacking(self, modes_nm: torch.Tensor) -> torch.Tensor:
+        ahead = (modes_nm - self._near_nm).to(self._slopes)
+        return self._image + torch.tensordot(ahead, self._slopes, 1)
+
+
+def near(model: ImageModel, near_nm: torch.Tensor) -> NearModel | None:
+    """A quicker `model` near a wavefront (modes,); None where there is none."""
+    psf = model.psf
+    if not (isinstance(psf, PsfModel) and model.can_pull_back):
+        return None
+    return NearModel(model, near_nm) if len(psf.weights) > 2 or model.optics.by_mode else None
+
+
+class NearFit(ImageFit, CheapGradientProblem):
+    """A fit of single images, with a `NearModel`, of which those that leave its limits are given up."""
+
+    confined, cheap_gradient = True, ImageFit.gradient
+
+
+class NearlySolved(ImageFit):
+    """The fit of a `model` by exact gradients, with limits and Hessians of another that is `nearly` it."""
+
+    confined = True
+
+    def __init__(self, nearly: ImageFit, model: ImageModel):
+        super().__init__(model, nearly.layout, nearly.images, nearly.root_weight.double() ** -2)
+        self._nearly, self.lower, self.upper = nearly, nearly.lower, nearly.upper
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`; the gradient is exact, the Hessian approximate."""
-        value, gradient = self.gradient(x, which)
-        scale = torch.ones_like(x)
-        scale[:, self.layout.modes] = x[:, -2, None]
-        hessian = self._hessian[which] * scale[:, :, None] * scale[:, None, :]
-        return value, gradient, hessian + torch.diag_embed(self.prior_precision[which])
-
-    def predict_all(self, x: torch.Tensor) -> torch.Tensor:
-        """See `ImageFit.predict_all`: in the precision of gradients, by the coarse model."""
-        model_e = self.quicker._map(self.quicker._predicted, x, torch.arange(len(x)), FRAMES_PER_GRADIENT)[0]
-        return model_e.double()
-
-    def _predicted(self, x, which):
-        return (self._image_and_pullback(x, which)[0].flatten(1).cpu(),)
-
-    def _image_and_pullback(self, x, which):
-        """See `ImageFit`; the coarse model gets what it lacks near the frame."""
-        image, pullback = super()._image_and_pullback(x, which)
-        alike, modes = self._alike, self.layout.modes
-        if self.model is not alike.coarse:
-            return image, pullback
-        frame, flux = alike.frame[which], x[:, -2, None].to(image)
-        slopes = alike.lacking[frame[0] if bool((frame == frame[0]).all()) else frame]
-        ahead = torch.ones_like(x).to(image)
-        ahead[:, modes], ahead[:, -1] = x[:, modes] - alike.reference_nm[frame], 0
-        lacking = (ahead[:, None] @ slopes)[:, 0]
-
-        def to_parameters(factors: torch.Tensor) -> torch.Tensor:
-            found, pixels = pullback(factors), factors.flatten(1).to(slopes)
-            found[:, modes] += flux * (pixels[:, None] @ slopes.mT)[:, 0, modes]
-            found[:, -2] += (lacking * pixels).sum(1, dtype=torch.float64)
-            return found
-
-        return image + (flux * lacking).view_as(image), to_parameters
-
-    def _curvature(self, _, which: torch.Tensor) -> tuple[torch.Tensor]:
-        """That of images of unit flux, with the weights of each."""
-        columns = self._alike.columns[self._alike.frame[which]] * self.root_weight[which.to(self.device)]
-        return ((columns @ columns.mT).double().cpu(),)
+        return *self.gradient(x, which), self._nearly.normal_equations(x, which)[2]
 
 
 class PhotonFit(ImageFit):

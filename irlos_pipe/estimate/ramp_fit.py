@@ -29,6 +29,7 @@ from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
+from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.numerics.solution import CONVERGED, MAX_ITERATIONS
 from irlos_pipe.optics.light_path import LightPath
 
@@ -195,8 +196,8 @@ def _kernel(best: Effect | None, object_sigma_mas: str | float) -> Effect | None
 
 OUTER_ITERATIONS = 12
 STEP_SIGMA = 0.02  # converged when no shared parameter will move by more than this part of its error
-# Fall of χ² per image that does not matter on the way: what it leaves of the per-image parameters, the
-# elimination takes to first order.
+# Fall of χ² per image that does not matter at the start: the per-image parameters make their last steps
+# together with the shared ones.
 ON_THE_WAY = 1.0
 
 
@@ -219,14 +220,19 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     """
     parameters = problem.model.effects.parameters
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)
-    values, before = problem.held, math.inf
+    values, before, lowest = problem.held, math.inf, math.inf
     status = MAX_ITERATIONS
+    x = _own_parameters(problem, x)
     for _ in range(OUTER_ITERATIONS):
-        x = _own_parameters(problem, x)
-        gradient, information = _with_prior(parameters, values, *_reduced(problem, x))
+        chi2, steps, *reduced = _linearised(problem, x)
+        if not chi2 <= lowest * (1 + ROUNDING):  # the images have not followed by a step
+            x = _own_parameters(problem, x)
+            chi2, steps, *reduced = _linearised(problem, x)
+        gradient, information = _with_prior(parameters, values, *reduced)
         covariance = torch.linalg.inv(information)
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])
         step = float(((trial - values).abs() / torch.diagonal(covariance).sqrt()).max())
+        x, lowest = x + steps @ torch.cat([values - trial, values.new_ones(1)]), chi2
         values, problem = trial, problem.holding(trial)
         if _still_ahead(step, before) < STEP_SIGMA:
             status = CONVERGED
@@ -256,26 +262,28 @@ def _with_prior(parameters, values, gradient, information):
     return gradient + precision * (values - mean), information + torch.diag(precision)
 
 
-def _reduced(problem: ImageFit, x: torch.Tensor):
-    """Gradient and information of the shared parameters with the per-image ones eliminated.
+def _linearised(problem: ImageFit, x: torch.Tensor):
+    """χ², steps of the per-image parameters, and gradient and information of the shared ones without these.
 
-    Both in units of the misfit, χ²/ν where it is above 1.
+    The steps (images, parameters, shared + 1) are those per unit by which a shared parameter falls and, last,
+    those while all stay. Gradient and information are in units of the misfit, χ²/ν where it is above 1.
     """
     size = len(problem.held)
     gradient = torch.zeros(size, dtype=torch.float64)
     information = torch.zeros(size, size, dtype=torch.float64)
-    chi2, own = 0.0, problem.layout.size
+    chi2, own, steps = 0.0, problem.layout.size, []
     for part, which in zip(x.split(8), torch.arange(len(x)).split(8), strict=True):
         columns, residual = _whitened_columns(problem, part, which)
         force, normal = (columns @ residual[..., None]).cpu(), (columns @ columns.mT).cpu()
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which])
         right = torch.cat([normal[:, :own, own:], force[:, :own]], dim=2)
-        eliminated = normal[:, own:, :own] @ (scaled_inverse(normal[:, :own, :own]) @ right)
+        steps.append(scaled_inverse(normal[:, :own, :own]) @ right)
+        eliminated = normal[:, own:, :own] @ steps[-1]
         gradient -= (force[:, own:, 0] - eliminated[..., -1]).sum(0)
         information += (normal[:, own:, own:] - eliminated[..., :-1]).sum(0)
         chi2 += float(residual.square().sum())
     misfit = max(1.0, chi2 / (problem.freedom * len(x)))
-    return gradient / misfit, information / misfit
+    return chi2, torch.cat(steps), gradient / misfit, information / misfit
 
 
 def _whitened_columns(problem: ImageFit, x: torch.Tensor, which: torch.Tensor):

@@ -10,10 +10,11 @@ import torch
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import alike
+from irlos_pipe.estimate.lift_problems import near
 from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
+from irlos_pipe.numerics.parallel import ordered_map
 
 IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
 MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
@@ -136,26 +137,35 @@ def scan(
     """
     focus, true = model.psf.nolls.index(4), start_nm.clone()
     true[:, focus] = torch.as_tensor(data.introduced_nm)
-    frames, faint, one_read = torch.arange(len(start_nm)), faint or data.noise, one_read or data.noise
-    like = None if near_nm is None else alike(model, near_nm, frames)
+    faint, one_read = faint or data.noise, one_read or data.noise
     factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
 
     def dimmed(index: int) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed + 7919 * int(index))
         arguments = signal_e, factors[index], data.noise, generator, faint
-        return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1).flatten(0, 1)
+        return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1)
 
     def errors_nm(group: np.ndarray) -> np.ndarray:
-        """Errors (magnitudes, trials) of some magnitudes, which take turns in the batch."""
-        images_e = torch.stack([dimmed(index) for index in group], dim=1).flatten(0, 1)
-        frame = frames.repeat_interleave(realisations * len(group))
-        options = LiftOptions(noise="model", alike=like and like.of(frame))
-        result = lift(model, images_e, data.good, faint, start_nm[frame], options, report=report)
-        error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame.numpy()])
-        failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
-        return np.where(failed, np.nan, error).reshape(-1, len(group)).T
+        """Errors (magnitudes, trials) of some magnitudes."""
+        images_e = torch.stack([dimmed(index) for index in group], dim=1).to(data.images_e.dtype)
 
-    groups = min(len(factors), -(-len(factors) * len(frames) * realisations // IMAGES_AT_ONCE))
+        def of_frame(frame: int) -> np.ndarray:
+            images, close = (
+                images_e[frame].flatten(0, 1),
+                None if near_nm is None else near(model, near_nm[frame]),
+            )
+            start, options = start_nm[frame].expand(len(images), -1), LiftOptions(noise="model")
+            result = lift(
+                model, images, data.good, faint, start, options, near=close, beyond=False, report=report
+            )
+            error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame])
+            lost = ~result.solution.converged | (close or model).at_limit(result.zernike_nm)
+            failed = lost.numpy() | ~(error < criterion.implausible_nm)
+            return np.where(failed, np.nan, error).reshape(len(group), -1)
+
+        return np.concatenate(ordered_map(of_frame, range(len(start_nm))), axis=1)
+
+    groups = min(len(factors), -(-len(factors) * len(start_nm) * realisations // IMAGES_AT_ONCE))
     errors = np.concatenate([errors_nm(one) for one in np.array_split(np.arange(len(factors)), groups)])
     bounds = _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus]
     crb_nm, one_read_nm = bounds.median(-1).values.numpy()

@@ -79,6 +79,9 @@ class _State:
 
     def active(self) -> np.ndarray:
         """Members that still move."""
+        if self.problem.confined:
+            lost = ((self.x <= self.lower) | (self.x >= self.upper)).any(1)
+            self.status[lost & (self.status == MAX_ITERATIONS)] = INVALID
         return np.flatnonzero(self.status == MAX_ITERATIONS)
 
     def iterate(self, which: np.ndarray) -> int:

@@ -2,7 +2,8 @@
 
 Matrices here are small: one thread per piece of a batch keeps two cores busy where threads
 inside every matrix product do not. And as each piece is computed by one thread, results are
-the same to the bit for any number of workers.
+the same to the bit for any number of workers. Who has pieces computes them as well, and waits for none that
+nobody has begun: pieces of pieces keep workers busy that would else have none.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +17,6 @@ import torch
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Threads begin with an empty context: a worker sees no pool, and does pieces of pieces itself.
 _pool: ContextVar[ThreadPoolExecutor | None] = ContextVar("pool", default=None)
 
 
@@ -27,8 +27,8 @@ def workers(count: int) -> Iterator[None]:
     The latter is a setting of the process, and stays. Gradients are recorded where they are asked for only.
     """
     torch.set_num_threads(1)
-    # The number of threads inside a product is one of each thread as well as of the process.
-    pool = ThreadPoolExecutor(count, "irlos", torch.set_num_threads, (1,)) if count > 1 else None
+    # Threads begin with an empty context, and one thread inside a product is a setting of each of them.
+    pool = ThreadPoolExecutor(count - 1, "irlos", lambda: _begin(pool)) if count > 1 else None
     token = _pool.set(pool)
     try:
         with torch.no_grad():
@@ -39,10 +39,14 @@ def workers(count: int) -> Iterator[None]:
             pool.shutdown()
 
 
+def _begin(pool: ThreadPoolExecutor) -> None:
+    torch.set_num_threads(1)
+    _pool.set(pool)
+
+
 def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """Return what `function` makes of all `items`, in order; side by side if there are workers.
 
-    Called from a worker, it runs in that worker: pieces of pieces do not wait for each other.
     Where gradients are recorded it runs in the caller's thread: workers do not record any.
     """
     return list(_results(function, list(items)))
@@ -72,5 +76,19 @@ def joined_map(
 def _results(function: Callable[[Item], Result], items: list[Item]) -> Iterator[Result]:
     pool = _pool.get()
     if pool is None or len(items) < 2 or torch.is_grad_enabled():
-        return map(function, items)
-    return pool.map(torch.no_grad()(function), items)
+        yield from map(function, items)
+        return
+    function = torch.no_grad()(function)
+    futures = [pool.submit(function, item) for item in items]
+    places, own = iter(range(len(items))), {}
+    try:
+        for place, future in enumerate(futures):
+            while not (place in own or future.done()):
+                free = next((one for one in places if futures[one].cancel()), None)
+                if free is None:
+                    break
+                own[free] = function(items[free])
+            yield own.pop(place) if place in own else future.result()
+    finally:
+        for future in futures:
+            future.cancel()

@@ -27,6 +27,7 @@ class Problem(ABC):
     # whether the equations are those of a re-weighted problem, whose quadratic model does not predict the
     # fall of the objective
     reweighted: bool = False
+    confined: bool = False  # whether a member that reaches a bound of its parameters is lost
     same_unit: slice = slice(0)  # parameters that have the same unit, so that their curvatures compare
 
     @abstractmethod

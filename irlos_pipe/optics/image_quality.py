@@ -4,12 +4,21 @@ Frequencies are in units of D/λ, beyond which no telescope transfers anything: 
 is λ/D long.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 PADDING = 4  # factor by which a window is padded before its transform: the same curve in more points
 PARTS = 5  # into which a pixel is divided along either axis where a circle cuts it
+CURVES = {
+    "encircled_radius_mas": ("mas", "radius", "radius of circles about the star"),
+    "encircled_<image>": ("", "radius", "part of the light within a circle"),
+    "otf_x_frequency": ("D/λ", "frequency", "spatial frequency along x"),
+    "otf_y_frequency": ("D/λ", "frequency", "spatial frequency along y"),
+    "otf_x_<image>": ("", "frequency", "modulus of the OTF along x"),
+    "otf_y_<image>": ("", "frequency", "modulus of the OTF along y"),
+}
 
 
 class Curve(NamedTuple):
@@ -102,3 +111,25 @@ def ring_means(
     count = np.bincount(ring)
     with np.errstate(invalid="ignore"):
         return np.bincount(ring, radius[good]) / count, np.bincount(ring, image[good]) / count
+
+
+def quality_curves(
+    images: Mapping[str, np.ndarray],
+    centre_px: tuple[float, float],
+    resolution_px: float,
+    pixel_scale_mas: float,
+    *,
+    of_window: bool = False,
+) -> dict[str, np.ndarray]:
+    """Return the `CURVES` of `images` by name, encircled energy about `centre_px`, λ/D being `resolution_px`.
+
+    Light is that of a star of unit flux, or all of the window, `of_window`.
+    """
+    found: dict[str, np.ndarray] = {}
+    for name, image in images.items():
+        energy = encircled_energy(image / image.sum() if of_window else image, centre_px)
+        found |= {"encircled_radius_mas": energy.at * pixel_scale_mas, f"encircled_{name}": energy.value}
+        for axis, letter in ((1, "x"), (0, "y")):
+            cut = transfer_cut(image, resolution_px, axis)
+            found |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
+    return found

@@ -183,18 +183,7 @@ def _prefix(product: Product, name: str) -> str:
 
 def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
     aotpy = _aotpy()
-    values = {
-        key: np.asarray(product.arrays[f"{prefix}/{key}"].value)
-        for key in (
-            "raw_adu",
-            "background_adu",
-            "flat",
-            "pixel_mask",
-            "time_s",
-            "frame_counter",
-            "start_unix_s",
-        )
-    }
+    values = {key: np.asarray(product.arrays[f"{prefix}/{key}"].value) for key in ARRAYS}
     acquisition = json.loads(str(product.arrays[f"{prefix}/acquisition"].value))
     start_s = float(values["start_unix_s"])
     times = (start_s + values["time_s"]).tolist() if np.isfinite(start_s) else []

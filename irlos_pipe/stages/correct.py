@@ -18,6 +18,7 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TI
 from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
+from irlos_pipe.optics.image_quality import CURVES, quality_curves
 from irlos_pipe.optics.wavefront import MapSize, clear_pupil, opd_maps_nm
 from irlos_pipe.product.product import Check, Product, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
@@ -54,12 +55,7 @@ ARRAYS = {
     "radius_mas": ("mas", "ring", "radius of the rings"),
     "profile_before": ("", "ring", "mean of each ring, without correction"),
     "profile_after": ("", "ring", "mean of each ring, with the offsets applied"),
-    "encircled_radius_mas": ("mas", "radius", "radius of circles about the star"),
-    "encircled_<image>": ("", "radius", "part of the light within a circle"),
-    "otf_x_frequency": ("D/λ", "frequency", "spatial frequency along x"),
-    "otf_y_frequency": ("D/λ", "frequency", "spatial frequency along y"),
-    "otf_x_<image>": ("", "frequency", "modulus of the OTF along x"),
-    "otf_y_<image>": ("", "frequency", "modulus of the OTF along y"),
+    **CURVES,
 } | {"mirror_offset": ("±", "mode", MIRROR_SIGN)}
 CHECKS = {"predicted Strehl": ("predicted Strehl against the best that the AO residual leaves", "")}
 
@@ -312,16 +308,11 @@ def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:
 
 
 def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
-    """Encircled energy and cuts through the OTF of the predicted images."""
-    arrays: dict[str, Any] = {}
-    for name in ("before", "after", "perfect"):
-        image = getattr(prediction, name)
-        energy = prediction.encircled(image)
-        arrays |= {"encircled_radius_mas": energy.at * pixel_scale_mas, f"encircled_{name}": energy.value}
-        for axis, letter in ((1, "x"), (0, "y")):
-            cut = prediction.transfer(image, axis)
-            arrays |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
-    return arrays
+    """Encircled energy and cuts through the OTF of the predicted images, about the optical axis."""
+    images = {name: getattr(prediction, name) for name in ("before", "after", "perfect")}
+    rows, columns = prediction.before.shape
+    axis = (rows - 1) / 2, (columns - 1) / 2
+    return quality_curves(images, axis, prediction.resolution_px, pixel_scale_mas)
 
 
 # -- the correction in the modes of a mirror ---------------------------------------------------------

@@ -89,17 +89,8 @@ class LawRow(ResultsPart):
     @classmethod
     def of(cls, law: ModeLaw) -> LawRow:
         """Return the parameters of a `law` with their errors."""
-        a, b, c = law.sigma
-        return cls(
-            A_nm=law.a_nm,
-            B=law.decay,
-            C_nm=law.plateau_nm,
-            A_sigma_nm=a,
-            B_sigma=b,
-            C_sigma_nm=c,
-            deviance_nu=law.deviance_nu,
-            plateau_noll=law.plateau_noll,
-        )
+        sigma = dict(zip(("A_sigma_nm", "B_sigma", "C_sigma_nm"), law.sigma, strict=True))
+        return cls.filled_from(law, A_nm=law.a_nm, B=law.decay, C_nm=law.plateau_nm, **sigma)
 
 
 class NumberScan(ResultsPart):

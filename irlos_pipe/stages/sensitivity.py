@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import nan
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from irlos_pipe.stages.lift.input import Ramp
 
 NAME = "sensitivity"
-VERSION = 11
+VERSION = 12
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 CURVE = {
@@ -153,16 +152,16 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"own m_J {bright}: frames can only be dimmed"
         )
     chosen = torch.as_tensor(_choose(ramp, ctx.config))
-    noises = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
+    faint, one_read, noise = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
-    # Side by side: a single fit has too few frames to keep many workers busy.
     fits = ordered_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
-        curves = [
-            scan(
+
+        def curve(fit: RampFit) -> Curve:
+            return scan(
                 fit.model,
                 ramp.data.of(chosen),
                 fit.result.model_e,
@@ -172,14 +171,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
                 fit.start_nm,
                 Criterion(ctx.config.limit_nm, ctx.config.limit_failures),
                 ctx.seed,
-                faint=noises.faint,
-                one_read=noises.one_read,
+                faint=faint,
+                one_read=one_read,
                 near_nm=fit.result.zernike_nm,
                 report=bar.update,
             )
-            for fit in fits
-        ]
-    return _output(ctx.config, combinations, curves, noises.row(ramp.acquisition.exposure_s))
+
+        curves = ordered_map(curve, fits)
+    return _output(ctx.config, combinations, curves, noise)
 
 
 def _choose(ramp: Ramp, config: Config) -> np.ndarray:
@@ -268,34 +267,22 @@ def _limit_text(row: CurveRow) -> str:
 # -- noise of the frames of a fainter star: of all reads of an exposure, with sky and dark current ---
 
 
-@dataclass(frozen=True)
-class Noises:
-    """Noise of the dimmed frames, that of one read without sky, and what the former consists of."""
-
-    faint: NoiseModel
-    one_read: NoiseModel
-    told: ExposureNoise | None
-
-    def row(self, exposure_s: float | None) -> NoiseRow:
-        """Return the entry of the results for exposures of `exposure_s`."""
-        return NoiseRow.filled_from(
-            self.told,
-            excess_noise_factor=self.faint.excess_noise_factor,
-            exposure_s=exposure_s or math.nan,
-            floor_e2=self.faint.floor_e2,
-            one_read_floor_e2=self.one_read.floor_e2,
-        )
-
-
 def _noises_of(
     ramp: Ramp, mag_j: float, instrument: Instrument, which: Literal["reads", "recorded"]
-) -> Noises:
-    """Return the noise that the dimmed frames of a ramp are given."""
+) -> tuple[NoiseModel, NoiseModel, NoiseRow]:
+    """Return the noise that the dimmed frames of a ramp are given, that of one read without sky, and both."""
     recorded = ramp.data.noise
     told = _exposure_noise(ramp, mag_j, instrument) if which == "reads" else None
-    if told is None:
-        return Noises(recorded, recorded, None)
-    return Noises(told.beyond(recorded), NoiseModel(1.0, told.read_noise_e**2), told)
+    faint = recorded if told is None else told.beyond(recorded)
+    one_read = recorded if told is None else NoiseModel(1.0, told.read_noise_e**2)
+    row = NoiseRow.filled_from(
+        told,
+        excess_noise_factor=faint.excess_noise_factor,
+        exposure_s=ramp.acquisition.exposure_s or math.nan,
+        floor_e2=faint.floor_e2,
+        one_read_floor_e2=one_read.floor_e2,
+    )
+    return faint, one_read, row
 
 
 def _exposure_noise(ramp: Ramp, mag_j: float, instrument: Instrument) -> ExposureNoise | None:

@@ -62,13 +62,13 @@ def test_every_command_either_computes_or_starts_at_once():
     assert set(QUICK) | MAY_LOAD == set(cli.commands)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["--version", "--help", *QUICK, "run", "night"])
 def test_a_command_that_computes_nothing_loads_nothing_large(loaded, name):
     """A library once loaded stays: the first command to fail is it."""
     assert loaded[name] == []
 
 
+@pytest.mark.slow
 def test_what_is_up_to_date_is_found_to_be_so_without_anything_large(tmp_path):
     """Runs of every hour, by cron, find nothing to do most of the time."""
     recipe, data, run = tmp_path / "recipe.yaml", tmp_path / "data", tmp_path / "run"

@@ -199,7 +199,6 @@ def test_the_simulator_makes_the_shape_of_the_model():
     assert np.ptp(simulated[inside] * defocus_nm_per_um(SINE) - path_nm) < 1e-6 * np.ptp(path_nm)
 
 
-@pytest.mark.slow
 @pytest.fixture(scope="module")
 def ramps():
     """The same ramp, made with high aperture, fitted with the parabola and with the sphere."""
@@ -227,6 +226,7 @@ def ramps():
     return SimpleNamespace(data=data, parabola=fits[0], sphere=fits[1], held_out=held_out)
 
 
+@pytest.mark.slow
 def test_lift_with_a_common_wavefront_finds_ramp_and_wavefront(ramps):
     found = ramps.sphere.effects["high_order_ncpa"]["zernike_nm"]
     assert {int(noll): nm for noll, nm in found.items()} == pytest.approx(STATIC, abs=1.0)

@@ -13,7 +13,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.lift import image_problem, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import PhotonFit, alike
+from irlos_pipe.estimate.lift_problems import REACH_NM, PhotonFit, near
 from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
@@ -177,12 +177,11 @@ def test_errors_of_a_robust_loss_hold_and_are_not_smaller_than_those_of_the_like
     assert float(result.chi2_nu.mean()) == pytest.approx(1, abs=0.02)
 
 
-# -- realisations with the curvature of their frames ---------------------------------------------
+# -- realisations of a frame, near its wavefront -------------------------------------------------
 
 
 NOLLS, REALISATIONS = (2, 3, 4, 5, 7, 8), 12
-FRAMES_NM = torch.tensor([[5.0, -8, 60, 20, -15, 10], [-3.0, 4, -90, -10, 20, 5]]).double()
-FRAME = torch.arange(2).repeat(REALISATIONS)
+FRAME_NM = torch.tensor([5.0, -8, 60, 20, -15, 10]).double()
 LIMIT = torch.tensor([20.0, 20.0, 40.0, 20.0, 20.0, 20.0]).double()
 
 
@@ -194,53 +193,54 @@ def halo_model() -> ImageModel:
     return ImageModel(psf, known.held(known.starts))
 
 
-def drawn_alike(halo_model: ImageModel, flux_e: float) -> torch.Tensor:
-    flux = torch.full((2,), flux_e).double()
-    mean_e = halo_model.predict(FRAMES_NM, flux, torch.zeros(2).double()).numpy()
-    realisations = [cases.draw_frames(mean_e[f], 1, seed) for seed, f in enumerate(FRAME.tolist())]
-    return torch.cat(realisations)
+def realisations(halo_model: ImageModel, flux_e: float) -> torch.Tensor:
+    mean_e = halo_model.predict(FRAME_NM[None], torch.full((1,), flux_e).double(), torch.zeros(1).double())
+    return cases.draw_frames(mean_e[0].numpy(), REALISATIONS, seed=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("flux_e", "prior"), [(3e5, None), (3e3, LIMIT)])
-def test_estimates_are_those_of_fits_with_derivatives_of_their_own(halo_model, flux_e, prior):
-    images_e = drawn_alike(halo_model, flux_e)
-    near = alike(halo_model, FRAMES_NM + 10.0, FRAME)
-    found = [
-        lift(
-            halo_model,
-            images_e,
-            cases.everything(images_e),
-            cases.READ_NOISE,
-            torch.zeros(len(images_e), len(NOLLS)).double(),
-            LiftOptions(noise="model", prior_sigma_nm=prior, alike=one),
-        )
-        for one in (None, near)
-    ]
-    theirs, ours = found
+def test_estimates_near_a_wavefront_are_those_of_the_exact_model(halo_model, flux_e, prior):
+    images_e = realisations(halo_model, flux_e)
+    start_nm = torch.zeros(REALISATIONS, len(NOLLS)).double()
+    fitted = images_e, cases.everything(images_e), cases.READ_NOISE, start_nm
+    options = LiftOptions(noise="model", prior_sigma_nm=prior)
+    theirs = lift(halo_model, *fitted, options)
+    ours = lift(halo_model, *fitted, options, near=near(halo_model, FRAME_NM + 10.0))
     assert ours.solution.converged.all()
     assert float(((ours.zernike_nm - theirs.zernike_nm).abs() / theirs.sigma_nm).max()) < 0.1
     assert ours.sigma_nm.numpy() == pytest.approx(theirs.sigma_nm.numpy(), rel=0.3)
 
 
 @pytest.mark.slow
-def test_a_coarse_model_is_exact_at_the_frames_and_its_gradient_that_of_its_value(halo_model):
-    images_e, layout, which = drawn_alike(halo_model, 3e4), Layout(NOLLS), torch.arange(len(FRAME))
-    near = alike(halo_model, FRAMES_NM, FRAME)
-    variance = torch.full_like(images_e, 100.0)
-    exact = image_problem(halo_model, layout, images_e, variance, cases.everything(images_e), near)
-    coarse = exact.quicker
-    x = layout.start(images_e.flatten(1), FRAMES_NM[FRAME])
-    assert coarse.model is not exact.model
-    there = halo_model.predict(FRAMES_NM[FRAME], x[:, -2], x[:, -1]).flatten(1)
-    assert float((coarse.predict_all(x) - there).abs().max()) < 1e-5 * float(there.max())
+def test_a_near_model_is_exact_there_and_its_derivatives_are_those_of_its_images(halo_model):
+    images_e, layout, which = realisations(halo_model, 3e4), Layout(NOLLS), torch.arange(REALISATIONS)
+    model, variance = near(halo_model, FRAME_NM), torch.full_like(images_e, 100.0)
+    fit = image_problem(model, layout, images_e, variance, cases.everything(images_e))
+    x = layout.start(images_e.flatten(1), FRAME_NM)
+    there = halo_model.predict(FRAME_NM[None], x[:1, -2], x[:1, -1]).flatten(1)
+    assert float((fit.predict_all(x[:1]) - there).abs().max()) < 1e-5 * float(there.max())
     x[:, :-2] += 15.0
-    gradient = coarse.gradient(x, which)[1]
+    gradient, equations = fit.gradient(x, which)[1], fit.normal_equations(x, which)[1]
+    assert torch.allclose(gradient, equations, rtol=1e-4, atol=1e-4 * float(gradient.abs().max()))
     for column, step in ((0, 1.0), (2, 1.0), (5, 1.0), (-2, 100.0)):
         move = torch.zeros_like(x)
         move[:, column] = step
-        change = (coarse.gradient(x + move, which)[0] - coarse.gradient(x - move, which)[0]) / (2 * step)
+        change = (fit.gradient(x + move, which)[0] - fit.gradient(x - move, which)[0]) / (2 * step)
         assert torch.allclose(gradient[:, column], change, atol=0.01 * float(change.abs().max()))
+
+
+@pytest.mark.slow
+def test_fits_that_leave_the_limits_of_a_near_model_are_given_up_and_the_others_are_not(halo_model):
+    images_e = realisations(halo_model, 3e4)[:3]
+    start_nm = torch.zeros(3, len(NOLLS)).double()
+    start_nm[1, 2] = FRAME_NM[2] + 1.2 * REACH_NM
+    good, options = cases.everything(images_e), LiftOptions(noise="model")
+    found = lift(
+        halo_model, images_e, good, cases.READ_NOISE, start_nm, options, near=near(halo_model, FRAME_NM)
+    )
+    assert found.solution.converged.tolist() == [True, False, True]
+    assert found.solution.iterations[1] == 0
 
 
 # The Cramér-Rao bound. Truth: Fisher matrices by automatic differentiation of images, and analysis.

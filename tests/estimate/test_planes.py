@@ -81,6 +81,7 @@ def test_a_plane_of_the_wrong_sign_does_not_pass_unnoticed():
     assert found.setups[4].focus_nm == pytest.approx(620.0, abs=60.0)
 
 
+@pytest.mark.slow
 def test_planes_of_one_recording_share_star_and_sky_and_nothing_of_their_frames():
     own = (TipTiltJitter(),)
     some = [replace(one, own=own) for one in planes(0, 1e5)]

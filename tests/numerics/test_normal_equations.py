@@ -4,6 +4,7 @@ Truth: scipy's minimiser on the written loss of the same linear problem (indepen
 solved directly (analysis), and the sums written out in float64.
 """
 
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -291,6 +292,17 @@ def test_derivatives_by_torch_func_survive_the_workers(count):
         automatic = torch.func.jacfwd(lambda x: model.images(x)[0])(at)[:, :, 0]
         _, jacobian = model.images_and_jacobian(at)
     assert torch.allclose(automatic.permute(2, 0, 1), jacobian[0], rtol=1e-8, atol=1e-14)
+
+
+def test_who_has_no_piece_left_helps_with_pieces_of_pieces():
+    """Two pieces that wait for each other are within another piece, and end only where two compute them."""
+    together = threading.Barrier(2)
+
+    def piece(number: int) -> list[int]:
+        return ordered_map(lambda one: together.wait(20) * 0 + one, range(2)) if number == 1 else []
+
+    with workers(2):
+        assert ordered_map(piece, range(3)) == [[], [0, 1], []]
 
 
 def test_an_error_in_a_worker_reaches_the_caller():

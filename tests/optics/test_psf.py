@@ -153,12 +153,12 @@ def model(request) -> PsfModel:
     )
 
 
-@pytest.mark.slow
 @pytest.fixture
 def wavefronts() -> torch.Tensor:
     return torch.cat([vector(ncpa_nm(seed, 21), PSF_JACOBIAN_NOLLS) for seed in (1, 2)])
 
 
+@pytest.mark.slow
 def test_derivatives_by_modes_and_otf_parameters_are_finite_differences(model, wavefronts):
     effects = halo_and_jitter(model)
     values = effects.starts * 1.1 + 0.05

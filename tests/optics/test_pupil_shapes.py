@@ -135,7 +135,6 @@ def test_a_map_gives_the_image_of_its_samples(flip):
     assert disagreement(image_of(geometry, WAVEFRONT), truth) <= 1e-4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "area"),
     [
@@ -153,6 +152,7 @@ def test_parts_have_their_area_as_apertures_and_as_obstructions(part, area):
     assert whole - dark == pytest.approx(area, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_pistons_of_segments_agree_with_analysis():
     segments = KECK_LIKE.aperture[0]
     polygons = [hexagon(segments.flat_to_flat_m, centre) for centre in segments.centres_m[1:]]

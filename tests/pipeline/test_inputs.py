@@ -155,7 +155,6 @@ def test_a_product_is_out_of_date_when_a_file_changes_that_was_read(tmp_path, fi
             assert reason == "up to date", file
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "name", "expected"),
     [
@@ -172,6 +171,7 @@ def test_a_file_that_will_be_read_and_was_not_there_makes_a_product_out_of_date(
     assert f"input file cube/{expected}" in planned(tmp_path, given)
 
 
+@pytest.mark.slow
 def test_a_damaged_recording_counts_until_it_is_mended(tmp_path, finished):
     """Its other recordings are read all the same."""
 

@@ -67,6 +67,7 @@ def test_a_drifting_residual_follows_the_law_on_average_and_bursts():
     assert np.isclose(drifted, (1 + own) * (1 + sky.drift_rms**2) ** 4 - 1, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_an_uneven_residual_has_the_variance_asked_for_in_every_place():
     """Truth: the same with a residual that is everywhere alike, times the variance asked for."""
     parts = {4: 0.35, 2: -0.15}

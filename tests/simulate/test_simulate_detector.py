@@ -186,6 +186,7 @@ def summed(effects: dict | None = None, *, sky_e_per_s: float = 0.0, **detector)
     return replace(BENIGN, exposure_s=0.04, effects=effects or {}, detector=model, sky_e_per_s=sky_e_per_s)
 
 
+@pytest.mark.slow
 def test_a_frame_has_the_light_of_all_its_reads_and_the_read_noise_of_each():
     for value_e in (0.0, 200.0):
         readout = Readout.of(summed(excess_noise_factor=1.25), level(value_e, 1)[0])

@@ -213,6 +213,7 @@ def test_a_shifted_mirror_makes_tilt_of_defocus():
     assert found_nm[:3] == pytest.approx([-slope_nm, 2 * slope_nm, 100.0], abs=0.5)
 
 
+@pytest.mark.slow
 def test_minus_the_aberration_on_the_mirror_gives_the_image_of_a_perfect_star():
     perfect, aberrated = expose(SCENE), replace(SCENE, ncpa_nm={4: 150.0, 8: -60.0})
     corrected = expose(replace(aberrated, mirror=replace(FINE, offsets_nm={4: -150.0, 8: 60.0})))

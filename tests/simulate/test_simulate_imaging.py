@@ -208,6 +208,7 @@ STATIC = {name: STRONG[name] for name in (
 )} | {"spectrum": {"wavelength_nm": 1680.0, "slope": 0.5}}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STATIC)
 def test_an_effect_is_simulated_as_it_is_modelled(name):
     """In two colours; light of further images adds to that of the star."""

@@ -1,7 +1,7 @@
 """Stage `calibrate`: static aberrations (NCPAs) from cubes of short narrow-band exposures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -114,11 +114,7 @@ def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput
         raise InputDataError(failures[0])
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
     cubes = [
-        Cube(
-            one.name,
-            one.acquisition,
-            _joint_fit(ctx, [one]) if _of_several_setups([one]) else _calibrate(ctx, [one], options),
-        )
+        (one, _joint_fit(ctx, [one]) if _of_several_setups([one]) else _calibrate(ctx, [one], options))
         for one in usable
     ]
     return _each_output(ctx, cubes, failures)
@@ -195,7 +191,6 @@ def _joint_output(
     """One estimate, together with those of other methods; `acquisition` is that of the first recording."""
     results = CalibrateResults(
         **_estimate(result),
-        effects=result.effects,
         effects_sigma=result.effects_sigma,
         seeing_arcsec=seeing_arcsec(ctx.instrument, acquisition),
         wavelength_nm=acquisition.wavelength_nm,
@@ -208,59 +203,43 @@ def _joint_output(
     return StageOutput(_arrays(result), results, checks_of(ctx.config, result), summary=summary)
 
 
-@dataclass(frozen=True)
-class Cube:
-    """One recording and what was estimated from it."""
-
-    name: str
-    acquisition: Acquisition
-    result: Calibration
-
-
-def _each_output(ctx: StageContext[Config], cubes: Sequence[Cube], failures: Sequence[str]) -> StageOutput:
+def _each_output(
+    ctx: StageContext[Config], cubes: Sequence[tuple[Recording, Calibration]], failures: Sequence[str]
+) -> StageOutput:
     """One estimate per recording; the keys and arrays of a joint estimate hold the mean over the cubes.
 
     Those of every cube stand in ``cubes``, its arrays under ``cubes/<name>/``. `failures` has one line per
     recording that could not be used.
     """
-    mean = _mean_calibration([cube.result for cube in cubes])
+    mean = _mean_calibration([result for _, result in cubes])
     arrays = _arrays(mean, note="mean over the cubes", only=MEAN)
-    for cube in cubes:
-        arrays |= _arrays(cube.result, f"{CUBES}/{cube.name}/")
-    why = [_undetermined(cube.result) for cube in cubes]
+    for one, result in cubes:
+        arrays |= _arrays(result, f"{CUBES}/{one.name}/")
+    why = [_undetermined(result) for _, result in cubes]
+    taken = [one.acquisition for one, _ in cubes]
     results = CalibrateResults(
         **_estimate(mean),
-        effects=mean.effects,
-        seeing_arcsec=float(np.mean([seeing_arcsec(ctx.instrument, cube.acquisition) for cube in cubes])),
-        wavelength_nm=float(np.mean([cube.acquisition.wavelength_nm for cube in cubes])),
+        seeing_arcsec=float(np.mean([seeing_arcsec(ctx.instrument, one) for one in taken])),
+        wavelength_nm=float(np.mean([one.wavelength_nm for one in taken])),
         twin=None,
         compare=[],
         cubes=[
             CubeRow(
-                name=cube.name,
-                derotator_angle_deg=cube.acquisition.derotator_angle_deg,
-                **_estimate(cube.result),
-                effects=cube.result.effects,
+                name=one.name, derotator_angle_deg=one.acquisition.derotator_angle_deg, **_estimate(result)
             )
-            for cube in cubes
+            for one, result in cubes
         ],
-        untested=untested_by_cubes(cubes[0].acquisition.diversity, next(filter(None, why), "")),
+        untested=untested_by_cubes(taken[0].diversity, next(filter(None, why), "")),
     )
-    checks = [check for cube in cubes for check in checks_of(ctx.config, cube.result, f"{cube.name}: ")]
+    checks = [check for one, result in cubes for check in checks_of(ctx.config, result, f"{one.name}: ")]
     output = StageOutput(arrays, results, checks, summary=_mean_summary(mean, cubes), failures=failures)
     if all(check.passed for check in checks):
         return output
-    failed = [
-        cube
-        for cube in cubes
-        for check in checks
-        if not check.passed and check.name.startswith(f"{cube.name}: ")
-    ]
-    worst = max(failed, key=lambda one: one.result.chi2_nu / one.result.nominal.value)
-    kept = recordings_from_product(ctx.products["ingest"], ctx.config.input)
-    (own,) = (one.accepted() for one in kept if one.name == worst.name)
-    conditions = cube_input(ctx, [own], worst.result.options).conditions if worst.result.fit else None
-    return _with_causes(ctx, output, conditions, worst.result, worst.name)
+    wrong = [check.name for check in checks if not check.passed]
+    failed = [cube for cube in cubes if any(name.startswith(f"{cube[0].name}: ") for name in wrong)]
+    own, worst = max(failed, key=lambda cube: cube[1].chi2_nu / cube[1].nominal.value)
+    conditions = cube_input(ctx, [own], worst.options).conditions if worst.fit else None
+    return _with_causes(ctx, output, conditions, worst, own.name)
 
 
 def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
@@ -326,17 +305,16 @@ def _by_noll(nolls: Sequence[int], values: np.ndarray) -> dict[int, float]:
 
 
 def _estimate(result: Calibration) -> dict[str, Any]:
-    """Return the keys of `Estimate`."""
+    """Return the keys of `Estimate`, and the effects."""
     return {
         "method": result.options.method,
         "zernike_nm": _by_noll(result.nolls, result.zernike_nm),
         "sigma_nm": _by_noll(result.nolls, result.sigma_nm),
-        "wfe_nm": wfe_nm(result.nolls, result.zernike_nm),
-        "wfe_sigma_nm": wfe_nm(result.nolls, result.sigma_nm),
-        "higher_nm": wfe_nm(result.nolls, result.zernike_nm, HIGHER),
-        "higher_sigma_nm": wfe_nm(result.nolls, result.sigma_nm, HIGHER),
-        "tip_tilt_nm": wfe_nm(result.nolls, result.zernike_nm, *TIP_TILT),
-        "tip_tilt_sigma_nm": wfe_nm(result.nolls, result.sigma_nm, *TIP_TILT),
+        **{
+            f"{name}_nm": wfe_nm(result.nolls, values, *modes)
+            for part, modes in {"wfe": (), "higher": (HIGHER,), "tip_tilt": TIP_TILT}.items()
+            for name, values in {part: result.zernike_nm, f"{part}_sigma": result.sigma_nm}.items()
+        },
         "frames": len(result.frames_nm),
         "errors_from": result.errors_from,
         "seconds": round(result.seconds, 3),
@@ -348,6 +326,7 @@ def _estimate(result: Calibration) -> dict[str, Any]:
         "modes_estimated": len(result.nolls),
         "all_zernike_nm": dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)),
         "tail": _tail(result),
+        "effects": result.effects,
         "status": {name: list(result.frame_status).count(name) for name in sorted(set(result.frame_status))},
     }
 
@@ -439,15 +418,15 @@ def _tail_lines(result: Calibration) -> list[str]:
     ]
 
 
-def _mean_summary(mean: Calibration, cubes: Sequence[Cube]) -> list[str]:
+def _mean_summary(mean: Calibration, cubes: Sequence[tuple[Recording, Calibration]]) -> list[str]:
     return [
         f"{_ncpa_text(mean)}: mean of {len(cubes)} {'cube' if len(cubes) == 1 else 'cubes'} "
         f"({mean.options.method})",
         *_effect_lines(mean.effects),
         *(
-            f"  {cube.name}: {wfe_nm(cube.result.nolls, cube.result.zernike_nm, HIGHER):.1f} nm RMS, "
-            f"derotator {cube.acquisition.derotator_angle_deg:g}°, χ²/ν {cube.result.chi2_nu:.2f}"
-            for cube in cubes
+            f"  {one.name}: {wfe_nm(result.nolls, result.zernike_nm, HIGHER):.1f} nm RMS, "
+            f"derotator {one.acquisition.derotator_angle_deg:g}°, χ²/ν {result.chi2_nu:.2f}"
+            for one, result in cubes
         ),
         CUBES_IN_SHORT,
     ]

@@ -11,7 +11,7 @@ from irlos_pipe.diagnosis.sharing import Sharing, Together
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis, Pictures, Step, sentence
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.frames.detector import star_position
-from irlos_pipe.optics.image_quality import encircled_energy, power_spectrum, transfer_cut
+from irlos_pipe.optics.image_quality import power_spectrum, quality_curves
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.product import Check, Quantity, declared
@@ -164,17 +164,11 @@ def quality_arrays(pictures: Pictures, settings: PsfSettings) -> dict[str, Quant
     Pixels that are not used hold the prediction after in all three. Light is that of the window.
     """
     used = np.isfinite(pictures.sigma_e) & (pictures.sigma_e > 0)
-    resolution_px, arrays = settings.resolution_px, dict[str, np.ndarray]()
+    resolution_px, scale_mas = settings.resolution_px, settings.pixel_scale_mas
     images = {"measured": pictures.measured_e, "before": pictures.before_e, "after": pictures.after_e}
     centre = star_position(np.nan_to_num(pictures.after_e))
-    for name, image in images.items():
-        whole = np.where(used, image, pictures.after_e)
-        energy = encircled_energy(whole / whole.sum(), centre)
-        arrays["encircled_radius_mas"] = energy.at * settings.pixel_scale_mas
-        arrays[f"encircled_{name}"] = energy.value
-        for axis, letter in ((1, "x"), (0, "y")):
-            cut = transfer_cut(whole, resolution_px, axis)
-            arrays |= {f"otf_{letter}_frequency": cut.at, f"otf_{letter}_{name}": cut.value}
+    whole = {name: np.where(used, image, pictures.after_e) for name, image in images.items()}
+    arrays = quality_curves(whole, centre, resolution_px, scale_mas, of_window=True)
     for name in ("before", "after"):
         left = np.where(
             used, (pictures.measured_e - images[name]) / np.where(used, pictures.sigma_e, 1), np.nan

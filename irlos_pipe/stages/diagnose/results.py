@@ -7,6 +7,7 @@ from math import nan
 from typing import ClassVar
 
 from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
+from irlos_pipe.optics.image_quality import CURVES
 from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
 
@@ -20,12 +21,7 @@ ARRAYS = {
     "noll": ("", "mode", "Noll index of every mode in the model"),
     "zernike_before_nm": ("nm", "mode", "total static wavefront, model as it was"),
     "zernike_after_nm": ("nm ±", "mode", "total static wavefront, with what was found"),
-    "encircled_radius_mas": ("mas", "radius", "radius of circles about the star"),
-    "encircled_<image>": ("", "radius", "part of the light within a circle"),
-    "otf_x_frequency": ("D/λ", "frequency", "spatial frequency along x"),
-    "otf_y_frequency": ("D/λ", "frequency", "spatial frequency along y"),
-    "otf_x_<image>": ("", "frequency", "modulus of the OTF along x"),
-    "otf_y_<image>": ("", "frequency", "modulus of the OTF along y"),
+    **CURVES,
     "left_frequency": ("D/λ", "frequency", "spatial frequency of the residual"),
     "left_power_<model>": ("", "frequency", "power of the residual over its standard error"),
     "commanded_nm": ("nm", "frame", "of a ramp: commanded defocus"),

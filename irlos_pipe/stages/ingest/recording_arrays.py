@@ -140,22 +140,23 @@ def _recording(product: Product, owner: str, name: str) -> Recording:
 
 def _overview(product: Product, owner: str, name: str) -> Overview:
     prefix = f"{ROOT}/{owner}/{name}"
-    # products of earlier versions have no mean
-    mean = product.arrays.get(f"{prefix}/mean_e")
+    stored = {key for key in RECORDING if f"{prefix}/{key}" in product.arrays}
+
+    def own(key: str) -> np.ndarray:
+        return np.asarray(product.arrays[f"{prefix}/{key}"].value)
+
     return Overview(
         name,
         owner,
         _acquisition(product, prefix),
-        product.arrays[f"{prefix}/pixel_mask"].value,
-        float(product.arrays[f"{prefix}/start_unix_s"].value),
-        _recording(product, owner, name).mean_e if mean is None else mean.value,
-        np.asarray(product.arrays[f"{prefix}/used"].value),
-        np.asarray(product.arrays[f"{prefix}/time_s"].value),
-        {
-            key: product.arrays[f"{prefix}/{key}"].value
-            for key in DECLARED
-            if f"{prefix}/{key}" in product.arrays
-        },
+        own("pixel_mask"),
+        float(own("start_unix_s")),
+        own("mean_e")
+        if "mean_e" in stored
+        else _recording(product, owner, name).mean_e,  # of earlier versions
+        own("used"),
+        own("time_s"),
+        {key: own(key) for key in DECLARED if key in stored},
     )
 
 

@@ -18,7 +18,7 @@ from irlos_pipe.stages.lift.results import LiftResults as Results
 __all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
 
 NAME = "lift"
-VERSION = 17
+VERSION = 18
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 WORK = LateModule("irlos_pipe.stages.lift.work")
