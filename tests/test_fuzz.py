@@ -21,7 +21,7 @@ from fuzz import (  # noqa: F401
 )
 from fuzz.case import KINDS, Case
 
-SEEDS = range(5)
+SEEDS = range(3)
 
 
 @pytest.mark.slow

@@ -40,45 +40,23 @@ def total(errors: dict[int, float]) -> float:
     return float(np.sqrt(sum(error**2 for error in errors.values())))
 
 
-@pytest.fixture(scope="module")
-def own(tmp_path_factory) -> dict:
-    """Results of `irlos demo`, by stage; its checks pass."""
-    output = tmp_path_factory.mktemp("own") / "demo"
+def test_the_demo_finds_the_ncpas_the_residual_and_the_ramp_of_the_own_sample(tmp_path):
+    """All checks pass, and errors are within the scatter that is quoted."""
     settings = [word for one in SHORT for word in ("--set", f"sensitivity.{one}")]
-    outcome = invoke("demo", "--output", str(output), *settings, "--jobs", "1")
+    outcome = invoke("demo", "--output", str(tmp_path / "demo"), *settings, "--jobs", "1")
     assert outcome.exit_code == 0, outcome.output
-    return json.loads((output / "results.json").read_text())["stages"]
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory) -> dict:
-    return reduce(
-        "defocus_ramp",
-        tmp_path_factory.mktemp("shared"),
-        calibration=SHARED / "calibration-sky",
-        ramp=SHARED / "ramp-broad",
-    )
-
-
-def test_the_ncpas_of_the_own_sample_are_found_within_the_quoted_scatter(own):
-    errors = errors_nm(own["calibrate"], OWN / "truth" / "calibration-sky.json")
-    quoted = np.sqrt(sum(sigma**2 for sigma in own["calibrate"]["sigma_nm"].values()))
+    found = json.loads((tmp_path / "demo" / "results.json").read_text())["stages"]
+    assert found.keys() >= {"ingest", "prior", "calibrate", "lift", "sensitivity"}
+    errors = errors_nm(found["calibrate"], OWN / "truth" / "calibration-sky.json")
+    quoted = np.sqrt(sum(sigma**2 for sigma in found["calibrate"]["sigma_nm"].values()))
     assert 1 < quoted < 8
-    assert total(errors) < 2 * quoted
-    assert total(errors) < 6
+    assert total(errors) < min(2 * quoted, 6)
     assert abs(errors[4]) < 3
-
-
-def test_ao_residual_and_jitter_of_the_own_sample_come_out_as_simulated(own):
     simulated = json.loads((OWN / "truth" / "calibration-sky.json").read_text())["simulation"]
-    found = own["calibrate"]["effects"]
-    assert found["tip_tilt_jitter"]["sigma_mas"] == pytest.approx(simulated["jitter_mas"], rel=0.1)
-    assert found["seeing_halo"]["wfe_nm"] == pytest.approx(simulated["residual_wfe_nm"], rel=0.05)
-
-
-def test_the_ramp_of_the_own_sample_is_straight(own):
-    assert own.keys() >= {"ingest", "prior", "calibrate", "lift", "sensitivity"}
-    summary, compare = own["lift"]["summary"], own["lift"]["compare"]
+    effects = found["calibrate"]["effects"]
+    assert effects["tip_tilt_jitter"]["sigma_mas"] == pytest.approx(simulated["jitter_mas"], rel=0.1)
+    assert effects["seeing_halo"]["wfe_nm"] == pytest.approx(simulated["residual_wfe_nm"], rel=0.05)
+    summary, compare = found["lift"]["summary"], found["lift"]["compare"]
     assert abs(summary["slope"] - 1) < 0.015
     assert summary["rms_nm"] < 5
     assert compare["without AO residual"]["rms_nm"] > 2 * summary["rms_nm"]
@@ -86,16 +64,14 @@ def test_the_ramp_of_the_own_sample_is_straight(own):
 
 
 @needs_shared
-def test_the_ncpas_of_an_on_sky_cube_are_within_10_nm(shared):
-    errors = errors_nm(shared["calibrate"], SHARED / "truth" / "calibration-sky.json")
+def test_ncpas_on_sky_are_within_10_nm_and_a_ramp_with_them_is_straight_to_5_nm(tmp_path):
+    inputs = {"calibration": SHARED / "calibration-sky", "ramp": SHARED / "ramp-broad"}
+    found = reduce("defocus_ramp", tmp_path, **inputs)
+    errors = errors_nm(found["calibrate"], SHARED / "truth" / "calibration-sky.json")
     assert total(errors) < 10
     assert abs(errors[4]) < 3
-
-
-@needs_shared
-def test_a_ramp_with_estimated_ncpas_is_straight_to_5_nm(shared):
-    assert abs(shared["lift"]["summary"]["slope"] - 1) < 0.015
-    assert shared["lift"]["summary"]["rms_nm"] < 5
+    assert abs(found["lift"]["summary"]["slope"] - 1) < 0.015
+    assert found["lift"]["summary"]["rms_nm"] < 5
 
 
 @needs_shared

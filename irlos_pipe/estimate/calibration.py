@@ -1,5 +1,6 @@
 """NCPA calibration: from a cube of frames to Zernike coefficients with errors."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +31,7 @@ from irlos_pipe.estimate.methods import (
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
-from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, moved_nm
+from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
@@ -92,6 +93,7 @@ class Calibration:
     left_nominal: np.ndarray | None = None
     fit: Fit | None = None  # of one star's mean image, for `causes`
     setups: Sequence[SetupFit] = ()  # where several were fitted together
+    introduced_accuracy: float = math.nan  # of their introduced defoci, as a part of them; see `setups`
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -111,6 +113,8 @@ def calibrate(
     note: Callable[[str], None] = lambda line: None,
 ) -> Calibration:
     """Estimate the static aberrations of a cube, or of a single image.
+
+    Where the images show that the AO residual is uneven over the pupil, the model has this as well.
 
     Parameters
     ----------
@@ -164,7 +168,16 @@ def calibrate(
     if opened is not None:
         fit, tail = (opened.problem, opened.solution), opened.law
     known = nominal if task.frames is frames else None
-    return _result(frames, options, fit, twin, tail, time.perf_counter() - began, known)
+    result = _result(frames, options, fit, twin, tail, time.perf_counter() - began, known)
+    further = None
+    if result.fit and result.errors_from == "frames" and result.nominal.excess(result.chi2_nu) > 0:
+        further = uneven(frames, *result.fit)
+    if further is None:
+        return result
+    note("the AO residual is uneven over the pupil: fitted again with it")
+    other = calibrate(frames, settings, options, [*effects, further], start_nm=start_nm, device=device)
+    best = min(result, other, key=lambda one: one.chi2_nu)
+    return replace(best, seconds=result.seconds + other.seconds)
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
@@ -255,9 +268,6 @@ def _result(
     covariance_nm2, errors_from = errors_of(frames, problem, solution, found.frames_nm, chi2_nu, nominal)
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
-    if one_star and errors_from == "frames" and nominal.excess(chi2_nu) > 0:
-        moved = moved_nm(frames, problem, solution)
-        covariance_nm2 = covariance_nm2 + np.outer(moved, moved)
     return Calibration(
         options,
         layout.nolls,

@@ -9,8 +9,7 @@ light, with a correlation S over `CORRELATED` λ/D and a size s that leaves just
     ⟨m mᵀ⟩ = s² L S L,    s² tr(Rᵀ R L S L) = (χ²/ν − nominal) ν,    cov = scatter + s² G L S L Gᵀ
 
 with the smoothed light L on the diagonal, the gain ``G = C Jᵀ W`` of the fit and what it leaves whitened,
-``R = W^½ (1 − J G)``. It is no noise that further frames would average out. What an AO residual
-that is uneven over the pupil has done to the modes comes besides (`residual.moved_nm`).
+``R = W^½ (1 − J G)``. It is no noise that further frames would average out.
 
 Too few frames say little of their scatter: their errors are those of the noise model, and
 where they scatter beyond it, as behind an AO system, those of the scatter besides, widened as Student's t

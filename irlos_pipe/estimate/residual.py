@@ -3,10 +3,9 @@
 `lacking` fits again everything that was fitted, and one fact besides, to first order (`score_test`). Where
 the wavefront has bent to imitate the fact, the step is too short.
 
-`moved_nm` fits in the same way an AO residual that is uneven over the pupil, which the modes imitate. With
-the scores ``p = Lᵀ r`` of the residual r, what the fitted parameters leave L of its shapes D, N = LᵀL, and
-the covariance V of the scores, from their scatter over the frames, its sizes in units of their tolerances
-are ``s = (N V⁻¹ N + 1)⁻¹ N V⁻¹ p``; they have moved the modes by ``C Jᵀ W D s``.
+`uneven` asks for an AO residual that is uneven over the pupil, which the modes imitate: whether the scores
+``p = Lᵀ r`` of the residual r, with what the fitted parameters leave L of its shapes, are beyond their
+covariance V, from their scatter over the frames: ``pᵀ V⁻¹ p`` against χ² of as many scores.
 
 A mirrored image is the image of a mirrored wavefront through a mirrored pupil. Modes follow any wavefront, so
 only the pupil shows it. About the fit with the pupil as declared, the mean image is
@@ -37,7 +36,6 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.effects.seeing_halo import SeeingHalo, UnevenResidual
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import LinearEstimate, derivatives, frozen_effects, null_model
 from irlos_pipe.frames.blocks import sample_frames
@@ -78,35 +76,28 @@ def _facts(settings: PsfSettings) -> list[Effect]:
 BEYOND_CHANCE = 5.0  # standard deviations by which scores exceed what their scatter makes
 
 
-def moved_nm(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
-    """Return by how much an AO residual that is uneven over the pupil has moved the modes [nm], (modes,).
+def uneven(frames: Frames, problem: ImageFit, solution: Solution) -> UnevenResidual | None:
+    """Return the unevenness over the pupil of an AO residual where the images show one.
 
-    The mean of the `frames` was fitted with `problem`; nothing is moved where the model has the unevenness,
-    where it has no AO residual, or where the frames' scatter explains what is seen of it.
+    The mean of the `frames` was fitted with `problem`. There is none where the model has it already or has no
+    AO residual, nor where the frames' scatter explains what is seen of it.
     """
     x, effects = solution.values[:1], problem.model.effects
-    nothing = np.zeros(len(problem.layout.nolls))
     halos = [
         base for base in (getattr(one, "base", one) for one in effects.effects) if type(base) is SeeingHalo
     ]
     if not halos or UnevenResidual.name in {one.name for one in effects.effects}:
-        return nothing
+        return None
     halo, null = halos[0], null_model(problem, x)
-    uneven = UnevenResidual(halo.band, halo.law, halo.seeing_arcsec)
+    found = UnevenResidual(halo.band, halo.law, halo.seeing_arcsec)
     frozen = frozen_effects(effects, x[0, problem.layout.effect_values])
-    tolerance = torch.tensor([one.prior_sigma for one in uneven.parameters], dtype=torch.float64)
-    shapes = derivatives(problem, x, frozen, uneven).mT * null.root[:, None] * tolerance
-    left = null.project(shapes)
+    left = null.project(derivatives(problem, x, frozen, found).mT * null.root[:, None])
     images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
     deviations = torch.where(null.root > 0, (images * (flux.mean() / flux) - mean) * null.root, 0.0)
     inverse = torch.linalg.inv(torch.as_tensor(covariance_of_mean((deviations @ left).numpy())))
-    score, known_by = left.mT @ null.residual, left.mT @ left @ inverse
-    if float(score @ inverse @ score) < len(score) + BEYOND_CHANCE * np.sqrt(2 * len(score)):
-        return nothing
-    sizes = torch.linalg.solve(known_by @ (left.mT @ left) + torch.eye(len(score)), known_by @ score)
-    _, jacobian = problem.predict_and_jacobian(x)
-    followed = (jacobian[0].double().cpu() * null.root) @ (shapes @ sizes)
-    return (whole_wavefront(problem, x[0])[1] @ solution.covariance[0] @ followed).numpy()
+    score = left.mT @ null.residual
+    by_chance = len(score) + BEYOND_CHANCE * np.sqrt(2 * len(score))
+    return found if float(score @ inverse @ score) > by_chance else None
 
 
 LEAST_FRAMES = 4

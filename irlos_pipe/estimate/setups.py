@@ -6,6 +6,10 @@ set-up, and the effects of star and sky to each source: planes of one recording 
 
 An error of the model makes set-ups contradict each other: errors grow by the scatter of what each of them
 by itself wants, over its expectation (the covariance of clusters; Liang & Zeger 1986, Biometrika 73, 13).
+
+An introduced defocus d_i is off by e_i, Gaussian of standard deviation a d_i, a parameter of its own. The
+accuracy a that makes the images likeliest is ``a² = Σ (e_i / d_i)² / Σ (1 − var(e_i) / (a d_i)²)``: squares
+of the errors over how many of them the images determine (MacKay 1992, Neural Computation 4, 415).
 """
 
 import math
@@ -31,7 +35,7 @@ from irlos_pipe.estimate.calibration_errors import (
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import ImageFit, Layout, ModesFit, masked_variance
+from irlos_pipe.estimate.image_fit import INFINITE, ImageFit, Layout, ModesFit, masked_variance
 from irlos_pipe.estimate.methods import MEAN_IMAGE, start_at_centroids
 from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
@@ -45,6 +49,9 @@ POINTING = 2  # Noll 2 and 3, the first modes
 FOCUSED = 3  # Noll 2 to 4
 TWIN_ITERATIONS = 80  # planes exclude the twin: its fit goes back a long way to the solution
 LEAST_SETUPS = 3  # set-ups from which they can contradict each other
+# accuracy of introduced defoci, as a part of them: where the search begins, and its limits
+FIRST, LEAST, LARGEST = 0.1, 1e-4, 0.3
+ROUNDS, CLOSE = 12, 0.2  # to find it, and how close, as a part of it
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,11 @@ class Setup:
     # recordings of the frames; set-ups of the same ones, planes, share star and sky
     names: tuple[str, ...] = ()
 
+    @property
+    def introduced_nm(self) -> float:
+        """Defocus that was introduced."""
+        return self.settings.known.introduced_nm.get(DEFOCUS, 0.0)
+
 
 def is_common(effect: Effect) -> bool:
     """Return whether an effect belongs to the wavefront or the instrument, and not to star and sky."""
@@ -66,29 +78,45 @@ def is_common(effect: Effect) -> bool:
 
 
 class SetupsFit(ModesFit):
-    """Mean images of several set-ups, `parts` of the same modes, by one vector; one member."""
+    """Mean images of several set-ups, `parts` of the same modes, by one vector; one member.
 
-    def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit]):
+    Introduced defoci are known to a part of them, `accuracy`.
+    """
+
+    def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit], accuracy: float = FIRST):
         self.parts = [part._with(has_prior=False, prior_precision=0 * part.prior_precision) for part in parts]
         place: dict[Hashable, int] = {}
-        self.columns = [
-            [place.setdefault(key, len(place)) for key in _keys(number, setup, part)]
-            for number, (setup, part) in enumerate(zip(setups, parts, strict=True))
-        ]
+        self.columns, self.rows, self.accuracy = [], [], accuracy
+        for number, (setup, part) in enumerate(zip(setups, parts, strict=True)):
+            keys = _keys(number, setup, part)
+            off = [("off", number)] if setup.introduced_nm else []
+            self.columns.append([place.setdefault(key, len(place)) for key in [*keys, *off]])
+            self.rows.append([*range(len(keys)), *[FOCUSED - 1 for _ in off]])
+        introduced = ((("off", n), setup.introduced_nm) for n, setup in enumerate(setups))
+        self.off_nm = {place[key]: nm for key, nm in introduced if nm}
         self.size, self.layout, self.same_unit = len(place), parts[0].layout, parts[0].layout.modes
         good = sum(int((part.root_weight > 0).sum()) for part in parts)
         self.freedom = max(1, good - self.size)
         self.lower, self.upper = (
             self._spread([getattr(p, name) for p in parts]) for name in ("lower", "upper")
         )
+        self.lower[list(self.off_nm)], self.upper[list(self.off_nm)] = -INFINITE, INFINITE
         self.prior_mean, self.prior_precision = (
             self._spread([getattr(p, name)[0] for p in parts])[None]
             for name in ("prior_mean", "prior_precision")
         )
+        for index, nm in self.off_nm.items():
+            self.prior_precision[:, index] = (accuracy * nm) ** -2
 
     def part_of(self, x: torch.Tensor, number: int) -> torch.Tensor:
         """Return the parameters of the set-up `number` out of the whole vector, (1, its parameters)."""
-        return x[:, self.columns[number]]
+        return torch.zeros(1, self.parts[number].layout.size, dtype=torch.float64).index_add(
+            1, torch.tensor(self.rows[number]), x[:, self.columns[number]]
+        )
+
+    def without_error(self, number: int) -> list[int]:
+        """Return where the parameters of the set-up `number` stand, its introduced defocus as declared."""
+        return self.columns[number][: self.parts[number].layout.size]
 
     def whole(self, parts_x: Sequence[torch.Tensor]) -> torch.Tensor:
         """Return the whole vector from those of the set-ups; what they share is the first's, (1, size)."""
@@ -104,11 +132,11 @@ class SetupsFit(ModesFit):
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         value, gradient = self._prior(x), self.prior_precision * (x - self.prior_mean)
         hessian = torch.diag_embed(self.prior_precision)
-        for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
+        for number, part in enumerate(self.parts):
             own_value, own_gradient, own_hessian = part.normal_equations(self.part_of(x, number), which)
-            value, place = value + own_value, torch.tensor(columns)
-            gradient[:, place] += own_gradient
-            hessian[:, place[:, None], place] += own_hessian
+            value, place, row = value + own_value, torch.tensor(self.columns[number]), self.rows[number]
+            gradient[:, place] += own_gradient[:, row]
+            hessian[:, place[:, None], place] += own_hessian[:, row][:, :, row]
         return value, gradient, hessian
 
     def chi2(self, x: torch.Tensor) -> float:
@@ -133,8 +161,8 @@ class SetupsFit(ModesFit):
     def _spread(self, of_parts: Sequence[torch.Tensor]) -> torch.Tensor:
         """One number per parameter of the set-ups as one vector."""
         spread = torch.zeros(self.size, dtype=torch.float64)
-        for values, columns in reversed(list(zip(of_parts, self.columns, strict=True))):
-            spread[columns] = values
+        for number, values in reversed(list(enumerate(of_parts))):
+            spread[self.without_error(number)] = values
         return spread
 
 
@@ -170,6 +198,7 @@ def calibrate_setups(
     parts = [_part(setup, closed, device) for setup in setups]
     problem = SetupsFit(setups, parts)
     solution = _from_none(setups, problem, closed, device)
+    problem, solution = _likeliest_accuracy(setups, problem, solution, closed.max_iterations)
     note(f"Noll 2 to {closed.last_noll} fitted to {len(setups)} set-ups together")
     twin, other = problem.twin(setups, solution, closed.law)
     if twin.delta_chi2 < 0:
@@ -179,13 +208,14 @@ def calibrate_setups(
     x = solution.values
     chi2_nu = problem.chi2(x) / problem.freedom
     covariance, changes, nominal = _errors(setups, problem, x, solution.covariance[0], chi2_nu)
-    own, layout, effects = problem.part_of(x, 0), problem.layout, parts[0].model.effects
+    layout, effects, columns = problem.layout, parts[0].model.effects, torch.tensor(problem.without_error(0))
+    own = x[:, columns]
     added, read = whole_wavefront(parts[0], own[0])
-    values, columns = own[0, layout.effect_values], torch.tensor(problem.columns[0])
+    values = own[0, layout.effect_values]
     mine = covariance[columns[:, None], columns]
     total = own[0, layout.modes] + added
     found = [
-        _found(setup, part, problem.part_of(x, n), device)
+        _found(setup, part, problem.part_of(x, n), float(x[0, FOCUSED - 1]), device)
         for n, (setup, part) in enumerate(zip(setups, parts, strict=True))
     ]
     first, frames = found[0], [setup.frames for setup in setups]
@@ -218,6 +248,7 @@ def calibrate_setups(
         power_spectrum(left, setups[0].settings.resolution_px),
         motion=max(motions, key=lambda one: one.largest_px, default=None),
         setups=found,
+        introduced_accuracy=problem.accuracy if problem.off_nm else math.nan,
     )
 
 
@@ -237,11 +268,29 @@ def _from_none(
     return min(solution, other, key=lambda one: float(one.objective[0]))
 
 
-def _found(setup: Setup, part: ImageFit, x: torch.Tensor, device: str) -> SetupFit:
+def _likeliest_accuracy(
+    setups: Sequence[Setup], problem: SetupsFit, solution: Solution, max_iterations: int
+) -> tuple[SetupsFit, Solution]:
+    """The fit with the accuracy of introduced defoci that makes the images likeliest."""
+    columns, off_nm = list(problem.off_nm), torch.tensor(list(problem.off_nm.values()), dtype=torch.float64)
+    for _ in range(ROUNDS if columns else 0):
+        errors = solution.values[0, columns] / off_nm
+        variances = solution.covariance[0].diagonal()[columns] / off_nm**2
+        determined = (1 - variances / problem.accuracy**2).sum().clamp_min(LEAST)
+        found = float((errors.square().sum() / determined).sqrt().clamp(LEAST, LARGEST))
+        done = abs(math.log(found / problem.accuracy)) < CLOSE
+        problem = SetupsFit(setups, problem.parts, found)
+        solution = solve(problem, solution.values, max_iterations=max_iterations)
+        if done:
+            break
+    return problem, solution
+
+
+def _found(setup: Setup, part: ImageFit, x: torch.Tensor, common_nm: float, device: str) -> SetupFit:
     """What a set-up shows at the parameters `x` (1, its own), and what it says of its defocus by itself.
 
-    All that is common is held. The defocus is looked for near the declared one and near that of the other
-    sign: a plane whose sign is wrong would else stay where it is.
+    All that is common is held, defocus at `common_nm`. It is looked for near the declared one and near that
+    of the other sign: a plane whose sign is wrong would else stay where it is.
     """
     frames, settings, layout = setup.frames, setup.settings, part.layout
     beyond = dict(zip(layout.nolls[FOCUSED:], x[0, layout.modes].tolist()[FOCUSED:], strict=True))
@@ -265,7 +314,7 @@ def _found(setup: Setup, part: ImageFit, x: torch.Tensor, device: str) -> SetupF
         len(frames.images_e),
         settings.known.total_nm.get(DEFOCUS, 0.0),
         float(((mean - model).square() / variance)[frames.good].sum()) / part.freedom,
-        float(best.values[0, FOCUSED - 1] - near[0, FOCUSED - 1]),
+        float(best.values[0, FOCUSED - 1]) - common_nm,
         float(best.sigma[0, FOCUSED - 1]) * grown,
         mean.numpy(),
         model.numpy(),
@@ -298,15 +347,16 @@ def _errors(
     for number, (setup, part) in enumerate(zip(setups, problem.parts, strict=True)):
         image, jacobian = part.predict_and_jacobian(problem.part_of(x, number))
         weight = part.root_weight[0].double().mean(0) ** 2
-        gain = inverse[:, problem.columns[number]] @ (jacobian[0].double() * weight).cpu()
+        columns, jacobian = problem.columns[number], jacobian[0, problem.rows[number]].double()
+        gain = inverse[:, columns] @ (jacobian * weight).cpu()
         series = responses(setup.frames, gain)
         wanted.append(gain @ (part.images[0, 0].double() - image[0]).cpu())
         if setup.frames.show_scatter:
             total += torch.as_tensor(covariance_of_mean(series.numpy()))
         else:
-            total += gain @ jacobian[0].double().cpu().mT @ inverse[problem.columns[number]]
+            total += gain @ jacobian.cpu().mT @ inverse[columns]
         changes.append(series)
-        images.append(Part(setup.frames, jacobian[0], problem.columns[number]))
+        images.append(Part(setup.frames, jacobian, columns))
     nominal = nominal_chi2_of(images, problem.prior_precision[0])
     misfit = max(1.0, chi2_nu / nominal.value)
     if len(setups) >= LEAST_SETUPS:

@@ -46,7 +46,7 @@ SPECKLED = {name for name, kind in CATALOGUE.items() if kind.speckles}
 UNSTEADY = SPECKLED | {name for name, kind in CATALOGUE.items() if kind.blurs == "motion"}
 LOWEST_KURTOSIS = 1.3  # of the frames: two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
-NEARER = 0.5  # part of the way to the next plane
+NEARER = 0.5  # part of the distance of neighbouring planes
 MISFIT, ERROR = "chi2 of the mean image", "error of the wavefront"
 # χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as
 # others do: behind other AO systems it leaves 1.3 to 3.3, of wrong instruments one in a hundred is below.
@@ -183,16 +183,16 @@ def _orientation(found: Mirrored) -> Check:
 
 
 def _planes(planes: Sequence[SetupFit]) -> Check:
-    """Whether every plane is where it was declared, and not nearer to another or to its own twin."""
-    known_nm = np.array([one.known_nm for one in planes])
-    apart_nm = np.abs(known_nm[:, None] - known_nm)
-    steps_nm = np.where(apart_nm > 0, apart_nm, np.inf).min(axis=1)
-    parts = np.abs([one.focus_nm for one in planes]) / steps_nm
+    """Whether neighbouring planes are as far apart as was declared, so that none is in its own twin."""
+    ordered = sorted(planes, key=lambda one: one.known_nm)
+    steps_nm = np.diff([one.known_nm for one in ordered])
+    parts = np.abs(np.diff([one.focus_nm for one in ordered])) / np.where(steps_nm > 0, steps_nm, np.inf)
     at = int(parts.argmax())
+    plane = max(ordered[at : at + 2], key=lambda one: abs(one.focus_nm))
     why = ": its declared defocus is wrong, or its sign" if parts[at] > NEARER else ""
     message = (
-        f"the plane declared at {known_nm[at]:+.0f} nm by itself wants {planes[at].focus_nm:+.1f} ± "
-        f"{planes[at].focus_sigma_nm:.1f} nm more, the next plane is {steps_nm[at]:.0f} nm away{why}"
+        f"the plane declared at {plane.known_nm:+.0f} nm by itself wants {plane.focus_nm:+.1f} ± "
+        f"{plane.focus_sigma_nm:.1f} nm more; its distance to a neighbour is {parts[at]:.0%} off{why}"
     )
     return Check("planes", float(parts[at]), "", None, NEARER, message)
 

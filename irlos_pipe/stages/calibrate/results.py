@@ -72,8 +72,8 @@ CHECKS = {
         "",
     ),
     "planes": (
-        "defocus that a plane by itself wants, beyond the declared and the common one, over the distance to "
-        "the next plane: from a half on it is nearer to another",
+        "how much more or less two neighbouring planes are apart, by what each of them by itself wants, over "
+        "the declared distance: from a half on one is nearer to where another should be",
         "",
     ),
 }
@@ -230,6 +230,9 @@ class CalibrateResults(Estimate, StageResults):
     twin: Twin | None = item(None, "None without a twin solution, and for the mean over cubes.")
     compare: list[Estimate] = item([], "Estimates with other methods.")
     setups: list[SetupRow] = item([], "Set-ups that were fitted together; empty for one.")
+    introduced_accuracy: Number = item(
+        nan, "Part of itself by which an introduced defocus is off, one standard deviation by all planes."
+    )
     cubes: list[CubeRow] = []
     causes: list[CauseRow] = item(
         [], "What would explain the checks that failed, most likely first; empty where none did."

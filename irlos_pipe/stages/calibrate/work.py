@@ -198,6 +198,7 @@ def _joint_output(
         untested=untested_by_cubes(acquisition.diversity, _undetermined(result)),
         compare=[Estimate(**_estimate(other)) for other in others],
         setups=[SetupRow.filled_from(one, introduced_nm=one.known_nm) for one in result.setups],
+        introduced_accuracy=result.introduced_accuracy,
     )
     summary = _summary(result, others)
     return StageOutput(_arrays(result), results, checks_of(ctx.config, result), summary=summary)
@@ -245,10 +246,11 @@ def _each_output(
 def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
     """Return the plain mean of estimates from cubes, which count equally however bright they are.
 
-    It has the modes that all of them have, and the frames and fits of all.
+    It has the modes and effects that all of them have, and the frames and fits of all.
     """
     first = min(results, key=lambda one: len(one.nolls))
     own = slice(len(first.nolls))
+    common = [name for name in first.effects if all(name in one.effects for one in results)]
 
     def mean(name: str) -> np.ndarray:
         return np.mean([getattr(one, name)[own] for one in results], axis=0)
@@ -258,10 +260,9 @@ def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
         zernike_nm=mean("zernike_nm"),
         fitted_modes_nm=mean("fitted_modes_nm"),
         covariance_nm2=np.sum([one.covariance_nm2[own, own] for one in results], axis=0) / len(results) ** 2,
-        effects=mean_of([one.effects for one in results]),
+        effects=mean_of([{name: one.effects[name] for name in common} for one in results]),
         effect_values={
-            name: np.mean([one.effect_values[name] for one in results], axis=0)
-            for name in first.effect_values
+            name: np.mean([one.effect_values[name] for one in results], axis=0) for name in common
         },
         frames_nm=np.concatenate([one.frames_nm[:, own] for one in results]),
         frame_status=[status for one in results for status in one.frame_status],

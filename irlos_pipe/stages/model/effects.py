@@ -16,6 +16,7 @@ from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.colour import AtmosphericDispersion, Spectrum
 from irlos_pipe.effects.declaration import Refraction
 from irlos_pipe.effects.public_values import components
+from irlos_pipe.effects.seeing_halo import UnevenResidual
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product
@@ -23,6 +24,8 @@ from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
+
+UNEVEN = EffectEntry.of(UnevenResidual.name)
 
 
 def conditions_of(
@@ -134,12 +137,15 @@ def calibrated_effects(
 
     Each effect says what it is then, see `Effect.handed_on`. What belongs to the star, its light or the
     moment stays behind, unless the recipe gives it or the recording is of the same star. `product` is that of
-    the calibration; `instrument`, `model` and `recording` are as of `conditions_of`.
+    the calibration, which may have found the AO residual uneven, listed or not; `instrument`, `model` and
+    `recording` are as of `conditions_of`.
     """
     conditions = conditions_of(instrument, model, recording, ncpa_wavelength_nm=ncpa_wavelength_nm)
     known: dict[str, FixedEffect] = {}
     then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
     entries = model.entries()
+    if f"effects/{UNEVEN.name}" in product.arrays and UNEVEN.name not in {one.name for one in entries}:
+        entries.append(UNEVEN)
     effects = [_effect(entry, conditions, recording.name) for entry in entries]
     for label, entry, effect in zip(labels_of(effects), entries, effects, strict=True):
         found: Effect | None = effect
