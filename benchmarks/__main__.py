@@ -39,7 +39,7 @@ THREAD_VARIABLES = (
 class Entry:
     """One line of the table."""
 
-    case: str  # a function of `cases`
+    case: str  # name in `cases.CASES`
     label: str
     # frames, quick_frames: frames that are really worked on, by default and with ``--quick``.
     frames: int

@@ -78,7 +78,3 @@ class NumpyLift:
             before = chi2
             x = x + np.linalg.lstsq((columns * root).reshape(len(x), -1).T, residual.ravel(), rcond=None)[0]
         return x[:-2]
-
-    def fit_all_nm(self, images_e) -> np.ndarray:
-        """Coefficients of every frame, (frames, modes) [nm RMS]."""
-        return np.array([self.fit_nm(image) for image in images_e])

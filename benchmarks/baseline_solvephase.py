@@ -9,8 +9,6 @@ nor NCPAs; the problem that the class sets up is therefore set up here, as its d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import solvephase
 
@@ -62,10 +60,6 @@ class SolvephaseFit:
             fit_background=True,
         )
         return solvephase.solve(problem, method="lm", ftol=TOLERANCE).coefficients / NM
-
-    def fit_all_nm(self, images_e: Sequence[np.ndarray]) -> np.ndarray:
-        """Coefficients of every frame, (frames, modes) [nm RMS]."""
-        return np.array([self.fit_nm(image) for image in images_e])
 
 
 def _opd_m(pupil, zernike_nm: dict[int, float]) -> np.ndarray:

@@ -32,7 +32,7 @@ from irlos_pipe.paper.common.scenes import JITTER_MAS, LOW_GAIN, NCPA_NM, NCPA_S
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.pipeline.provenance import software_versions
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.simulate.effects.wavefront import DiversityError, WavefrontEffect
+from irlos_pipe.simulate.effects.wavefront import DiversityError
 from irlos_pipe.simulate.exposure import static_zernike_nm
 from irlos_pipe.simulate.recordings.files import Planned
 from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
@@ -212,7 +212,7 @@ def outcome_of(case: Case, *_) -> Outcome:
 
 def _diversity_error_nm(scene: Scene) -> dict[int, float]:
     """What the diversity has beyond the declared one, Noll: nm RMS; part of the wavefronts of the truth."""
-    errors = [effect for effect in scene.acting(WavefrontEffect) if isinstance(effect, DiversityError)]
+    errors = [effect for effect in scene.acting("static_zernike_nm") if isinstance(effect, DiversityError)]
     return dict(errors[0].static_zernike_nm(scene.diversity_nm)) if errors else {}
 
 

@@ -82,19 +82,11 @@ class AtmosphericDispersion(OtfEffect):
         return components(mas_per_um, angle_deg)
 
 
-def displacement_um(wavelengths_um, mean_um):
-    """Return how far refraction displaces light of `wavelengths_um`, over its slope at `mean_um` [µm]."""
-
-    def curve(um):
-        return um**-2 + AIR_UM2 * um**-4
-
-    slope = -2 * mean_um**-3 - 4 * AIR_UM2 * mean_um**-5
-    return (curve(wavelengths_um) - curve(mean_um)) / slope
-
-
 def _displaced_um(grid: OtfGrid) -> Tensor:
-    """How far dispersion displaces each wavelength, in equivalent µm, (wavelengths, 1, 1)."""
-    return displacement_um(grid.wavelengths_m / UM, grid.mean_m / UM)
+    """How far refraction displaces each wavelength, over its slope at the mean, (wavelengths, 1, 1) [µm]."""
+    mean_um = grid.mean_m / UM
+    at, middle = (um**-2 + AIR_UM2 * um**-4 for um in (grid.wavelengths_m / UM, mean_um))
+    return (at - middle) / (-2 * mean_um**-3 - 4 * AIR_UM2 * mean_um**-5)
 
 
 class Spectrum(SamplingEffect):

@@ -83,7 +83,12 @@ class ImageModel:
         image = flux * unit.double() + background
         if not self.effects.at("detector"):
             return image, columns
-        return self._detected(image, columns.double(), values, None if held else modes)
+        seen, columns = self.effects.detect_with_changes(values, image, columns.double())
+        if not held:
+            change = Directional(lambda v: self.effects.detect(v, image), values)
+            for index in self.effects.free_at("detector"):
+                columns[:, modes + index] = change.by(index)
+        return seen, columns
 
     def predict_and_pullback(self, modes_nm: Tensor, flux_e: Tensor, background_e: Tensor):
         """Images without free effects in the precision of the propagation, and the transposed Jacobian.
@@ -186,15 +191,6 @@ class ImageModel:
             return alone._unit(modes_nm, effects(v), v, when)
 
         return Directional(images, values[piece]).by(index - piece.start)
-
-    def _detected(self, image: Tensor, columns: Tensor, values: Tensor, first: int | None):
-        """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
-        seen, columns = self.effects.detect_with_changes(values, image, columns)
-        if first is not None:
-            change = Directional(lambda v: self.effects.detect(v, image), values)
-            for index in self.effects.free_at("detector"):
-                columns[:, first + index] = change.by(index)
-        return seen, columns
 
 
 def _mean(per_time: Tensor, weights: Tensor) -> Tensor:

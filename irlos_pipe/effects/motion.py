@@ -9,7 +9,6 @@ variance along the baseline. The parameter is the variance, because ∂μ/∂σ 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction
 from irlos_pipe.effects.planes import OtfEffect
+from irlos_pipe.numerics.directional import with_pullback
 from irlos_pipe.optics.grids import OtfGrid
 
 LARGEST_MAS = 60.0
@@ -124,28 +124,12 @@ class Vibration(OtfEffect):
         return [FixedEffect(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]
 
 
-@cache
-def _differentiable() -> type[torch.autograd.Function]:
-    """``J0(2√w)``, analytic in w, with ``d/dw = -J1(2√w)/√w``, which is -1 at 0."""
-
-    class J0OfTwiceRoot(torch.autograd.Function):
-        @staticmethod
-        def forward(w):
-            return torch.special.bessel_j0(2 * torch.sqrt(w))
-
-        @staticmethod
-        def setup_context(ctx, inputs, output):
-            ctx.save_for_backward(*inputs)
-
-        @staticmethod
-        def backward(ctx, change):
-            root = torch.sqrt(*ctx.saved_tensors)
-            safe = torch.where(root > 1e-8, root, 1.0)
-            return change * torch.where(root > 1e-8, -torch.special.bessel_j1(2 * safe) / safe, -1.0)
-
-    return J0OfTwiceRoot
-
-
 def j0_of_twice_root(w: Tensor) -> Tensor:
-    """``J0(2√w)`` for w ≥ 0, differentiable everywhere."""
-    return _differentiable().apply(w)
+    """``J0(2√w)`` for w ≥ 0, analytic in w: ``d/dw = -J1(2√w)/√w``, which is -1 at 0."""
+
+    def pullback(w: Tensor, upstream: Tensor) -> Tensor:
+        root = torch.sqrt(w)
+        safe = torch.where(root > 1e-8, root, 1.0)
+        return upstream * torch.where(root > 1e-8, -torch.special.bessel_j1(2 * safe) / safe, -1.0)
+
+    return with_pullback(w, lambda w: torch.special.bessel_j0(2 * torch.sqrt(w)), pullback)

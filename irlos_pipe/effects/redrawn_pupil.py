@@ -8,7 +8,7 @@ own (`divided_pupil`) has the parts of that drawing: petals turn with the vanes.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +18,9 @@ from irlos_pipe.conventions.pupil_drawing import ON_AXIS, PupilGeometry, turned,
 from irlos_pipe.effects.base import Effect, FixedEffect, Several
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import PupilEffect
+from irlos_pipe.numerics.directional import with_pullback
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import Division, band_limited
-from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
+from irlos_pipe.optics.pupil import Division, Edges, band_limited, pupil_edges
 
 CELL_M = 0.008  # side of the fine cells of the drawing
 DIRECTIONS = 8  # in which a search shifts the stop
@@ -111,28 +111,11 @@ def differentiable(
     slopes: Callable[[Tensor], Sequence[Tensor]],
 ) -> Tensor:
     """What is `drawn` at `values`, (parameters,), whose derivatives are `slopes`, one per parameter."""
-    return _function().apply(values, drawn, slopes) if len(values) else drawn(values)
 
+    def pullback(values: Tensor, upstream: Tensor) -> Tensor:
+        return torch.stack([(upstream * slope).sum() for slope in slopes(values.detach())])
 
-@cache
-def _function() -> type[torch.autograd.Function]:
-    """What `differentiable` applies; torch is loaded late."""
-
-    class Drawn(torch.autograd.Function):
-        @staticmethod
-        def forward(values, drawn, slopes):
-            return drawn(values)
-
-        @staticmethod
-        def setup_context(ctx, inputs, output):
-            values, _, ctx.slopes = inputs
-            ctx.values = values.detach()
-
-        @staticmethod
-        def backward(ctx, upstream):
-            return torch.stack([(upstream * slope).sum() for slope in ctx.slopes(ctx.values)]), None, None
-
-    return Drawn
+    return with_pullback(values, drawn, pullback) if len(values) else drawn(values)
 
 
 def slopes_of_drawing(

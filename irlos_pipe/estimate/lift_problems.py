@@ -22,6 +22,7 @@ class NearModel(ImageModel):
     """A coarse model with what it lacks of an `exact` one near a wavefront (modes,), to first order."""
 
     def __init__(self, exact: ImageModel, near_nm: torch.Tensor):
+        assert isinstance(exact.psf, PsfModel)
         psf, optics = exact.psf.coarse(exact.optics)
         rough, one = ImageModel(psf, exact.effects), torch.ones(1, dtype=torch.float64)
         super().__init__(psf, exact.effects)

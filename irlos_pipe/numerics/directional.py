@@ -8,6 +8,7 @@ turns, and loads for seconds before the first.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import TypeAlias
 
 from irlos_pipe.conventions.late import torch
@@ -48,3 +49,32 @@ def along_all(function: Function, values: torch.Tensor) -> torch.Tensor:
     """Return those of a real or complex `function` by all elements of `values`, elements first."""
     change = Directional(function, values)
     return torch.stack([change.by(index) for index in range(len(values))])
+
+
+def with_pullback(values: torch.Tensor, function: Function, pullback: Callable) -> torch.Tensor:
+    """Return a real `function` of `values`, and let autograd use ``pullback(values, upstream)`` for it.
+
+    That is the product of its transposed Jacobian with derivatives by what it returns, and linear in these.
+    """
+    return _stated().apply(values, function, pullback)
+
+
+@cache
+def _stated() -> type[torch.autograd.Function]:
+    """What `with_pullback` applies; torch is loaded late."""
+
+    class Stated(torch.autograd.Function):
+        @staticmethod
+        def forward(values, function, pullback):
+            return function(values)
+
+        @staticmethod
+        def setup_context(ctx, inputs, output):
+            values, _, ctx.pullback = inputs
+            ctx.save_for_backward(values)
+
+        @staticmethod
+        def backward(ctx, upstream):
+            return ctx.pullback(*ctx.saved_tensors, upstream), None, None
+
+    return Stated

@@ -81,12 +81,10 @@ class Linearised:
     def _searched(self, residual: torch.Tensor, ahead: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Best of a few `FRACTIONS` of a step, (b, 1), and the residuals it leaves."""
         change = (ahead[:, None].to(residual.dtype) @ self.columns[:, : self.size]) * self.root
-        losses = [self._loss(residual - fraction * change) for fraction in FRACTIONS]
+        tried = (self.loss.value(residual - fraction * change) for fraction in FRACTIONS)
+        losses = [loss.sum((1, 2), dtype=torch.float64) for loss in tried]
         best = torch.tensor(FRACTIONS).to(change)[torch.stack(losses).argmin(0)]
         return best[:, None].double(), residual - best[:, None, None] * change
-
-    def _loss(self, residual: torch.Tensor) -> torch.Tensor:
-        return self.loss.value(residual).sum((1, 2), dtype=torch.float64)
 
     def _gradient(self, residual: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
         """Derivative of the loss and the prior after a step, in the precision of the residuals."""

@@ -28,7 +28,9 @@ def workers(count: int) -> Iterator[None]:
     """
     torch.set_num_threads(1)
     # Threads begin with an empty context, and one thread inside a product is a setting of each of them.
-    pool = ThreadPoolExecutor(count - 1, "irlos", lambda: _begin(pool)) if count > 1 else None
+    pool: ThreadPoolExecutor | None = None
+    if count > 1:
+        pool = ThreadPoolExecutor(count - 1, "irlos", lambda: _begin(pool))
     token = _pool.set(pool)
     try:
         with torch.no_grad():
@@ -39,7 +41,7 @@ def workers(count: int) -> Iterator[None]:
             pool.shutdown()
 
 
-def _begin(pool: ThreadPoolExecutor) -> None:
+def _begin(pool: ThreadPoolExecutor | None) -> None:
     torch.set_num_threads(1)
     _pool.set(pool)
 

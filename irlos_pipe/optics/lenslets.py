@@ -57,9 +57,9 @@ class Quarter(PupilGrid):
     def modes(self, nolls: Sequence[int]) -> np.ndarray:
         return super().modes(nolls)[:, *self.place]
 
-    def through(self, pupil: torch.Tensor) -> torch.Tensor:
-        """Return the part of a disturbed `pupil`, from (wavelengths, m, m) to (wavelengths, n, n)."""
-        return pupil[:, *self.place] * self.weights
+    def through(self, pupil: torch.Tensor | None) -> Any:
+        """Return the part of a disturbed `pupil`, if any, from (wavelengths, m, m) to (wavelengths, n, n)."""
+        return None if pupil is None else pupil[:, *self.place] * self.weights
 
 
 def quarters(pupil: PupilGrid) -> list[Quarter]:
@@ -174,29 +174,22 @@ class LensletArray:
     def _own(self, optics: Optics, lenslet: int) -> Optics:
         """What effects make of the light path of one lenslet; the modes of the pupil are none of its own."""
         return Optics(
-            None if optics.pupil is None else self._through(optics.pupil, lenslet),
-            None if optics.transfer is None else _of(optics.transfer, lenslet),
+            self.quarters[lenslet].through(optics.pupil),
+            _of(optics.transfer, lenslet),
             optics.sampling,
             tuple(self._own(one, lenslet) for one in optics.copies),
         )
 
     def _tangents(self, tangents: Tangents, lenslet: int) -> Tangents:
         """Their derivatives for one lenslet."""
-
-        def pupil(one: torch.Tensor | None) -> torch.Tensor | None:
-            return None if one is None else self._through(one, lenslet)
-
+        through = self.quarters[lenslet].through
         return Tangents(
-            [self._through(one, lenslet) for one in tangents.pupil],
+            [through(one) for one in tangents.pupil],
             [_slope_of(one, lenslet) for one in tangents.transfer],
-            [(place, self._through(one, lenslet)) for place, one in tangents.pupil_too],
-            [(pupil(one), _slope_of(other, lenslet), change) for one, other, change in tangents.sampling],
+            [(place, through(one)) for place, one in tangents.pupil_too],
+            [(through(one), _slope_of(other, lenslet), change) for one, other, change in tangents.sampling],
             tuple(self._tangents(one, lenslet) for one in tangents.copies),
         )
-
-    def _through(self, pupil: torch.Tensor, lenslet: int) -> torch.Tensor:
-        """The part of a disturbed `pupil`, (wavelengths, n, n), before a lenslet."""
-        return self.quarters[lenslet].through(pupil)
 
 
 def side_by_side(parts: Sequence[torch.Tensor]) -> torch.Tensor:
@@ -216,12 +209,12 @@ def light_path(settings: PsfSettings, nolls: Sequence[int], **options: Any) -> L
     return kind(settings, nolls, **options)
 
 
-def _of(transfer: torch.Tensor, lenslet: int) -> torch.Tensor:
+def _of(transfer: torch.Tensor | None, lenslet: int) -> torch.Tensor | None:
     """The OTF factor of a lenslet, where effects differ between them."""
-    return transfer if transfer.ndim == 3 else transfer[lenslet]
+    return transfer if transfer is None or transfer.ndim == 3 else transfer[lenslet]
 
 
 def _slope_of(transfer: torch.Tensor | None, lenslet: int) -> torch.Tensor | None:
     """Its derivative; None where a parameter leaves the lenslet alone."""
-    own = None if transfer is None else _of(transfer, lenslet)
+    own = _of(transfer, lenslet)
     return None if own is None or not bool(own.any()) else own

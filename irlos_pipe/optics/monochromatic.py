@@ -51,8 +51,20 @@ class FocalPlane:
         like: torch.Tensor,
     ):
         self.window, self.sampling, self.like = settings.window, sampling, like
+        wavelengths_m, window_px = sampling.wavelengths_m.numpy(), max(settings.window)
+        require_resolved(
+            window_px, settings.pixel_scale_mas, wavelengths_m.min(), pupil.u_m[1] - pupil.u_m[0]
+        )
+
+        def samples(margin_mas: float, wavelength_m: float) -> int:
+            of = window_px, settings.pixel_scale_mas, margin_mas, wavelength_m
+            return focal_samples_for(*of, pupil.width_m)
+
         # One per wavelength: long waves need fewer samples; the baselines are common.
-        self.grids = _focal_grids(settings, sampling.wavelengths_m.numpy(), pupil)
+        needed = [samples(settings.margin_mas, wavelength_m) for wavelength_m in wavelengths_m]
+        period = samples(settings.halo_margin_mas, wavelengths_m.min())
+        padded = quick_fft_length(max(*needed, period))
+        self.grids = [FocalGrid(count, pupil.width_m, padded, pupil.longest_m) for count in needed]
         self.dfts = [MatrixDft(pupil.u_m, focal, polynomials, like) for focal in self.grids]
 
     @property
@@ -83,19 +95,6 @@ class FocalPlane:
         """Return the matrices to pixels of a strained image, at the wavelength `index`."""
         like = self.like.new_empty(0, dtype=COMPLEX[self.like.dtype])
         return Strained.of(self.window, sampling, index, self.grids[index], like)
-
-
-def _focal_grids(settings: PsfSettings, wavelengths_m: np.ndarray, pupil: PupilGrid) -> list[FocalGrid]:
-    scale_mas, window_px = settings.pixel_scale_mas, max(settings.window)
-    require_resolved(window_px, scale_mas, wavelengths_m.min(), pupil.u_m[1] - pupil.u_m[0])
-
-    def samples(margin_mas: float, wavelength_m: float) -> int:
-        return focal_samples_for(window_px, scale_mas, margin_mas, wavelength_m, pupil.width_m)
-
-    needed = [samples(settings.margin_mas, wavelength_m) for wavelength_m in wavelengths_m]
-    period = samples(settings.halo_margin_mas, wavelengths_m.min())
-    padded = quick_fft_length(max(*needed, period))
-    return [FocalGrid(count, pupil.width_m, padded, pupil.longest_m) for count in needed]
 
 
 class ByMode(NamedTuple):

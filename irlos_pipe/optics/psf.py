@@ -223,7 +223,8 @@ class PsfModel:
     def _paths(self, optics: Optics, tangents: Tangents = NO_TANGENTS, *, rough: bool = False) -> list[_Path]:
         """What light of every wavelength meets, of the star and of its copies; see `rough_derivatives`."""
         own = tangents.copies or [NO_TANGENTS] * len(optics.copies)
-        follow = [rough and _is_faint(one) for one in optics.copies]
+        factors = [one.transfer for one in optics.copies]
+        follow = [rough and one is not None and float(one.abs().max()) < FAINT for one in factors]
         copies = zip(optics.copies, own, [None] * len(own), follow, strict=True)
         lights = [(optics, tangents, _together(optics, follow), False), *copies]
         return [_Path(*light, index) for light in lights for index in self.colours]
@@ -390,11 +391,6 @@ class _Path(NamedTuple):
     joint: torch.Tensor | None
     follows: bool  # whether this is one of these copies
     colour: int
-
-
-def _is_faint(copy: Optics) -> bool:
-    """Whether a copy has so little light that its derivatives may be rough."""
-    return copy.transfer is not None and float(copy.transfer.abs().max()) < FAINT
 
 
 def _together(optics: Optics, follow: Sequence[bool]) -> torch.Tensor | None:

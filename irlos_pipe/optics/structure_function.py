@@ -101,7 +101,13 @@ class InBandResidual:
 
     def __init__(self, bx_m: np.ndarray, by_m: np.ndarray, band: ResidualBand):
         lengths, place = np.unique(np.round(np.hypot(bx_m, by_m), 9), return_inverse=True)
-        f, area = _radial_grid(band, lengths.max())
+        # Rings of the band, as many as the baselines need: Gauss–Legendre in √f.
+        lowest_per_m = LOWEST * band.low_per_m
+        cycles = lengths.max() * (band.cutoff_per_m - lowest_per_m)
+        nodes, weights = np.polynomial.legendre.leggauss(SPARE_NODES + int(np.ceil(2 * cycles)))
+        low, high = np.sqrt([lowest_per_m, band.cutoff_per_m])
+        root = (low + high + (high - low) * nodes) / 2
+        f, area = root**2, 2 * root**2 * root * (high - low) * weights
         orders = 2 * np.arange(HARMONICS + 1)
         along = np.arctan2(by_m, bx_m)[:, None] * orders
         theta = (np.arange(4 * HARMONICS) + 0.5) * np.pi / (4 * HARMONICS)
@@ -239,19 +245,6 @@ def aliased_turbulence(fx_per_m: np.ndarray, fy_per_m: np.ndarray, cutoff_per_m:
         psd += gradient**2 * (gx**2 + gy**2) ** (-11 / 6)
     own = (fx_per_m**2 + fy_per_m**2) * np.sinc(pitch_m * fx_per_m) * np.sinc(pitch_m * fy_per_m)
     return psd / own**2
-
-
-def _radial_grid(band: ResidualBand, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies and areas of rings in the band, as many as baselines up to `longest_m` need.
-
-    Gauss–Legendre in √f.
-    """
-    lowest_per_m = LOWEST * band.low_per_m
-    cycles = longest_m * (band.cutoff_per_m - lowest_per_m)
-    nodes, weights = np.polynomial.legendre.leggauss(SPARE_NODES + int(np.ceil(2 * cycles)))
-    low, high = np.sqrt([lowest_per_m, band.cutoff_per_m])
-    root = (low + high + (high - low) * nodes) / 2
-    return root**2, 2 * root**2 * root * (high - low) * weights
 
 
 def _even_bessel(z: np.ndarray) -> np.ndarray:

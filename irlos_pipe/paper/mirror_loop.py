@@ -204,7 +204,10 @@ def rows(star: ex.Sample) -> ex.Rows:
         for done in range(sizes.corrections + 1):
             cube = ObservedCube.of(bench.cube(mirror, done, diversity))
             calibration = cube.calibrated(VARIANTS[method])
-            estimate_nm = seen_by(calibration)
+            # Minus the offsets that the stage `correct` makes of it.
+            modes = calibration.nolls, calibration.zernike_nm, calibration.sigma_nm
+            sent = modal_offsets(*modes, 1.0, REPORTED_NOLLS[-1])
+            estimate_nm = dict(zip(sent.nolls.tolist(), (-sent.value_nm).tolist(), strict=True))
             seen_nm.append(float(np.linalg.norm([estimate_nm[noll] for noll in CORRECTED_NOLLS])))
             falling = improves(seen_nm)
             state = bench.left(mirror) | {"strehl": bench.strehl(mirror), "seen_nm": seen_nm[-1]}
@@ -238,14 +241,6 @@ def scene_of(star: ex.Sample) -> Scene:
 def improves(seen_nm: Sequence[float]) -> bool:
     """Return whether the last of the estimates `seen_nm` is well below the one before."""
     return len(seen_nm) < 2 or bool(seen_nm[-1] < IMPROVES * seen_nm[-2])
-
-
-def seen_by(calibration: Calibration) -> dict[int, float]:
-    """Return minus the offsets that the stage `correct` makes of a `calibration`, Noll: nm RMS."""
-    offsets = modal_offsets(
-        calibration.nolls, calibration.zernike_nm, calibration.sigma_nm, 1.0, REPORTED_NOLLS[-1]
-    )
-    return dict(zip(offsets.nolls.tolist(), (-offsets.value_nm).tolist(), strict=True))
 
 
 def predicted_strehl(cube: ObservedCube, calibration: Calibration) -> float:

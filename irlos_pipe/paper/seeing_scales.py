@@ -80,15 +80,6 @@ def rows(seeing: ex.Sample) -> ex.Rows:
     yield {"monitor_arcsec": monitor_arcsec, "sparta_arcsec": sparta_arcsec}
 
 
-def log_normal_density(value: np.ndarray, median: float, scatter: float) -> np.ndarray:
-    """Return the probability density of a log-normal variable, per unit of `value`.
-
-    `median` is that of the variable, `scatter` the standard deviation of its logarithm.
-    """
-    deviation = np.log(value / median) / scatter
-    return np.exp(-(deviation**2) / 2) / (value * scatter * np.sqrt(2 * np.pi))
-
-
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """The paper's conditions on both scales, the distributions, and the relation with its source."""
     sizes, scale, law = ctx.config, scale_of(ctx), ctx.instrument.facility.residual_law
@@ -159,7 +150,9 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
             axes.hist(values, edges.tolist(), density=True, color=ink, alpha=0.35, label=name)
             axes.axvline(np.median(values), color=ink)
         middle = (edges[1:] + edges[:-1]) / 2
-        axes.plot(middle, log_normal_density(middle, sizes["median_arcsec"], sizes["scatter"]), color=ORANGE)
+        deviation = np.log(middle / sizes["median_arcsec"]) / sizes["scatter"]
+        log_normal = np.exp(-(deviation**2) / 2) / (middle * sizes["scatter"] * np.sqrt(2 * np.pi))
+        axes.plot(middle, log_normal, color=ORANGE)
         axes.set(xlabel='seeing ["]', ylabel='probability density [1/"]')
         axes.legend()
 

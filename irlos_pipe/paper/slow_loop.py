@@ -24,6 +24,7 @@ from irlos_pipe.paper.common.focus_loop import (
     FocusSensor,
     FrameTable,
     Loop,
+    Records,
     close_loops,
     focus_sensor,
     frame_table,
@@ -48,7 +49,6 @@ LABELS = {
     DEFAULT: "default calibration", PAPER_CHOICE: "NCPAs by DIP global", UNCALIBRATED: "uncalibrated",
     CENTROIDS: "2x2 mode, centroids", LIFT: "2x2 mode, fit of the four images",
 }  # fmt: skip
-RECORDED = ("residual_nm", "measured_nm", "true_nm", "due")
 
 
 class Layer(ex.StageConfig):
@@ -146,10 +146,10 @@ def _in_one_mode(
     scenes = {loop.exposures: exposed_for(star, loop.exposures, sky["read"]) for loop in loops}
     table = frame_table(star, REACH_NM, NODES)
     sensors = sensors_of([loop.sensor for loop in loops], star, cube, table)
-    banks = []
+    records = []
     for index, one in enumerate(drift_nm):
         rng = np.random.default_rng([*sky.seed, stream, index])
-        banks.append(close_loops(loops, sensors, scenes, table, one, sky.sizes.delay, rng))
+        records.append(close_loops(loops, sensors, scenes, table, one, sky.sizes.delay, rng))
     seen_e = float(table.images_e(0, np.zeros(1)).sum())
     for place, loop in enumerate(loops):
         scene, sensor = scenes[loop.exposures], sensors[loop.sensor]
@@ -157,7 +157,7 @@ def _in_one_mode(
         yield {
             "loop": sky["loops"].index(loop),
             **asdict(loop),
-            **{name: np.array([getattr(bank, name)[place] for bank in banks]) for name in RECORDED},
+            **{name: np.array([getattr(one, name)[place] for one in records]) for name in Records._fields},
             "drift_nm": drift_nm,
             "sky_focus_nm": table.sky_focus_nm,
             "bound_nm": sensor.bound_nm(*photons),
@@ -207,7 +207,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
     def summary(group, *_):
         own = Loop(*(group[name].iloc[0] for name in ("sensor", "mag_j", "gain", "exposures")))
-        residual_nm, measured_nm, true_nm, due = ex.stacked(group, *RECORDED)
+        residual_nm, measured_nm, true_nm, due = ex.stacked(group, *Records._fields)
         outcome = outcome_of(residual_nm, measured_nm, true_nm, due, drift, sizes.settle)
         photons_nm, rate = float(np.median(group.photon_noise_nm)), float(own.exposures)
         noise_nm = float(np.hypot(photons_nm, sky_focus_nm / np.sqrt(rate)))

@@ -166,7 +166,9 @@ class ResidualScreens:
         self._in_band = np.hypot(self._fx, self._fy) < facility.cutoff_per_m
         variance = sum((part * telescope.mode(noll) for noll, part in sky.variance_zernike.items()), 1.0)
         self._local = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-        self._strength = _Strength(sky, rng)
+        # Slow log-normal drift of the residual's size, with mean square 1; none for stationary skies.
+        self._spread = np.sqrt(np.log1p(sky.drift_rms**2)) if sky.shape == "non_stationary" else 0.0
+        self._strength = rng.standard_normal()
 
     def next_nm(self, step_s: float) -> np.ndarray:
         """Return the wavefront after one step of `step_s`, (n, n) float32 [nm]."""
@@ -176,7 +178,8 @@ class ResidualScreens:
             inside = np.where(self._in_band, self._modes, 0)
             screen = self._on_pupil(self._modes - inside) + self._local * self._on_pupil(inside)
         flat = screen.ravel() - (self._projector @ screen.ravel()) @ self._basis
-        return flat.reshape(self._n, self._n) * np.float32(self._strength.factor)
+        strength = np.exp(self._spread * self._strength - self._spread**2)
+        return flat.reshape(self._n, self._n) * np.float32(strength)
 
     def _on_pupil(self, modes: np.ndarray) -> np.ndarray:
         periodic = scipy.fft.irfft2(modes, s=(self._size, self._size), norm="forward")
@@ -186,7 +189,8 @@ class ResidualScreens:
         """Let `time_s` pass unobserved."""
         memory, fresh_nm = self._step(time_s)
         self._modes = self._modes * memory + fresh_nm * self._noise()
-        self._strength.advance(time_s)
+        kept = np.exp(-time_s / self._sky.drift_s)
+        self._strength = kept * self._strength + np.sqrt(1 - kept**2) * self._rng.standard_normal()
 
     def _noise(self) -> np.ndarray:
         """Complex normal numbers, unit variance of both parts, one per mode, complex64."""
@@ -226,23 +230,6 @@ class ResidualScreens:
         power_nm2 = beyond_nm2 + inside * inside_nm2 / np.sum(seen * inside)
         # Twice the real part of a mode is added where it stands for its mirror image too.
         return np.divide(power_nm2, stands_for, out=np.zeros_like(power_nm2), where=stands_for > 0)
-
-
-class _Strength:
-    """Slow log-normal drift of the residual's size, with mean square 1; none for stationary skies."""
-
-    def __init__(self, sky: Sky, rng: np.random.Generator):
-        self._rng, self._lifetime_s = rng, sky.drift_s
-        self._spread = np.sqrt(np.log1p(sky.drift_rms**2)) if sky.shape == "non_stationary" else 0.0
-        self._state = rng.standard_normal()
-
-    @property
-    def factor(self) -> float:
-        return float(np.exp(self._spread * self._state - self._spread**2))
-
-    def advance(self, time_s: float) -> None:
-        memory = np.exp(-time_s / self._lifetime_s)
-        self._state = memory * self._state + np.sqrt(1 - memory**2) * self._rng.standard_normal()
 
 
 def _piston_tip_tilt(telescope: Telescope) -> tuple[np.ndarray, np.ndarray]:

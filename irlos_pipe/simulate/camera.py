@@ -18,9 +18,6 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import MAS, NM, cutoff_per_px
 from irlos_pipe.simulate.aperture import centres, clear_fraction
-from irlos_pipe.simulate.effects.light import LightEffect
-from irlos_pipe.simulate.effects.pupil import PupilEffect
-from irlos_pipe.simulate.effects.wavefront import WavefrontEffect
 from irlos_pipe.simulate.light import Ray, mean_centre_nm
 from irlos_pipe.simulate.motion import MotionBlur
 from irlos_pipe.simulate.scene import Scene
@@ -87,9 +84,8 @@ class Pupil(Telescope):
 
 def pupil_of(scene: Scene) -> Pupil:
     """Return the pupil at the sampling of a `scene`, with its effects."""
-    effects = scene.acting(PupilEffect)
-    stops_m = [effect.stop_m for effect in effects if effect.stop_m is not None]
-    as_built = reduce(lambda geometry, effect: effect.built(geometry), effects, scene.geometry)
+    stops_m = [effect.stop_m for effect in scene.acting("stop_m") if effect.stop_m is not None]
+    as_built = reduce(lambda geometry, effect: effect.built(geometry), scene.acting("built"), scene.geometry)
     return _build(as_built, scene.pupil_samples, stops_m[0] if stops_m else None)
 
 
@@ -109,12 +105,12 @@ def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float, defocus_nm: floa
     than to the smooth wavefront that multiplies the samples.
     """
     transparency: np.ndarray | float = 1.0
-    mean_nm, effects = mean_centre_nm(scene.bands), scene.acting(WavefrontEffect)
+    mean_nm, effects = mean_centre_nm(scene.bands), scene.acting("chromatic_zernike_nm")
     chromatic = (effect.chromatic_zernike_nm(wavelength_nm, mean_nm) for effect in effects)
     own_nm = sum_nm([{DEFOCUS: defocus_nm} if defocus_nm else {}, *chromatic])
     if own_nm:
         transparency = np.exp(2j * np.pi / wavelength_nm * pupil.opd_nm(own_nm))
-    for effect in scene.acting(PupilEffect):
+    for effect in scene.acting("transparency"):
         transparency = transparency * effect.transparency(pupil)
     steps = steps_nm(scene, pupil, *pupil.drawing_grid_m())
     if steps is None:
@@ -127,7 +123,7 @@ def steps_nm(scene: Scene, pupil: Pupil, x_m: np.ndarray, y_m: np.ndarray) -> np
 
     It is that at points (`x_m`, `y_m`) of its `pupil`, shapes that broadcast.
     """
-    made = (effect.steps_nm(pupil.geometry, x_m, y_m) for effect in scene.acting(PupilEffect))
+    made = (effect.steps_nm(pupil.geometry, x_m, y_m) for effect in scene.acting("steps_nm"))
     given = [steps for steps in made if steps is not None]
     return sum(given[1:], start=given[0]) if given else None
 
@@ -279,8 +275,10 @@ class Camera:
 
     def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
         scale_mas, stretch, rays = scene.pixel_scale_mas, np.eye(2), rays_of(scene)
-        for effect in scene.acting(LightEffect):
-            scale_mas, stretch = effect.pixel_scale_mas(scale_mas), effect.stretch() @ stretch
+        for effect in scene.acting("pixel_scale_mas"):
+            scale_mas = effect.pixel_scale_mas(scale_mas)
+        for effect in scene.acting("stretch"):
+            stretch = effect.stretch() @ stretch
         pixels = PixelGrid(scene.window, scale_mas, STATIC_NODES)
         self._distortion = None if np.array_equal(stretch, np.eye(2)) else Distortion(stretch, pixels)
         shortest_m = min(ray.wavelength_nm for ray in rays) * NM
@@ -342,14 +340,13 @@ class Camera:
 
 def rays_of(scene: Scene) -> list[Ray]:
     """Return the light of a `scene` with its effects; those on the spectrum keep the number of photons."""
-    effects = scene.acting(LightEffect)
     wavelengths_nm, declared = np.array(scene.spectrum(), float).T
     weights = declared
-    for effect in effects:
+    for effect in scene.acting("spectrum"):
         wavelengths_nm, weights = effect.spectrum(wavelengths_nm, weights, scene.bands)
     weights = weights * declared.sum() / weights.sum()
     rays = [Ray(*point) for point in zip(wavelengths_nm.tolist(), weights.tolist(), strict=True)]
-    for effect in effects:
+    for effect in scene.acting("rays"):
         rays = effect.rays(rays)
     return rays
 

@@ -172,23 +172,16 @@ class Pixels:
         """
         light_e = shared(mean_e + self.sky_e, self.diffusion) + self.hot_e
         multiplied_e = multiplied(rng.poisson(light_e + self.dark_e), self.detector.excess_noise_factor, rng)
-        return self._analogue_e(multiplied_e * self.alive, read_noise_e, rng) + self.background_e
-
-    def dark_signal_e(self, frames: int, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
-        """Return `frames` reads without light, before the effects came, (frames, rows, columns) [e-].
-
-        They have a noise of `read_noise_e`, drawn from `rng`.
-        """
-        counts = rng.poisson(np.broadcast_to(self.dark_e, (frames, *self.dark_e.shape)))
-        return self._analogue_e(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
+        return self.analogue_e(multiplied_e * self.alive, read_noise_e, rng) + self.background_e
 
     def read(self, values: np.ndarray, stuck: np.ndarray) -> np.ndarray:
         """Return frames (..., rows, columns) of `values` with the constant readings of `stuck` pixels."""
         return np.where(np.isnan(self.stuck_e), values, stuck)
 
-    def _analogue_e(
+    def analogue_e(
         self, multiplied_e: np.ndarray, read_noise_e: float, rng: np.random.Generator
     ) -> np.ndarray:
+        """Return what the converter gets of `multiplied_e` electrons [e-]; see `signal_e` for the others."""
         induced_e = shared(multiplied_e * self.response, self.detector.coupling_fraction)
         node_e = compressed(induced_e, self.nonlinearity_per_e, self.detector.full_well_e or np.inf)
         noise_e = read_noise_e * rng.standard_normal(node_e.shape)

@@ -14,8 +14,7 @@ import numpy as np
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.simulate.atmosphere import ResidualScreens
 from irlos_pipe.simulate.camera import camera_of, pupil_of, steps_nm
-from irlos_pipe.simulate.effects.sky import MotionEffect, SkyEffect
-from irlos_pipe.simulate.effects.wavefront import FocusStageEffect, LensEffect, WavefrontEffect, reached_nm
+from irlos_pipe.simulate.effects.wavefront import reached_nm
 from irlos_pipe.simulate.motion import SHORTEST_STEP_S, STILL, MotionSeries
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope, rotated_nm, sum_nm
@@ -94,7 +93,7 @@ def exposures(scene: Scene) -> Iterator[Exposure]:
 def with_effective_sky(scene: Scene) -> Scene:
     """Return the `scene` with the AO residual that its effects leave."""
     sky = scene.sky
-    for effect in scene.acting(SkyEffect):
+    for effect in scene.acting("sky"):
         sky = effect.sky(sky, scene.facility)
     return replace(scene, sky=sky)
 
@@ -106,7 +105,7 @@ class _LightPath:
         self._scene, self._pupil = scene, pupil_of(scene)
         self._wavefront = StaticWavefront(scene, self._pupil)
         self._subexposures = SubexposureSeries(scene, self._pupil)
-        self._motion, self._motion_rng = scene.acting(MotionEffect), scene.rng("effects")
+        self._motion, self._motion_rng = scene.acting("blur"), scene.rng("effects")
         wandering_mas = scene.motion.rms_mas if scene.motion else 0.0
         blurring_mas = float(np.sqrt(sum(effect.sigma_mas**2 for effect in self._motion)))
         self._camera = camera_of(scene, self._pupil, float(np.hypot(wandering_mas, blurring_mas)))
@@ -125,8 +124,7 @@ class _LightPath:
         tilt_nm = self._pupil.tilts_nm((mean_mas + blur.mean_mas)[None])[0]
         opd_nm = self._wavefront.truth_nm(frame) + self._steps_nm + mean_screen_nm + tilt_nm
         image = self._camera.frame(images, positions_mas, blur)
-        stated_nm = self._wavefront.truth_zernike_nm(frame)
-        return Exposure(image * scene.photons, self._pupil.inside(opd_nm), stated_nm)
+        return Exposure(image * scene.photons, self._pupil.inside(opd_nm), self._wavefront.stated_nm(frame))
 
     def _images(self, frame: int, screens_nm: np.ndarray | None) -> np.ndarray:
         """Images of the sub-exposures, or the one of a wavefront at rest, computed where it changes."""
@@ -182,20 +180,19 @@ class StaticWavefront:
 
     def __init__(self, scene: Scene, telescope: Telescope):
         self._commanded_nm = scene.introduced_per_frame_nm
-        reached = reached_nm(self._commanded_nm, scene.acting(FocusStageEffect), scene.rng("focus_stage"))
+        reached = reached_nm(self._commanded_nm, scene.acting("reached_nm"), scene.rng("focus_stage"))
         self._missed_nm = reached - self._commanded_nm
-        shapes = [effect.defocus(telescope) for effect in scene.acting(LensEffect)]
+        shapes = [effect.defocus(telescope) for effect in scene.acting("defocus")]
         self._declared_defocus = telescope.mode(DEFOCUS)
         self._defocus = shapes[0] if shapes else self._declared_defocus
         self._diversity_nm = telescope.opd_nm(scene.diversity_nm)
-        effects = scene.acting(WavefrontEffect)
         self._static_zernike_nm = static_zernike_nm(scene)
         self._static_nm = telescope.opd_nm(self._static_zernike_nm)
-        for effect in effects:
+        for effect in scene.acting("static_opd_nm"):
             self._static_nm = self._static_nm + effect.static_opd_nm(telescope)
         if scene.mirror:
             self._static_nm = self._static_nm + scene.mirror.opd_nm(telescope)
-        self._drift_zernike_nm = sum_nm(effect.drift_zernike_nm() for effect in effects)
+        self._drift_zernike_nm = sum_nm(one.drift_zernike_nm() for one in scene.acting("drift_zernike_nm"))
         self._drift_nm = telescope.opd_nm(self._drift_zernike_nm)
         self._elapsed = np.linspace(0, 1 if self._drift_zernike_nm else 0, scene.frames)
 
@@ -205,7 +202,7 @@ class StaticWavefront:
         shape_nm = self._commanded_nm[frame] * (self._defocus - self._declared_defocus)
         return self._static_nm + self._elapsed[frame] * self._drift_nm + missed_nm + shape_nm
 
-    def truth_zernike_nm(self, frame: int) -> dict[int, float]:
+    def stated_nm(self, frame: int) -> dict[int, float]:
         """Return the modes of `truth_nm` that the scene states as such, Noll: nm RMS; it may have more."""
         elapsed = self._elapsed[frame]
         drift_nm = {noll: elapsed * value_nm for noll, value_nm in self._drift_zernike_nm.items()}
@@ -225,5 +222,7 @@ class StaticWavefront:
 def static_zernike_nm(scene: Scene) -> dict[int, float]:
     """Return NCPAs before and after the derotator, and static modes of the effects, Noll: nm RMS."""
     rotated = rotated_nm(scene.rotating_nm, scene.derotator_angle_deg)
-    of_effects = (effect.static_zernike_nm(scene.diversity_nm) for effect in scene.acting(WavefrontEffect))
+    of_effects = (
+        effect.static_zernike_nm(scene.diversity_nm) for effect in scene.acting("static_zernike_nm")
+    )
     return sum_nm([scene.ncpa_nm, rotated, *of_effects])

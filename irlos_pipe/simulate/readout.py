@@ -16,10 +16,10 @@ from irlos_pipe.simulate.detector import (
     Pixels,
     flat_map,
     marked,
+    multiplied,
     pedestal_map_adu,
     scattered,
 )
-from irlos_pipe.simulate.effects.detector import DetectorEffect
 from irlos_pipe.simulate.scene import Scene
 
 DARK_FRAMES = 64  # raw frames that are averaged to the dark image
@@ -49,7 +49,7 @@ def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
         reads=scene.reads,
         sky_e=scene.sky_e_per_s * read_s,
     )
-    for effect in scene.acting(DetectorEffect):
+    for effect in scene.acting("on"):
         pixels = effect.on(pixels, mean_image_e / pixels.reads)
     return pixels
 
@@ -114,7 +114,9 @@ class Readout:
         pixels, reads, detector = self.pixels, self.pixels.reads, self.pixels.detector
         noise_e = detector.analogue_noise_e
         if reads == 1:
-            signal_e = pixels.dark_signal_e(DARK_FRAMES, noise_e, rng)
+            counts = rng.poisson(np.broadcast_to(pixels.dark_e, (DARK_FRAMES, *pixels.dark_e.shape)))
+            multiplied_e = multiplied(counts, detector.excess_noise_factor, rng)
+            signal_e = pixels.analogue_e(multiplied_e, noise_e, rng)
             return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
         # the mean of thousands of reads is normal; to draw each would take longer than all frames of a star
         mean_e = pixels.dark_e * pixels.response

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects import effects_of
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.mirror import Mirror
 from irlos_pipe.simulate.motion import Motion
@@ -25,7 +24,6 @@ from irlos_pipe.simulate.motion import Motion
 STATIC_PUPIL_SAMPLES, MOVING_PUPIL_SAMPLES = 256, 128
 LENSLET_WINDOW = (36, 36)  # of the four images of a 2x2 mode, 18 px across each
 LENSLET_SAMPLING = 2  # over the fewest samples possible, for windows as wide as those of lenslets
-Plane = TypeVar("Plane", bound=SimulatedEffect)
 RANDOM_STREAMS = ("sky", "motion", "effects", "focus_stage")
 
 
@@ -87,8 +85,7 @@ class Scene:
     first_counter: int = 1000
 
     def __post_init__(self) -> None:
-        setup = RecordingSetup(self.geometry, len(self.bands), self.window, self.diversity_nm)
-        for problem in filter(None, (effect.misfit(setup) for effect in effects_of(self.effects))):
+        for problem in filter(None, (effect.misfit(self) for effect in self.acting("misfit"))):
             raise SceneError(problem)
         given = self.frames if isinstance(self.introduced_nm, float | int) else len(self.introduced_nm)
         if given != self.frames:
@@ -103,9 +100,9 @@ class Scene:
         """The pupil as it lies on the detector."""
         return turned(self.facility.pupil, self.pupil_rotation_deg)
 
-    def acting(self, plane: type[Plane]) -> list[Plane]:
-        """Return the effects that derive from the base class `plane`, in the order in which they act."""
-        return [effect for effect in effects_of(self.effects) if isinstance(effect, plane)]
+    def acting(self, method: str) -> list[Any]:
+        """Return the effects that have a `method`, see `effects.base`, in the order in which they act."""
+        return [effect for effect in effects_of(self.effects) if hasattr(effect, method)]
 
     @property
     def residual_wfe_nm(self) -> float:

@@ -20,9 +20,9 @@ from irlos_pipe.optics.pupil import (
     area_weighted_pupil,
     band_limited,
     grid_centres,
+    pupil_edges,
     segments_of,
 )
-from irlos_pipe.optics.pupil_edges import pupil_edges
 
 MAS_RAD = np.deg2rad(1 / 3.6e6)
 NODES = 6  # per pixel and axis

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -181,51 +181,13 @@ class Loop:
         return 10 ** (-0.4 * (self.mag_j - mag_j))
 
 
-class LoopBank:
-    """Loops while they run, and what is left behind.
+class Records(NamedTuple):
+    """What loops have left behind, (loops, frames) each."""
 
-    All records are (loops, frames): `residual_nm`, the mean of drift minus command over each frame, NaN after
-    a loop has diverged; `measured_nm`, at the last frame of an exposure, NaN where there is no measurement;
-    `true_nm`, what a perfect sensor would measure: the mean residual of the exposure; `due`, where a
-    measurement was due.
-    """
-
-    def __init__(self, loops: Sequence[Loop], frames: int, delay: int, table: FrameTable):
-        self.sensor = np.array([loop.sensor for loop in loops])
-        self.gain = np.array([loop.gain for loop in loops])
-        self.exposures = np.array([loop.exposures for loop in loops])
-        self.delay, self.table = delay, table
-        self.command_nm = np.zeros((len(loops), frames))
-        self.residual_nm, self.measured_nm, self.true_nm = np.full((3, len(loops), frames), np.nan)
-        self.due = np.zeros((len(loops), frames), dtype=bool)
-        self.alive = np.ones(len(loops), dtype=bool)
-        self.images_e = np.zeros((len(loops), *table.series_e.shape[2:]))
-
-    def expose(self, frame: int, drift_nm: float, flux: np.ndarray) -> None:
-        """Add one frame to the image of every loop; the first of an exposure begins a new image."""
-        residual = drift_nm - self.command_nm[:, frame]
-        self.alive &= np.abs(residual) <= self.table.reach_nm
-        self.residual_nm[:, frame] = np.where(self.alive, residual, np.nan)
-        keep = (frame % self.exposures != 0)[:, None, None]
-        seen_e = flux * self.table.images_e(frame, np.where(self.alive, residual, 0.0))
-        self.images_e = keep * self.images_e + seen_e
-
-    def ready(self, frame: int, sensor: str, exposures: int) -> np.ndarray:
-        """Return the loops of `sensor` with exposures of so many frames that end with `frame`."""
-        if (frame + 1) % exposures:
-            return np.array([], dtype=int)
-        return np.flatnonzero(self.alive & (self.sensor == sensor) & (self.exposures == exposures))
-
-    def correct(self, members: np.ndarray, frame: int, measured_nm: np.ndarray) -> None:
-        """Record the measurements and change the commands; without a measurement a command is held."""
-        for member, measured in zip(members, measured_nm, strict=True):
-            exposures = self.exposures[member]
-            effect = frame + 1 + self.delay * exposures
-            self.due[member, frame] = True
-            self.measured_nm[member, frame] = measured
-            self.true_nm[member, frame] = self.residual_nm[member, frame + 1 - exposures : frame + 1].mean()
-            if np.isfinite(measured):
-                self.command_nm[member, effect:] += self.gain[member] * measured
+    residual_nm: np.ndarray  # mean of drift minus command over each frame; NaN after a loop has diverged
+    measured_nm: np.ndarray  # at the last frame of an exposure; NaN where there is no measurement
+    true_nm: np.ndarray  # what a perfect sensor would measure: the mean residual of the exposure
+    due: np.ndarray  # where a measurement was due
 
 
 def close_loops(
@@ -236,24 +198,43 @@ def close_loops(
     drift_nm: np.ndarray,
     delay: int,
     rng: np.random.Generator,
-) -> LoopBank:
+) -> Records:
     """Run all loops over the same frames, with a `delay` in exposures of the loop, see `Integrator`.
 
     `scenes` are the sky by the frames of an exposure, `table` has its frames at any defocus, and `drift_nm`,
     (frames,), is the mean defocus of the disturbance in every frame: what it wanders within one is too little
     to change the image other than through its mean. The detector noise is drawn from `rng`.
     """
-    bank = LoopBank(loops, len(drift_nm), delay, table)
+    shape = len(loops), len(drift_nm)
+    gain, exposures = (np.array([getattr(loop, name) for loop in loops]) for name in ("gain", "exposures"))
     flux = np.array([loop.brightness(scenes[loop.exposures].mag_j) for loop in loops])[:, None, None]
-    distinct = dict.fromkeys((loop.sensor, loop.exposures) for loop in loops)
+    alike: dict[tuple[str, int], list[int]] = {}
+    for place, loop in enumerate(loops):
+        alike.setdefault((loop.sensor, loop.exposures), []).append(place)
+    command_nm, alive = np.zeros(shape), np.ones(len(loops), dtype=bool)
+    nothing, due = np.full((3, *shape), np.nan), np.zeros(shape, dtype=bool)
+    found = Records(nothing[0], nothing[1], nothing[2], due)
+    images_e = np.zeros((len(loops), *table.series_e.shape[2:]))
     for frame, drift in enumerate(drift_nm):
-        bank.expose(frame, drift, flux)
-        for name, exposures in distinct:
-            members = bank.ready(frame, name, exposures)
-            if len(members):
-                images_e = recorded_e(scenes[exposures], bank.images_e[members], rng)
-                bank.correct(members, frame, sensors[name].measure(images_e, noise_of(scenes[exposures])))
-    return bank
+        left_nm = drift - command_nm[:, frame]
+        alive &= np.abs(left_nm) <= table.reach_nm
+        found.residual_nm[:, frame] = np.where(alive, left_nm, np.nan)
+        # The first frame of an exposure begins a new image.
+        kept_e = (frame % exposures != 0)[:, None, None] * images_e
+        images_e = kept_e + flux * table.images_e(frame, np.where(alive, left_nm, 0.0))
+        for (name, count), places in alike.items():
+            members = np.array([place for place in places if alive[place]], dtype=int)
+            if (frame + 1) % count or not len(members):
+                continue
+            seen_e = recorded_e(scenes[count], images_e[members], rng)
+            measured_nm = sensors[name].measure(seen_e, noise_of(scenes[count]))
+            found.due[members, frame], found.measured_nm[members, frame] = True, measured_nm
+            exposed = slice(frame + 1 - count, frame + 1)
+            found.true_nm[members, frame] = found.residual_nm[members, exposed].mean(axis=1)
+            for member, nm in zip(members, measured_nm, strict=True):
+                if np.isfinite(nm):  # without a measurement a command is held
+                    command_nm[member, frame + 1 + delay * count :] += gain[member] * nm
+    return found
 
 
 def outcome_of(

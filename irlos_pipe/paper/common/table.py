@@ -201,12 +201,9 @@ class Listing:
             heads = self.heads or list(dict.fromkeys(head for further in found.values() for head in further))
             columns += heads
             body = [[*own, *(further.get(head, MISSING) for head in heads)] for own, further in found.items()]
-        marks = [_mark(row[self.limit[0]], row[self.limit[1]]) for row in records] if self.limit else ()
+        pairs = [(row[self.limit[0]], row[self.limit[1]]) for row in records] if self.limit else ()
+        marks = ["" if math.isnan(most) else "good" if value <= most else "bad" for value, most in pairs]
         return Table(columns, body, self.title, filled(self.caption, records[0]) if records else "", marks)
-
-
-def _mark(value: float, limit: float) -> str:
-    return "" if math.isnan(limit) else "good" if value <= limit else "bad"
 
 
 def filled(pattern: str, row: Record, ranges: bool = False) -> str:

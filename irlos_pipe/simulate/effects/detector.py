@@ -2,25 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.simulate.detector import Axis, Pattern, Pixel, Pixels, marked, outside_window, shared
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 
 Kind = Literal["hot", "dead", "stuck"]
 
 
-class DetectorEffect(SimulatedEffect):
-    def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
-        """Return the `pixels` with the effect; `mean_image_e` (rows, columns) is that of one read [e-]."""
-        raise NotImplementedError
-
-
 @dataclass(frozen=True)
-class InterpixelCrosstalk(DetectorEffect):
+class InterpixelCrosstalk(SimulatedEffect):
     """A further `fraction` of the charge diffuses to the four neighbours before the multiplication."""
 
     name = "interpixel_crosstalk"
@@ -31,7 +25,7 @@ class InterpixelCrosstalk(DetectorEffect):
 
 
 @dataclass(frozen=True)
-class DetectorNonlinearity(DetectorEffect):
+class DetectorNonlinearity(SimulatedEffect):
     """A further bend of the response, stated as the `fraction_at_peak` that the mean image's peak loses."""
 
     name = "detector_nonlinearity"
@@ -44,7 +38,7 @@ class DetectorNonlinearity(DetectorEffect):
 
 
 @dataclass(frozen=True)
-class BackgroundGradient(DetectorEffect):
+class BackgroundGradient(SimulatedEffect):
     """A plane left of pedestal or background: `level_e`, rising by `e_per_pixel` towards `angle_deg`."""
 
     name = "background_gradient"
@@ -60,7 +54,7 @@ class BackgroundGradient(DetectorEffect):
 
 
 @dataclass(frozen=True)
-class CorrelatedNoise(DetectorEffect):
+class CorrelatedNoise(SimulatedEffect):
     """Stripes of `e_rms` per frame that differ from read to read: 1/f noise, or a tone of `period_px`."""
 
     name = "correlated_noise"
@@ -75,7 +69,7 @@ class CorrelatedNoise(DetectorEffect):
 
 
 @dataclass(frozen=True)
-class BadPixels(DetectorEffect):
+class BadPixels(SimulatedEffect):
     """Pixels, (row, column) each, that went bad after the calibration images were taken.
 
     `level_e` is the mean charge of hot ones per frame, or the constant reading of stuck ones above the
@@ -87,8 +81,8 @@ class BadPixels(DetectorEffect):
     kind: Kind = "hot"
     level_e: float = key(1000.0, "e- per frame, of hot and stuck pixels", ge=0.0, le=1e6)
 
-    def misfit(self, setup: RecordingSetup) -> str:
-        return outside_window("effects.bad_pixels", self.pixels, setup.window)
+    def misfit(self, scene: Any) -> str:
+        return outside_window("effects.bad_pixels", self.pixels, scene.window)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
         bad, level_e = marked(self.pixels, pixels.response.shape), self.level_e / pixels.reads

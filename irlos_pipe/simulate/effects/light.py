@@ -2,42 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.keys import key
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
 
 GHOST_NODES = 6  # nodes per axis of the Gauss–Hermite rule for the blur of a ghost
 
 
-class LightEffect(SimulatedEffect):
-    """Acts on the light that arrives: wavelengths, sources, directions."""
-
-    def spectrum(
-        self, wavelengths_nm: np.ndarray, weights: np.ndarray, bands: Sequence[Band]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return `wavelengths_nm` and photon `weights` with the effect, (points,); weights count relatively.
-
-        Each of `bands` has as many of the points, one band after the other.
-        """
-        return wavelengths_nm, weights
-
-    def rays(self, rays: list[Ray]) -> list[Ray]:
-        return rays
-
-    def pixel_scale_mas(self, assumed_mas: float) -> float:
-        """Return the true pixel scale [mas]."""
-        return assumed_mas
-
-    def stretch(self) -> np.ndarray:
-        """Return the matrix by which the image is stretched about the optical axis, in (x, y), (2, 2)."""
-        return np.eye(2)
-
-
 @dataclass(frozen=True)
-class Spectrum(LightEffect):
+class Spectrum(SimulatedEffect):
     """The true spectrum differs from the declared one."""
 
     name = "spectrum"
@@ -48,10 +25,12 @@ class Spectrum(LightEffect):
     # factor on the photons of each band
     weights: Sequence[float] | None = key(None, "factor on the photons of each band", ge=0.0, le=1000.0)
 
-    def misfit(self, setup: RecordingSetup) -> str:
-        if self.weights is None or len(self.weights) == setup.bands:
+    def misfit(self, scene: Any) -> str:
+        if self.weights is None or len(self.weights) == len(scene.bands):
             return ""
-        return f"effects.spectrum.weights has {len(self.weights)} factors; give one per band, {setup.bands}"
+        return (
+            f"effects.spectrum.weights has {len(self.weights)} factors; give one per band, {len(scene.bands)}"
+        )
 
     def spectrum(
         self, wavelengths_nm: np.ndarray, weights: np.ndarray, bands: Sequence[Band]
@@ -65,7 +44,7 @@ class Spectrum(LightEffect):
 
 
 @dataclass(frozen=True)
-class AtmosphericDispersion(LightEffect):
+class AtmosphericDispersion(SimulatedEffect):
     """Refraction displaces colours, by `mas_per_um` at the mean wavelength, towards `angle_deg`."""
 
     name = "atmospheric_dispersion"
@@ -90,7 +69,7 @@ def _refractivity(wavelength_um: float) -> float:
 
 
 @dataclass(frozen=True)
-class PlateScale(LightEffect):
+class PlateScale(SimulatedEffect):
     """The pixels are larger on the sky than declared, by a `fraction`."""
 
     name = "plate_scale"
@@ -101,7 +80,7 @@ class PlateScale(LightEffect):
 
 
 @dataclass(frozen=True)
-class Anamorphism(LightEffect):
+class Anamorphism(SimulatedEffect):
     """The image is larger along `angle_deg` than across, by a `fraction` of the mean; its area stays."""
 
     name = "anamorphism"
@@ -117,7 +96,7 @@ class Anamorphism(LightEffect):
 
 
 @dataclass(frozen=True)
-class Companion(LightEffect):
+class Companion(SimulatedEffect):
     """Light of the star's spectrum in addition to the star's, at `sep_mas` towards `pa_deg`."""
 
     name = "companion"
@@ -131,7 +110,7 @@ class Companion(LightEffect):
 
 
 @dataclass(frozen=True)
-class Ghost(LightEffect):
+class Ghost(SimulatedEffect):
     """All light again, at `sep_mas` towards `pa_deg`, `defocus_nm` out of focus and blurred."""
 
     name = "ghost"

@@ -2,42 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.simulate.aperture import petal_count, petal_index, segment_count, segment_index
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.telescope import Telescope
 
 
-class PupilEffect(SimulatedEffect):
-    """Changes where light passes the pupil, or puts steps into the wavefront there."""
-
-    @property
-    def stop_m(self) -> tuple[float, float] | None:
-        """Position (x, y) of an internal stop [m]."""
-        return None
-
-    def built(self, geometry: PupilGeometry) -> PupilGeometry:
-        """Return the pupil as it is built, of which the side-car states the `geometry`."""
-        return geometry
-
-    def transparency(self, pupil: Telescope) -> np.ndarray | float:
-        """Return the relative amplitude on the samples of the `pupil`, (n, n)."""
-        return 1.0
-
-    def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray | None:
-        """Return the wavefront with steps [nm] at points (`x_m`, `y_m`), shapes that broadcast.
-
-        None for an effect that makes no steps in the pupil `geometry`.
-        """
-        return None
-
-
 @dataclass(frozen=True)
-class PupilMisregistration(PupilEffect):
+class PupilMisregistration(SimulatedEffect):
     """An internal stop displaced by (`dx_m`, `dy_m`), and the vanes turned by `rotation_deg`."""
 
     name = "pupil_misregistration"
@@ -54,7 +31,7 @@ class PupilMisregistration(PupilEffect):
 
 
 @dataclass(frozen=True)
-class PupilSizes(PupilEffect):
+class PupilSizes(SimulatedEffect):
     """A central obscuration of `obscuration_m`, and vanes `vane_width_m` wide on average."""
 
     name = "pupil_geometry"
@@ -66,7 +43,7 @@ class PupilSizes(PupilEffect):
 
 
 @dataclass(frozen=True)
-class AmplitudeAberration(PupilEffect):
+class AmplitudeAberration(SimulatedEffect):
     """Smooth non-uniform transmission: one plus the sum of `zernike`, Noll: relative amplitude."""
 
     name = "amplitude_aberration"
@@ -77,7 +54,7 @@ class AmplitudeAberration(PupilEffect):
 
 
 @dataclass(frozen=True)
-class PupilSpot(PupilEffect):
+class PupilSpot(SimulatedEffect):
     """A disc at (`x_m`, `y_m`) that stops a part `opacity`, half as much at `radius_m` from its centre.
 
     Its edge is soft: the fourth power of the distance is in an exponential.
@@ -95,7 +72,7 @@ class PupilSpot(PupilEffect):
 
 
 @dataclass(frozen=True)
-class LowWindEffect(PupilEffect):
+class LowWindEffect(SimulatedEffect):
     """Piston, tip and tilt of the petals, which calm nights bring.
 
     One value per petal each, anticlockwise from the one nearest to the +45° diagonal; tip and tilt are Noll 2
@@ -107,10 +84,10 @@ class LowWindEffect(PupilEffect):
     tip_nm: Sequence[float] | None = None
     tilt_nm: Sequence[float] | None = None
 
-    def misfit(self, setup: RecordingSetup) -> str:
+    def misfit(self, scene: Any) -> str:
         """Return why there are not as many values as petals."""
         given = {"piston_nm": self.piston_nm, "tip_nm": self.tip_nm, "tilt_nm": self.tilt_nm}
-        return _misfit(self.name, "petals", petal_count(setup.geometry), given)
+        return _misfit(self.name, "petals", petal_count(scene.geometry), given)
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         index, radius_m = petal_index(geometry, x_m, y_m), geometry.diameter_m / 2
@@ -123,15 +100,15 @@ class LowWindEffect(PupilEffect):
 
 
 @dataclass(frozen=True)
-class SegmentPiston(PupilEffect):
+class SegmentPiston(SimulatedEffect):
     """Piston of the segments of the pupil, `piston_nm` in the order of their numbers."""
 
     name = "segment_piston"
     piston_nm: Sequence[float]
 
-    def misfit(self, setup: RecordingSetup) -> str:
+    def misfit(self, scene: Any) -> str:
         """Return why there are not as many values as segments."""
-        return _misfit(self.name, "segments", segment_count(setup.geometry), {"piston_nm": self.piston_nm})
+        return _misfit(self.name, "segments", segment_count(scene.geometry), {"piston_nm": self.piston_nm})
 
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         return np.asarray(self.piston_nm, float)[segment_index(geometry, x_m, y_m)]

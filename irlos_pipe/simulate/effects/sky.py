@@ -22,29 +22,8 @@ FAST_HZ = 20.0  # a vibration without a stated frequency is the telescope's stro
 Shape = Literal["sinusoidal", "gaussian"]
 
 
-class MotionEffect(SimulatedEffect):
-    """Moves the image within a frame."""
-
-    sigma_mas: float  # RMS of the motion
-
-    def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
-        """Return the motion within the next frame of `exposure_s`, of a telescope that vibrates at `lines`.
-
-        What is random in it is drawn from `rng`.
-        """
-        raise NotImplementedError
-
-
-class SkyEffect(SimulatedEffect):
-    """Changes the AO residual."""
-
-    def sky(self, sky: Sky | None, facility: Facility) -> Sky | None:
-        """Return the `sky` of a scene at a `facility` with the effect; None is the bench."""
-        raise NotImplementedError
-
-
 @dataclass(frozen=True)
-class TipTiltJitter(MotionEffect):
+class TipTiltJitter(SimulatedEffect):
     """Isotropic Gaussian motion; the mean of a frame is that of its independent positions."""
 
     name = "tip_tilt_jitter"
@@ -60,7 +39,7 @@ class TipTiltJitter(MotionEffect):
 
 
 @dataclass(frozen=True)
-class Vibration(MotionEffect):
+class Vibration(SimulatedEffect):
     """Motion along `angle_deg`, of random phase; what is left of the last period displaces the frame.
 
     Without `frequency_hz` it is that of the telescope's strongest line above `FAST_HZ`.
@@ -91,7 +70,7 @@ class Vibration(MotionEffect):
 
 
 @dataclass(frozen=True)
-class SeeingHalo(SkyEffect):
+class SeeingHalo(SimulatedEffect):
     """The residual is larger by the factor `scale`, or `wfe_nm` in total, its spectrum of the same shape.
 
     On the bench there is none to enlarge: the factor then is one on the residual at the facility's typical
@@ -113,7 +92,7 @@ class SeeingHalo(SkyEffect):
 
 
 @dataclass(frozen=True)
-class UnevenResidual(SkyEffect):
+class UnevenResidual(SimulatedEffect):
     """The variance inside the correction band has `edge`, `side_x` and `side_y` of Noll 4, 2 and 3.
 
     They are parts of the residual that there is; without one it is the residual at the typical seeing.

@@ -2,64 +2,20 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.telescope import Telescope
 
 REST_NM = 0.0  # where the focus stage stands before the first move
 
 
-class WavefrontEffect(SimulatedEffect):
-    """Adds a smooth wavefront that does not change during a frame."""
-
-    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
-        """Return static coefficients, Noll: nm RMS, next to the declared diversity `diversity_nm`."""
-        return {}
-
-    def chromatic_zernike_nm(self, wavelength_nm: float, mean_nm: float) -> Mapping[int, float]:
-        """Return coefficients at `wavelength_nm` only, Noll: nm RMS.
-
-        `mean_nm` is the photon-weighted mean of the bands' centres.
-        """
-        return {}
-
-    def static_opd_nm(self, telescope: Telescope) -> np.ndarray | float:
-        """Return a static wavefront (n, n) [nm] that is no sum of Zernikes, on the grid of `telescope`."""
-        return 0.0
-
-    def drift_zernike_nm(self) -> Mapping[int, float]:
-        """Return the change from the first frame to the last, Noll: nm RMS."""
-        return {}
-
-
-class FocusStageEffect(SimulatedEffect):
-    """Makes the focus stage miss its commanded position."""
-
-    def reached_nm(
-        self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
-    ) -> np.ndarray:
-        """Return the defocus that the stage introduces, (positions,) [nm RMS].
-
-        Without the effect it is `reached_nm`, where the stage is sent `commanded_nm`, in the order of time;
-        what is random is drawn from `rng`.
-        """
-        raise NotImplementedError
-
-
-class LensEffect(SimulatedEffect):
-    """Changes the wavefront that a moved focus makes."""
-
-    def defocus(self, telescope: Telescope) -> np.ndarray:
-        """Return the wavefront (n, n) of introduced defocus on `telescope`, its part of Noll 4 being one."""
-        return telescope.mode(DEFOCUS)
-
-
-class StaticModes(WavefrontEffect):
+class StaticModes(SimulatedEffect):
     """Static modes `zernike_nm`, Noll: nm RMS."""
 
     zernike_nm: Mapping[int, float]
@@ -77,14 +33,14 @@ class HighOrderNcpa(StaticModes):
 
 
 @dataclass(frozen=True)
-class DiversityError(WavefrontEffect):
+class DiversityError(SimulatedEffect):
     """The amplitude of the diversity is larger than declared by `nm`."""
 
     name = "diversity_error"
     nm: float = key(ge=-1e4, le=1e4)
 
-    def misfit(self, setup: RecordingSetup) -> str:
-        if any(setup.diversity_nm.values()):
+    def misfit(self, scene: Any) -> str:
+        if any(scene.diversity_nm.values()):
             return ""
         return "effects.diversity_error needs a diversity; add the section 'diversity'"
 
@@ -96,7 +52,7 @@ class DiversityError(WavefrontEffect):
 
 
 @dataclass(frozen=True)
-class PhaseBump(WavefrontEffect):
+class PhaseBump(SimulatedEffect):
     """A Gaussian of height `nm` and standard deviation `width_m` at (`x_m`, `y_m`)."""
 
     name = "phase_bump"
@@ -111,7 +67,7 @@ class PhaseBump(WavefrontEffect):
 
 
 @dataclass(frozen=True)
-class NcpaDrift(WavefrontEffect):
+class NcpaDrift(SimulatedEffect):
     """Modes that grow linearly from nothing to `zernike_nm`, Noll: nm RMS, over the recording."""
 
     name = "ncpa_drift"
@@ -122,7 +78,7 @@ class NcpaDrift(WavefrontEffect):
 
 
 @dataclass(frozen=True)
-class ChromaticNcpa(WavefrontEffect):
+class ChromaticNcpa(SimulatedEffect):
     """Modes that change in proportion to wavelength, Noll: nm RMS per µm.
 
     They vanish at `reference_nm`, by default the photon-weighted mean of the bands' centres.
@@ -146,7 +102,7 @@ class FilterNcpa(StaticModes):
 
 
 @dataclass(frozen=True)
-class FocusStageScale(FocusStageEffect):
+class FocusStageScale(SimulatedEffect):
     """The introduced defocus is larger than commanded by a `fraction`."""
 
     name = "focus_stage_scale"
@@ -159,7 +115,7 @@ class FocusStageScale(FocusStageEffect):
 
 
 @dataclass(frozen=True)
-class FocusStageHysteresis(FocusStageEffect):
+class FocusStageHysteresis(SimulatedEffect):
     """Bias by the direction of travel."""
 
     name = "focus_stage_hysteresis"
@@ -178,7 +134,7 @@ class FocusStageHysteresis(FocusStageEffect):
 
 
 @dataclass(frozen=True)
-class FocusStageOffset(FocusStageEffect):
+class FocusStageOffset(SimulatedEffect):
     """Bias `nm` of the commanded positions larger than `above_nm` and smaller than `below_nm`."""
 
     name = "focus_stage_offset"
@@ -206,7 +162,7 @@ def reached_nm(
     commanded = np.asarray(commanded_nm, float)
     reached = commanded
     for effect in effects:
-        if isinstance(effect, FocusStageEffect):
+        if hasattr(effect, "reached_nm"):
             reached = effect.reached_nm(reached, commanded, rng)
     return reached
 
@@ -225,7 +181,7 @@ def travel_directions(commanded_nm: np.ndarray, first: float | None = None) -> n
 
 
 @dataclass(frozen=True)
-class HighAperture(LensEffect):
+class HighAperture(SimulatedEffect):
     """The focus stage moves the focus where rays of the pupil's rim have the `sine`, NA / n."""
 
     name = "high_aperture"
@@ -235,7 +191,7 @@ class HighAperture(LensEffect):
         """Return the path ``1 - cos θ`` over its part of Noll 4, (n, n)."""
         s2 = self.sine**2
         if s2 == 0:
-            return super().defocus(telescope)
+            return telescope.mode(DEFOCUS)
         u = telescope.u_m * 2 / telescope.geometry.diameter_m
         cosine = np.sqrt(np.maximum(1 - s2 * (u[None, :] ** 2 + u[:, None] ** 2), 0))
         # ∫ sqrt(1 - s² t) dt and ∫ t sqrt(1 - s² t) dt over t = ρ² from 0 to 1

@@ -175,10 +175,6 @@ class LensletKeys(Section):
             raise ValueError("displacements are at most 1000 mas, and changes of the light at most 0.9")
         return self
 
-    @property
-    def tilts_mas(self) -> tuple[tuple[float, float], ...]:
-        return tuple(zip(self.x_mas, self.y_mas, strict=True))
-
 
 @dataclass(frozen=True)
 class SkyKeys(Sky):

@@ -20,7 +20,7 @@ from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects import EFFECTS, effects_of
-from irlos_pipe.simulate.effects.wavefront import FocusStageEffect, reached_nm
+from irlos_pipe.simulate.effects.wavefront import reached_nm
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.recordings.files import DOUBLE, LOOP_HZ, Defocus, Planned
 from irlos_pipe.simulate.recordings.keys import (
@@ -67,7 +67,7 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
     allows, or the central hole as wide as the pupil.
     """
     diversity, lenslets = keys.diversity, keys.lenslet_images or LensletKeys()
-    effects = {one: its for one, its in keys.hidden.items() if not issubclass(EFFECTS[one], FocusStageEffect)}
+    effects = {one: its for one, its in keys.hidden.items() if not hasattr(EFFECTS[one], "reached_nm")}
     scene = Scene(
         name=name,
         facility=_facility(instrument.facility, keys),
@@ -75,7 +75,7 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
         seed=(seed,),
         throughput=_throughput(keys),
         frame_rate_hz=keys.frame_rate_hz or 1 / keys.exposure_s,
-        lenslet_tilts_mas=lenslets.tilts_mas,
+        lenslet_tilts_mas=tuple(zip(lenslets.x_mas, lenslets.y_mas, strict=True)),
         lenslet_flux=lenslets.flux,
         pixel_scale_mas=_pixel_scale_mas(instrument, keys),
         ncpa_nm=_aberrations(keys.ncpa, instrument, seed, "ncpa"),
@@ -93,31 +93,21 @@ def base_scene(instrument: Instrument, seed: int, name: str, keys: RecordingKeys
         raise ConfigurationError(
             f"the profile {instrument.name} states no photons_per_s_m15, which mag_j needs; add the fact"
         )
-    _require_unfolded(scene)
-    _require_correction_band(scene)
-    return scene
-
-
-def _require_unfolded(scene: Scene) -> None:
-    """Refuse a window in which the image of a sampled pupil would repeat itself."""
-    needed = scene.needed_samples
+    needed = scene.needed_samples  # below, the image of a sampled pupil would repeat itself
     if needed > scene.pupil_samples:
         raise ConfigurationError(
             f"a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
             f"needs {needed} samples across the pupil; give sampling.pupil_samples >= {needed}, "
             "or a smaller window"
         )
-
-
-def _require_correction_band(scene: Scene) -> None:
-    """Refuse a residual whose correction band the usual sampling of the pupil cannot hold."""
-    cutoff_per_m, diameter_m = scene.facility.cutoff_per_m, scene.geometry.diameter_m
-    needed = math.ceil(2 * cutoff_per_m * diameter_m)
+    cutoff_per_m = scene.facility.cutoff_per_m  # the correction band must fit into the usual sampling
+    needed = math.ceil(2 * cutoff_per_m * scene.geometry.diameter_m)
     if scene.sky is not None and scene.sampling.pupil_samples is None and needed > scene.pupil_samples:
         raise ConfigurationError(
             f"sky.cutoff_per_m = {cutoff_per_m:g} needs {needed} samples across the "
             f"pupil; give sampling.pupil_samples >= {needed}, or a lower cut-off"
         )
+    return scene
 
 
 def _aberrations(
@@ -320,34 +310,25 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
         yield Planned(member.name, own, member.commanded_nm, hidden, *how)
 
 
-def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
-    if keys.offsets_nm:
-        return _ramp(name, keys, keys.offsets_nm, hidden, rng)
+def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> Iterator[_Member]:
+    effects, angle_deg = effects_of(hidden), keys.derotator_angle_deg
+    if offsets_nm := keys.offsets_nm:
+        order = visiting_order(offsets_nm, keys.order)
+        reached = reached_nm([offsets_nm[index] for index in order], effects, rng).tolist()
+        for index, own in enumerate(numbered(name, "offset", offsets_nm)):
+            place = order.index(index)
+            yield _Member(own, place, offsets_nm[index], reached[place], angle_deg)
+        return
+    of_frames = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects, rng)
     commanded_nm: Defocus
     true_nm: Defocus
-    reached = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects_of(hidden), rng)
     if isinstance(keys.introduced_nm, list):
-        commanded_nm, true_nm = tuple(keys.introduced_nm), tuple(reached.tolist())
+        commanded_nm, true_nm = tuple(keys.introduced_nm), tuple(of_frames.tolist())
     else:
-        commanded_nm, true_nm = keys.introduced_nm, float(reached[0])
-    if not keys.angles_deg:
-        return [_Member(name, 0, commanded_nm, true_nm, keys.derotator_angle_deg)]
-    turns = zip(numbered(name, "angle", keys.angles_deg), keys.angles_deg, strict=True)
-    return [_Member(own, index, commanded_nm, true_nm, angle) for index, (own, angle) in enumerate(turns)]
-
-
-def _ramp(
-    name: str, keys: RecordingKeys, offsets_nm: Sequence[float], hidden: Mapping, rng: np.random.Generator
-) -> list[_Member]:
-    order = visiting_order(offsets_nm, keys.order)
-    reached = reached_nm([offsets_nm[index] for index in order], effects_of(hidden), rng).tolist()
-    places = [order.index(index) for index in range(len(order))]
-    return [
-        _Member(own, place, commanded_nm, reached[place], keys.derotator_angle_deg)
-        for own, place, commanded_nm in zip(
-            numbered(name, "offset", offsets_nm), places, offsets_nm, strict=True
-        )
-    ]
+        commanded_nm, true_nm = keys.introduced_nm, float(of_frames[0])
+    names = numbered(name, "angle", keys.angles_deg) if keys.angles_deg else [name]
+    for index, (own, angle) in enumerate(zip(names, keys.angles_deg or [angle_deg], strict=True)):
+        yield _Member(own, index, commanded_nm, true_nm, angle)
 
 
 def numbered(name: str, what: str, values: Sequence[float]) -> list[str]:
