@@ -42,7 +42,7 @@ from irlos_pipe.diagnosis.search.scores import Family, Score, score_family, scor
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import direction_of, rests
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
-from irlos_pipe.effects.base import on_every_side
+from irlos_pipe.effects.base import label_of, on_every_side
 from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
@@ -105,9 +105,9 @@ class EvidenceTask(Task):
             if laplace is before:
                 break
             deepest = laplace
-        for label, odds in [*entered.items()]:  # before all is found, an image is blurred more than it is
+        for label, odds in reversed([*entered.items()]):  # before all is found, an image is blurred more
             narrower, form = self._in_best_form(laplace, label, wider=False)
-            if form != label:
+            if narrower is not laplace:
                 laplace, entered[form] = self._settled(narrower), odds
         if _misfit(self.cube.training, laplace) > FAR_OFF:
             laplace = self._nearest(laplace)
@@ -226,16 +226,17 @@ class EvidenceTask(Task):
             return laplace, label
         judge = laplace.posterior.sharp if wider else laplace.posterior
         best = judge.minimised(laplace.x, AGAIN, roughly=True, slopes=laplace.columns)
+        chosen = None
         for form in (side for one in forms for side in _sides(one, len(found.base.parameters))):
             posterior = judge.with_effects([*others.values(), form.only_in(found.acts_in)])
             other = posterior.minimised(posterior.start(fitted), AGAIN, roughly=True)
             if other.log_evidence > best.log_evidence + (PROMISING if wider else -PROMISING):
-                best = other
-        new = [one for one in best.fitted.problem.effects.labels if one not in others]
-        if new == [label]:
+                best, chosen = other, form
+        if chosen is None:
             return laplace, label
         posterior = laplace.posterior.with_effects(best.fitted.continued())
-        return posterior.minimised(best.x, JOINTLY, roughly=True), new[0]
+        present = sum(one.name == chosen.name for one in others.values())
+        return posterior.minimised(best.x, JOINTLY, roughly=True), label_of(chosen.name, present)
 
     # -- proposals -------------------------------------------------------------------------------
 

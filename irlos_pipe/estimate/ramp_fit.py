@@ -222,17 +222,17 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)
     values, before, lowest = problem.held, math.inf, math.inf
     status = MAX_ITERATIONS
-    x = _own_parameters(problem, x)
+    x = kept = _own_parameters(problem, x)
     for _ in range(OUTER_ITERATIONS):
         chi2, steps, *reduced = _linearised(problem, x)
         if not chi2 <= lowest * (1 + ROUNDING):  # the images have not followed by a step
-            x = _own_parameters(problem, x)
+            x = _own_parameters(problem, kept)
             chi2, steps, *reduced = _linearised(problem, x)
         gradient, information = _with_prior(parameters, values, *reduced)
         covariance = torch.linalg.inv(information)
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])
         step = float(((trial - values).abs() / torch.diagonal(covariance).sqrt()).max())
-        x, lowest = x + steps @ torch.cat([values - trial, values.new_ones(1)]), chi2
+        kept, x, lowest = x, x + steps @ torch.cat([values - trial, values.new_ones(1)]), chi2
         values, problem = trial, problem.holding(trial)
         if _still_ahead(step, before) < STEP_SIGMA:
             status = CONVERGED
