@@ -75,7 +75,9 @@ def checks_of(results: DiagnoseResults) -> list[Check]:
     """Return the check of a diagnosis: that the model with what was named in `results` lacks nothing."""
     explained = results.verdict != UNKNOWN and not results.unexplained
     grade = f", {results.grade}" if results.grade and results.grade != results.verdict else ""
-    message = f"{results.verdict}{grade}: {results.sentence}"
+    rest = results.rest.text if results.rest else ""
+    left = "" if explained else results.why_unknown or rest  # the whole sentence stands beside it
+    message = f"{results.verdict}{grade}: {left or results.sentence}"
     return [Check("everything explained", float(explained), "", 1.0, None, message)]
 
 
