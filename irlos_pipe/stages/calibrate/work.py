@@ -180,6 +180,7 @@ def _with_causes(
 NOTHING_EXPLAINS = "nothing that was tried explains it; irlos run diagnose tries more"
 NOT_TESTED = "causes are computed for the mean image of one star only; irlos run diagnose tries more"
 SETUPS_NOT_TESTED = "causes are not computed for several set-ups together; calibrate.each looks for them"
+INACCURATE = 0.1  # part of introduced defoci; stages are better calibrated than that
 LABEL_WIDTH = 24  # letters before the numbers in lines for the terminal; the longest effect has 22
 HIGHER = DEFOCUS  # first mode of the wavefront without tip and tilt
 MEAN = ("noll", "zernike_nm", "modes_nm", "covariance_nm2", "effects")  # arrays of the mean over cubes
@@ -200,6 +201,11 @@ def _joint_output(
         setups=[SetupRow.filled_from(one, introduced_nm=one.known_nm) for one in result.setups],
         introduced_accuracy=result.introduced_accuracy,
     )
+    if result.introduced_accuracy > INACCURATE:
+        ctx.log.warning(
+            f"the planes want introduced defoci that are {result.introduced_accuracy:.0%} off the declared "
+            "ones: check the calibration of what introduces them; errors of the NCPAs allow for it"
+        )
     summary = _summary(result, others)
     return StageOutput(_arrays(result), results, checks_of(ctx.config, result), summary=summary)
 
