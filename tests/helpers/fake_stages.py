@@ -154,6 +154,7 @@ def report_module() -> ModuleType:
 
     module.write_report = write_report
     module.report_sections = lambda run: []
+    module.FORMATS, module.write_figures = (), lambda run, formats: []
     return module
 
 
