@@ -17,7 +17,6 @@ from helpers.paths import SAMPLES
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.focus import calibration as calibration_module
 from irlos_pipe.focus.calibration import CalibrationRequest
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.recordings import Replay
@@ -134,13 +133,13 @@ def test_samples_read_out_in_another_orientation_are_not_valid(run, turn):
 
 @pytest.mark.slow
 def test_a_calibration_with_frames_of_a_2x2_mode_asks_for_those_of_the_full_pupil(run, monkeypatch):
-    real = calibration_module._like_the_ramp
+    real = CalibrationRequest._frames
 
     def two_by_two(*arguments):
         recording, *rest = real(*arguments)
         return replace(recording, acquisition=replace(recording.acquisition, lenslets=2)), *rest
 
-    monkeypatch.setattr(calibration_module, "_like_the_ramp", two_by_two)
+    monkeypatch.setattr(CalibrationRequest, "_frames", two_by_two)
     with pytest.raises(ConfigurationError, match=r"2x2 mode.*full pupil.*--acquisition FILE"):
         CalibrationRequest(run, despite_qc=True).load()
 
