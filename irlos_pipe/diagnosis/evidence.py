@@ -101,10 +101,10 @@ class EvidenceTask(Task):
                     break
             if laplace is deepest:
                 break
-            before, laplace = laplace, self._deepest(laplace)
-            if laplace is before:
+            deeper = self._deepest(laplace)
+            if deeper is laplace:
                 break
-            deepest = laplace
+            laplace = deepest = deeper
         for label, odds in reversed([*entered.items()]):  # before all is found, an image is blurred more
             narrower, form = self._in_best_form(laplace, label, wider=False)
             if narrower is not laplace:

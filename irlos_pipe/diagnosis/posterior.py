@@ -173,6 +173,8 @@ class Covariance:
     def with_errors(self, model_rms: float, flat_rms: float) -> Covariance:
         """The same with other errors of model and flat; those tried before are known."""
         key = model_rms, flat_rms
+        if key == (self.model_rms, self.flat_rms):
+            return self
         if key not in self.known:
             self.known[key] = replace(self, model_rms=model_rms, flat_rms=flat_rms)
         return self.known[key]
@@ -349,12 +351,12 @@ class Posterior:
             if slopes is None:
                 slopes = (self.coarse if coarse else self.exact).predict_and_jacobian(x)[1]
             design, slopes = self.covariance.whiten(slopes.mT), None
-            hessian = design.mT @ design + torch.diag(self.prior_precision)
+            hessian = self._hessian(design)
             before, first, enough = value, math.inf, CONVERGED_AT * max(1.0, value / self.exact.freedom)
             for _ in range(CHORDS):
-                gradient = self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
+                gradient = self._gradient(x, design, left)
                 step_of, ahead = _steps(x, gradient, hessian, lower, upper)
-                first = min(first, ahead) if first is math.inf else first
+                first = ahead if first == math.inf else first
                 fall = 0.0
                 for _ in range(0 if ahead < enough else TRIALS):
                     step = step_of(damping)
@@ -381,9 +383,13 @@ class Posterior:
         image = self.exact.predict(x) if coarse else image
         design = self.covariance.whiten(columns.mT)
         left = self.covariance.whiten((self.images.stack.mean_e - image)[:, None])[:, 0]
-        gradient = self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
-        hessian = design.mT @ design + torch.diag(self.prior_precision)
-        return image, columns, design, left, gradient, hessian
+        return image, columns, design, left, self._gradient(x, design, left), self._hessian(design)
+
+    def _gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:
+        return self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
+
+    def _hessian(self, design: torch.Tensor) -> torch.Tensor:
+        return design.mT @ design + torch.diag(self.prior_precision)
 
 
 def _steps(x, gradient, hessian, lower, upper):
