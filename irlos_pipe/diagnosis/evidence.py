@@ -42,7 +42,7 @@ from irlos_pipe.diagnosis.search.scores import Family, Score, score_family, scor
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import direction_of, rests
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
-from irlos_pipe.effects.base import label_of, on_every_side
+from irlos_pipe.effects.base import on_every_side
 from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
@@ -86,17 +86,15 @@ class EvidenceTask(Task):
 
         starts = ordered_map(begun, (None, search.final.fitted))
         laplace = self._settled(max(starts, key=lambda one: one.log_evidence))
-        entered: dict[str, float] = {}
         known: list[Score] = []
-        deepest = None
+        entered, deepest = 0, None
         while True:
-            for _ in range(self.options.most_names + 1 - len(entered)):
+            while entered <= self.options.most_names:
                 found = self._proposed(laplace, known)
                 best = self._best(laplace, found)
                 if best is None:
                     break
-                laplace, label, entered[label] = best
-                laplace = self._settled(laplace)
+                laplace, entered = self._settled(best), entered + 1
                 if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                     break
             if laplace is deepest:
@@ -105,14 +103,16 @@ class EvidenceTask(Task):
             if deeper is laplace:
                 break
             laplace = deepest = deeper
-        for label, odds in reversed([*entered.items()]):  # before all is found, an image is blurred more
-            narrower, form = self._in_best_form(laplace, label, wider=False)
-            if narrower is not laplace:
-                laplace, entered[form] = self._settled(narrower), odds
+        wide = laplace
+        for label in reversed(laplace.fitted.problem.effects.labels):  # before all is found, images blur more
+            if label not in labels_of(declared):
+                laplace = self._in_best_form(laplace, label, wider=False)
+        if laplace is not wide:
+            laplace = self._settled(laplace)
         if _misfit(self.cube.training, laplace) > FAR_OFF:
             laplace = self._nearest(laplace)
         laplace = laplace.posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
-        return self._named(search, laplace, declared, entered, found)
+        return self._named(search, laplace, declared, found)
 
     # -- fits ------------------------------------------------------------------------------------
 
@@ -179,8 +179,8 @@ class EvidenceTask(Task):
         self.report(len(ends))
         return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
 
-    def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, str, float] | None:
-        """The fit with the effect of the best odds, its label and the odds; None if none is worth it."""
+    def _best(self, laplace: Laplace, found: Sequence[Score]) -> Laplace | None:
+        """The fit with the effect of the best odds; None if none is worth it."""
         likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
         tried = [
             ((other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation), other)
@@ -195,48 +195,45 @@ class EvidenceTask(Task):
             return None
         known = {*laplace.fitted.problem.effects.labels}
         label = next(one for one in best.fitted.problem.effects.labels if one not in known)
-        return *self._in_best_form(best, label, wider=True), odds
+        return self._in_best_form(best, label, wider=True)
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
         start = score.start(WITHIN)
         start = start.base.whole(start, score.sizes).only_in(score.candidate.acts_in)
-        posterior = laplace.posterior.with_effects([*laplace.fitted.continued(), start])
-        plain = posterior.start(laplace.fitted)
         null = torch.tensor(score.candidate.null_values, dtype=torch.float64)
         sizes = start.values[score.candidate.free] - null.numpy()
         shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
-        moved = posterior.start(laplace.fitted.moved(laplace.making_room(shape)))
+        begun = []
+        for fitted in (laplace.fitted, laplace.fitted.moved(laplace.making_room(shape))):
+            posterior = laplace.posterior.with_effects([*fitted.continued(), start])
+            begun.append(posterior.start(fitted))
         try:
-            return posterior.minimised(min(plain, moved, key=posterior.half_chi2), JOINTLY, roughly=True)
+            return posterior.minimised(min(begun, key=posterior.half_chi2), JOINTLY, roughly=True)
         except (ValueError, torch.linalg.LinAlgError):
             return None
 
-    def _in_best_form(self, laplace: Laplace, label: str, *, wider: bool) -> tuple[Laplace, str]:
-        """The fit with an effect, or with a wider or narrower form that has better odds, and its label.
+    def _in_best_form(self, laplace: Laplace, label: str, *, wider: bool) -> Laplace:
+        """The fit with an effect, or with a wider or narrower form that has better odds.
 
         An error of the model would hide that a form is too narrow: for wider ones there is none.
         """
         fitted, others = laplace.fitted, laplace.fitted.continued_by_label()
-        if label not in others:
-            return laplace, label
         found = others.pop(label)
         forms = in_other_forms(found.name, self.conditions, fitted.values_of(label), wider=wider)
         if not forms:
-            return laplace, label
+            return laplace
         judge = laplace.posterior.sharp if wider else laplace.posterior
-        best = judge.minimised(laplace.x, AGAIN, roughly=True, slopes=laplace.columns)
-        chosen = None
+        best = judged = judge.minimised(laplace.x, AGAIN, roughly=True, slopes=laplace.columns)
         for form in (side for one in forms for side in _sides(one, len(found.base.parameters))):
             posterior = judge.with_effects([*others.values(), form.only_in(found.acts_in)])
             other = posterior.minimised(posterior.start(fitted), AGAIN, roughly=True)
             if other.log_evidence > best.log_evidence + (PROMISING if wider else -PROMISING):
-                best, chosen = other, form
-        if chosen is None:
-            return laplace, label
-        posterior = laplace.posterior.with_effects(best.fitted.continued())
-        present = sum(one.name == chosen.name for one in others.values())
-        return posterior.minimised(best.x, JOINTLY, roughly=True), label_of(chosen.name, present)
+                best = other
+        if best is not judged:
+            posterior = laplace.posterior.with_effects(best.fitted.continued())
+            return posterior.minimised(best.x, JOINTLY, roughly=True)
+        return laplace
 
     # -- proposals -------------------------------------------------------------------------------
 
@@ -265,17 +262,12 @@ class EvidenceTask(Task):
     # -- names -----------------------------------------------------------------------------------
 
     def _named(
-        self,
-        search: Search,
-        laplace: Laplace,
-        declared: Sequence[Effect],
-        entered: dict[str, float],
-        found: list[Score],
+        self, search: Search, laplace: Laplace, declared: Sequence[Effect], found: list[Score]
     ) -> Search:
         """The search with its names: what has the odds, explains its own, and no held-out data object to."""
         final = _Final(self, laplace, declared)
         beyond = final.beyond
-        named = [one for label in beyond if (one := self._judged(final, label, entered, found)) is not None]
+        named = [one for label in beyond if (one := self._judged(final, label, found)) is not None]
         named = sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
         adjusted = sorted(set(beyond) - {one.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
@@ -291,13 +283,9 @@ class EvidenceTask(Task):
             tolerant=True,
         )
 
-    def _judged(
-        self, final: _Final, label: str, entered: dict[str, float], found: Sequence[Score]
-    ) -> Accepted | None:
+    def _judged(self, final: _Final, label: str, found: Sequence[Score]) -> Accepted | None:
         """The name for an effect of the final model, or None."""
-        odds = final.linear.log_odds(label)
-        odds = min(odds, entered[label]) if label in entered else odds
-        if not odds > SURE:
+        if not final.linear.log_odds(label) > SURE:
             return None
         refit = final.refit(label)
         lit = _is_lit(final.laplace, refit.base, refit.values)

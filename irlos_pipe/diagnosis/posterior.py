@@ -50,7 +50,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 
 DISC = 0.86  # of speckles' correlation sinc²(DISC · D x/λ) along an axis, as wide at half as an Airy disc's
 SMOOTHED, SAMPLED = 0.6, 0.4  # parts of the speckles' variance correlated as an Airy disc, and as frames show
-FAINTEST = 1e-2  # part of the strongest correlated shape, below which one is left out
+FAINTEST = 0.03  # part of the variance of the strongest shape along an axis, below which one is left out
 NOTHING = 1e-6  # correlated variance over that of single pixels, which rounding may leave of an axis
 MODEL_ERRORS = (0.0, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2)  # s that are tried
 FLAT_ERRORS = (0.0, 0.0015, 0.003, 0.005, 0.008, 0.012, 0.02, 0.04)  # f that are tried
@@ -102,7 +102,7 @@ class _Scatter:
     photons_e2: torch.Tensor  # (pixels,), infinite for pixels that no fit sees
     speckles_e2: torch.Tensor  # (pixels,)
     light_e: torch.Tensor  # (pixels,), smoothed
-    correlated: torch.Tensor  # (pixels, m): shapes of what is correlated as an Airy disc, with variance one
+    airy: _Airy  # what is correlated as an Airy disc, with variance one
     sample_e: torch.Tensor  # (pixels, frames): the frames' own covariance is its square
 
     @classmethod
@@ -124,21 +124,41 @@ class _Scatter:
             equal = images * (flux.mean() / flux)
             sample = (equal - equal.mean(0)).mT * math.sqrt(SAMPLED * slow / count / (count - 1))
         photons = torch.where(good, photons.double(), torch.inf)
-        return cls(photons, SMOOTHED * speckles, light, _correlated(weights.shape, settings), sample.float())
+        return cls(photons, SMOOTHED * speckles, light, _Airy.of(settings), sample.float())
 
 
-def _correlated(window: tuple[int, ...], settings: PsfSettings) -> torch.Tensor:
-    """Root of the correlation of speckles between the pixels of a window, (pixels, m)."""
-    across_px = resolution_px(settings.mean_nm * 1e-9, settings.geometry.diameter_m, settings.pixel_scale_mas)
-    axes = []
-    for size in window:
-        apart = np.subtract.outer(np.arange(size), np.arange(size)) * DISC / across_px
-        values, vectors = np.linalg.eigh(np.sinc(apart) ** 2)
-        axes.append(vectors * np.sqrt(values.clip(min=0)))
-    power = np.multiply.outer(*((axis**2).sum(0) for axis in axes))
-    kept = np.argwhere(power > FAINTEST * power.max())
-    shapes = [np.outer(axes[0][:, i], axes[1][:, j]).ravel() for i, j in kept]
-    return torch.as_tensor(np.stack(shapes, axis=1), dtype=torch.float32)
+@dataclass(frozen=True)
+class _Airy:
+    """Root of the correlation of speckles between the pixels of a window, (pixels, m); it is separable."""
+
+    along_y: torch.Tensor  # (rows, ·)
+    along_x: torch.Tensor  # (columns, ·)
+
+    @classmethod
+    def of(cls, settings: PsfSettings) -> _Airy:
+        diameter_m, axes = settings.geometry.diameter_m, []
+        across_px = resolution_px(settings.mean_nm * 1e-9, diameter_m, settings.pixel_scale_mas)
+        for size in settings.window:
+            apart = np.subtract.outer(np.arange(size), np.arange(size)) * DISC / across_px
+            values, vectors = np.linalg.eigh(np.sinc(apart) ** 2)
+            kept = values > FAINTEST * values.max()
+            axes.append(torch.as_tensor(vectors[:, kept] * np.sqrt(values[kept]), dtype=torch.float32))
+        return cls(*axes)
+
+    @property
+    def shapes(self) -> torch.Tensor:
+        """Itself, (pixels, m)."""
+        return torch.kron(self.along_y, self.along_x)
+
+    def seen(self, images: torch.Tensor) -> torch.Tensor:
+        """Its products with images (pixels, n), (m, n)."""
+        cube = images.mT.reshape(-1, len(self.along_y), len(self.along_x))
+        return (self.along_y.mT @ cube @ self.along_x).flatten(1).mT
+
+    def made(self, sizes: torch.Tensor) -> torch.Tensor:
+        """Images (pixels, n) with so much of every shape, (m, n)."""
+        cube = sizes.mT.reshape(-1, self.along_y.shape[1], self.along_x.shape[1])
+        return (self.along_y @ cube @ self.along_x.mT).flatten(1).mT
 
 
 @dataclass(frozen=True)
@@ -160,8 +180,10 @@ class Covariance:
         """Of pixels each by itself, with the variance of so many times their photons', and the flat's."""
         scatter = []
         for one in self.scatter:
-            nothing = {"correlated": one.correlated[:, :0], "sample_e": one.sample_e[:, :0]}
-            scatter.append(replace(one, photons_e2=louder * one.photons_e2, **nothing))
+            nothing, photons_e2 = torch.zeros_like(one.speckles_e2), louder * one.photons_e2
+            scatter.append(
+                replace(one, photons_e2=photons_e2, speckles_e2=nothing, sample_e=one.sample_e[:, :0])
+            )
         return Covariance(scatter, 0.0, self.flat_rms)
 
     @cached_property
@@ -195,7 +217,7 @@ class Covariance:
         """ln det(1 + A Aᵀ), and for each recording M of (1 + A Aᵀ)^(−½) = 1 − A M Aᵀ."""
         log_determinant, found = 0.0, []
         for one, (_, airy, own) in zip(self.scatter, self._scales, strict=True):
-            whole = torch.cat([one.correlated * airy, one.sample_e * own], 1)
+            whole = torch.cat([one.airy.shapes * airy, one.sample_e * own], 1)
             values, vectors = torch.linalg.eigh((whole.mT @ whole).double())
             values = values.clamp_min(NOTHING)
             log_determinant += float(torch.log1p(values).sum())
@@ -211,10 +233,9 @@ class Covariance:
         white = shapes * self.root[:, None]
         for one, (at, airy, own), inner in zip(self.scatter, self._scales, self._inside[1], strict=True):
             there = white[at].float()
-            along = torch.cat([one.correlated.mT @ (airy * there), one.sample_e.mT @ (own * there)])
-            along = inner @ along
-            split = one.correlated.shape[1]
-            white[at] -= airy * (one.correlated @ along[:split]) + own * (one.sample_e @ along[split:])
+            along = inner @ torch.cat([one.airy.seen(airy * there), one.sample_e.mT @ (own * there)])
+            smooth, sampled = along.tensor_split([len(along) - one.sample_e.shape[1]])
+            white[at] -= airy * one.airy.made(smooth) + own * (one.sample_e @ sampled)
         return white
 
 
@@ -305,22 +326,8 @@ class Posterior:
         return left, value if math.isfinite(value) else math.inf
 
     def start(self, near: Fitted | None = None) -> torch.Tensor:
-        """Where a fit begins: nothing but the star at its place, or where a fit `near` by is."""
-        x = self.images.fitter.start(self.exact)
-        if near is not None:
-            known = near.problem
-            modes = slice(0, min(len(known.layout.nolls), len(self.exact.layout.nolls)))
-            x[:, modes] = near.x[:, modes]
-            if known.tail == self.exact.tail:
-                x[:, -known.tail :] = near.x[:, -known.tail :]
-            begin = self.exact.layout.effect_values.start
-            for label in known.effects.labels:
-                columns = near.columns_of(label)
-                if label in self.exact.effects.labels:
-                    own = [begin + index for index in self.exact.effects.columns_of(label)]
-                    if len(own) == len(columns):
-                        x[:, own] = near.x[:, columns]
-        return x.clamp(self.exact.lower, self.exact.upper)
+        """Where a fit begins: nothing but the star at its place and the effects, or all else `near` by."""
+        return self.images.fitter.start(self.exact, near).clamp(self.exact.lower, self.exact.upper)
 
     def minimised(
         self, x: torch.Tensor, iterations: int, *, roughly: bool = False, slopes: torch.Tensor | None = None

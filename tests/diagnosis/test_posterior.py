@@ -60,7 +60,7 @@ def dense(covariance: Covariance) -> np.ndarray:
     (one,) = covariance.scatter
     own = np.diag((one.photons_e2 + (covariance.flat_rms * one.light_e) ** 2).numpy())
     rms = (one.speckles_e2 + covariance.model_rms**2 * one.light_e.max() * one.light_e).sqrt()
-    shapes = (one.correlated * rms[:, None]).numpy()
+    shapes = (one.airy.shapes * rms[:, None]).numpy()
     return own + shapes @ shapes.T + one.sample_e.numpy() @ one.sample_e.numpy().T
 
 
