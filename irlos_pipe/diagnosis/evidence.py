@@ -86,15 +86,17 @@ class EvidenceTask(Task):
 
         starts = ordered_map(begun, (None, search.final.fitted))
         laplace = self._settled(max(starts, key=lambda one: one.log_evidence))
+        entered = {one.base: math.inf for one in laplace.fitted.effects}  # the odds with which they did
+        most, deepest = len(entered) + self.options.most_names, None
         known: list[Score] = []
-        entered, deepest = 0, None
         while True:
-            while entered <= self.options.most_names:
+            while len(laplace.fitted.effects) <= most:
                 found = self._proposed(laplace, known)
-                best = self._best(laplace, found)
+                best, odds = self._best(laplace, found)
                 if best is None:
                     break
-                laplace, entered = self._settled(best), entered + 1
+                laplace = self._settled(best)
+                entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
                 if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                     break
             if laplace is deepest:
@@ -112,7 +114,7 @@ class EvidenceTask(Task):
         if _misfit(self.cube.training, laplace) > FAR_OFF:
             laplace = self._nearest(laplace)
         laplace = laplace.posterior.minimised(laplace.x, JOINTLY, slopes=laplace.columns)
-        return self._named(search, laplace, declared, found)
+        return self._named(search, laplace, declared, entered, found)
 
     # -- fits ------------------------------------------------------------------------------------
 
@@ -179,8 +181,8 @@ class EvidenceTask(Task):
         self.report(len(ends))
         return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
 
-    def _best(self, laplace: Laplace, found: Sequence[Score]) -> Laplace | None:
-        """The fit with the effect of the best odds; None if none is worth it."""
+    def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace | None, float]:
+        """The fit with the effect of the best odds, and the odds; none if it is not worth it."""
         likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
         tried = [
             ((other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation), other)
@@ -189,13 +191,13 @@ class EvidenceTask(Task):
         ]
         self.report(1)
         if not tried:
-            return None
+            return None, 0.0
         odds, best = max(tried, key=lambda one: one[0])
         if odds < WORTH:
-            return None
+            return None, odds
         known = {*laplace.fitted.problem.effects.labels}
         label = next(one for one in best.fitted.problem.effects.labels if one not in known)
-        return self._in_best_form(best, label, wider=True)
+        return self._in_best_form(best, label, wider=True), odds
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
@@ -262,12 +264,17 @@ class EvidenceTask(Task):
     # -- names -----------------------------------------------------------------------------------
 
     def _named(
-        self, search: Search, laplace: Laplace, declared: Sequence[Effect], found: list[Score]
+        self,
+        search: Search,
+        laplace: Laplace,
+        declared: Sequence[Effect],
+        entered: dict[Effect, float],
+        found: list[Score],
     ) -> Search:
         """The search with its names: what has the odds, explains its own, and no held-out data object to."""
         final = _Final(self, laplace, declared)
         beyond = final.beyond
-        named = [one for label in beyond if (one := self._judged(final, label, found)) is not None]
+        named = [one for label in beyond if (one := self._judged(final, label, entered, found)) is not None]
         named = sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
         adjusted = sorted(set(beyond) - {one.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
@@ -283,9 +290,12 @@ class EvidenceTask(Task):
             tolerant=True,
         )
 
-    def _judged(self, final: _Final, label: str, found: Sequence[Score]) -> Accepted | None:
+    def _judged(
+        self, final: _Final, label: str, entered: dict[Effect, float], found: Sequence[Score]
+    ) -> Accepted | None:
         """The name for an effect of the final model, or None."""
-        if not final.linear.log_odds(label) > SURE:
+        odds = entered.get(final.all_modes.effect(label).base, math.inf)
+        if not min(final.linear.log_odds(label), odds) > SURE:
             return None
         refit = final.refit(label)
         lit = _is_lit(final.laplace, refit.base, refit.values)

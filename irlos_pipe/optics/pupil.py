@@ -59,10 +59,10 @@ class Division:
             yield from self.shared(x_m, y_m, step_m)
             return
         index = self.index(x_m, y_m)
-        for number in np.unique(index).tolist():
+        for number in range(self.count):
             inside = index == number
             columns = np.flatnonzero(inside.any(0))
-            touched = slice(int(columns[0]), int(columns[-1]) + 1)
+            touched = slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else slice(0)
             yield number, touched, inside[:, touched]
 
 
