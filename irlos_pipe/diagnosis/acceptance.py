@@ -1,26 +1,20 @@
-"""Whether a fitted name is accepted, and whether names found earlier are still needed."""
+"""Whether a fitted name is accepted."""
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from irlos_pipe.diagnosis.checks.drift import MOVING, Drift, motion_ratio
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, alternatives, gap_between, preference
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import Alternative, Ranked
-from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit, other_forms
+from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.effects.base import label_of, occurrences
 
-MUST_EXPLAIN = 0.8  # part of what is left that a further name must explain
 SIGNIFICANT = 5.0  # standard errors of the excess, from which that of a moment counts
-PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
 HARDLY_MORE = 1.25  # times what the best leaves, up to which names are equal while something else is missing
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known
 
@@ -35,11 +29,15 @@ class Accepted:
     alternatives: Sequence[Alternative]
     ranking: Sequence[Ranked]
     rivals: Sequence[Refit] = ()  # fits of the alternatives
-    label: str = ""  # in the model with which a search ended; unless known, it is the last of its kind there
 
     @property
     def name(self) -> str:
         return self.refit.name
+
+    @property
+    def label(self) -> str:
+        """In the model with which a search ended."""
+        return self.refit.label
 
     @property
     def ordinary(self) -> bool:
@@ -70,19 +68,12 @@ class Search:
         return self.final.under(stack).excess
 
 
-def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:
+def choose(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
     """Choose the best of the fitted names, which are `ranked` with the best first, or None.
 
-    It must be significant, the held-out frames must agree, and a further name, not the `first`, must explain
-    most of what is left.
+    It must be significant, and the held-out frames must agree.
     """
-    if not ranked or not detected(ranked[0], cube, options.sure):
-        return None
-    best = ranked[0]
-    before = best.origin
-    if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
-        return None
-    return _preferred(ranked, cube)
+    return _preferred(ranked, cube) if ranked and detected(ranked[0], cube, options.sure) else None
 
 
 def _preferred(ranked: Sequence[Refit], cube: Cube) -> Accepted | None:
@@ -195,66 +186,3 @@ def explained(refit: Refit) -> float:
         return (pairs[0][0] - pairs[0][1]) / max(pairs[0][0], refit.gain)
     significant = [one for one in pairs if one[0] > SIGNIFICANT * refit.origin.excess.sigma]
     return max(((before - after) / before for before, after in significant), default=0.0)
-
-
-def no_longer_needed(
-    fitter: Fitter, current: Optimum, accepted: Sequence[Accepted]
-) -> tuple[Accepted, Fitted] | None:
-    """A name found earlier without which the model fits as well, and that fit; None if all are needed.
-
-    `current` is the model with all names; the last of the `accepted` is not in question.
-    """
-    for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
-        price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
-        without = _without(fitter, current.fitted, own)
-        if without.chi2 - current.fitted.chi2 < PLAINLY * price:
-            without = fitter.finished(without)
-        if without.chi2 - current.fitted.chi2 < price:
-            return one, without
-    return None
-
-
-def narrowed(
-    fitter: Fitter, cube: Cube, current: Optimum, found: Sequence[Accepted]
-) -> tuple[Optimum, list[Accepted]]:
-    """A model and its names, narrower forms in the place of wider ones that fit no better with all others.
-
-    Before image motion is found, a second image is blurred more than it is.
-    """
-    names = list(found)
-    for place, one in enumerate(found):
-        if not one.refit.base.widens:
-            continue
-        wider = _with_all_names(fitter, current, one.refit, labels_in(current.fitted, names)[place])
-        for narrower in other_forms(fitter, [wider], wider=False):
-            chosen = _preferred([wider, replace(narrower, fitted=fitter.finished(narrower.fitted))], cube)
-            if chosen is not None and chosen.name == narrower.name:
-                names[place], current = chosen, chosen.refit.optimum
-    return current, names
-
-
-def _with_all_names(fitter: Fitter, current: Optimum, refit: Refit, label: str) -> Refit:
-    """A name in the model with all names, against that model without it."""
-    origin = Optimum(current.stack, _without(fitter, current.fitted, label))
-    return Refit(refit.score, origin, current.fitted, label)
-
-
-def _without(fitter: Fitter, fitted: Fitted, label: str) -> Fitted:
-    """The fit of a model without one of its effects, from where that is."""
-    effects = fitted.continued_by_label()
-    return fitter.explored([one for other, one in effects.items() if other != label], fitted)
-
-
-def labels_in(fitted: Fitted, accepted: Sequence[Accepted]) -> list[str]:
-    """Labels of `accepted` names in a model that has them all: their own, or the last of their kinds.
-
-    Of one kind they keep their order, even if others of it have gone.
-    """
-    if all(one.label for one in accepted):
-        return [one.label for one in accepted]
-    kinds = Counter(effect.name for effect in fitted.effects)
-    kinds.subtract(one.name for one in accepted)
-    ordered = sorted(accepted, key=lambda one: (len(one.refit.label), one.refit.label))
-    places = occurrences(one.name for one in ordered)
-    found = {id(one): label_of(one.name, kinds[one.name] + n) for one, n in zip(ordered, places, strict=True)}
-    return [found[id(one)] for one in accepted]

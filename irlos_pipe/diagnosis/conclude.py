@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, labels_in
+from irlos_pipe.diagnosis.acceptance import Accepted, Search
 from irlos_pipe.diagnosis.checks.drift import motion_ratio
 from irlos_pipe.diagnosis.checks.fine_structure import fine_structure, flat_rms
 from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
@@ -155,11 +155,10 @@ def _advice(hidden: Sequence[Score], seconds: SecondRecordings) -> dict[str, Adv
 
 def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> Step:
     """`step` with the second recordings that distinguish its alternatives from it best."""
-    named = zip(labels_in(search.final.fitted, search.accepted), search.accepted, strict=True)
     advised = [
         pair
-        for label, one in named
-        if label == step.label
+        for one in search.accepted
+        if one.label == step.label
         for pair in seconds.separating(one.refit, one.rivals)
     ]
     alternatives = [
@@ -195,10 +194,8 @@ def _apart(effect: Effect, values: np.ndarray, covariance: np.ndarray) -> float:
 
 def _steps(search: Search, shares: Sequence[float], covariances: Covariances) -> list[Step]:
     fitted = search.final.fitted
-    rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
-    return [
-        replace(_step(one, label, fitted, covariances.of(label)), share=share) for one, label, share in rows
-    ]
+    rows = zip(search.accepted, shares, strict=True)
+    return [replace(_step(one, fitted, covariances.of(one.label)), share=share) for one, share in rows]
 
 
 def _before_ordinary(steps: Sequence[Step], one: Step) -> list[Step]:
@@ -214,13 +211,13 @@ def _nearest(search: Search) -> Step | None:
         return None
     refit = search.nearest.refit
     covariance = Covariances(refit.optimum.stack, refit.fitted).of(refit.label)
-    step = _step(search.nearest, refit.label, refit.fitted, covariance)
+    step = _step(search.nearest, refit.fitted, covariance)
     return replace(step, share=share_at_its_place(refit, refit.optimum))
 
 
-def _step(accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:
+def _step(accepted: Accepted, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
-    base, values = refit.base, fitted.values_of(label)
+    base, values = refit.base, fitted.values_of(refit.label)
     return Step(
         **_sizes(base, values, covariance),
         significance=refit.significance,
@@ -229,7 +226,7 @@ def _step(accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray
         gap=accepted.gap,
         alternatives=accepted.alternatives,
         ranking=accepted.ranking,
-        label=label,
+        label=accepted.label,
     )
 
 

@@ -314,7 +314,7 @@ class EvidenceTask(Task):
         ]
         ranking = [Ranked(refit.name, refit.gain, 1.0, refit.significance, z)]
         gap = gap_between(judges[1], judges[0])
-        return Accepted(refit, z, gap, alternatives, ranking, [one for one, _ in rivals], label)
+        return Accepted(refit, z, gap, alternatives, ranking, [one for one, _ in rivals])
 
 
 class _Final:

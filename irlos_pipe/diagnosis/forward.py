@@ -1,9 +1,9 @@
-"""The search that adds one name after the other until nothing significant is missing."""
+"""The search for a single name that explains what is missing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, explained, narrowed, no_longer_needed
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose
 from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Cube
@@ -12,13 +12,13 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.moments import Moments, Placement
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.refit import Refit, refits
+from irlos_pipe.diagnosis.refit import refits
 from irlos_pipe.diagnosis.search.scores import Family, Score, families, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
 from irlos_pipe.diagnosis.starts import with_wavefront
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
+from irlos_pipe.effects.base import label_of
 
-LARGER_OF_TWO = 0.5  # the larger of two effects explains at least this part of the excess
 SPLIT = 0.5  # part of what one value for all leaves, that a value for each moment must explain
 Report = Callable[[int], None]
 
@@ -39,28 +39,19 @@ class Task:
         return self.fitter.views[0].conditions
 
     def searched(self, effects: Sequence[Effect]) -> Search:
-        """Add names until nothing significant is missing, or nothing explains what is."""
+        """Find the name that explains what is missing, if a single one does."""
         return self.searched_from(self._null(effects))
 
     def searched_from(self, fitted: Fitted) -> Search:
         """The same from a fit of the model as it is."""
         null = self._optimum(fitted)
         drift, current = self._with_drift(null)
-        accepted: list[Accepted] = []
-        most_names = self.options.most_names * len(self.moments.by_number)
-        for _ in range(2 * most_names):  # names may be dropped again
-            found, meaningless = self._scores(current)
-            if len(accepted) >= most_names:
-                break
-            chosen = self._next_name(current, found, first=not accepted)
-            if chosen is None:
-                break
-            accepted += self._of_each_moment(chosen)
-            last = accepted[-1].refit
-            if self._leads_nowhere(last):
-                current = last.optimum
-                break
-            current, accepted = narrowed(self.fitter, self.cube, *self._adapted(accepted))
+        found, meaningless = self._scores(current)
+        chosen = self._next_name(current, found)
+        accepted = self._of_each_moment(chosen) if chosen else []
+        if accepted:
+            current = accepted[-1].refit.optimum
+            found, _ = self._scores(current)
         return Search(null, current, drift, accepted, found, meaningless)
 
     # -- steps ---------------------------------------------------------------------------------
@@ -108,14 +99,14 @@ class Task:
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
 
-    def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:
-        """The name to add next; None if nothing is missing or nothing explains it."""
+    def _next_name(self, current: Optimum, found: list[Score]) -> Accepted | None:
+        """The best name; None if nothing is missing or nothing explains it."""
         sure = self.options.sure
         suspicious = current.excess.significance > sure or any(s.significance > sure for s in found)
         if not suspicious:
             return None
         ranked = refits(self.fitter, current, found, self.report)
-        return choose(ranked, self.cube, self.options, first=first)
+        return choose(ranked, self.cube, self.options)
 
     def _of_each_moment(self, chosen: Accepted) -> list[Accepted]:
         """The name, or one with its own value for each moment where one value for all leaves much."""
@@ -128,24 +119,10 @@ class Task:
         if found.finding != "differs" or found.chi2_fall < SPLIT * refit.excess.chi2:
             return [chosen]
         own = self.fitter.explored(parted(found, fitted, label), fitted)
-        of_each = replace(chosen, refit=replace(refit, fitted=self.fitter.finished(own)))
-        return [of_each] * len(found.seen)
-
-    def _leads_nowhere(self, refit: Refit) -> bool:
-        """Whether a name leaves much, and explains less than half.
-
-        The larger of two effects explains half: more is wrong than names one after the other can tell.
-        """
-        return refit.excess.significance > self.options.sure and explained(refit) < LARGER_OF_TWO
-
-    def _adapted(self, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
-        """The model with the new name, without one that it makes superfluous."""
-        current = accepted[-1].refit.optimum
-        superfluous = no_longer_needed(self.fitter, current, accepted)
-        if superfluous is None:
-            return current, accepted
-        one, without = superfluous
-        return self._optimum(without), [other for other in accepted if other is not one]
+        of_each = replace(refit, fitted=self.fitter.finished(own))
+        known = [effect.name for effect in refit.origin.fitted.effects].count(refit.name)
+        labels = [label_of(refit.name, known + number) for number in range(len(found.seen))]
+        return [replace(chosen, refit=replace(of_each, label=label)) for label in labels]
 
     def _optimum(self, fitted: Fitted) -> Optimum:
         return Optimum(self.cube.training, fitted)

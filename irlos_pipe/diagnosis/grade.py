@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, labels_in
+from irlos_pipe.diagnosis.acceptance import Accepted, Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.held_out import Gap
@@ -135,8 +135,7 @@ def without_minor_names(search: Search) -> Search:
 def _adjusting(search: Search, names: Sequence[Accepted]) -> Search:
     """What was found, some of its names only adjusted."""
     less_sure = {id(one) for one in names}
-    labels = zip(search.accepted, labels_in(search.final.fitted, search.accepted), strict=True)
-    adjusted = [*search.adjusted, *(label for one, label in labels if id(one) in less_sure)]
+    adjusted = [*search.adjusted, *(one.label for one in search.accepted if id(one) in less_sure)]
     kept = [one for one in search.accepted if id(one) not in less_sure]
     nearest = search.nearest if kept else next(iter(names), search.nearest)
     return replace(search, accepted=kept, adjusted=adjusted, nearest=nearest)

@@ -129,7 +129,7 @@ def refits(
         found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
         report(len(some))
     found = _from_elsewhere(fitter, found)
-    found = _joined(fitter, found, other_forms(fitter, _leaders(found), wider=True))
+    found = _joined(fitter, found, _wider_forms(fitter, _leaders(found)))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
 
@@ -206,16 +206,16 @@ def _leaders(found: Sequence[Refit]) -> list[Refit]:
     return [one for one in found if is_rival(_best(found), one)]
 
 
-def other_forms(fitter: Fitter, found: Sequence[Refit], *, wider: bool) -> list[Refit]:
-    """Fits of other forms of what was found, from where that is: a second image may be out of focus.
+def _wider_forms(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
+    """Fits of wider forms of what was found, from where that is: a second image may be out of focus.
 
-    They are `wider`, or those of which it is a wider form; what acts in one moment alone has none.
+    What acts in one moment alone has none.
     """
     conditions, every = fitter.views[0].conditions, [one for one in found if one.base.acts_in is None]
     pairs = [
         (one, form)
         for one in every
-        for form in in_other_forms(one.base.name, conditions, one.values, wider=wider)
+        for form in in_other_forms(one.base.name, conditions, one.values, wider=True)
     ]
     fits = ordered_map(lambda pair: _as_effect(fitter, *pair), pairs)
     return [one for one in fits if np.isfinite(one.fitted.chi2)]
@@ -226,8 +226,7 @@ def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:
     others = one.fitted.continued_by_label()
     del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
-    label = label_of(effect.name, sum(other.name == effect.name for other in others.values()))
-    return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted), label)
+    return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

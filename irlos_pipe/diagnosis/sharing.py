@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Search, labels_in
+from irlos_pipe.diagnosis.acceptance import Search
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance
 from irlos_pipe.diagnosis.fitted import Fitted
@@ -206,7 +206,7 @@ def _groups(search: Search) -> list[list[str]]:
     """Labels of every effect that was named; those of one kind of which a model has one are in one group."""
     fitted = search.final.fitted
     groups: dict[str, list[str]] = {}
-    for label in labels_in(fitted, search.accepted):
+    for label in (one.label for one in search.accepted):
         effect = fitted.effect(label)
         groups.setdefault(label if effect.repeatable else effect.name, []).append(label)
     return list(groups.values())

@@ -3,7 +3,6 @@
 Truth: what was put into the frames, and mpmath's incomplete beta function.
 """
 
-from dataclasses import replace
 
 import mpmath
 import numpy as np
@@ -13,25 +12,22 @@ from helpers.diagnose_frames import (
     CONDITIONS,
     WINDOW,
     cube,
-    fitted,
     image,
-    image_with,
     model,
     optimum,
 )
 from scipy import stats
 
-from irlos_pipe.diagnosis.acceptance import Accepted, by_plausibility, narrowed
+from irlos_pipe.diagnosis.acceptance import by_plausibility
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
-from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import Refit, other_forms, refits
+from irlos_pipe.diagnosis.refit import refits
 from irlos_pipe.diagnosis.search.scores import Family, families, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.view import View
-from irlos_pipe.effects import CATALOGUE, FixedEffect, in_other_forms
+from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
 from irlos_pipe.effects.public_values import public_sigma
@@ -149,38 +145,3 @@ def test_a_vibration_beside_a_faint_companion_is_no_double_star_that_nobody_reso
     assert ranked[0].name == "ghost" and "sep_mas" in ranked[0].implausible
     judges = [HeldOutEvaluation(both.held_out, one.fitted) for one in ranked]
     assert by_plausibility(ranked, judges)[0][0].name == "vibration"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("defocus_nm", "name"), [(0.0, "companion"), (100.0, "ghost")])
-def test_a_ghost_that_is_sharp_beside_what_was_found_later_is_a_companion(defocus_nm, name):
-    """Before the image motion was found, the ghost was blurred as much as the star was."""
-    jitter, ghost = (CATALOGUE[one].under(CONDITIONS) for one in ("tip_tilt_jitter", "ghost"))
-    place = ghost.values_of(flux_ratio=0.03, sep_mas=110.0, pa_deg=20.0, defocus_nm=defocus_nm)
-    held = [FixedEffect(jitter, jitter.values_of(sigma_mas=6.0)), FixedEffect(ghost, place)]
-    frames = cube(image_with(held))
-    fitter, origin = fitter_of(frames.training), optimum(frames.training)
-    free = [FixedEffect(one.base, one.values, [p.name for p in one.base.parameters]) for one in held]
-    current = Optimum(frames.training, fitter.finished(fitter.explored(free, origin.fitted)))
-    (score,) = scores(origin, only("companion"))
-    refit = Refit(replace(score, candidate=free[1]), origin, current.fitted, "ghost")
-    known = Accepted(refit, 0.0, None, [], [])
-    _, (found,) = narrowed(fitter, frames, current, [known])
-    assert found.name == name
-    assert ("ghost" in [one.name for one in found.alternatives]) == (name == "companion")
-
-
-def test_a_sharp_ghost_is_tried_as_the_companion_that_it_is_as_well():
-    companion = CATALOGUE["companion"].under(CONDITIONS)
-    training = cube(image(effect=companion, values=(0.02, 150.0, 40.0))).training
-    origin = optimum(training)
-    (score,) = scores(origin, only("companion"))
-    (start,) = in_other_forms("companion", CONDITIONS, [0.02, 145.0, 45.0], wider=True)
-    refit = Refit(score, origin, fitted(training, [start]), "ghost")
-    (narrower,) = other_forms(fitter_of(training), [refit], wider=False)
-    assert narrower.name == "companion"
-    assert narrower.public["flux_ratio"] == pytest.approx(0.02, rel=0.02)
-    assert narrower.public["sep_mas"] == pytest.approx(np.hypot(150, 40), abs=1)
-    assert narrower.gain == pytest.approx(refit.gain, rel=1e-3)
-    assert narrower.merit > refit.merit  # fewer parameters explain as much
-    assert other_forms(fitter_of(training), [narrower], wider=False) == []

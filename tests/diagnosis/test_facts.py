@@ -105,7 +105,7 @@ def test_where_nothing_is_named_the_nearest_is_said_with_its_size():
     score = score_family(origin, Family((COMPANION,)))
     refit = Refit(score, origin, fitted(data.training, [score.start()]))
     options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
-    step = _nearest(SimpleNamespace(nearest=choose([refit], data, options, first=True)))
+    step = _nearest(SimpleNamespace(nearest=choose([refit], data, options)))
     assert step.effect.name == "companion"
     assert step.public["flux_ratio"] == pytest.approx(0.02, abs=5 * step.sigma["flux_ratio"])
     assert step.share > 0.9

@@ -143,6 +143,16 @@ def test_one_effect_beside_a_tail_of_modes_is_named_with_its_size_and_nothing_el
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("defocus_nm", "name"), [(0.0, "companion"), (100.0, "ghost")])
+def test_a_second_image_beside_image_motion_has_the_narrowest_form_that_fits(defocus_nm, name):
+    """Before the motion is found, the second image is blurred as much as the star is."""
+    jitter, ghost = (CATALOGUE[one].under(CONDITIONS) for one in ("tip_tilt_jitter", "ghost"))
+    place = ghost.values_of(flux_ratio=0.03, sep_mas=110.0, pa_deg=20.0, defocus_nm=defocus_nm)
+    search = searched([FixedEffect(jitter, jitter.values_of(sigma_mas=6.0)), FixedEffect(ghost, place)])
+    assert {one.name for one in search.accepted} == {"tip_tilt_jitter", name}
+
+
+@pytest.mark.slow
 def test_beside_a_tail_of_modes_nothing_is_named_where_nothing_is_and_errors_know_of_it():
     search = searched([])
     assert search.accepted == []
