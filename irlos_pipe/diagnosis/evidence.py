@@ -89,7 +89,8 @@ class EvidenceTask(Task):
         entered = {one.base: math.inf for one in laplace.fitted.effects}  # the odds with which they did
         most, deepest = len(entered) + self.options.most_names, None
         known: list[Score] = []
-        while True:
+        while laplace is not deepest:
+            laplace = deepest = self._deepest(laplace)
             while len(laplace.fitted.effects) <= most:
                 found = self._proposed(laplace, known)
                 best, odds = self._best(laplace, found)
@@ -99,12 +100,6 @@ class EvidenceTask(Task):
                 entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
                 if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                     break
-            if laplace is deepest:
-                break
-            deeper = self._deepest(laplace)
-            if deeper is laplace:
-                break
-            laplace = deepest = deeper
         wide = laplace
         for label in reversed(laplace.fitted.problem.effects.labels):  # before all is found, images blur more
             if label not in labels_of(declared):
@@ -373,9 +368,9 @@ class _Final:
         rows = [row for row in self.rows if row not in gone]
         effects = [one for label, one in whole.continued_by_label().items() if label not in linear.gone]
         problem = self.fitter.problem(effects, self.fitter.views)
-        solution = replace(
-            whole.solution, values=linear.x[None, rows], covariance=linear.covariance[rows][:, rows][None]
-        )
+        values = linear.x[None, rows].clamp(problem.lower, problem.upper)
+        covariance = linear.covariance[rows][:, rows][None]
+        solution = replace(whole.solution, values=values, covariance=covariance)
         image = laplace.image + laplace.columns.mT @ linear.move
         return fitted_as(
             problem, solution, self.task.cube.training, self.fitter.views, image, laplace.columns[rows]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, suspicious
 from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Cube
@@ -101,9 +101,7 @@ class Task:
 
     def _next_name(self, current: Optimum, found: list[Score]) -> Accepted | None:
         """The best name; None if nothing is missing or nothing explains it."""
-        sure = self.options.sure
-        suspicious = current.excess.significance > sure or any(s.significance > sure for s in found)
-        if not suspicious:
+        if not suspicious(current, found, self.options.sure):
             return None
         ranked = refits(self.fitter, current, found, self.report)
         return choose(ranked, self.cube, self.options)

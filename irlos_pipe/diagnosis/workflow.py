@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import torch
 
+from irlos_pipe.diagnosis.acceptance import suspicious
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
 from irlos_pipe.diagnosis.cube import Cube
@@ -58,7 +59,8 @@ def diagnose(
     everything = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
 
     search = task.searched(effects)
-    if much_is_left(search, noise.kind, options.sure):
+    more = search.accepted and suspicious(search.final, search.scores, options.sure)
+    if more or much_is_left(search, noise.kind, options.sure):
         search = everything.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     diagnosis = with_opposite_sides(diagnosis, fitter, search.final, options.sure)

@@ -3,7 +3,6 @@
 Truth: what was put into the frames, and mpmath's incomplete beta function.
 """
 
-
 import mpmath
 import numpy as np
 import pytest

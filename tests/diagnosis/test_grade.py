@@ -36,7 +36,7 @@ def name(effect: str, ordinary: bool, closed: float = 0.9) -> SimpleNamespace:
     """An accepted name that closes a part of the gap without it."""
     base = SimpleNamespace(fact=effect == "plate_scale", copies_star=effect == "companion")
     refit = SimpleNamespace(label=effect, base=base, effect=SimpleNamespace(speckles=False))
-    return SimpleNamespace(name=effect, label="", ordinary=ordinary, refit=refit, gap=gap(closed))
+    return SimpleNamespace(name=effect, label=effect, ordinary=ordinary, refit=refit, gap=gap(closed))
 
 
 def search(left: float, *names: SimpleNamespace) -> Search:
