@@ -68,11 +68,6 @@ class Search:
         return self.final.under(stack).excess
 
 
-def suspicious(optimum: Optimum, found: Sequence[Score], sure: float) -> bool:
-    """Whether a model leaves more than `sure` σ, at all or by the scores of what it lacks."""
-    return optimum.excess.significance > sure or any(one.significance > sure for one in found)
-
-
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
     """Choose the best of the fitted names, which are `ranked` with the best first, or None.
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, suspicious
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose
 from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Cube
@@ -101,7 +101,8 @@ class Task:
 
     def _next_name(self, current: Optimum, found: list[Score]) -> Accepted | None:
         """The best name; None if nothing is missing or nothing explains it."""
-        if not suspicious(current, found, self.options.sure):
+        sure = self.options.sure
+        if current.excess.significance <= sure and not any(one.significance > sure for one in found):
             return None
         ranked = refits(self.fitter, current, found, self.report)
         return choose(ranked, self.cube, self.options)

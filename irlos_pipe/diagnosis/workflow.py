@@ -7,7 +7,6 @@ from typing import TypeVar
 
 import torch
 
-from irlos_pipe.diagnosis.acceptance import suspicious
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
 from irlos_pipe.diagnosis.cube import Cube
@@ -59,8 +58,8 @@ def diagnose(
     everything = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
 
     search = task.searched(effects)
-    more = search.accepted and suspicious(search.final, search.scores, options.sure)
-    if more or much_is_left(search, noise.kind, options.sure):
+    further = any(one.significance > options.sure for one in search.scores)
+    if (search.accepted and further) or much_is_left(search, noise.kind, options.sure):
         search = everything.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     diagnosis = with_opposite_sides(diagnosis, fitter, search.final, options.sure)
