@@ -18,7 +18,6 @@ from irlos_pipe.numerics.parallel import ordered_map
 PROPOSALS = 8  # families that are fitted at most
 HOPELESS = 0.1  # part of the fall of χ² by a name that leaves nothing; what promises less needs no fit
 NOTHING_LEFT = 5.0  # significance of the excess below which nothing is left to explain
-RETRIED = 2  # of the most promising families, if none leaves nothing
 SIDE_BY_SIDE = 2  # fits at once, after which others may prove hopeless
 PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
 EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ² from which another family is its rival
@@ -128,7 +127,6 @@ def refits(
         hopeful = [score for score in some if not _hopeless(score, found)]
         found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
         report(len(some))
-    found = _from_elsewhere(fitter, found)
     found = _joined(fitter, found, _wider_forms(fitter, _leaders(found)))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
@@ -183,22 +181,6 @@ def is_rival(best: Refit, other: Refit) -> bool:
     """Whether χ² falls about as far with `other` as with `best`."""
     deficit = (other.fitted.chi2 - best.fitted.chi2) / best.score.inflation
     return deficit < CLEARLY_LESS or other.gain > EXPLAINS_AS_MUCH * best.gain
-
-
-def _from_elsewhere(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
-    """The best also from the next best places or directions, unless the best leaves nothing to explain.
-
-    The best of a linear estimate may be a wrong one.
-    """
-    several = sorted((one for one in found if one.score.elsewhere), key=lambda one: -one.merit)[:RETRIED]
-    if not several or _best(found).excess.significance < NOTHING_LEFT:
-        return list(found)
-
-    def again(one: Refit) -> Refit:
-        others = [_explored(fitter, one.origin, other.start()) for other in one.score.elsewhere]
-        return replace(one, fitted=fitter.most_plausible([one.fitted, *others]))
-
-    return _joined(fitter, [one for one in found if one not in several], ordered_map(again, several))
 
 
 def _leaders(found: Sequence[Refit]) -> list[Refit]:
