@@ -87,19 +87,20 @@ class EvidenceTask(Task):
         starts = ordered_map(begun, (None, search.final.fitted))
         laplace = self._settled(max(starts, key=lambda one: one.log_evidence))
         entered = {one.base: math.inf for one in laplace.fitted.effects}  # the odds with which they did
-        most, deepest = len(entered) + self.options.most_names, None
+        most, deepest, complete = len(entered) + self.options.most_names, None, None
         known: list[Score] = []
         while laplace is not deepest:
             laplace = deepest = self._deepest(laplace)
-            while len(laplace.fitted.effects) <= most:
+            while laplace is not complete and len(laplace.fitted.effects) <= most:
                 found = self._proposed(laplace, known)
                 best, odds = self._best(laplace, found)
                 if best is None:
+                    complete = laplace
                     break
                 laplace = self._settled(best)
                 entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
                 if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
-                    break
+                    complete = laplace
         wide = laplace
         for label in reversed(laplace.fitted.problem.effects.labels):  # before all is found, images blur more
             if label not in labels_of(declared):
@@ -388,7 +389,8 @@ class _Final:
     def rivals(self, refit: Refit, found: Sequence[Score]) -> list[tuple[Refit, float]]:
         """Fits of effects that would explain as much in the place of one, with their |cos|.
 
-        They are those `found` that the model never had, and those that were dispensable beside it.
+        They are wider forms of it, those `found` that the model never had, and those that were dispensable
+        beside it.
         """
         label, laplace = refit.label, self.laplace
         rise, null = self.linear.rise_without(label), laplace.null_of(self.linear.without(label))
@@ -405,6 +407,8 @@ class _Final:
             with_it = reduce(Linear.without, others, laplace.linear())
             score = self._scored(refit.origin, effects[gone], effects[gone].base.null_values)
             rivals.append((effects[gone], score, with_it.rise_without(label)))
+        for form in in_other_forms(refit.name, self.task.conditions, refit.values, wider=True):
+            rivals.append((form, self._scored(refit.origin, form, form.values), 0.0))
         fits = []
         for effect, score, left in sorted(rivals, key=lambda one: one[2])[:MOST_RIVALS]:
             if left < 2 * WORTH:
@@ -429,17 +433,17 @@ class _Final:
 
 
 def _sides(form: FixedEffect, known: int) -> list[FixedEffect]:
-    """A form of an effect, begun as well on either side in what it has besides the `known` parameters.
+    """A form of an effect, begun on either side in what it has besides the `known` parameters.
 
     An image out of focus on one side of the focus is far from that on the other.
     """
-    found = [form]
+    found = []
     for index, one in enumerate(form.base.parameters):
         for side in (-1, 1) if index >= known and math.isfinite(one.prior_sigma) else ():
             values = np.array(form.values, float)
             values[index] += side * one.prior_sigma / 2
             found.append(FixedEffect(form.base, values, [p.name for p in form.parameters]))
-    return found
+    return found or [form]
 
 
 def _allowing(stack: Stacks, laplace: Laplace) -> Stacks:
