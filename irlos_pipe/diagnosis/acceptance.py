@@ -15,7 +15,6 @@ from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 
 SIGNIFICANT = 5.0  # standard errors of the excess, from which that of a moment counts
-HARDLY_MORE = 1.25  # times what the best leaves, up to which names are equal while something else is missing
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known
 
 
@@ -118,14 +117,10 @@ def by_motion(
 def by_plausibility(
     ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
-    """Among indistinguishable names prefer the first with plausible parameters.
-
-    While something else is missing, those are not distinguished that leave as much: an equal double star
-    closer than λ/D takes a little more of a companion far away than a vibration does.
-    """
+    """Among indistinguishable names prefer the first with plausible parameters."""
     if not ranked[0].implausible:
         return ranked, judges
-    rivals = _rivals(ranked, judges) | _leaving_as_much(ranked)
+    rivals = _rivals(ranked, judges)
     better = [i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible]
     return _led_by(better[:1], ranked, judges)
 
@@ -137,14 +132,6 @@ def by_simplicity(
     rivals = _rivals(ranked, judges)
     narrower = [i for i, one in enumerate(ranked) if one.name == ranked[0].base.widens and one.name in rivals]
     return _led_by(narrower, ranked, judges)
-
-
-def _leaving_as_much(ranked: Sequence[Refit]) -> set[str]:
-    """Names that leave hardly more than the first, which leaves a significant part."""
-    left = ranked[0].excess
-    if left.significance < SIGNIFICANT:
-        return set()
-    return {one.name for one in ranked[1:] if one.excess.chi2 < HARDLY_MORE * left.chi2}
 
 
 def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:

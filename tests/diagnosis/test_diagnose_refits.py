@@ -7,14 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 import torch
-from helpers.diagnose_frames import (
-    CONDITIONS,
-    WINDOW,
-    cube,
-    image,
-    model,
-    optimum,
-)
+from helpers.diagnose_frames import CONDITIONS, NOLLS, WINDOW, cube, frames, image, model, optimum
 from scipy import stats
 
 from irlos_pipe.diagnosis.acceptance import by_plausibility
@@ -22,10 +15,12 @@ from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
+from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
 from irlos_pipe.diagnosis.search.scores import Family, families, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.view import View
+from irlos_pipe.diagnosis.view import Exposures, View
+from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
@@ -96,13 +91,13 @@ def test_two_hot_pixels_are_one_effect_of_both():
 
 
 def test_a_significance_far_beyond_the_range_of_the_f_distribution_is_finite_and_right():
-    for value, directions, frames in ((3000.0, 3, 90.0), (4e4, 5, 3000.0), (1e5, 2, 2000.0)):
-        freedom = frames - directions
-        f = value * freedom / (directions * (frames - 1))
+    for value, directions, count in ((3000.0, 3, 90.0), (4e4, 5, 3000.0), (1e5, 2, 2000.0)):
+        freedom = count - directions
+        f = value * freedom / (directions * (count - 1))
         x = freedom / (freedom + directions * f)
         tail = mpmath.betainc(freedom / 2, directions / 2, 0, x, regularized=True)
         wanted = -mpmath.log(tail)
-        sigma = gaussian_sigma(value, directions, frames)
+        sigma = gaussian_sigma(value, directions, count)
         assert -stats.norm.logsf(sigma) == pytest.approx(float(wanted), rel=2e-3)
 
 
@@ -132,15 +127,13 @@ def test_a_copy_of_the_star_is_tried_out_of_focus():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fraction", [0.003, 0.006])
-def test_a_vibration_beside_a_faint_companion_is_no_double_star_that_nobody_resolves(fraction):
+def test_a_vibration_beside_a_faint_companion_is_no_double_star_that_nobody_resolves():
     """Two equal stars 2 σ apart are as long, and their further parameters take a bit of the companion."""
     vibration = CATALOGUE["vibration"].under(CONDITIONS)
     shaken = image(effect=vibration, values=vibration.values_of(sigma_mas=6.0, angle_deg=60.0))
-    both = cube((shaken + fraction * np.roll(shaken, (7, 5), (0, 1))) / (1 + fraction))
-    origin = optimum(both.training)
-    found = scores(origin, only("vibration", "companion"))
-    ranked = refits(fitter_of(both.training), origin, found)
-    assert ranked[0].name == "ghost" and "sep_mas" in ranked[0].implausible
-    judges = [HeldOutEvaluation(both.held_out, one.fitted) for one in ranked]
-    assert by_plausibility(ranked, judges)[0][0].name == "vibration"
+    both = frames((shaken + 0.006 * np.roll(shaken, (7, 5), (0, 1))) / 1.006)
+    options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
+    vibration, companion = diagnose([Exposures(both, CONDITIONS)], [], options).steps
+    assert (vibration.name, companion.name) == ("vibration", "companion")
+    assert vibration.public["sigma_mas"] == pytest.approx(6.0, rel=0.02)
+    assert companion.public["flux_ratio"] == pytest.approx(0.006, rel=0.05)
