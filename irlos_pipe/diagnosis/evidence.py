@@ -87,20 +87,18 @@ class EvidenceTask(Task):
         starts = ordered_map(begun, (None, search.final.fitted))
         laplace = self._settled(max(starts, key=lambda one: one.log_evidence))
         entered = {one.base: math.inf for one in laplace.fitted.effects}  # the odds with which they did
-        most, deepest, complete = len(entered) + self.options.most_names, None, None
+        most = len(entered) + self.options.most_names
         known: list[Score] = []
-        while laplace is not deepest:
-            laplace = deepest = self._deepest(laplace)
-            while laplace is not complete and len(laplace.fitted.effects) <= most:
-                found = self._proposed(laplace, known)
-                best, odds = self._best(laplace, found)
-                if best is None:
-                    complete = laplace
-                    break
-                laplace = self._settled(best)
-                entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
-                if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
-                    complete = laplace
+        while True:
+            laplace = self._deepest(laplace)
+            found = self._proposed(laplace, known)
+            best, odds = self._best(laplace, found)
+            if best is None or len(laplace.fitted.effects) > most:
+                break
+            laplace = self._settled(best)
+            entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
+            if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
+                break
         wide = laplace
         for label in reversed(laplace.fitted.problem.effects.labels):  # before all is found, images blur more
             if label not in labels_of(declared):
@@ -130,11 +128,9 @@ class EvidenceTask(Task):
 
         Each time that the model gets better its errors get smaller, which shows sides apart that were alike.
         """
-        while True:
-            other = self._settled(self._turned(laplace))
-            if other.log_evidence < laplace.log_evidence + PROMISING:
-                return laplace
-            laplace = other
+        while (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING:
+            laplace = self._settled(other)
+        return laplace
 
     def _nearest(self, laplace: Laplace) -> Laplace:
         """The model of least squares, which is nearest to the images.
