@@ -57,7 +57,6 @@ LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
 FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
 SIDES = 2  # that are followed to their end, those on which all else has made the most of it
-AGAINST = -2.0  # Vuong's statistic of frames that no fit has seen, below which they object to a name
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
 FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
 
@@ -297,7 +296,7 @@ class EvidenceTask(Task):
             return None
         judges = [HeldOutEvaluation(self.cube.held_out, one) for one in (refit.fitted, refit.origin.fitted)]
         z = preference(*judges)
-        if z < AGAINST:
+        if z < 0:
             return None
         rivals = final.rivals(refit, found)
         alternatives = [
