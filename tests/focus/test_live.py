@@ -116,7 +116,7 @@ def test_a_browser_draws_it(page):
         "--headless",
         "--no-sandbox",
         "--disable-gpu",
-        "--virtual-time-budget=3000",
+        "--virtual-time-budget=10000",
         "--dump-dom",
     ]
     text = subprocess.run([*command, page.url], capture_output=True, text=True, timeout=120).stdout
