@@ -72,15 +72,11 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | 
 
     It must be significant, and the held-out frames must agree.
     """
-    return _preferred(ranked, cube) if ranked and detected(ranked[0], cube, options.sure) else None
-
-
-def _preferred(ranked: Sequence[Refit], cube: Cube) -> Accepted | None:
-    """The best of significant names, if the held-out frames agree."""
-    before = ranked[0].origin
+    if not ranked or not detected(ranked[0], cube, options.sure):
+        return None
     evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
     ranked, judges = by_simplicity(*by_plausibility(*by_motion(ranked, evaluations, cube)))
-    best, without = ranked[0], HeldOutEvaluation(cube.held_out, before.fitted)
+    best, without = ranked[0], HeldOutEvaluation(cube.held_out, ranked[0].origin.fitted)
     z = preference(judges[0], without)
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None

@@ -217,7 +217,7 @@ def _nearest(search: Search) -> Step | None:
 
 def _step(accepted: Accepted, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
-    base, values = refit.base, fitted.values_of(refit.label)
+    base, values = refit.base, fitted.values_of(accepted.label)
     return Step(
         **_sizes(base, values, covariance),
         significance=refit.significance,

@@ -86,15 +86,15 @@ class EvidenceTask(Task):
         starts = ordered_map(begun, (None, search.final.fitted))
         laplace = self._settled(max(starts, key=lambda one: one.log_evidence))
         entered = {one.base: math.inf for one in laplace.fitted.effects}  # the odds with which they did
-        most = len(entered) + self.options.most_names
+        most = len(entered) + self.options.most_names * len(self.moments.by_number)
         known: list[Score] = []
         while True:
             laplace = self._deepest(laplace)
             found = self._proposed(laplace, known)
-            best, odds = self._best(laplace, found)
-            if best is None or len(laplace.fitted.effects) > most:
+            best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
+            if best is None:
                 break
-            laplace = self._settled(best)
+            laplace, odds = self._settled(best[0]), best[1]
             entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
             if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                 break
@@ -172,8 +172,8 @@ class EvidenceTask(Task):
         self.report(len(ends))
         return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
 
-    def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace | None, float]:
-        """The fit with the effect of the best odds, and the odds; none if it is not worth it."""
+    def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, float] | None:
+        """The fit with the effect of the best odds, and the odds; None if none is worth it."""
         likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
         tried = [
             ((other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation), other)
@@ -182,10 +182,10 @@ class EvidenceTask(Task):
         ]
         self.report(1)
         if not tried:
-            return None, 0.0
+            return None
         odds, best = max(tried, key=lambda one: one[0])
         if odds < WORTH:
-            return None, odds
+            return None
         known = {*laplace.fitted.problem.effects.labels}
         label = next(one for one in best.fitted.problem.effects.labels if one not in known)
         return self._in_best_form(best, label, wider=True), odds
@@ -197,12 +197,15 @@ class EvidenceTask(Task):
         null = torch.tensor(score.candidate.null_values, dtype=torch.float64)
         sizes = start.values[score.candidate.free] - null.numpy()
         shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
-        begun = []
-        for fitted in (laplace.fitted, laplace.fitted.moved(laplace.making_room(shape))):
+
+        def begun(fitted: Fitted) -> tuple[Posterior, torch.Tensor]:
             posterior = laplace.posterior.with_effects([*fitted.continued(), start])
-            begun.append(posterior.start(fitted))
+            return posterior, posterior.start(fitted)
+
+        starts = map(begun, (laplace.fitted, laplace.fitted.moved(laplace.making_room(shape))))
         try:
-            return posterior.minimised(min(begun, key=posterior.half_chi2), JOINTLY, roughly=True)
+            posterior, x = min(starts, key=lambda one: one[0].half_chi2(one[1]))
+            return posterior.minimised(x, JOINTLY, roughly=True)
         except (ValueError, torch.linalg.LinAlgError):
             return None
 
@@ -244,7 +247,7 @@ class EvidenceTask(Task):
             if not isinstance(family.effect.base, PupilPlace):
                 return score
             before = [one for one in known if one.name == score.name][-1:]
-            refined = (_refined(rough, one) for one in (score, *score.elsewhere[:1], *before))
+            refined = (_refined(rough, one) for one in (score, *score.elsewhere, *before))
             return max(refined, key=lambda one: one.log_odds)
 
         found = ordered_map(scored_best, [*missing, *bad_pixel_family(rough)])
@@ -402,7 +405,7 @@ class _Final:
             with_it = reduce(Linear.without, others, laplace.linear())
             score = self._scored(refit.origin, effects[gone], effects[gone].base.null_values)
             rivals.append((effects[gone], score, with_it.rise_without(label)))
-        for form in in_other_forms(refit.name, self.task.conditions, refit.values, wider=True):
+        for form in refit.wider_forms(self.task.conditions):
             rivals.append((form, self._scored(refit.origin, form, form.values), 0.0))
         fits = []
         for effect, score, left in sorted(rivals, key=lambda one: one[2])[:MOST_RIVALS]:

@@ -17,7 +17,6 @@ from irlos_pipe.diagnosis.search.scores import Family, Score, families, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
 from irlos_pipe.diagnosis.starts import with_wavefront
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
-from irlos_pipe.effects.base import label_of
 
 SPLIT = 0.5  # part of what one value for all leaves, that a value for each moment must explain
 Report = Callable[[int], None]
@@ -119,8 +118,8 @@ class Task:
             return [chosen]
         own = self.fitter.explored(parted(found, fitted, label), fitted)
         of_each = replace(refit, fitted=self.fitter.finished(own))
-        known = [effect.name for effect in refit.origin.fitted.effects].count(refit.name)
-        labels = [label_of(refit.name, known + number) for number in range(len(found.seen))]
+        known = refit.origin.fitted.problem.effects.labels
+        labels = [label for label in of_each.fitted.problem.effects.labels if label not in known]
         return [replace(chosen, refit=replace(of_each, label=label)) for label in labels]
 
     def _optimum(self, fitted: Fitted) -> Optimum:

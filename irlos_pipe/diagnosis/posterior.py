@@ -157,7 +157,7 @@ class _Airy:
 
     def made(self, sizes: torch.Tensor) -> torch.Tensor:
         """Images (pixels, n) with so much of every shape, (m, n)."""
-        cube = sizes.mT.reshape(-1, self.along_y.shape[1], self.along_x.shape[1])
+        cube = sizes.mT.reshape(sizes.shape[1], self.along_y.shape[1], self.along_x.shape[1])
         return (self.along_y @ cube @ self.along_x.mT).flatten(1).mT
 
 
@@ -180,10 +180,9 @@ class Covariance:
         """Of pixels each by itself, with the variance of so many times their photons', and the flat's."""
         scatter = []
         for one in self.scatter:
-            nothing, photons_e2 = torch.zeros_like(one.speckles_e2), louder * one.photons_e2
-            scatter.append(
-                replace(one, photons_e2=photons_e2, speckles_e2=nothing, sample_e=one.sample_e[:, :0])
-            )
+            airy = _Airy(one.airy.along_y[:, :0], one.airy.along_x[:, :0])
+            photons_e2 = louder * one.photons_e2
+            scatter.append(replace(one, photons_e2=photons_e2, airy=airy, sample_e=one.sample_e[:, :0]))
         return Covariance(scatter, 0.0, self.flat_rms)
 
     @cached_property

@@ -11,7 +11,7 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
-from irlos_pipe.effects import Effect, FixedEffect, in_other_forms
+from irlos_pipe.effects import Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -106,6 +106,12 @@ class Refit:
         """Its parameters under public names."""
         return self.base.describe(self.values)
 
+    def wider_forms(self, conditions: Conditions) -> list[FixedEffect]:
+        """Wider forms of the effect, where it is; what acts in some moments alone has none."""
+        if self.base.acts_in is not None:
+            return []
+        return in_other_forms(self.name, conditions, self.values, wider=True)
+
     @property
     def implausible(self) -> list[str]:
         """Parameters at a bound or outside the plausible range."""
@@ -147,11 +153,8 @@ def _hopeless(score: Score, found: Sequence[Refit]) -> bool:
 
 def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
     """Fitted from the model before."""
-    return Refit(score, origin, _explored(fitter, origin, _whole(score, score.start())))
-
-
-def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect) -> Fitted:
-    return fitter.explored([*origin.fitted.continued(), effect], origin.fitted)
+    effects = [*origin.fitted.continued(), _whole(score, score.start())]
+    return Refit(score, origin, fitter.explored(effects, origin.fitted))
 
 
 def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:
@@ -189,16 +192,9 @@ def _leaders(found: Sequence[Refit]) -> list[Refit]:
 
 
 def _wider_forms(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
-    """Fits of wider forms of what was found, from where that is: a second image may be out of focus.
-
-    What acts in one moment alone has none.
-    """
-    conditions, every = fitter.views[0].conditions, [one for one in found if one.base.acts_in is None]
-    pairs = [
-        (one, form)
-        for one in every
-        for form in in_other_forms(one.base.name, conditions, one.values, wider=True)
-    ]
+    """Fits of wider forms of what was found, from where that is: a second image may be out of focus."""
+    conditions = fitter.views[0].conditions
+    pairs = [(one, form) for one in found for form in one.wider_forms(conditions)]
     fits = ordered_map(lambda pair: _as_effect(fitter, *pair), pairs)
     return [one for one in fits if np.isfinite(one.fitted.chi2)]
 

@@ -206,9 +206,9 @@ def _groups(search: Search) -> list[list[str]]:
     """Labels of every effect that was named; those of one kind of which a model has one are in one group."""
     fitted = search.final.fitted
     groups: dict[str, list[str]] = {}
-    for label in (one.label for one in search.accepted):
-        effect = fitted.effect(label)
-        groups.setdefault(label if effect.repeatable else effect.name, []).append(label)
+    for one in search.accepted:
+        effect = fitted.effect(one.label)
+        groups.setdefault(one.label if effect.repeatable else effect.name, []).append(one.label)
     return list(groups.values())
 
 

@@ -62,8 +62,9 @@ class Division:
         for number in range(self.count):
             inside = index == number
             columns = np.flatnonzero(inside.any(0))
-            touched = slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else slice(0)
-            yield number, touched, inside[:, touched]
+            if len(columns):
+                touched = slice(int(columns[0]), int(columns[-1]) + 1)
+                yield number, touched, inside[:, touched]
 
 
 def grid_centres(samples: int, step_m: float) -> np.ndarray:

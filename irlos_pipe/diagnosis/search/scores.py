@@ -29,7 +29,7 @@ from irlos_pipe.numerics.parallel import ordered_map
 BUNDLED = 32  # candidates in the pupil or of the OTF that share one light path
 LINEAR = 0.5  # of the prior's σ: how far from null a fit begins at most, where the estimate is linear
 CLEARLY_MORE = 25.0  # calibrated χ² that one moment alone must gain beyond all moments jointly
-FURTHER_STARTS, FAR_APART = 2, 0.2  # starts of a fit besides the best; their distance over the range searched
+FAR_APART = 0.2  # distance over the range searched, from which another candidate is elsewhere
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Score:
     usable: tuple[str, ...] = ()  # parameters that these data determine
     trials: int = 1  # candidates of the family
     besides: tuple[Score, ...] = ()  # best candidates with other parameters of the same effect
-    elsewhere: tuple[Score, ...] = ()  # next best candidates far from this one, where a fit may begin as well
+    elsewhere: tuple[Score, ...] = ()  # the best candidate far from this one, if there is any
     # ln odds of the effect against its absence, of several places that of all together, by proper priors
     log_odds: float = -np.inf
 
@@ -160,19 +160,14 @@ def _typical(alike: Sequence[Score]) -> Score:
 
 
 def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
-    """The best candidates that differ from `best` and from each other by much of the range searched."""
+    """The best candidate that differs from `best` by much of the range searched, if there is one."""
     alike = [one for one in found if one.usable == best.usable]
-    if len(alike) < 2:
-        return ()
     tried = np.array([_null_of(one) for one in alike])
     unit = np.ptp(tried, axis=0)
     positions = (tried - _null_of(best)) / np.where(unit > 0, unit, 1.0)
-    chosen: list[int] = []
-    for index in np.argsort([-one.gain for one in alike]):
-        distances = np.abs(positions[index] - [np.zeros(len(unit)), *positions[chosen]]).max(axis=1)
-        if len(chosen) < FURTHER_STARTS and distances.min() > FAR_APART and alike[index].gain > 0:
-            chosen.append(int(index))
-    return tuple(alike[index] for index in chosen)
+    far = np.abs(positions).max(axis=1, initial=0.0) > FAR_APART
+    others = [one for one, apart in zip(alike, far, strict=True) if apart and one.gain > 0]
+    return tuple(sorted(others, key=lambda one: -one.gain)[:1])
 
 
 def _null_of(score: Score) -> np.ndarray:
