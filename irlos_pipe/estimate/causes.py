@@ -10,6 +10,7 @@ law says whether another diversity was in the light than the declared one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -414,10 +415,10 @@ class _Fit:
         return cls(_fit(problem, model, replace(problem.layout, effects=model.effects.parameters)), at, own)
 
     def further(self, steps: int) -> _Fit:
-        """Return the fit some steps on, all parameters free; as it is where numbers are not finite."""
+        """Return the fit some steps on, all parameters free; as it is where nothing can be computed."""
         try:
             solution = solve(self.problem, self.x, max_iterations=steps)
-        except ValueError:  # the optics cannot be computed there, as pixels too large for the field
+        except ValueError:
             return self
         if solution.status[0] == INVALID:
             return self
@@ -432,7 +433,11 @@ class _Fit:
 
     @cached_property
     def chi2(self) -> float:
-        return float(self.problem.reduced_chi2(self.x)[0]) * self.problem.freedom
+        """Infinite where the optics cannot be computed, as of pixels too large for the field."""
+        try:
+            return float(self.problem.reduced_chi2(self.x)[0]) * self.problem.freedom
+        except ValueError:
+            return math.inf
 
     def cause(self, suspect: Suspect, part: float) -> Cause:
         """The row of a `suspect` that explains a `part` of the misfit."""

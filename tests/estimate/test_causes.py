@@ -27,10 +27,11 @@ CONDITIONS = Conditions(
 )
 
 
-def found(settings, beside=0.0, nolls=NOLLS):
+def found(settings, beside=0.0, nolls=NOLLS, cutoff=np.nan):
     """Causes of the misfit of an image taken with other `settings`, and light `beside` the star in it.
 
-    It is fitted by modes `nolls`, of which there may be more than in the light.
+    It is fitted by modes `nolls`, of which there may be more than in the light. The end of its spectrum is at
+    so many times the declared `cutoff`.
     """
     truth = ImageModel(PsfModel(settings, NOLLS, dtype=torch.float64))
     image_e = truth.predict(PLACE[:, :-2], PLACE[:, -2], PLACE[:, -1], truth.effects.starts) + beside
@@ -41,7 +42,7 @@ def found(settings, beside=0.0, nolls=NOLLS):
     problem = ImageFit(model, Layout(nolls, prior_sigma_nm=sigma_nm), data, data + 9.0)
     start = torch.cat([PLACE[:, :-2], torch.zeros(1, more, dtype=torch.float64), PLACE[:, -2:]], dim=1)
     x = solve(problem, start).values
-    return causes_of_misfit(problem, x, Asked(CONDITIONS, 1.0)), float(problem.reduced_chi2(x)[0])
+    return causes_of_misfit(problem, x, Asked(CONDITIONS, 1.0, cutoff)), float(problem.reduced_chi2(x)[0])
 
 
 @pytest.mark.slow
@@ -69,6 +70,15 @@ def test_a_turned_pupil_and_a_glow_are_told_apart():
     glow = torch.linspace(0, 200, WINDOW, dtype=torch.float64).expand(WINDOW, WINDOW)
     causes, _ = found(SETTINGS, glow)
     assert causes[0].name == "background" and causes[0].value == pytest.approx(200.0, rel=0.1)
+
+
+@pytest.mark.slow
+def test_pixels_too_large_for_the_field_are_no_cause():
+    y, x = np.indices((WINDOW, WINDOW)) - (WINDOW - 1) / 2
+    disc = torch.as_tensor(5 * FLUX_E * np.exp(-(x**2 + y**2) / 162) / (162 * np.pi))
+    causes, chi2_nu = found(SETTINGS, disc, cutoff=4.9)
+    assert chi2_nu > 2 and causes
+    assert all(np.isfinite(one.explains) and 0 < one.explains <= 1 for one in causes)
 
 
 @pytest.mark.parametrize(
