@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.conventions.units import NM, resolution_px, tilt_nm
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
@@ -20,7 +20,7 @@ from irlos_pipe.estimate.calibration_errors import (
     nominal_power,
 )
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
-from irlos_pipe.estimate.cube import Frames, Motion, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
 from irlos_pipe.estimate.methods import (
@@ -266,18 +266,28 @@ def _result(
     effect_values = found.values[0, layout.effect_values]
     misfit = chi2_nu / nominal.value
     covariance_nm2, errors_from = errors_of(frames, problem, solution, found.frames_nm, chi2_nu, nominal)
+    own_nm = found.values[0, layout.modes].numpy()
+    zernike_nm, modes_nm, frames_nm = (one.copy() for one in (found.zernike_nm, own_nm, found.frames_nm))
+    if frames.motion is not None:  # steadied frames have the star up to half a pixel from its mean place
+        settings = problem.model.psf.settings
+        away_mas = frames.motion.displaced_px * settings.pixel_scale_mas
+        away_nm = tilt_nm(away_mas, settings.geometry.diameter_m)
+        for some in (zernike_nm, modes_nm):
+            some[:2] += away_nm.mean(axis=0)
+        frames_nm[:, :2] += away_nm
+        covariance_nm2[:2, :2] += covariance_of_mean(away_nm)
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
     return Calibration(
         options,
         layout.nolls,
-        found.zernike_nm,
-        found.values[0, layout.modes].numpy(),
+        zernike_nm,
+        modes_nm,
         covariance_nm2,
         errors_from,
         effects.describe(effect_values),
         effects.split(effect_values),
-        found.frames_nm,
+        frames_nm,
         solution.status,
         solution.iterations.numpy(),
         mean.numpy(),

@@ -153,6 +153,11 @@ class Motion:
         return np.angle(np.exp(2j * np.pi * self.places_px).mean(axis=0)) / (2 * np.pi)
 
     @property
+    def displaced_px(self) -> np.ndarray:
+        """Places from there, (frames, 2)."""
+        return self.places_px - self.rest_px
+
+    @property
     def rms_px(self) -> float:
         """RMS motion beyond the errors, of the coordinate along which it is larger."""
         return float(np.sqrt(max(0.0, self.places_px.var(axis=0).max() - self.error_px**2)))
@@ -187,11 +192,10 @@ def steadied(
     motion = _motion(images_e, good, noise, STILL * resolution_px) if len(images_e) > 1 else None
     if motion is None:
         return images_e, good, None
-    displaced_px = motion.places_px - motion.rest_px
-    whole = np.rint(displaced_px).astype(int)
+    whole = np.rint(motion.displaced_px).astype(int)
     moved, seen = _moved_back(images_e, whole), _moved_back(np.broadcast_to(good, images_e.shape), whole)
     count = seen.sum(axis=0)
-    rest = displaced_px - whole if resolution_px >= SAMPLED_PX else np.zeros(whole.shape)
+    rest = motion.displaced_px - whole if resolution_px >= SAMPLED_PX else np.zeros(whole.shape)
     template = np.where(count > 0, np.where(seen, moved, 0).sum(axis=0) / np.maximum(count, 1), 0)
     for _ in range(ROUNDS):
         at_rest = np.where(seen, moved + _differences(template, rest, resolution_px), template)

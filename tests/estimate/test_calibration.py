@@ -29,7 +29,13 @@ from irlos_pipe.effects.seeing_halo import UnevenResidual
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_errors import NominalChi2, errors_of, public_errors, slow_part, widening
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean, local_mean
+from irlos_pipe.estimate.cube import (
+    Frames,
+    autocorrelation_time,
+    covariance_of_mean,
+    local_mean,
+    steadied,
+)
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
@@ -75,6 +81,21 @@ def test_errors_of_one_frame_or_a_few_are_those_of_independent_repetitions(cube,
         pulls.append((result.zernike_nm - true) / result.sigma_nm)
     # 14 modes of each are nearly independent: the RMS of so many pulls is uncertain by 4 to 7 %.
     assert 0.8 < np.sqrt(np.mean(np.square(pulls))) < 1.2
+
+
+def test_tip_and_tilt_of_a_star_that_moves_are_those_of_its_mean_place():
+    """Frames are steadied to places up to half a pixel away, which is 47 nm here."""
+    still = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
+    moved = still.repeat(24, 1)
+    moved[:, :2] += torch.as_tensor(np.random.default_rng(7).normal(0, 60, (24, 2)))  # 6 mas
+    images = PsfModel(cases.settings(), NOLLS).images(moved).double() * FLUX
+    images = images + images.sqrt() * torch.randn(images.shape, generator=torch.Generator().manual_seed(2))
+    at_rest, good, motion = steadied(images.numpy(), np.ones((64, 64), bool), cases.READ_NOISE, 4.3)
+    frames = Frames(torch.as_tensor(at_rest), torch.as_tensor(good), cases.READ_NOISE, motion=motion)
+    found = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15, prior=cases.PRIOR))
+    assert np.abs(found.zernike_nm - moved.mean(0).numpy()).max() < 1
+    assert np.abs(found.frames_nm[:, :2] - moved[:, :2].numpy()).max() < 3
+    assert found.sigma_nm[:2] == pytest.approx(moved[:, :2].std(0) / np.sqrt(24), rel=0.5)
 
 
 def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
