@@ -175,9 +175,25 @@ def calibrate(
     if further is None:
         return result
     note("the AO residual is uneven over the pupil: fitted again with it")
-    other = calibrate(frames, settings, options, [*effects, further], start_nm=start_nm, device=device)
-    best = min(result, other, key=lambda one: one.chi2_nu)
-    return replace(best, seconds=result.seconds + other.seconds)
+    fit, tail = _with_one_more(task, fit, tail, further)
+    seconds = time.perf_counter() - began
+    other = _result(frames, options, fit, twin, tail, seconds)
+    return replace(min(result, other, key=lambda one: one.chi2_nu), seconds=seconds)
+
+
+def _with_one_more(
+    task: CubeFit, fit: Fit, tail: TailLaw | None, further: Effect
+) -> tuple[Fit, TailLaw | None]:
+    """The fit with a `further` effect, from where it is; its tail has the law `tail`."""
+    problem, solution = fit
+    effects = [*problem.model.effects.effects, further]
+    if tail is None:
+        return task.fit(effects, fit), None
+    closed, values = task.released(effects, fit)
+    found_nm = dict(zip(problem.layout.nolls, solution.values[0].tolist(), strict=False))
+    limit = task.options.max_iterations
+    opened = open_basis(closed, values, beyond_nm=found_nm, law=tail, max_iterations=limit)
+    return (fit, tail) if opened is None else ((opened.problem, opened.solution), opened.law)
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:

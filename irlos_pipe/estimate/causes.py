@@ -377,7 +377,7 @@ def _fewer(problem: ImageFit, x: torch.Tensor, kept: int) -> tuple[ImageFit, tor
 
 
 def _light_path(psf: LightPath, settings: PsfSettings, nolls: Sequence[int]) -> LightPath:
-    return light_path(settings, nolls, device=psf.device, dtype=psf.dtype)
+    return light_path(settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
 
 
 def _fit(problem: ImageFit, model: ImageModel, layout: Layout) -> ImageFit:
