@@ -282,28 +282,18 @@ def _result(
     effect_values = found.values[0, layout.effect_values]
     misfit = chi2_nu / nominal.value
     covariance_nm2, errors_from = errors_of(frames, problem, solution, found.frames_nm, chi2_nu, nominal)
-    own_nm = found.values[0, layout.modes].numpy()
-    zernike_nm, modes_nm, frames_nm = (one.copy() for one in (found.zernike_nm, own_nm, found.frames_nm))
-    if frames.motion is not None:  # steadied frames have the star up to half a pixel from its mean place
-        settings = problem.model.psf.settings
-        away_mas = frames.motion.displaced_px * settings.pixel_scale_mas
-        away_nm = tilt_nm(away_mas, settings.geometry.diameter_m)
-        for some in (zernike_nm, modes_nm):
-            some[:2] += away_nm.mean(axis=0)
-        frames_nm[:, :2] += away_nm
-        covariance_nm2[:2, :2] += covariance_of_mean(away_nm)
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
-    return Calibration(
+    result = Calibration(
         options,
         layout.nolls,
-        zernike_nm,
-        modes_nm,
+        found.zernike_nm,
+        found.values[0, layout.modes].numpy(),
         covariance_nm2,
         errors_from,
         effects.describe(effect_values),
         effects.split(effect_values),
-        frames_nm,
+        found.frames_nm,
         solution.status,
         solution.iterations.numpy(),
         mean.numpy(),
@@ -324,6 +314,24 @@ def _result(
         nominal_power(frames, problem, found.values, nominal),
         fit if one_star else None,
     )
+    return at_mean_place(result, frames.motion, problem.model.psf.settings)
+
+
+def at_mean_place(result: Calibration, motion: Motion | None, settings: PsfSettings) -> Calibration:
+    """Return the result with tip and tilt of the mean place of the star, whose `motion` was taken out.
+
+    It was fitted where its first frames were steadied, up to half a pixel from there.
+    """
+    if motion is None:
+        return result
+    away_nm = tilt_nm(motion.displaced_px * settings.pixel_scale_mas, settings.geometry.diameter_m)
+    names = ("zernike_nm", "fitted_modes_nm", "frames_nm", "covariance_nm2")
+    whole_nm, modes_nm, frames_nm, covariance_nm2 = moved = [getattr(result, name).copy() for name in names]
+    whole_nm[:2] += away_nm.mean(axis=0)
+    modes_nm[:2] += away_nm.mean(axis=0)
+    frames_nm[: len(away_nm), :2] += away_nm
+    covariance_nm2[:2, :2] += covariance_of_mean(away_nm)
+    return replace(result, **dict(zip(names, moved, strict=True)))
 
 
 def window_resolutions(settings: PsfSettings) -> float:

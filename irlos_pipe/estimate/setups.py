@@ -24,7 +24,14 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.calibration import MISFIT, Calibration, SetupFit, calibrate, window_resolutions
+from irlos_pipe.estimate.calibration import (
+    MISFIT,
+    Calibration,
+    SetupFit,
+    at_mean_place,
+    calibrate,
+    window_resolutions,
+)
 from irlos_pipe.estimate.calibration_errors import (
     NominalChi2,
     Part,
@@ -221,7 +228,7 @@ def calibrate_setups(
     first, frames = found[0], [setup.frames for setup in setups]
     left = np.where(frames[0].good, (first.mean_e - first.model_e) / first.sigma_e, np.nan)
     motions = [one.motion for one in frames if one.motion is not None]
-    return Calibration(
+    result = Calibration(
         closed,
         layout.nolls,
         total.numpy(),
@@ -250,6 +257,7 @@ def calibrate_setups(
         setups=found,
         introduced_accuracy=problem.accuracy if problem.off_nm else math.nan,
     )
+    return at_mean_place(result, frames[0].motion, setups[0].settings)
 
 
 def _from_none(
