@@ -23,7 +23,7 @@ from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Errors, Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.forward import Task, placed_families
+from irlos_pipe.diagnosis.forward import Task, families
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, FAR_OFF, copies_in_a_row, share_at_its_place
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between, preference
 from irlos_pipe.diagnosis.null_model import Optimum
@@ -240,7 +240,7 @@ class EvidenceTask(Task):
         what is there; `known` are those found before, and gets those found now.
         """
         rough = Laplace(laplace.posterior, laplace.x, coarse=True)
-        missing, _ = placed_families(self.moments, rough.fitted.effects)
+        missing, _ = families(self.moments, rough.fitted.effects)
 
         def scored_best(family: Family) -> Score:
             score = score_family(rough, family)

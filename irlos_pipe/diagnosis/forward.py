@@ -13,7 +13,7 @@ from irlos_pipe.diagnosis.moments import Moments, Placement
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
-from irlos_pipe.diagnosis.search.scores import Family, Score, families, scores
+from irlos_pipe.diagnosis.search.scores import Family, Score, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
 from irlos_pipe.diagnosis.starts import with_wavefront
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
@@ -90,10 +90,7 @@ class Task:
     def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
         """Scores of all families that the model lacks; and what means nothing here."""
         present = current.fitted.effects
-        if self.moments.several:
-            missing, meaningless = placed_families(self.moments, present)
-        else:
-            missing, meaningless = families(self.conditions, [effect.name for effect in present])
+        missing, meaningless = families(self.moments, present)
         if not self.cube.training.in_time:
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
@@ -126,8 +123,8 @@ class Task:
         return Optimum(self.cube.training, fitted)
 
 
-def placed_families(moments: Moments, present: Sequence[Effect]) -> tuple[list[Family], list[str]]:
-    """Families for all moments, of several, and for single stars or moments, unless `present` there already.
+def families(moments: Moments, present: Sequence[Effect]) -> tuple[list[Family], list[str]]:
+    """Families for all moments, and of several for single stars or moments, unless `present` there already.
 
     A wider form of an effect is looked for by itself where it belongs to something else: of several stars a
     companion belongs to one, a ghost to all. Returned as well are the effects that mean nothing under these

@@ -67,7 +67,7 @@ class Moments:
         What belongs to the instrument is common to all moments; one moment may still be alone in showing it.
         """
         if kind.belongs_to == "instrument":
-            return [None, *self.each]
+            return [None, *(self.each if self.several else ())]
         return self.own_placements(kind)
 
     def own_placements(self, kind: type[Effect] | Effect) -> list[Placement]:

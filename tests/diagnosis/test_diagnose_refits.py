@@ -14,10 +14,12 @@ from irlos_pipe.diagnosis.acceptance import by_plausibility
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.forward import families
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
+from irlos_pipe.diagnosis.moments import Moment, Moments
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
-from irlos_pipe.diagnosis.search.scores import Family, families, scores
+from irlos_pipe.diagnosis.search.scores import Family, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.view import Exposures, View
 from irlos_pipe.diagnosis.workflow import diagnose
@@ -34,7 +36,8 @@ def fitter_of(stack) -> Fitter:
 
 def only(*names: str) -> list[Family]:
     """Families of these effects."""
-    return [family for family in families(CONDITIONS, [])[0] if family.effect.name in names]
+    every, _ = families(Moments({0: Moment("", "", CONDITIONS)}), [])
+    return [family for family in every if family.effect.name in names]
 
 
 def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():

@@ -18,9 +18,11 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from irlos_pipe.diagnosis.checks.drift import measure_drift
 from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.forward import families
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
+from irlos_pipe.diagnosis.moments import Moment, Moments
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.search.scores import companion_gains, families, scores
+from irlos_pipe.diagnosis.search.scores import companion_gains, scores
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
@@ -187,7 +189,9 @@ def diagnosed(device: str) -> np.ndarray:
     fitted = Fitter([view], parts.training).fit([TipTiltJitter()])
     optimum = Optimum(parts.training, fitted)
     some = [
-        one for one in families(CONDITIONS, [])[0] if one.effect.name in ("plate_scale", "diversity_error")
+        one
+        for one in families(Moments({0: Moment("", "", CONDITIONS)}), [])[0]
+        if one.effect.name in ("plate_scale", "diversity_error")
     ]
     gains = [score.gain for score in scores(optimum, some)]
     drift = measure_drift(parts.training, fitted, sure=5.0)

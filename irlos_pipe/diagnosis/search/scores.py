@@ -7,7 +7,7 @@ residual, with themselves and with the derivatives of the fitted parameters are 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -20,7 +20,7 @@ from irlos_pipe.conventions.units import MAS
 from irlos_pipe.diagnosis.moments import Placement
 from irlos_pipe.diagnosis.null_model import FittedModel
 from irlos_pipe.diagnosis.significance import significance_of
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
@@ -45,23 +45,6 @@ class Family:
     def effect(self) -> Effect:
         """The first of the variants."""
         return self.variants[0]
-
-
-def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:
-    """Families that a score test finds, jointly with the effects `present` in the model, by name.
-
-    Of a kind that a model may have several times, a further one is looked for. Returned as well are the
-    effects that mean nothing under these conditions.
-    """
-    model, found, meaningless = {*present}, [], []
-    for name, kind in CATALOGUE.items():
-        if kind.found_by != "score" or kind.widens or (name in model and not kind.repeatable):
-            continue
-        try:
-            found.append(Family(kind.variants(conditions)))
-        except ValueError:
-            meaningless.append(name)
-    return found, meaningless
 
 
 @dataclass(frozen=True, eq=False)
