@@ -236,21 +236,20 @@ class EvidenceTask(Task):
     def _proposed(self, laplace: Laplace, known: list[Score]) -> list[Score]:
         """Scores of all families that the model lacks, those of the best odds first.
 
-        Derivatives are rough. Places in the pupil are searched more finely, where modes imitate most of
-        what is there; `known` are those found before, and gets those found now.
+        Places in the pupil are searched more finely, where modes imitate most of what is there; `known` are
+        those found before, and gets those found now.
         """
-        rough = Laplace(laplace.posterior, laplace.x, coarse=True)
-        missing, _ = families(self.moments, rough.fitted.effects)
+        missing, _ = families(self.moments, laplace.fitted.effects)
 
         def scored_best(family: Family) -> Score:
-            score = score_family(rough, family)
+            score = score_family(laplace, family)
             if not isinstance(family.effect.base, PupilPlace):
                 return score
             before = [one for one in known if one.name == score.name][-1:]
-            refined = (_refined(rough, one) for one in (score, *score.elsewhere, *before))
+            refined = (_refined(laplace, one) for one in (score, *score.elsewhere, *before))
             return max(refined, key=lambda one: one.log_odds)
 
-        found = ordered_map(scored_best, [*missing, *bad_pixel_family(rough)])
+        found = ordered_map(scored_best, [*missing, *bad_pixel_family(laplace)])
         known += [one for one in found if isinstance(one.candidate.base, PupilPlace)]
         self.report(1)
         return sorted(found, key=lambda one: -one.log_odds)
