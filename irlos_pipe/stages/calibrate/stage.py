@@ -27,7 +27,7 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults as Results
 __all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
 
 NAME = "calibrate"
-VERSION = 26
+VERSION = 27
 NEEDS = ("ingest",)
 READS = ("ingest",)
 WORK = LateModule("irlos_pipe.stages.calibrate.work")
