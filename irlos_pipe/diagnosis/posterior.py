@@ -41,11 +41,10 @@ from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.estimate.ncpa_prior import FOCUS_NM, POINTING_NM
-from irlos_pipe.estimate.open_fit import JOINED, TailLaw, last_noll_of, visible_order
+from irlos_pipe.estimate.open_fit import TailLaw, last_noll_of, visible_order
 from irlos_pipe.estimate.score_test import NullModel
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.numerics.solution import CONVERGED, Solution
-from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 DISC = 0.86  # of speckles' correlation sinc²(DISC · D x/λ) along an axis, as wide at half as an Airy disc's
@@ -253,8 +252,8 @@ class Images:
         if len(views) == 1:
             visible = last_noll_of(visible_order(views[0].psf.settings))
             nolls = range(2, max(visible, nolls[-1]) + 1)
-        exact = [_with_modes(view, view.psf.settings, nolls) for view in views]
-        few = [_with_modes(view, view.psf.settings.with_fewer_colours(JOINED), nolls) for view in views]
+        exact = [view.with_rough_derivatives(nolls) for view in views]
+        few = [view.with_rough_derivatives(nolls, few_colours=True) for view in views]
         return cls(fitter.of(fitter.stack, exact), few)
 
     @property
@@ -264,11 +263,6 @@ class Images:
     @property
     def views(self) -> Sequence[View]:
         return self.fitter.views
-
-
-def _with_modes(view: View, settings: PsfSettings, nolls: Sequence[int]) -> View:
-    options = {"device": view.psf.device, "dtype": view.psf.dtype, "rough_derivatives": True}
-    return replace(view, psf=light_path(settings, nolls, **options))
 
 
 @dataclass(eq=False)

@@ -22,6 +22,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.records import Advice
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Score, whitened_shapes
+from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
 from irlos_pipe.numerics.parallel import ordered_map
@@ -35,10 +36,11 @@ class SecondRecordings:
     """Recordings that might be taken in addition to those of a diagnosis, at its final optimum."""
 
     def __init__(self, optimum: Optimum):
-        self.optimum, self.present = optimum, optimum.stack
+        self.present = optimum.stack
+        self.known = [_rough(view) for view in optimum.fitted.views]
         first = optimum.fitted.views[0]
         self.views = {
-            recording: first.under(conditions) for recording, conditions in variants(first.conditions)
+            recording: _rough(first.under(conditions)) for recording, conditions in variants(first.conditions)
         }
         beside = ordered_map(partial(self._with_recording, optimum.fitted), self.views)
         self.beside = dict(zip(self.views, beside, strict=True))
@@ -88,10 +90,14 @@ class SecondRecordings:
     def _model(self, fitted: Fitted, recording: str) -> tuple[Fitted, Stacks]:
         """The same without its derivatives, and what the recordings show."""
         first, view = self.present.parts[0], self.views[recording]
-        pair = Fitter([fitted.views[0], view], replace(self.present, parts=(first, first))).at(fitted)
+        pair = Fitter([self.known[0], view], replace(self.present, parts=(first, first))).at(fitted)
         image_e = pair.image_e[pair.problem.pixels[1]]
         stacks = replace(self.present, parts=(*self.present.parts, _expected(first, image_e)))
-        return Fitter([*fitted.views, view], stacks).at(fitted), stacks
+        return Fitter([*self.known, view], stacks).at(fitted), stacks
+
+
+def _rough(view: View) -> View:
+    return view.with_rough_derivatives(view.psf.nolls, few_colours=True)
 
 
 def _expected(like: Stack, image_e: torch.Tensor) -> Stack:

@@ -13,6 +13,7 @@ import torch
 
 from irlos_pipe.effects import Conditions, Effect
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.open_fit import JOINED
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 
@@ -55,6 +56,12 @@ class View:
         """This light path in float32, which is precise enough for most of a fit."""
         psf = self.psf
         return replace(self, psf=light_path(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32))
+
+    def with_rough_derivatives(self, nolls: Sequence[int], *, few_colours: bool = False) -> View:
+        """This light path with the modes `nolls`; of `few_colours`, images are rough as well."""
+        psf, options = self.psf, {"device": self.psf.device, "dtype": self.psf.dtype}
+        settings = psf.settings.with_fewer_colours(JOINED) if few_colours else psf.settings
+        return replace(self, psf=light_path(settings, nolls, **options, rough_derivatives=True))
 
     def with_known(self, modes_nm: Mapping[int, float]) -> View:
         """This light path with further modes of a known wavefront: Noll index to nm RMS."""
