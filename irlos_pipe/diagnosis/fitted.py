@@ -86,9 +86,9 @@ class Fitted:
         return bool(self.solution.converged[0])
 
     @property
-    def exact(self) -> bool:
-        """Whether it was fitted in float64."""
-        return self.problem.model.psf.dtype == torch.float64
+    def explored(self) -> bool:
+        """Whether it was fitted to a loose tolerance only."""
+        return self.problem.tolerance > CHI2_TOLERANCE
 
     def effect(self, label: str) -> Effect:
         return self.effects[self.problem.effects.labels.index(label)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -26,7 +25,7 @@ from irlos_pipe.numerics.solution import INVALID, Solution
 
 PRIOR_SCALE = 3.0  # width of the prior over the law of the NCPAs
 MAX_ITERATIONS = 60
-FINISHING, PATIENCE = 20, 8  # iterations in float64 per repetition, and repetitions
+PATIENCE = 4  # times that a fit goes on at most
 CONVERGED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, below which a fit has converged
 SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
 EXPLORING = 30  # iterations after which it is known whether a fit is promising
@@ -34,10 +33,7 @@ ROUGHLY = 0.1  # fall of χ² ahead, in the same units, at which that is known
 
 
 class Fitter:
-    """Fits the mean images of some recordings with any effects.
-
-    Most of the way is gone in float32, which costs two thirds of the time; the end is in float64.
-    """
+    """Fits the mean images of some recordings with any effects."""
 
     def __init__(self, views: Sequence[View], stack: Stacks, drift_nm: float = DRIFT_NM):
         self.views, self.stack, self.drift_nm = views, stack, drift_nm
@@ -46,20 +42,16 @@ class Fitter:
         """The same for other data, or other `views` of them."""
         return Fitter(views or self.views, stack, self.drift_nm)
 
-    @cached_property
-    def _quick(self) -> list[View]:
-        return [view.quick() for view in self.views]
-
     def fit(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
         """Fit `effects` from zero wavefront, or from modes, flux and background of a fit `near` by."""
-        problem = self.problem(effects, self._quick)
-        return self._exact(self._solved(problem, self.start(problem, near)))
+        problem = self.problem(effects, self.views)
+        return self._solved(problem, self.start(problem, near))
 
     def explored(
         self, effects: Sequence[Effect], near: Fitted | None = None, iterations: int = EXPLORING
     ) -> Fitted:
-        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
-        problem = self.problem(effects, self._quick, ROUGHLY)
+        """Fit `effects` from a fit `near` by to a loose tolerance: enough to rank candidates."""
+        problem = self.problem(effects, self.views, ROUGHLY)
         return self._solved(problem, self.start(problem, near), iterations)
 
     def begun(self, effects: Sequence[Effect], near: Fitted) -> Fitted:
@@ -70,23 +62,15 @@ class Fitter:
 
     def finished(self, fitted: Fitted) -> Fitted:
         """What was explored, continued until it converges or falls no further, if patience allows."""
-        if not fitted.exact:
-            fitted = self._exact(self._continued(fitted))
         for _ in range(PATIENCE):
             before = fitted
-            if before.converged or not np.isfinite(before.chi2):
+            if not np.isfinite(before.chi2) or (before.converged and not before.explored):
                 break
-            fitted = self._exact(before)
-            if before.chi2 - fitted.chi2 < CONVERGED * max(1.0, fitted.chi2 / fitted.problem.freedom):
+            fitted = self._solved(self.problem(before.continued(), self.views), before.x)
+            scatter = max(1.0, fitted.chi2 / fitted.problem.freedom)
+            if not before.explored and before.chi2 - fitted.chi2 < CONVERGED * scatter:
                 break
         return fitted
-
-    def _continued(self, fitted: Fitted) -> Fitted:
-        """The fit continued in float32."""
-        return self._solved(self.problem(fitted.continued(), self._quick), fitted.x)
-
-    def _exact(self, fitted: Fitted) -> Fitted:
-        return self._solved(self.problem(fitted.continued(), self.views), fitted.x, FINISHING)
 
     def twin(self, fitted: Fitted) -> Fitted:
         """The fit that starts from the twin of another one, (φ(u) → −φ(−u))."""

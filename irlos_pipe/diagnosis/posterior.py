@@ -252,8 +252,8 @@ class Images:
         if len(views) == 1:
             visible = last_noll_of(visible_order(views[0].psf.settings))
             nolls = range(2, max(visible, nolls[-1]) + 1)
-        exact = [view.with_rough_derivatives(nolls) for view in views]
-        few = [view.with_rough_derivatives(nolls, few_colours=True) for view in views]
+        exact = [view.with_modes(nolls) for view in views]
+        few = [view.with_modes(nolls, few_colours=True) for view in views]
         return cls(fitter.of(fitter.stack, exact), few)
 
     @property

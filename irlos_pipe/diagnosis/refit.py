@@ -160,7 +160,7 @@ def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
 def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:
     """Both without failed fits; the best of all continues until it converges."""
     joined = [one for one in (*found, *new) if np.isfinite(one.fitted.chi2)]
-    while joined and not (best := _best(joined)).fitted.exact:
+    while joined and (best := _best(joined)).fitted.explored:
         joined[joined.index(best)] = _finished(fitter, best)
     return joined
 
@@ -175,7 +175,7 @@ def _finished(fitter: Fitter, one: Refit) -> Refit:
 
 def _rivals_finished(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
     """All of `found`; those converge that explain about as much as the best, as any may be chosen."""
-    rivals = [one for one in found if not one.fitted.exact and is_rival(_best(found), one)]
+    rivals = [one for one in found if one.fitted.explored and is_rival(_best(found), one)]
     finished = ordered_map(partial(_finished, fitter), rivals)
     return _joined(fitter, [one for one in found if one not in rivals], finished)
 

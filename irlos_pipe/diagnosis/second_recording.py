@@ -97,7 +97,7 @@ class SecondRecordings:
 
 
 def _rough(view: View) -> View:
-    return view.with_rough_derivatives(view.psf.nolls, few_colours=True)
+    return view.with_modes(view.psf.nolls, few_colours=True)
 
 
 def _expected(like: Stack, image_e: torch.Tensor) -> Stack:

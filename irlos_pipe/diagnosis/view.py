@@ -16,6 +16,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.open_fit import JOINED
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,13 @@ class Exposures:
     star: str = ""  # of the moment: equal names are the same star
 
     def view(self, nolls: Sequence[int], device: str) -> View:
-        """Its model of the modes `nolls` on `device`, in float64: a mean is more precise than float32."""
-        psf = light_path(self.conditions.settings, nolls, device=device, dtype=torch.float64)
-        return View(psf, self.conditions, self.moment)
+        """Its model of the modes `nolls` on `device`."""
+        return View(_path(self.conditions.settings, nolls, device), self.conditions, self.moment)
+
+
+def _path(settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
+    """In float64, as a mean is more precise than float32; derivatives may be rough."""
+    return light_path(settings, nolls, device=device, dtype=torch.float64, rough_derivatives=True)
 
 
 @dataclass(frozen=True)
@@ -52,29 +57,22 @@ class View:
     conditions: Conditions
     moment: int = 0
 
-    def quick(self) -> View:
-        """This light path in float32, which is precise enough for most of a fit."""
-        psf = self.psf
-        return replace(self, psf=light_path(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32))
-
-    def with_rough_derivatives(self, nolls: Sequence[int], *, few_colours: bool = False) -> View:
-        """This light path with the modes `nolls`; of `few_colours`, images are rough as well."""
-        psf, options = self.psf, {"device": self.psf.device, "dtype": self.psf.dtype}
-        settings = psf.settings.with_fewer_colours(JOINED) if few_colours else psf.settings
-        return replace(self, psf=light_path(settings, nolls, **options, rough_derivatives=True))
+    def with_modes(self, nolls: Sequence[int], *, few_colours: bool = False) -> View:
+        """This light path with the modes `nolls`; of `few_colours`, its images are rough as well."""
+        settings = self.psf.settings.with_fewer_colours(JOINED) if few_colours else self.psf.settings
+        return replace(self, psf=_path(settings, nolls, self.psf.device))
 
     def with_known(self, modes_nm: Mapping[int, float]) -> View:
         """This light path with further modes of a known wavefront: Noll index to nm RMS."""
         psf, known = self.psf, self.psf.settings.known
         ncpa_nm = {noll: known.ncpa_nm.get(noll, 0.0) + nm for noll, nm in modes_nm.items()}
         settings = replace(psf.settings, known=replace(known, ncpa_nm={**known.ncpa_nm, **ncpa_nm}))
-        return replace(self, psf=light_path(settings, psf.nolls, device=psf.device, dtype=psf.dtype))
+        return replace(self, psf=_path(settings, psf.nolls, psf.device))
 
     def under(self, conditions: Conditions) -> View:
         """A recording of the same modes under other `conditions`."""
-        psf = self.psf
-        moved = light_path(conditions.settings, psf.nolls, device=psf.device, dtype=psf.dtype)
-        return replace(self, psf=moved, conditions=conditions)
+        psf = _path(conditions.settings, self.psf.nolls, self.psf.device)
+        return replace(self, psf=psf, conditions=conditions)
 
     def seen(self, effects: Sequence[Effect], views: Sequence[View]) -> list[Effect]:
         """Those of the `effects` that act in this recording, as they do.

@@ -11,7 +11,7 @@ from helpers.simulated_scenes import image as simulated
 
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import placed_families
+from irlos_pipe.diagnosis.forward import families
 from irlos_pipe.diagnosis.moments import Moments, placed
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import sharing
@@ -123,7 +123,7 @@ def test_a_model_has_what_is_the_instruments_once_and_the_sky_for_every_moment()
 
 @pytest.mark.parametrize(("stars", "ghost"), [("AB", {None}), ("AA", set())])
 def test_a_ghost_is_looked_for_in_all_recordings_and_a_companion_at_each_star(stars, ghost):
-    found, _ = placed_families(moments(stars), [PlateScale.under(CONDITIONS), TipTiltJitter().only_in(FIRST)])
+    found, _ = families(moments(stars), [PlateScale.under(CONDITIONS), TipTiltJitter().only_in(FIRST)])
     places = {
         name: {where for family in found if family.effect.name == name for where in family.placements}
         for name in ("ghost", "companion", "plate_scale", "tip_tilt_jitter", "pupil_misregistration")
