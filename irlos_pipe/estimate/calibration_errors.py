@@ -127,12 +127,27 @@ def _of_model_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.n
 
 
 def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:
-    """Whether the frames scatter by more than the noise model says, over all modes together."""
+    """Whether estimates scatter by more than the `covariance` of their mean says, over all modes together."""
     count, modes = used.shape
     if count < 2:
         return False
     ratio = float(np.mean(used.var(axis=0, ddof=1) / count / np.diag(covariance)))
     return ratio > 1 + SIGNIFICANT * np.sqrt(2 / (modes * (count - 1)))
+
+
+def errors_of_mean(estimates_nm: np.ndarray, covariances_nm2: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the covariance of the mean of estimates (cubes, modes) [nm²].
+
+    Where they scatter by more than their errors, their scatter is added: to those of tip and tilt, which the
+    pointing changes, and to those of the shapes, each by itself.
+    """
+    count = len(estimates_nm)
+    covariance = np.sum(covariances_nm2, axis=0) / count**2
+    for own in (slice(FIRST), slice(FIRST, None)):
+        some = estimates_nm[:, own]
+        if _scatter_beyond(some, covariance[own, own]):
+            covariance[own, own] += np.cov(some, rowvar=False) / count
+    return covariance
 
 
 def widening(count: int) -> float:

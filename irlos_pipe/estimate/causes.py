@@ -92,7 +92,7 @@ class Asked:
     """What is known besides the fit: χ²/ν that is nominal, pupils of other profiles by name."""
 
     conditions: Conditions
-    nominal: float
+    nominal: float  # in units of the fit
     cutoff: float = NAN  # where detail ends over D/λ, see `frames.told.cutoff_ratio`
     profile: str = ""
     pupils: Mapping[str, PupilGeometry] = field(default_factory=dict)

@@ -27,7 +27,14 @@ from irlos_pipe.effects.effect_set import fixed_optics
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.seeing_halo import UnevenResidual
 from irlos_pipe.estimate.calibration import calibrate
-from irlos_pipe.estimate.calibration_errors import NominalChi2, errors_of, public_errors, slow_part, widening
+from irlos_pipe.estimate.calibration_errors import (
+    NominalChi2,
+    errors_of,
+    errors_of_mean,
+    public_errors,
+    slow_part,
+    widening,
+)
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import (
     Frames,
@@ -303,3 +310,19 @@ def test_what_is_held_has_no_error_and_what_is_free_its_own():
 
 def _grids():
     return PsfModel(settings(WINDOW), (4,)).grids
+
+
+def test_the_error_of_a_mean_over_cubes_holds_what_they_differ_by_beyond_their_errors():
+    """Monte Carlo: cubes of one wavefront, and of wavefronts that differ; their pointing differs anyhow."""
+    rng, own = np.random.default_rng(3), np.diag(np.linspace(1.0, 2.0, 8) ** 2)
+    for apart_nm, expected in ((0.0, 1.5**2 / 5), (12.0, (12.0**2 + 1.5**2) / 5)):
+        spread = np.array([40.0, 40.0, *[apart_nm] * 6])
+        pulls = []
+        for _ in range(300):
+            cubes = spread * rng.standard_normal((5, 8)) + rng.standard_normal((5, 8)) @ own**0.5
+            covariance = errors_of_mean(cubes, [own] * 5)
+            pulls.append(cubes.mean(axis=0) / np.sqrt(np.diag(covariance)))
+        mean_square = np.square(pulls)[:, 2:].mean() if not apart_nm else np.median(np.square(pulls)[:, 2:])
+        assert 0.4 < mean_square < 1.3  # the median of t² with four degrees of freedom is 0.55
+        assert np.diag(covariance)[2:].mean() == pytest.approx(expected, rel=0.6)
+        assert np.diag(covariance)[:2].min() > 40

@@ -248,13 +248,16 @@ def causes_of(
     found = [cause for row in rows for cause in _of_frames(row)]
     sure = any(one.name == "overflow" for one in found)
     if result.fit is not None and conditions is not None and not sure:
-        asked = _asked(ctx, conditions, result)
+        problem, x = result.fit[0], result.fit[1].values[:1]
+        # of few frames that misfit, the fit has weights other than those of the reported χ²
+        nominal = result.nominal.value * float(problem.reduced_chi2(x)[0]) / result.chi2_nu
+        asked = _asked(ctx, conditions, result, nominal)
         names, diversity_nm = {one.name for one in failed}, conditions.diversity_nm.values()
         other = improbable_diversity(dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)), asked)
         if names & {MISFIT, ERROR} and result.chi2_nu > result.nominal.most:
-            found += [*causes_of_misfit(result.fit[0], result.fit[1].values[:1], asked), *other]
+            found += [*causes_of_misfit(problem, x, asked), *other]
         elif MISFIT in names:
-            found += dark_left_in(result.fit[0], result.fit[1].values[:1])
+            found += dark_left_in(problem, x)
         elif "twin solution" in names or any(0 < abs(nm) < SMALLEST_NM for nm in diversity_nm):
             found += other
     plain = [(PLAIN.get(one.name.rpartition("/")[2]), one.message) for one in failed]
@@ -269,7 +272,7 @@ def causes_of(
     return [CauseRow.filled_from(one, says=f"{says}{one.says}") for one in found if first[one.name] is one]
 
 
-def _asked(ctx: StageContext[Config], conditions: Conditions, result: Calibration) -> Asked:
+def _asked(ctx: StageContext[Config], conditions: Conditions, result: Calibration, nominal: float) -> Asked:
     settings = conditions.settings
     expected = cutoff_per_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
     good = np.isfinite(result.sigma_image_e)
@@ -279,7 +282,7 @@ def _asked(ctx: StageContext[Config], conditions: Conditions, result: Calibratio
         cutoff = cutoff if cutoff * expected * BEYOND < LAST_PER_PX else NAN
     return Asked(
         conditions,
-        result.nominal.value,
+        nominal,
         cutoff,
         ctx.instrument.name,
         {one: load_instrument(one).pupil for one in SHIPPED if one != ctx.instrument.name},

@@ -14,6 +14,7 @@ from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import mean_of, measured, rows_of
 from irlos_pipe.estimate.calibration import Calibration, calibrate
+from irlos_pipe.estimate.calibration_errors import errors_of_mean
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.methods import scheme_of
@@ -265,7 +266,10 @@ def _mean_calibration(results: Sequence[Calibration]) -> Calibration:
         first,
         zernike_nm=mean("zernike_nm"),
         fitted_modes_nm=mean("fitted_modes_nm"),
-        covariance_nm2=np.sum([one.covariance_nm2[own, own] for one in results], axis=0) / len(results) ** 2,
+        covariance_nm2=errors_of_mean(
+            np.array([one.zernike_nm[own] for one in results]),
+            [one.covariance_nm2[own, own] for one in results],
+        ),
         effects=mean_of([{name: one.effects[name] for name in common} for one in results]),
         effect_values={
             name: np.mean([one.effect_values[name] for one in results], axis=0) for name in common
