@@ -54,12 +54,6 @@ class Fitter:
         problem = self.problem(effects, self.views, ROUGHLY)
         return self._solved(problem, self.start(problem, near), iterations)
 
-    def begun(self, effects: Sequence[Effect], near: Fitted) -> Fitted:
-        """`effects` with modes, flux and background of a fit `near` by, nothing fitted yet."""
-        problem = self.problem(effects, self.views)
-        x = self.start(problem, near)
-        return Fitted(problem, replace(near.solution, values=x), float(problem.chi2(x)), self.views)
-
     def finished(self, fitted: Fitted) -> Fitted:
         """What was explored, continued until it converges or falls no further, if patience allows."""
         for _ in range(PATIENCE):

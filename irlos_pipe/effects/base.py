@@ -316,19 +316,9 @@ def label_of(name: str, before: int) -> str:
 
 
 def kind_of(label: str) -> str:
-    return _label_parts(label)[0]
-
-
-def label_after(label: str, gone: str) -> str:
-    """Return a `label` when the effect labelled `gone` has left the model: later ones of its kind move up."""
-    (name, number), (other, place) = _label_parts(label), _label_parts(gone)
-    return label_of(name, number - 1) if name == other and number > place else label
-
-
-def _label_parts(label: str) -> tuple[str, int]:
-    """The name in a label, and how many of its kind come before."""
+    """Name of an effect with this label."""
     name, _, number = label.rpartition("_")
-    return (name, int(number) - 1) if name and number.isdecimal() else (label, 0)
+    return name if name and number.isdecimal() else label
 
 
 def direction_among(parameters: Sequence[Parameter]) -> int | None:

@@ -136,7 +136,7 @@ def test_a_stop_that_came_to_rest_begins_where_the_fit_falls():
     training = cube(image(effect=STOP, values=(distance_m, direction_rad, 0.0))).training
     fitter = Fitter([View(model(), CONDITIONS)], training)
     centred = begun_at(STOP, np.array([0.0, direction_rad + np.pi, 0.0]))
-    resting = fitter.begun([centred], fitted(training))
+    resting = fitter.explored([centred], fitted(training), iterations=0)
     (side,) = other_sides(resting, STOP.name)
     best = fitter.explored([begun_at(STOP, side)], resting)
     assert best.chi2 < resting.chi2 - 25

@@ -39,7 +39,7 @@ from irlos_pipe.diagnosis.ramp.gap import compare
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Conditions, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
-from irlos_pipe.effects.base import label_after, labels_of
+from irlos_pipe.effects.base import kind_of, labels_of
 from irlos_pipe.effects.lenslet_images import LensletImages
 from irlos_pipe.effects.seeing_halo import AoCutoff
 from irlos_pipe.effects.wavefront import HighOrderNcpa
@@ -364,13 +364,8 @@ def test_a_cut_off_told_wrong_is_named_with_the_value_that_the_data_want(recorde
     assert step.public["per_m"] == pytest.approx(TRUE_PER_M, abs=0.04)
 
 
-KINDS = ["companion", "plate_scale", "companion", "companion", "tip_tilt_jitter", "companion"]
-
-
-@pytest.mark.parametrize("gone", range(len(KINDS)))
-def test_labels_after_one_has_left_are_those_of_the_others(gone):
-    effects = [SimpleNamespace(name=name) for name in KINDS]
-    labels = labels_of(effects)
-    others = [label for position, label in enumerate(labels) if position != gone]
-    left = [effect for position, effect in enumerate(effects) if position != gone]
-    assert [label_after(label, labels[gone]) for label in others] == labels_of(left)
+def test_labels_count_the_effects_of_a_kind():
+    names = ["companion", "plate_scale", "companion", "tip_tilt_jitter", "companion"]
+    labels = labels_of([SimpleNamespace(name=name) for name in names])
+    assert labels == ["companion", "plate_scale", "companion_2", "tip_tilt_jitter", "companion_3"]
+    assert [kind_of(label) for label in labels] == names
