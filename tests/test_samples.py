@@ -63,6 +63,18 @@ def test_the_demo_finds_the_ncpas_the_residual_and_the_ramp_of_the_own_sample(tm
     assert compare["without NCPAs"]["rms_nm"] > 5 * summary["rms_nm"]
 
 
+def test_pixels_declared_1_percent_too_large_are_named_although_modes_imitate_them(tmp_path):
+    settings = ["ingest.acquisition={pixel_scale_mas: 9.797}"]
+    calibrate = reduce("ncpa_calibration", tmp_path, settings, calibration=OWN / "calibration-sky")["calibrate"]
+    assert total(errors_nm(calibrate, OWN / "truth" / "calibration-sky.json")) > 10
+    checks = json.loads((tmp_path / "qc.json").read_text())["checks"]
+    (failed,) = [one for one in checks if not one["passed"]]
+    assert "chi2" in failed["name"] and "9.7" in failed["message"]
+    first = calibrate["causes"][0]
+    assert first["name"] == "plate_scale" and first["explains"] > 0.5
+    assert first["value"] == pytest.approx(9.7, abs=0.01)
+
+
 @needs_shared
 def test_ncpas_on_sky_are_within_10_nm_and_a_ramp_with_them_is_straight_to_5_nm(tmp_path):
     inputs = {"calibration": SHARED / "calibration-sky", "ramp": SHARED / "ramp-broad"}

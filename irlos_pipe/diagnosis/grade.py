@@ -186,9 +186,10 @@ def share_at_its_place(one: Refit, final: Optimum) -> float:
 
     The signal is the change of the image by the name that no other parameter imitates. Its square weighs the
     excess of χ² with and without the name: a name that stands in for something else leaves much exactly where
-    it acts.
+    it acts. What is smooth may have taken up a part of the model's error, which excuses nothing there; a copy
+    of the star does not, and near its core that error is noise as any other.
     """
-    stack = final.stack.without_model_error()
+    stack = final.stack if one.base.copies_star else final.stack.without_model_error()
     plain = final.under(stack)
     change = (one.fitted.image_e - one.origin.fitted.image_e) * plain.root
     signal = one.origin.under(stack).project(change[:, None])[:, 0]

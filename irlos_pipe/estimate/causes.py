@@ -305,17 +305,22 @@ def _other_diversities(settings: PsfSettings) -> Iterator[Suspect]:
 # -- tests ---------------------------------------------------------------------------------------
 
 
-def causes_of_misfit(problem: ImageFit, x: torch.Tensor, asked: Asked) -> list[Cause]:
+def causes_of_misfit(
+    problem: ImageFit, x: torch.Tensor, asked: Asked, *, facts_only: bool = False
+) -> list[Cause]:
     """Return what would explain that χ²/ν of a mean image is above nominal, most likely first.
 
     The `problem` has one member, with its optimum at `x` (1, parameters). Other optics are tried where no
-    effect explains enough, and then fits that begin with no modes: the optimum may be a wrong minimum.
+    effect explains enough, and then fits that begin with no modes: the optimum may be a wrong minimum. With
+    `facts_only` nothing is tried but values of what is declared of the instrument.
     """
     problem, x = _with_few_modes(problem, x)
     null = null_model(problem, x)
     chi2 = float(null.residual.square().sum())
     misfit = max(chi2 - asked.nominal * problem.freedom, 1e-3 * chi2)
     every, found = list(suspects(problem, null, asked)), []
+    if facts_only:
+        every = [one for one in every if not one.optics and one.effect is not None and one.effect.base.fact]
 
     def add(suspect: Suspect, fit: _Fit) -> float:
         found.append((min(1.0, (chi2 - fit.chi2) / misfit), suspect, fit))
@@ -331,7 +336,7 @@ def causes_of_misfit(problem: ImageFit, x: torch.Tensor, asked: Asked) -> list[C
                 best = add(suspect, fit.further(STEPS))
         for _, suspect, fit in [found.pop(0) for _ in found[:BEST]]:
             best = add(suspect, fit.further(FURTHER))
-        if best >= ENOUGH:
+        if best >= ENOUGH or facts_only:
             break
     else:
         blank = x.clone()

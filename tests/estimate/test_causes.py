@@ -27,7 +27,7 @@ CONDITIONS = Conditions(
 )
 
 
-def found(settings, beside=0.0, nolls=NOLLS, cutoff=np.nan):
+def found(settings, beside=0.0, nolls=NOLLS, cutoff=np.nan, facts_only=False):
     """Causes of the misfit of an image taken with other `settings`, and light `beside` the star in it.
 
     It is fitted by modes `nolls`, of which there may be more than in the light. The end of its spectrum is at
@@ -42,7 +42,8 @@ def found(settings, beside=0.0, nolls=NOLLS, cutoff=np.nan):
     problem = ImageFit(model, Layout(nolls, prior_sigma_nm=sigma_nm), data, data + 9.0)
     start = torch.cat([PLACE[:, :-2], torch.zeros(1, more, dtype=torch.float64), PLACE[:, -2:]], dim=1)
     x = solve(problem, start).values
-    return causes_of_misfit(problem, x, Asked(CONDITIONS, 1.0, cutoff)), float(problem.reduced_chi2(x)[0])
+    causes = causes_of_misfit(problem, x, Asked(CONDITIONS, 1.0, cutoff), facts_only=facts_only)
+    return causes, float(problem.reduced_chi2(x)[0])
 
 
 @pytest.mark.slow
@@ -70,6 +71,7 @@ def test_a_turned_pupil_and_a_glow_are_told_apart():
     glow = torch.linspace(0, 200, WINDOW, dtype=torch.float64).expand(WINDOW, WINDOW)
     causes, _ = found(SETTINGS, glow)
     assert causes[0].name == "background" and causes[0].value == pytest.approx(200.0, rel=0.1)
+    assert all(one.explains < 0.5 for one in found(SETTINGS, glow, facts_only=True)[0])
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL
 from irlos_pipe.conventions.units import cutoff_per_px
@@ -22,6 +23,7 @@ from irlos_pipe.estimate.causes import (
     improbable_diversity,
 )
 from irlos_pipe.estimate.cube import Motion
+from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.frames.measured_noise import SIGNIFICANT
 from irlos_pipe.frames.told import (
@@ -48,9 +50,11 @@ LOWEST_KURTOSIS = 1.3  # of the frames: two kinds in halves have 1, a sinusoidal
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
 NEARER = 0.5  # part of the distance of neighbouring planes
 MISFIT, ERROR = "chi2 of the mean image", "error of the wavefront"
+COUNTED = ": the model lacks something, which the errors count"
 # χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as
 # others do: behind other AO systems it leaves 1.3 to 3.3, of wrong instruments one in a hundred is below.
 OTHER_RESIDUAL = 2.0
+MOST = 0.5  # part of such a misfit from which it is no AO residual's but that of the fact which explains it
 
 
 def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
@@ -107,11 +111,17 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
     if result.chi2_nu < low:
         why = ": neighbouring pixels share their noise, or frames are repeated"
     elif nominal.most < result.chi2_nu <= high and limits.max_chi2_nu is None:
-        why = ": the model lacks something, which the errors count"
+        why = COUNTED
     message = (
         f"χ²/ν {result.chi2_nu:.2f}, nominal for these frames {nominal.value:.2f} ± {nominal.sigma:.2f}{why}"
     )
     return Check(MISFIT, result.chi2_nu, "", low, high, message)
+
+
+def unexcused(check: Check, result: Calibration) -> Check:
+    """Return the `check` of χ²/ν of a `result` without the allowance for another AO residual."""
+    high = result.chi2_nu - result.nominal.excess(result.chi2_nu)
+    return replace(check, high=high, message=check.message.removesuffix(COUNTED))
 
 
 def _noise(result: Calibration) -> Check:
@@ -235,23 +245,23 @@ def causes_of(
     checks: Sequence[Check],
     name: str = "",
 ) -> list[CauseRow]:
-    """Return the causes of the failed ones of `checks` and of those of the recordings, or the one `name`."""
+    """Return the causes of the failed ones of `checks` and of those of the recordings, or the one `name`.
+
+    Where none failed, they are wrong facts, which fail the check of χ²/ν.
+    """
     product = ctx.products["ingest"]
     places = f"ingest/{ctx.config.input}/{f'{name}/' * bool(name)}", f"{name}: " if name else ""
     failed = [one for one in product.checks if not one.passed and one.name.startswith(places[0])]
     own = (one for one in checks if not one.passed and one.name.startswith(places[1]))
     failed += [replace(one, name=one.name.removeprefix(places[1])) for one in own]
     if not failed:
-        return []
+        return _of_name(_wrong_facts(ctx, conditions, result), name)
     inputs = results_of(IngestResults, product).inputs
     rows = [row for row in inputs if row.input == ctx.config.input and name in ("", row.name)]
     found = [cause for row in rows for cause in _of_frames(row)]
     sure = any(one.name == "overflow" for one in found)
     if result.fit is not None and conditions is not None and not sure:
-        problem, x = result.fit[0], result.fit[1].values[:1]
-        # of few frames that misfit, the fit has weights other than those of the reported χ²
-        nominal = result.nominal.value * float(problem.reduced_chi2(x)[0]) / result.chi2_nu
-        asked = _asked(ctx, conditions, result, nominal)
+        problem, x, asked = _asked(ctx, conditions, result)
         names, diversity_nm = {one.name for one in failed}, conditions.diversity_nm.values()
         other = improbable_diversity(dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)), asked)
         if names & {MISFIT, ERROR} and result.chi2_nu > result.nominal.most:
@@ -268,25 +278,44 @@ def causes_of(
     before = [one for one in BEFORE if one not in bent]
     found = sorted([*found, *said], key=lambda one: 2 * (one.name in bent) or one.name not in before)
     first = {one.name: one for one in reversed(found)}  # of each name the likeliest
+    return _of_name([one for one in found if first[one.name] is one], name)
+
+
+def _of_name(found: Sequence[Cause], name: str) -> list[CauseRow]:
     says = f"{name}: " if name else ""
-    return [CauseRow.filled_from(one, says=f"{says}{one.says}") for one in found if first[one.name] is one]
+    return [CauseRow.filled_from(one, says=f"{says}{one.says}") for one in found]
 
 
-def _asked(ctx: StageContext[Config], conditions: Conditions, result: Calibration, nominal: float) -> Asked:
-    settings = conditions.settings
+def _wrong_facts(
+    ctx: StageContext[Config], conditions: Conditions | None, result: Calibration
+) -> list[Cause]:
+    """Facts that explain most of a misfit that an AO residual of another shape would excuse.
+
+    Modes imitate a wrong scale of the pixels until little is left, and are as wrong.
+    """
+    excused = error_is_known(result) and ctx.config.max_chi2_nu is None
+    if conditions is None or not excused or result.nominal.excess(result.chi2_nu) <= 0:
+        return []
+    facts = causes_of_misfit(*_asked(ctx, conditions, result), facts_only=True)
+    return [one for one in facts if one.explains > MOST]
+
+
+def _asked(
+    ctx: StageContext[Config], conditions: Conditions, result: Calibration
+) -> tuple[ImageFit, torch.Tensor, Asked]:
+    """The fit of a result, its optimum, and what else is known to those who look for causes."""
+    assert result.fit is not None
+    problem, x, settings = result.fit[0], result.fit[1].values[:1], conditions.settings
+    # of few frames that misfit, the fit has weights other than those of the reported χ²
+    nominal = result.nominal.value * float(problem.reduced_chi2(x)[0]) / result.chi2_nu
     expected = cutoff_per_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
     good = np.isfinite(result.sigma_image_e)
     cutoff = cutoff_ratio(result.mean_image_e, good, expected)
     if np.isnan(cutoff):  # the declared pupil may be much too large: does detail end far below it?
         cutoff = cutoff_ratio(result.mean_image_e, good, expected, LAST_PER_PX)
         cutoff = cutoff if cutoff * expected * BEYOND < LAST_PER_PX else NAN
-    return Asked(
-        conditions,
-        nominal,
-        cutoff,
-        ctx.instrument.name,
-        {one: load_instrument(one).pupil for one in SHIPPED if one != ctx.instrument.name},
-    )
+    pupils = {one: load_instrument(one).pupil for one in SHIPPED if one != ctx.instrument.name}
+    return problem, x, Asked(conditions, nominal, cutoff, ctx.instrument.name, pupils)
 
 
 def _of_frames(row: RecordingRow) -> Iterator[Cause]:

@@ -33,7 +33,7 @@ from irlos_pipe.stages.calibrate.input import (
     require_joint,
     setups_of,
 )
-from irlos_pipe.stages.calibrate.quality import MISFIT, causes_of, checks_of, motion_line
+from irlos_pipe.stages.calibrate.quality import MISFIT, causes_of, checks_of, motion_line, unexcused
 from irlos_pipe.stages.calibrate.results import (
     ARRAYS,
     CUBES,
@@ -159,18 +159,22 @@ def _with_causes(
     name: str = "",
 ) -> StageOutput:
     """The output with what would explain the checks that failed, of `each` those of the recording `name`."""
-    causes = causes_of(ctx, conditions, result, output.checks, name)
-    if not causes and all(check.passed for check in output.checks):
+    checks, passed = output.checks, all(check.passed for check in output.checks)
+    causes = causes_of(ctx, conditions, result, checks, name)
+    if passed and not causes:
         return output
     why = causes[0].says if causes else NOTHING_EXPLAINS if result.fit else NOT_TESTED
     lines = [f"Cause {place}         {one.says}" for place, one in enumerate(causes, start=1)]
     for line in lines:
         ctx.log.warning(line)
+    misfit = f"{name}: {MISFIT}" if name else MISFIT
+    if passed:  # a wrong fact explains what the errors were to count
+        checks = [unexcused(one, result) if one.name == misfit else one for one in checks]
     checks = [
         replace(one, message=f"{one.message}: {why}")
-        if one.name == MISFIT and not one.passed and one.value > (one.low or 0.0)
+        if one.name == misfit and not one.passed and one.value > (one.low or 0.0)
         else one
-        for one in output.checks
+        for one in checks
     ]
     results = output.results.model_copy(update={"causes": causes, "no_causes": "" if causes else why})
     return replace(output, results=results, checks=checks, summary=[*output.summary, *lines])
@@ -241,11 +245,9 @@ def _each_output(
     )
     checks = [check for one, result in cubes for check in checks_of(ctx.config, result, f"{one.name}: ")]
     output = StageOutput(arrays, results, checks, summary=_mean_summary(mean, cubes), failures=failures)
-    if all(check.passed for check in checks):
-        return output
     wrong = [check.name for check in checks if not check.passed]
     failed = [cube for cube in cubes if any(name.startswith(f"{cube[0].name}: ") for name in wrong)]
-    own, worst = max(failed, key=lambda cube: cube[1].chi2_nu / cube[1].nominal.value)
+    own, worst = max(failed or cubes, key=lambda cube: cube[1].chi2_nu / cube[1].nominal.value)
     conditions = cube_input(ctx, [own], worst.options).conditions if worst.fit else None
     return _with_causes(ctx, output, conditions, worst, own.name)
 
