@@ -65,7 +65,9 @@ def test_the_demo_finds_the_ncpas_the_residual_and_the_ramp_of_the_own_sample(tm
 
 def test_pixels_declared_1_percent_too_large_are_named_although_modes_imitate_them(tmp_path):
     settings = ["ingest.acquisition={pixel_scale_mas: 9.797}"]
-    calibrate = reduce("ncpa_calibration", tmp_path, settings, calibration=OWN / "calibration-sky")["calibrate"]
+    calibrate = reduce("ncpa_calibration", tmp_path, settings, calibration=OWN / "calibration-sky")[
+        "calibrate"
+    ]
     assert total(errors_nm(calibrate, OWN / "truth" / "calibration-sky.json")) > 10
     checks = json.loads((tmp_path / "qc.json").read_text())["checks"]
     (failed,) = [one for one in checks if not one["passed"]]

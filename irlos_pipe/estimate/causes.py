@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import torch
@@ -45,6 +45,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import band_limited
 
 WORTH_REFIT, WORTH_NAMING = 0.02, 0.1  # parts of the misfit: by the linear test, and after the refit
+EXPLAINED = 0.5  # part of the misfit that a wrong fact explains: no other minimum or residual is to blame
 ENOUGH = 0.9  # part of the misfit from which other optics, and other minima, are not tried
 ALIKE = 0.03  # part of the misfit by which causes explain as much as the best
 AS_PROMISING = 0.3  # of the best promise: others are not refitted once enough is explained
@@ -91,7 +92,7 @@ class Cause:
 class Asked:
     """What is known besides the fit: χ²/ν that is nominal, pupils of other profiles by name."""
 
-    conditions: Conditions
+    conditions: Conditions | None  # for an AO residual
     nominal: float  # in units of the fit
     cutoff: float = NAN  # where detail ends over D/λ, see `frames.told.cutoff_ratio`
     profile: str = ""
@@ -222,7 +223,6 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
     stop = FixedEffect(PupilMisregistration(), [0.03, 0.0, 0.0], free=("distance_m", "direction_rad"))
     listed: list[tuple[Callable[[], Effect], str, str]] = [
         (TipTiltJitter, "motion", "model.effects"),
-        (lambda: SeeingHalo.under(asked.conditions), "seeing_halo", "model.effects"),
         (InterpixelCrosstalk, "interpixel_crosstalk", "model.effects"),
         (DetectorNonlinearity, "detector_nonlinearity", "detector.saturation_adu"),
         (lambda: Vibration("gaussian"), "motion", "model.effects"),
@@ -233,6 +233,8 @@ def suspects(problem: ImageFit, null: NullModel, asked: Asked) -> Iterator[Suspe
             "model.effects",
         ),
     ]
+    if asked.conditions is not None:
+        listed.insert(1, (partial(SeeingHalo.under, asked.conditions), "seeing_halo", "model.effects"))
     if geometry.plain:  # drawing others again takes minutes
         listed.insert(2, (lambda: PupilSizes(geometry), "pupil_geometry", "pupil"))
         listed.insert(-1, (lambda: stop, "pupil_misregistration", "pupil"))
@@ -480,18 +482,18 @@ def _tested(
             yield gain, suspect, _Fit.of(problem, x, suspect, values)
 
 
-def improbable_diversity(modes_nm: Mapping[int, float], asked: Asked) -> list[Cause]:
+def improbable_diversity(modes_nm: Mapping[int, float], conditions: Conditions) -> list[Cause]:
     """Return the diversity that would make estimated modes, Noll index to nm RMS, likelier than the declared.
 
     By the law of the instrument's NCPAs: where the diversity lies in another mode, or is not there, the fit
     takes it out of one mode and puts it into another.
     """
-    declared = {noll: nm for noll, nm in asked.conditions.diversity_nm.items() if nm}
+    declared = {noll: nm for noll, nm in conditions.diversity_nm.items() if nm}
     nolls = [noll for noll in modes_nm if noll in (*DIVERSE_NOLLS, *declared)]
-    if asked.conditions.ncpa_law is None or len(declared) != 1 or not nolls:
+    if conditions.ncpa_law is None or len(declared) != 1 or not nolls:
         return []
     ((mode, size),) = declared.items()
-    sigma = NcpaPrior(asked.conditions.ncpa_law, 1.0).sigma_nm(nolls).numpy()
+    sigma = NcpaPrior(conditions.ncpa_law, 1.0).sigma_nm(nolls).numpy()
     total = np.array([modes_nm[noll] + declared.get(noll, 0.0) for noll in nolls])
 
     def deviance(noll: int, nm: float) -> float:

@@ -12,7 +12,7 @@ times too large. The image has many such minima, each a little better than the n
 
 A fit of 230 modes from nearby costs about a second, as its steps share Hessians. Where the model lacks
 something else, softened weights lead back to where the fit has ended, or one wrongly declared fact explains
-what the best minimum misses (`lacking`), and shakes are left out: they gain a few per cent of χ² in a hundred
+what the best minimum misses (`causes`), and shakes are left out: they gain a few per cent of χ² in a hundred
 seconds. They also end where they have taken `SHAKEN_TIMES` as many iterations as the softened weights: a
 count, and not a time, so that the end is the same on every machine.
 """
@@ -25,16 +25,15 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
+from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
 from irlos_pipe.estimate.cube_fit import FIRST, CubeFit, Fit
 from irlos_pipe.estimate.open_fit import Opened, OpenFit, settled, widened
-from irlos_pipe.estimate.residual import lacking
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
 
 SEED = 20
 SHAKES, PATIENCE = 16, 8  # shakes from one start at most, and in a row without a better minimum
 SHAKEN_TIMES = 4  # shakes take at most so many times the iterations of softened weights
-EXPLAINED = 0.5  # part of the misfit that one fact explains: above it, no other minimum is missing
 LEFT = 0.5  # part of χ²/ν of the closed basis: above it, modes beyond are not what that lacks
 ITERATIONS = 40  # of every fit on the way
 PRIOR_PART = 0.3  # part of the standard deviation of the prior, for shakes by it
@@ -119,8 +118,8 @@ class _Search:
         return min(found, key=_objective)
 
     def _lacks_a_fact(self, solution: Solution) -> bool:
-        excess = 1 - self.most / float(self.problem.reduced_chi2(solution.values)[0])
-        return lacking(self.problem, solution.values, excess) > EXPLAINED
+        facts = causes_of_misfit(self.problem, solution.values, Asked(None, self.most), facts_only=True)
+        return any(one.explains > EXPLAINED for one in facts)
 
     def _shaken(self, best: Solution) -> Solution:
         """The likeliest of the minima around one, and around those that are found."""

@@ -1,7 +1,4 @@
-"""What the residual of a fit says: one fact, an uneven AO residual, a mirrored pupil, frames of two kinds.
-
-`lacking` fits again everything that was fitted, and one fact besides, to first order (`score_test`). Where
-the wavefront has bent to imitate the fact, the step is too short.
+"""What the residual of a fit says: an uneven AO residual, a mirrored pupil, frames of two kinds.
 
 `uneven` asks for an AO residual that is uneven over the pupil, which the modes imitate: whether the scores
 ``p = Lᵀ r`` of the residual r, with what the fitted parameters leave L of its shapes, are beyond their
@@ -29,49 +26,14 @@ import torch
 
 from irlos_pipe.conventions.pupil_drawing import placed
 from irlos_pipe.conventions.pupil_parts import Placement
-from irlos_pipe.effects import Effect
-from irlos_pipe.effects.colour import Anamorphism, PlateScale, Spectrum
-from irlos_pipe.effects.detector import BackgroundGradient, DetectorNonlinearity, InterpixelCrosstalk
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.effects.seeing_halo import SeeingHalo, UnevenResidual
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.score_test import LinearEstimate, derivatives, frozen_effects, null_model
+from irlos_pipe.estimate.score_test import derivatives, frozen_effects, null_model
 from irlos_pipe.frames.blocks import sample_frames
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.lenslets import light_path
-from irlos_pipe.optics.psf_settings import PsfSettings
-
-
-def lacking(problem: ImageFit, x: torch.Tensor, excess: float) -> float:
-    """Return the part of the misfit of an image that the best of a few facts would explain.
-
-    The `problem` has one member, with its optimum at `x` (1, parameters). The part `excess` of χ² is misfit:
-    what a model leaves that lacks nothing is the rest.
-    """
-    null = null_model(problem, x)
-    frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
-    known = {effect.name for effect in problem.model.effects.effects}
-    gains = [
-        LinearEstimate.of(null, fact, (derivatives(problem, x, frozen, fact) * null.root).mT).gain
-        for fact in _facts(problem.model.psf.settings)
-        if fact.name not in known
-    ]
-    return min(max(gains, default=0.0) / (excess * float(null.residual.square().sum())), 1.0)
-
-
-def _facts(settings: PsfSettings) -> list[Effect]:
-    return [
-        PlateScale(settings.pixel_scale_mas),
-        Spectrum(settings.mean_nm),
-        Anamorphism(),
-        PupilMisregistration(),
-        BackgroundGradient(),
-        DetectorNonlinearity(),
-        InterpixelCrosstalk(),
-    ]
-
 
 BEYOND_CHANCE = 5.0  # standard deviations by which scores exceed what their scatter makes
 

@@ -94,7 +94,7 @@ def test_pixels_too_large_for_the_field_are_no_cause():
 def test_the_diversity_in_the_light_is_that_which_makes_the_modes_likely(modes_nm, value, unit):
     declared = {5: -160.0} if unit == "Noll" and value == 6.0 else {6: -160.0}
     known = replace(SETTINGS.known, diversity_nm=declared)
-    asked = Asked(replace(CONDITIONS, settings=replace(SETTINGS, known=known)), 1.0)
-    (cause,) = improbable_diversity(dict.fromkeys(range(2, 12), 5.0) | modes_nm, asked)
+    conditions = replace(CONDITIONS, settings=replace(SETTINGS, known=known))
+    (cause,) = improbable_diversity(dict.fromkeys(range(2, 12), 5.0) | modes_nm, conditions)
     assert (cause.value, cause.unit) == (value, unit)
-    assert improbable_diversity(dict.fromkeys(range(2, 12), 30.0), asked) == []
+    assert improbable_diversity(dict.fromkeys(range(2, 12), 30.0), conditions) == []

@@ -15,6 +15,7 @@ from irlos_pipe.estimate.calibration import Calibration, SetupFit
 from irlos_pipe.estimate.calibration_errors import BY_CHANCE, LEAST_FRAMES
 from irlos_pipe.estimate.causes import (
     ENOUGH,
+    EXPLAINED,
     NAN,
     Asked,
     Cause,
@@ -54,7 +55,6 @@ COUNTED = ": the model lacks something, which the errors count"
 # χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as
 # others do: behind other AO systems it leaves 1.3 to 3.3, of wrong instruments one in a hundred is below.
 OTHER_RESIDUAL = 2.0
-MOST = 0.5  # part of such a misfit from which it is no AO residual's but that of the fact which explains it
 
 
 def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
@@ -263,7 +263,8 @@ def causes_of(
     if result.fit is not None and conditions is not None and not sure:
         problem, x, asked = _asked(ctx, conditions, result)
         names, diversity_nm = {one.name for one in failed}, conditions.diversity_nm.values()
-        other = improbable_diversity(dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)), asked)
+        modes_nm = dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True))
+        other = improbable_diversity(modes_nm, conditions)
         if names & {MISFIT, ERROR} and result.chi2_nu > result.nominal.most:
             found += [*causes_of_misfit(problem, x, asked), *other]
         elif MISFIT in names:
@@ -297,7 +298,7 @@ def _wrong_facts(
     if conditions is None or not excused or result.nominal.excess(result.chi2_nu) <= 0:
         return []
     facts = causes_of_misfit(*_asked(ctx, conditions, result), facts_only=True)
-    return [one for one in facts if one.explains > MOST]
+    return [one for one in facts if one.explains > EXPLAINED]
 
 
 def _asked(

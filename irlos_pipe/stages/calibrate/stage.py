@@ -27,7 +27,7 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults as Results
 __all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
 
 NAME = "calibrate"
-VERSION = 27
+VERSION = 28
 NEEDS = ("ingest",)
 READS = ("ingest",)
 WORK = LateModule("irlos_pipe.stages.calibrate.work")
