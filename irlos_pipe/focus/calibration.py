@@ -327,7 +327,7 @@ def exposure_differences(frames: Acquisition, calibrated: Acquisition) -> list[s
 def stated_differences(keys: AcquisitionKeys, calibrated: Acquisition) -> list[str]:
     """Return what the `keys` of a side-car state otherwise than `calibrated`; what they leave out agrees."""
     stated = keys.flat()
-    found: list[str] = []
+    found = ["role dark"] if stated.get("role") == "dark" else []
     if "spectrum" in stated:
         spectrum = [(one.wavelength_nm, one.weight) for one in stated["spectrum"]]
         found += _of_spectrum(spectrum, calibrated.spectrum)

@@ -13,6 +13,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.calibration import stated_differences
 from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Arrival, Fault, Notice
+from irlos_pipe.frames.blocks import picked
 from irlos_pipe.frames.cleaning import find_background
 from irlos_pipe.frames.detector import to_electrons
 from irlos_pipe.frames.recording import Acquisition
@@ -32,6 +33,7 @@ POLL_S = 0.02  # between looks at what has been read
 PART = "#"  # between the name of a file and that of one of its recordings
 QUIET_S = 0.2  # a file that has not changed for so long is complete
 LARGEST_BYTES = 1 << 30  # largest file that is read: half an hour of 64 reads a second of 64x64 px
+State = tuple[int, int]  # of a file: its size and when it changed
 PATIENCE_S, TOLD_S, GIVEN_UP_S = 1.0, 5.0, 60.0  # a poll waits for reading; it is reported; it is given up
 
 
@@ -81,9 +83,10 @@ class Replay:
 class WatchedFolder:
     """Recorder folders and FITS files below a folder, one level deep, each read once it is complete.
 
-    Every recording counts its frames by itself: they carry its name, of the file below the folder. One whose
-    side-car contradicts the acquisition is not used. What has come since an earlier loop is read; without
-    one, what is there already is not.
+    Of one that changes after that, as a slow recorder or a stalled copy lets it, the frames beyond those that
+    were read follow. Every recording counts its frames by itself: they carry its name, of the file below the
+    folder. One whose side-car contradicts the acquisition is not used. What has come since an earlier loop is
+    read; without one, what is there already is not.
 
     Raises `InputDataError` if there is no such folder.
     """
@@ -94,10 +97,14 @@ class WatchedFolder:
         if not root.is_dir():
             raise InputDataError(f"{root}: no such folder; give the one that the recorder writes to")
         self._root, self._instrument, self._calibrated = root, instrument, acquisition
-        self._seen: dict[Path, tuple[tuple[int, int], float]] = {}
+        self._seen: dict[Path, tuple[State, float]] = {}
         self._due, self._reading = list[Path](), _Reading()
         self._earlier = earlier or Earlier()
-        self._read = {one for one in self._files() if earlier is None or self._is_done(one, earlier)}
+        # files that are read, as they were then; None: they are not ours
+        self._read = dict.fromkeys(
+            one for one in self._files() if earlier is None or self._is_done(one, earlier)
+        )
+        self._taken: dict[str, int] = {}  # frames of each recording
         self._away = False
 
     def poll(self, timeout_s: float) -> Sequence[Arrival]:
@@ -155,19 +162,19 @@ class WatchedFolder:
         """New files that no longer change; the last one of an earlier loop comes first."""
         found = []
         for path in sorted(self._files(), key=lambda one: self._name(one) != self._earlier.last):
-            if path in self._read:
-                continue
             try:
                 stat = path.stat()
             except OSError:  # taken away meanwhile
                 continue
             state, now_s = (stat.st_size, stat.st_mtime_ns), time.monotonic()
+            if self._read.get(path, ()) in (None, state):
+                continue
             before, since_s = self._seen.get(path, (None, now_s))
             if state != before:
                 self._seen[path] = state, now_s
             elif max(now_s - since_s, time.time() - stat.st_mtime) > QUIET_S:  # it may be dated ahead
                 found.append(path)
-                self._read.add(path)
+                self._read[path] = state
                 self._seen.pop(path)
         return found
 
@@ -176,34 +183,38 @@ class WatchedFolder:
             if (size := path.stat().st_size) > LARGEST_BYTES:
                 return [Fault(f"{path}: {size / 2**30:.1f} GiB, more than a recording has; not read")]
             recordings = read_recordings(path, self._instrument)
+            found: list[Read | Fault] = []
+            for raw in recordings:
+                name = self._name(path) + (f"{PART}{raw.name}" if len(recordings) > 1 else "")
+                if name == self._earlier.last or name not in self._earlier.recordings:
+                    found += self._reads_of(raw, name)
         except InputDataError as error:
             return [Fault(" ".join(str(error).split()))]
         except Exception as error:  # what a file can contain is not foreseeable
             return [Fault(f"{path}: cannot be used: {type(error).__name__}: {error}")]
-        found: list[Read | Fault] = []
-        for raw in recordings:
-            name = self._name(path) + (f"{PART}{raw.name}" if len(recordings) > 1 else "")
-            if name == self._earlier.last or name not in self._earlier.recordings:
-                found += self._reads_of(raw, name)
         return found
 
     def _reads_of(self, raw: RawRecording, name: str) -> list[Read] | list[Fault]:
-        """Frames of a recording, unless its side-car says that they are not those of the calibration."""
+        """New frames of a recording, unless its side-car says that they are not those of the calibration."""
         path = sidecar_path(raw.path)
-        try:
-            against = stated_differences(read_sidecar(path), self._calibrated)
-        except InputDataError as error:
-            return [Fault(" ".join(str(error).split()))]
+        against = stated_differences(read_sidecar(path), self._calibrated)
         if against:
             return [Fault(f"{path}: not taken as the calibration says: {'; '.join(against)}; not used")]
+        taken = self._taken.get(name, 0)
+        if 0 < raw.frames <= taken:
+            return [
+                Fault(f"{raw.path}: changed, with no more frames than were read; they are not read again")
+            ]
+        self._taken[name] = raw.frames
         good = ~raw.calibration.bad if raw.calibration.bad is not None else np.ones(raw.window, bool)
-        background = find_background(raw.adu, raw.calibration, good)
+        finite = np.isfinite(raw.adu)
+        good = good & (finite.any(axis=0) | ~finite.any())
+        whole = picked(raw.adu, finite[:, good].all(axis=1))
+        background = find_background(whole if len(whole) else np.nan_to_num(raw.adu), raw.calibration, good)
         images = to_electrons(raw.adu, background.adu, background.flat, self._calibrated.detector.e_per_adu)
         times = np.full(raw.frames, raw.path.stat().st_mtime) if raw.unix_s is None else raw.unix_s
-        return [
-            Read(int(counter), float(unix_s), image, name)
-            for counter, unix_s, image in zip(raw.frame_counter, times, images, strict=True)
-        ]
+        reads = zip(raw.frame_counter[taken:], times[taken:], images[taken:], strict=True)
+        return [Read(int(counter), float(unix_s), image, name) for counter, unix_s, image in reads]
 
 
 class _Reading:

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from astropy.io import fits
 from helpers import sparta_files as sparta
 
 from irlos_pipe.focus import recordings as watched_module
@@ -65,6 +66,37 @@ def test_a_file_that_is_still_being_written_is_waited_for(tmp_path):
     assert len(arrivals(source)) == 3
 
 
+def test_frames_that_a_file_gets_after_it_was_read_follow_and_none_comes_twice(tmp_path):
+    source = watched(tmp_path)
+    path = tmp_path / "scan" / "scan.fits"
+    write(tmp_path / "scan", 0, frames=5)
+    whole = path.read_bytes()
+    write(tmp_path / "scan", 0, frames=2)
+    assert [one.counter for one in arrivals(source)] == [0, 1]
+    path.write_bytes(whole[: len(whole) // 2])  # a copy that stalls
+    _age(path)
+    assert isinstance(arrivals(source)[0], Fault)
+    path.write_bytes(whole)
+    os.utime(path, (time.time() - 5,) * 2)
+    assert [one.counter for one in arrivals(source)] == [2, 3, 4]
+    os.utime(path, (time.time() - 4,) * 2)
+    (fault,) = arrivals(source)
+    assert "no more frames than were read" in fault.text
+
+
+@pytest.mark.parametrize("hit", [(1, 3, 4), (slice(None), 3, 4), 1, slice(None)])
+def test_pixels_that_are_no_numbers_cost_their_frames_alone(tmp_path, hit):
+    source = watched(tmp_path)
+    adu = sparta.counts(sparta.star(), 3, seed=1).astype(np.float32)
+    adu[hit] = np.nan
+    fits.writeto(tmp_path / "plain.fits", adu)
+    _age(tmp_path / "plain.fits")
+    found = arrivals(source)
+    assert [one.counter for one in found] == [0, 1, 2]
+    for one, frame in zip(found, adu, strict=True):
+        np.testing.assert_array_equal(np.isfinite(one.image_e), np.isfinite(frame))
+
+
 def broken(path) -> None:
     path.write_bytes(b"SIMPLE  =                    T" + b"x" * 3000)
 
@@ -92,6 +124,7 @@ def test_a_damaged_or_huge_file_is_named_in_one_line_and_the_next_one_read(tmp_p
     ("key", "value", "words"),
     [
         ("spectrum", [{"wavelength_nm": 2200.0, "weight": 1.0}], "2200 nm.*not 1600 nm"),
+        ("role", "dark", "role dark"),
         ("pixel_scale_mas", 12.0, "pixel_scale_mas 12, not 9.7"),
         ("diversity", {"source": "lens", "zernike": {6: 170.0}}, "Noll 6 170 nm, not -170"),
         ("detector", {"e_per_adu": 2.0, "read_noise_e": 1.0}, "e_per_adu 2, not 0.5"),

@@ -165,8 +165,9 @@ def test_a_filter_wavefront_says_of_which_filter_or_lens():
             require_joint(context(entry), groups, "long_exposure")
 
 
-def test_what_cannot_be_one_wavefront_is_refused():
-    other = recording("x", BROAD, pupil_rotation_deg=10.0)
+@pytest.mark.parametrize("spectrum", [NARROW, BROAD])  # of the same set-up otherwise, and of another one
+def test_what_cannot_be_one_wavefront_is_refused(spectrum):
+    other = recording("x", spectrum, pupil_rotation_deg=10.0)
     with pytest.raises(InputDataError, match="x: rotation of the pupil of a are others"):
         require_joint(context(), by_setup([CUBES[0], other]), "long_exposure")
 

@@ -101,11 +101,11 @@ def require_joint(ctx: StageContext, groups: Sequence[Sequence[Recording]], meth
         For a `method` of one set-up, and a `filter_ncpa` that does not say of which filter or lens.
     """
     first = groups[0][0]
-    for group in groups:
-        differing = differences(first, group[0], COMMON)
+    for one in (recording for group in groups for recording in group):
+        differing = differences(first, one, COMMON)
         if differing:
             raise InputDataError(
-                f"{group[0].name}: {' and '.join(differing)} of {first.name} are others; set-ups calibrated "
+                f"{one.name}: {' and '.join(differing)} of {first.name} are others; set-ups calibrated "
                 "together may differ in band, filter, diversity and introduced defocus only"
             )
     if method != DEFAULT_METHOD:
