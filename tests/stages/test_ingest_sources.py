@@ -87,3 +87,12 @@ def test_an_image_that_pixels_or_window_cannot_hold_is_said_before_any_work(tmp_
         find_out({"cube": [tmp_path]}, lambda _: AcquisitionKeys(), IRLOS)
         lines = [one.getMessage() for one in caplog.records if "λ/D" in one.msg or "spreads" in one.msg]
         assert (len(lines) == 1 and said in lines[0]) if said else not lines
+
+
+def test_sums_that_the_frames_do_not_make_are_said_before_any_work(tmp_path):
+    fits.writeto(tmp_path / "cube.fits", np.ones((3, 40, 40), np.int32))
+    write_sidecar(tmp_path / "acquisition.yaml", pixel_scale_mas=9.7, exposure_s=0.1)
+    given = {"cube": [tmp_path]}, lambda _: AcquisitionKeys(), IRLOS
+    (line,) = source_problems(*given, {"cube": 0.15}.get)
+    assert "do not add up" in line
+    assert source_problems(*given, {"cube": 0.2}.get) == source_problems(*given) == []

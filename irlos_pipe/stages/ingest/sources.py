@@ -119,10 +119,12 @@ def source_problems(
     inputs: Mapping[str, Sequence[Path]],
     keys_for: Callable[[str], AcquisitionKeys],
     instrument: Instrument,
+    exposure_of: Callable[[str], float | None] = lambda input_name: None,
 ) -> list[str]:
     """Return a line for everything that keeps `read_sources`, of equal arguments, from reading a recording.
 
-    Raises `NothingToDo` for an input without recordings.
+    Or its frames from being `accumulated` to exposures of ``exposure_of(input_name)``. Raises `NothingToDo`
+    for an input without recordings.
     """
     found: list[tuple[str, str]] = []
     for name, paths in inputs.items():
@@ -135,6 +137,8 @@ def source_problems(
                     resolved = resolve(raw, keys_for(name), then)
                     for line in (*raw.warnings, *image_doubts(raw, resolved, then)):
                         logging.getLogger(__name__).warning(line)
+                    if resolved.acquisition.role != "dark":
+                        accumulated(Source(name, raw, resolved), exposure_of(name))
     return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
 
 
@@ -214,8 +218,10 @@ def _exposures_apart_s(one: Source, other: Source) -> float:
 # -- raw frames of a few milliseconds, summed to exposures of 0.1 to 2 s -----------------------------
 
 
-def accumulated(source: Source, exposure_s: float) -> Source:
+def accumulated(source: Source, exposure_s: float | None) -> Source:
     """Return a recording with its frames summed to exposures of `exposure_s`; longer ones stay as they are.
+
+    None leaves all as they are.
 
     Sums lie on a grid of frame counters that begins with the first frame: of frames that follow each other
     without a gap, at one introduced defocus. What fills no sum is left out. A pixel that is saturated in one
@@ -225,8 +231,7 @@ def accumulated(source: Source, exposure_s: float) -> Source:
     no sum is whole.
     """
     raw, resolved = source.raw, source.resolved
-    count = _frames_in_sum(source, exposure_s)
-    if count == 1:
+    if exposure_s is None or (count := _frames_in_sum(source, exposure_s)) == 1:
         return source
     members = _members(raw.frame_counter, resolved.introduced_defocus_nm, count)
     if not len(members):

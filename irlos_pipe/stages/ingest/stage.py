@@ -93,7 +93,7 @@ def problems(inputs: Mapping[str, Sequence[Path]], config: Config, instrument: I
     """Return a line for everything that is wrong with the recordings of `inputs` and their side-cars."""
     from irlos_pipe.stages.ingest.sources import source_problems
 
-    return source_problems(inputs, config.keys_for, instrument)
+    return source_problems(inputs, config.keys_for, instrument, config.exposure_of)
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

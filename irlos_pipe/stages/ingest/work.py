@@ -44,7 +44,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     quality: list[Check] = []
     for source in ctx.progress(stars, desc="ingest"):
         with failing_alone(failures, source.input, source.raw.path, ctx.log):
-            source = _accumulated(source, ctx)
+            notes = source.raw.notes
+            source = accumulated(source, ctx.config.exposure_of(source.input))
+            for note in source.raw.notes[len(notes) :]:
+                ctx.log.info(note)
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
             told = told_of(recording, cleaned.noise, ctx.instrument.facility, _step_s(source.raw))
             told += of_counts(source.raw.adu)
@@ -58,17 +61,6 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     lines = [text for _, text in failures]
     results = IngestResults(inputs=[*rows, *map(_dark_row, darks)])
     return StageOutput(arrays, results, quality, summary=[_line(one) for one in rows], failures=lines)
-
-
-def _accumulated(source: Source, ctx: StageContext[Config]) -> Source:
-    """The recording with raw frames summed, where that is requested."""
-    exposure_s = ctx.config.exposure_of(source.input)
-    if exposure_s is None:
-        return source
-    summed = accumulated(source, exposure_s)
-    if summed is not source:
-        ctx.log.info(summed.raw.notes[-1])
-    return summed
 
 
 def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
