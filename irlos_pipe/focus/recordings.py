@@ -162,12 +162,14 @@ class WatchedFolder:
         """New files that no longer change; the last one of an earlier loop comes first."""
         found = []
         for path in sorted(self._files(), key=lambda one: self._name(one) != self._earlier.last):
+            if path in self._read and self._read[path] is None:
+                continue
             try:
                 stat = path.stat()
             except OSError:  # taken away meanwhile
                 continue
             state, now_s = (stat.st_size, stat.st_mtime_ns), time.monotonic()
-            if self._read.get(path, ()) in (None, state):
+            if self._read.get(path) == state:
                 continue
             before, since_s = self._seen.get(path, (None, now_s))
             if state != before:
@@ -179,19 +181,19 @@ class WatchedFolder:
         return found
 
     def _reads(self, path: Path) -> list[Read | Fault]:
+        found: list[Read | Fault] = []
         try:
             if (size := path.stat().st_size) > LARGEST_BYTES:
                 return [Fault(f"{path}: {size / 2**30:.1f} GiB, more than a recording has; not read")]
             recordings = read_recordings(path, self._instrument)
-            found: list[Read | Fault] = []
             for raw in recordings:
                 name = self._name(path) + (f"{PART}{raw.name}" if len(recordings) > 1 else "")
                 if name == self._earlier.last or name not in self._earlier.recordings:
                     found += self._reads_of(raw, name)
         except InputDataError as error:
-            return [Fault(" ".join(str(error).split()))]
+            found.append(Fault(" ".join(str(error).split())))
         except Exception as error:  # what a file can contain is not foreseeable
-            return [Fault(f"{path}: cannot be used: {type(error).__name__}: {error}")]
+            found.append(Fault(f"{path}: cannot be used: {type(error).__name__}: {error}"))
         return found
 
     def _reads_of(self, raw: RawRecording, name: str) -> list[Read] | list[Fault]:
@@ -205,7 +207,6 @@ class WatchedFolder:
             return [
                 Fault(f"{raw.path}: changed, with no more frames than were read; they are not read again")
             ]
-        self._taken[name] = raw.frames
         good = ~raw.calibration.bad if raw.calibration.bad is not None else np.ones(raw.window, bool)
         finite = np.isfinite(raw.adu)
         good = good & (finite.any(axis=0) | ~finite.any())
@@ -213,6 +214,7 @@ class WatchedFolder:
         background = find_background(whole if len(whole) else np.nan_to_num(raw.adu), raw.calibration, good)
         images = to_electrons(raw.adu, background.adu, background.flat, self._calibrated.detector.e_per_adu)
         times = np.full(raw.frames, raw.path.stat().st_mtime) if raw.unix_s is None else raw.unix_s
+        self._taken[name] = raw.frames
         reads = zip(raw.frame_counter[taken:], times[taken:], images[taken:], strict=True)
         return [Read(int(counter), float(unix_s), image, name) for counter, unix_s, image in reads]
 

@@ -138,7 +138,7 @@ def source_problems(
                     for line in (*raw.warnings, *image_doubts(raw, resolved, then)):
                         logging.getLogger(__name__).warning(line)
                     if resolved.acquisition.role != "dark":
-                        accumulated(Source(name, raw, resolved), exposure_of(name))
+                        _sums(Source(name, raw, resolved), exposure_of(name))
     return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
 
 
@@ -230,15 +230,10 @@ def accumulated(source: Source, exposure_s: float | None) -> Source:
     Raises `InputDataError` when the exposure of the frames is not known or does not divide `exposure_s`, or
     no sum is whole.
     """
-    raw, resolved = source.raw, source.resolved
-    if exposure_s is None or (count := _frames_in_sum(source, exposure_s)) == 1:
+    raw, resolved, members = source.raw, source.resolved, _sums(source, exposure_s)
+    if members is None:
         return source
-    members = _members(raw.frame_counter, resolved.introduced_defocus_nm, count)
-    if not len(members):
-        raise InputDataError(
-            f"{raw.path}: no {count} of its {raw.frames} frames follow each other without a gap, as "
-            f"accumulate_s = {exposure_s:g} needs; lower it"
-        )
+    count = members.shape[1]
     told = resolved.acquisition
     level = _saturation_adu(raw.adu, told.detector.saturation_adu)
     detector = replace(told.detector, saturation_adu=level).accumulated(count)
@@ -258,17 +253,28 @@ def accumulated(source: Source, exposure_s: float | None) -> Source:
     )
 
 
-def _frames_in_sum(source: Source, exposure_s: float) -> int:
-    own_s, path = source.resolved.acquisition.exposure_s, source.raw.path
+def _sums(source: Source, exposure_s: float | None) -> np.ndarray | None:
+    """Indices of the frames of every sum, (sums, count), see `accumulated`; None where nothing is summed."""
+    raw, own_s = source.raw, source.resolved.acquisition.exposure_s
+    if exposure_s is None:
+        return None
     if own_s is None:
-        raise InputDataError(f"{path}: exposure_s is not known; accumulate_s needs it")
+        raise InputDataError(f"{raw.path}: exposure_s is not known; accumulate_s needs it")
     count = max(1, round(exposure_s / own_s))
     if own_s < exposure_s and not adds_up(exposure_s, own_s, count):
         raise InputDataError(
-            f"{path}: frames of {own_s:g} s do not add up to accumulate_s = {exposure_s:g} "
+            f"{raw.path}: frames of {own_s:g} s do not add up to accumulate_s = {exposure_s:g} "
             f"({exposure_s / own_s:.4g} frames); give a multiple"
         )
-    return count
+    if count == 1:
+        return None
+    members = _members(raw.frame_counter, source.resolved.introduced_defocus_nm, count)
+    if not len(members):
+        raise InputDataError(
+            f"{raw.path}: no {count} of its {raw.frames} frames follow each other without a gap, as "
+            f"accumulate_s = {exposure_s:g} needs; lower it"
+        )
+    return members
 
 
 def _members(counter: np.ndarray, introduced_nm: np.ndarray, count: int) -> np.ndarray:
