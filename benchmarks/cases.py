@@ -43,6 +43,7 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import Criterion, dim, scan
 from irlos_pipe.estimate.tabulated import tabulated
+from irlos_pipe.files.processes import forked_map
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import workers
@@ -430,6 +431,6 @@ for name, times in (("dip_global", 1), ("dip_global_60", 1), ("long_exposure", 2
 if __name__ == "__main__":
     name, folder, frames, threads = sys.argv[1:]
     imported_mib = peak_mib()
-    with workers(int(threads)):
+    with workers(int(threads), partial(forked_map, int(threads))):
         outcome = CASES[name](Inputs(Path(folder)), int(frames))
     print(json.dumps(outcome | {"peak_mib": peak_mib(), "imported_mib": imported_mib}))

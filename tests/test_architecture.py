@@ -78,8 +78,8 @@ SCIENCE_MAY_USE = {
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 530, "commands": 1920, "control": 510, "conventions": 1000, "diagnosis": 6190, "effects": 4090,
-    "esorex": 110, "estimate": 7170, "files": 980, "focus": 2350, "frames": 2000, "instrument": 860,
-    "night": 3380, "numerics": 940, "optics": 3700, "paper": 5610, "pipeline": 1170, "product": 2420,
+    "esorex": 110, "estimate": 7180, "files": 1040, "focus": 2350, "frames": 2010, "instrument": 860,
+    "night": 3380, "numerics": 970, "optics": 3700, "paper": 5610, "pipeline": 1170, "product": 2420,
     "readers": 2500, "recipe": 390, "reference": 320, "report": 4260, "simulate": 4200, "stages": 6710,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.

@@ -113,7 +113,7 @@ def run(
     device : str
         ``cpu``, ``cuda`` or ``auto``.
     jobs : int
-        Number of threads.
+        Number of workers, threads and processes.
 
     Raises
     ------

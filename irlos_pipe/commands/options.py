@@ -134,7 +134,7 @@ OUTPUT = ("--output DIR", "Folder for the products; it is made if it does not ex
 AGAIN = option("--force", "Run stages even if their products are up to date.")
 REPLACE = option("--force", "Replace FILE if it exists.")
 DRY_RUN = option("--dry-run", "Print what would be done and why; change nothing.")
-THREADS = option("--jobs N", "Number of threads (default: all processors).", type=FROM_1)
+THREADS = option("--jobs N", "Number of workers (default: all processors).", type=FROM_1)
 PROCESSES = option("--jobs N", "Number of processes (default: all processors).", type=FROM_1)
 DEVICE = ("--device", "Processor or graphics card; auto takes the graphics card if there is one.")
 VERBOSE = option("-v, --verbose", "Print more messages; -vv prints debugging messages as well.", count=True)

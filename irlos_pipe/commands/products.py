@@ -130,10 +130,11 @@ def report(
     if formats and not figures:
         raise click.UsageError("--format is that of the figures: give --figures as well")
     with owned_folder(existing_run(folder).path) as run_folder:
+        from irlos_pipe.pipeline.resources import available_cpus
         from irlos_pipe.report.build import FORMATS, write_figures, write_report
 
         with readable(folder):
-            click.echo(write_report(run_folder.path))
+            click.echo(write_report(run_folder.path, available_cpus()))
             for path in write_figures(run_folder, formats or FORMATS) if figures else ():
                 click.echo(path)
 

@@ -6,6 +6,8 @@ from typing import Protocol, Self, TypeVar
 NM = 1e-9  # one nanometre [m]
 MAS = math.pi / 180 / 3600e3  # one milliarcsecond [rad]
 MAS_PER_RAD = math.degrees(1) * 3600e3
+# Of a normal variable: the median of its size in standard deviations, and the other way round.
+MEDIAN_OF_NORMAL, SIGMA_OF_MEDIAN = 0.6745, 1.4826
 
 
 class Scalable(Protocol):

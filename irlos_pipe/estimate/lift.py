@@ -10,8 +10,10 @@ precision on the diagonal only and the ``-C⁻¹(a - ā)`` term that the publish
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,13 +24,12 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import NearFit, NearlySolved, NearModel, PhotonFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.numerics.parallel import process_map
 from irlos_pipe.numerics.solution import Solution, joined, mixed
 
 DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
-IMAGES_AT_ONCE = 128  # images in a piece: a dozen copies of them are made on the way
-NEAR_AT_ONCE = 16  # of those that have a quicker model, which take long: some for every worker
+IMAGES_AT_ONCE = 32  # images in a piece at most: some for every worker
 CLOSE_TOLERANCE = 1e-2  # of a fit that a coarse model began: the step that ends it leaves a tenth of that
 COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with variances that follow the model
 
@@ -78,7 +79,7 @@ def lift(
     *,
     near: NearModel | None = None,
     beyond: bool = True,
-    report: Callable[[int], None] | None = None,
+    report: Callable[[int], Any] = lambda count: None,
 ) -> LiftResult:
     """Estimate the modes of `model` in every image.
 
@@ -86,16 +87,15 @@ def lift(
     calibrated, the NCPAs. Images are (images, rows, columns), `good` is (rows, columns), `start_nm` (images,
     modes). Where there is a quicker model `near` all images, the exact one has the last word only. Unless
     `beyond` is False, images whose estimate has run into the limits of a table are estimated again without
-    it. For `report` see `solve`.
+    it. `report` gets the number of images that were finished, for a progress bar.
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
 
     def piece(some: torch.Tensor) -> LiftResult:
-        return _lift(model, near, images_e[some], good, noise, start_nm[some], options.of(some), report)
+        return _lift(model, near, images_e[some], good, noise, start_nm[some], options.of(some))
 
-    size = NEAR_AT_ONCE if near else IMAGES_AT_ONCE
-    pieces = torch.arange(len(images_e)).tensor_split(max(1, -(-len(images_e) // size)))
-    result = LiftResult.joined(ordered_map(piece, pieces))
+    pieces = in_pieces(torch.arange(len(images_e)))
+    result = LiftResult.joined(process_map(piece, pieces, lambda some: report(len(some))))
     stuck = model.at_limit(result.zernike_nm)
     if not (beyond and stuck.any()):
         return result
@@ -103,7 +103,12 @@ def lift(
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options, report) -> LiftResult:
+def in_pieces(images: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Split `images`, or their numbers, into those that are estimated at once."""
+    return images.tensor_split(max(1, math.ceil(len(images) / IMAGES_AT_ONCE)))
+
+
+def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options) -> LiftResult:
     """A fit with the variances of the images and, unless these are requested, one with those of the model."""
     nolls, quadratic = model.psf.nolls, options.loss_function.quadratic
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
@@ -113,14 +118,13 @@ def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options, rep
     if options.noise != "data":
         tolerance = COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE
         rough = problem.with_tolerance(tolerance)
-        x = _finite(solve(rough, x, max_iterations=options.max_iterations, report=report), x)
-        report = None
+        x = _finite(solve(rough, x, max_iterations=options.max_iterations), x)
         problem = _with_model_variance(problem, x, images_e, good, noise, options)
     posed = problem if quadratic else problem.with_loss(options.loss_function)
     if near is not None:
         x = _finite(solve(posed, x, max_iterations=options.max_iterations), x)
         posed = NearlySolved(posed, model).with_tolerance(CLOSE_TOLERANCE)
-    solution = solve(posed, x, max_iterations=options.max_iterations, report=report)
+    solution = solve(posed, x, max_iterations=options.max_iterations)
     ended, modes = _finite(solution, x), layout.modes
     model_e = problem.predict_all(ended)
     covariance = solution.covariance if quadratic else posed.robust_covariance(ended)

@@ -1,11 +1,13 @@
 """A focus ramp: estimated against introduced defocus, and the errors of the focus stage."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -95,12 +96,12 @@ def fit_ramp(
     effects: Sequence[Effect] = (),
     *,
     seen: np.ndarray | None = None,
-    report: Callable[[int], None] | None = None,
+    report: Callable[[int], Any] = lambda count: None,
 ) -> RampFit:
     """Estimate every frame; effects with free parameters are first fitted to the whole ramp.
 
     Fixed `effects` stay, free parameters are shared by all frames; the frames `seen` (frames,), by default
-    all, determine these. Estimates start at `start_nm` (frames, modes); for `report` see `solve`.
+    all, determine these. Estimates start at `start_nm` (frames, modes); for `report` see `lift`.
     """
     free = EffectSet(effects, model.grids)
     which = torch.nonzero(torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen))[:, 0]

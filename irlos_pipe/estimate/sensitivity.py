@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift import in_pieces, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import near
+from irlos_pipe.estimate.lift_problems import NearModel, near
 from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
-from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.numerics.parallel import process_map
 
 IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
-MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def scan(
     faint: NoiseModel | None = None,
     one_read: NoiseModel | None = None,
     near_nm: torch.Tensor | None = None,
-    report=None,
+    report: Callable[[int], Any] = lambda count: None,
 ) -> Curve:
     """Estimate the error of defocus over a range of magnitudes.
 
@@ -132,8 +135,8 @@ def scan(
     near_nm : tensor, (frames, modes), optional
         Estimates from the frames as they are, which make the scan quicker. Estimates stay the same, except
         that a fit for which several minima compete may end in another.
-    report : callable, optional
-        See `solve`.
+    report : callable
+        Gets the number of estimates that were finished, for a progress bar.
     """
     focus, true = model.psf.nolls.index(4), start_nm.clone()
     true[:, focus] = torch.as_tensor(data.introduced_nm)
@@ -145,25 +148,28 @@ def scan(
         arguments = signal_e, factors[index], data.noise, generator, faint
         return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1)
 
+    @cache
+    def close_to(frame: int) -> NearModel | None:
+        return None if near_nm is None else near(model, near_nm[frame])
+
+    def errors_of(piece: tuple[int, torch.Tensor]) -> np.ndarray:
+        """Errors of some images of a frame."""
+        frame, images_e = piece
+        close, start = close_to(frame), start_nm[frame].expand(len(images_e), -1)
+        options = LiftOptions("model")
+        result = lift(model, images_e, data.good, faint, start, options, near=close, beyond=False)
+        error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame])
+        lost = ~result.solution.converged | (close or model).at_limit(result.zernike_nm)
+        failed = lost.numpy() | ~(error < criterion.implausible_nm)
+        return np.where(failed, np.nan, error)
+
     def errors_nm(group: np.ndarray) -> np.ndarray:
         """Errors (magnitudes, trials) of some magnitudes."""
         images_e = torch.stack([dimmed(index) for index in group], dim=1).to(data.images_e.dtype)
-
-        def of_frame(frame: int) -> np.ndarray:
-            images, close = (
-                images_e[frame].flatten(0, 1),
-                None if near_nm is None else near(model, near_nm[frame]),
-            )
-            start, options = start_nm[frame].expand(len(images), -1), LiftOptions(noise="model")
-            result = lift(
-                model, images, data.good, faint, start, options, near=close, beyond=False, report=report
-            )
-            error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame])
-            lost = ~result.solution.converged | (close or model).at_limit(result.zernike_nm)
-            failed = lost.numpy() | ~(error < criterion.implausible_nm)
-            return np.where(failed, np.nan, error).reshape(len(group), -1)
-
-        return np.concatenate(ordered_map(of_frame, range(len(start_nm))), axis=1)
+        by_frame = enumerate(images_e.flatten(1, 2))
+        pieces = [(frame, some) for frame, images in by_frame for some in in_pieces(images)]
+        errors = np.concatenate(process_map(errors_of, pieces, lambda piece: report(len(piece[1]))))
+        return errors.reshape(len(start_nm), len(group), -1).swapaxes(0, 1).reshape(len(group), -1)
 
     groups = min(len(factors), -(-len(factors) * len(start_nm) * realisations // IMAGES_AT_ONCE))
     errors = np.concatenate([errors_nm(one) for one in np.array_split(np.arange(len(factors)), groups)])

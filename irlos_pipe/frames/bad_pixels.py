@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
 from irlos_pipe.frames.blocks import SAMPLE_FRAMES, blocks, sample_frames
 from irlos_pipe.frames.neighbour_prediction import (
     MIN_SAMPLING_PX,
@@ -140,7 +141,7 @@ def _deviation(sample: np.ndarray, good: np.ndarray, by: Criteria) -> tuple[np.n
     expected = prediction.variance(by.noise.variance_e2(np.minimum(mean, prediction.of(mean))))
     of_median = 1 if len(sample) < 3 else np.pi / 2  # variance over that of the mean, of normal values
     sigma = np.sqrt(np.maximum(expected, seen_variance(residual)) * (of_median / len(sample)))
-    scale = max(1.0, 1.4826 * float(np.median((deviation / sigma)[good])))
+    scale = max(1.0, SIGMA_OF_MEDIAN * float(np.median((deviation / sigma)[good])))
     tolerated = np.maximum(
         optical_limit(prediction, mean, thresholds), _usual(deviation, prediction, mean, good)
     )
@@ -170,7 +171,9 @@ def _usual(deviation: np.ndarray, prediction: Prediction, mean: np.ndarray, good
     """
     brightness = _brightness(prediction, mean)
     relative = np.where(good, deviation / brightness, 0.0)
-    return UNUSUAL * 1.4826 * scipy.ndimage.median_filter(relative, size=7, mode="nearest") * brightness
+    return (
+        UNUSUAL * SIGMA_OF_MEDIAN * scipy.ndimage.median_filter(relative, size=7, mode="nearest") * brightness
+    )
 
 
 def seen_variance(residual: np.ndarray) -> np.ndarray | float:
@@ -205,7 +208,7 @@ def hot_in_dark(dark_adu: np.ndarray, detector: Detector, thresholds: Thresholds
     `thresholds` that of noisy pixels is used.
     """
     excess = dark_adu - scipy.ndimage.median_filter(dark_adu, size=5, mode="nearest")
-    pattern = 1.4826 * np.median(np.abs(excess))
+    pattern = SIGMA_OF_MEDIAN * np.median(np.abs(excess))
     shot_noise_e2 = detector.excess_noise_factor * np.maximum(excess, 0) * detector.e_per_adu
     noisy = shot_noise_e2 > (thresholds.noisy_ratio * detector.read_noise_e) ** 2
     return noisy & (excess > HOT_OVER_PATTERN * pattern)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
 from irlos_pipe.frames.bad_pixels import (
     Criteria,
     Thresholds,
@@ -41,7 +42,6 @@ from irlos_pipe.frames.screening import (
     star_faults,
 )
 
-DEVIATION = 1.4826  # standard deviation over the median of the absolute one
 LEVEL_SIGMA = 8.0
 FRAMES_TO_COMPARE = 3  # frames whose median a single one does not move
 
@@ -234,10 +234,10 @@ def _of_one_level(adu: np.ndarray, good: np.ndarray) -> np.ndarray:
     """The frames without those whose level is apart from the others' by more than noise and its scatter."""
     sample = adu[sample_frames(len(adu))]
     typical = np.median(sample, axis=0)
-    noise = DEVIATION * np.median(np.abs(sample - typical)[:, good]) if good.any() else np.inf
+    noise = SIGMA_OF_MEDIAN * np.median(np.abs(sample - typical)[:, good]) if good.any() else np.inf
     level = np.array([np.median((frame - typical)[good]) if good.any() else 0.0 for frame in adu])
     apart = np.abs(level - np.median(level))
-    return picked(adu, apart <= max(noise, LEVEL_SIGMA * DEVIATION * np.median(apart)))
+    return picked(adu, apart <= max(noise, LEVEL_SIGMA * SIGMA_OF_MEDIAN * np.median(apart)))
 
 
 def _of_one_star(image: np.ndarray, lenslets: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
 from irlos_pipe.frames.blocks import sample_frames
 from irlos_pipe.frames.recording import Detector
 
@@ -72,7 +73,7 @@ def _robust_intercept(x: np.ndarray, y: np.ndarray) -> float:
         root = np.sqrt(weights)
         coefficients, *_ = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)
         residual = y - columns @ coefficients
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        scale = max(SIGMA_OF_MEDIAN * float(np.median(np.abs(residual))), 1e-12)
         weights = 1 / (1 + (residual / scale) ** 2)
     return float(coefficients[0])
 

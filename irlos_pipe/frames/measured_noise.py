@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
 from irlos_pipe.frames.blocks import frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.neighbour_prediction import Prediction
 from irlos_pipe.frames.noise import NoiseModel
@@ -208,7 +209,7 @@ def mean_variance(stack: np.ndarray) -> float:
     if stack.shape[0] > 1:
         return float(np.median(frame_variance(stack, mean_frame(stack))) / stack.shape[0])
     differences = np.diff(stack[0].astype(np.float64), axis=1)
-    scatter = 1.4826 * np.median(np.abs(differences - np.median(differences)))
+    scatter = SIGMA_OF_MEDIAN * np.median(np.abs(differences - np.median(differences)))
     return float(scatter**2 / 2)
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
 from irlos_pipe.frames.blocks import blocks, frame_flux, mean_frame, picked, sample_frames
 from irlos_pipe.frames.hits import Hits
 from irlos_pipe.frames.measured_noise import FINE, both_ways
@@ -104,7 +105,7 @@ def _peaks(images_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = images_e.shape[1:]
     smooth = scipy.ndimage.uniform_filter(images_e, size=(0, 3, 3), mode="nearest").reshape(len(images_e), -1)
     above = smooth - np.median(smooth, axis=1, keepdims=True)
-    scatter = 1.4826 * np.median(np.abs(above), axis=1)
+    scatter = SIGMA_OF_MEDIAN * np.median(np.abs(above), axis=1)
     y, x = np.unravel_index(smooth.argmax(axis=1), (rows, columns))
     edge = np.minimum.reduce([y, rows - 1 - y, x, columns - 1 - x])
     return above.max(axis=1) / np.maximum(scatter, 1e-9), edge
@@ -120,7 +121,7 @@ def spread_stars(images_e: np.ndarray, least_snr: float) -> np.ndarray:
     for place, image in enumerate(images_e.astype(np.float64)):
         fine = both_ways(image, FINE)
         fine = fine[np.isfinite(fine)]
-        noise = 1.4826 * np.median(np.abs(fine)) / np.sum(FINE**2) if fine.size else np.inf
+        noise = SIGMA_OF_MEDIAN * np.median(np.abs(fine)) / np.sum(FINE**2) if fine.size else np.inf
         side = SMALLEST_SQUARE
         while 2 * side <= min(image.shape) and not found[place]:
             inner, both = (
@@ -196,7 +197,7 @@ def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.nd
         return np.zeros(len(flux_e), dtype=bool)
     median = np.median(flux_e[used])
     deviation = np.abs(flux_e - median)
-    scatter = 1.4826 * np.median(deviation[used])
+    scatter = SIGMA_OF_MEDIAN * np.median(deviation[used])
     return (deviation > limits.flux_sigma * scatter) & (deviation > limits.flux_fraction * abs(median))
 
 

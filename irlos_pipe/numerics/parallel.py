@@ -1,42 +1,51 @@
-"""Worker threads for pieces of a batch.
+"""Worker processes for much work of which little comes out, and worker threads for pieces of a batch.
 
-Matrices here are small: one thread per piece of a batch keeps two cores busy where threads
-inside every matrix product do not. And as each piece is computed by one thread, results are
-the same to the bit for any number of workers. Who has pieces computes them as well, and waits for none that
-nobody has begun: pieces of pieces keep workers busy that would else have none.
+Matrices here are small: one worker per piece keeps two cores busy where threads inside every matrix product
+do not. And as each piece is computed by one thread, results are the same to the bit for any number of
+workers. Between two products the interpreter has its turn: more than two threads wait for each other there,
+processes do not. What makes these is for the caller to say: science knows no system.
+
+Who has pieces for threads computes them as well, and waits for none that nobody has begun: pieces of pieces
+keep workers busy that would else have none.
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+# Returns what a function makes of items, in order, from processes that know all that the caller knows; calls
+# the third argument with each that is done, and the last one in every process first.
+ForkedMap = Callable[[Callable, list, Callable, Callable[[], None]], list]
 
 _pool: ContextVar[ThreadPoolExecutor | None] = ContextVar("pool", default=None)
+_forked: ContextVar[ForkedMap | None] = ContextVar("forked", default=None)
 
 
 @contextmanager
-def workers(count: int) -> Iterator[None]:
-    """Use `count` threads for pieces of batches while the block lasts, and one inside matrix products.
+def workers(count: int, forked_map: ForkedMap | None = None) -> Iterator[None]:
+    """Use `count` threads, and processes of a `forked_map`, while the block lasts.
 
-    The latter is a setting of the process, and stays. Gradients are recorded where they are asked for only.
+    Inside matrix products there is one thread; this is a setting of the process, and stays. Gradients are
+    recorded where they are asked for only.
     """
     torch.set_num_threads(1)
     # Threads begin with an empty context, and one thread inside a product is a setting of each of them.
     pool: ThreadPoolExecutor | None = None
     if count > 1:
         pool = ThreadPoolExecutor(count - 1, "irlos", lambda: _begin(pool))
-    token = _pool.set(pool)
+    tokens = _pool.set(pool), _forked.set(forked_map)
     try:
         with torch.no_grad():
             yield
     finally:
-        _pool.reset(token)
+        _pool.reset(tokens[0])
+        _forked.reset(tokens[1])
         if pool is not None:
             pool.shutdown()
 
@@ -44,6 +53,32 @@ def workers(count: int) -> Iterator[None]:
 def _begin(pool: ThreadPoolExecutor | None) -> None:
     torch.set_num_threads(1)
     _pool.set(pool)
+
+
+def process_map(
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    report: Callable[[Item], Any] = lambda item: None,
+) -> list[Result]:
+    """Return what `function` makes of all `items`, in order, from processes; `report` gets each that is done.
+
+    There are none within workers, where gradients are recorded, nor where a GPU is in use, which does not
+    survive a fork. Then there are threads.
+    """
+    forked_map, items = _forked.get(), list(items)
+    if forked_map and len(items) > 1 and not (torch.is_grad_enabled() or torch.cuda.is_initialized()):
+        return forked_map(function, items, report, _begin_process)
+    results = []
+    for item, result in zip(items, _results(function, items), strict=True):
+        results.append(result)
+        report(item)
+    return results
+
+
+def _begin_process() -> None:
+    torch.set_grad_enabled(False)
+    _pool.set(None)
+    _forked.set(None)
 
 
 def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

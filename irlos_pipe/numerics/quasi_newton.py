@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import torch
 
-from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.numerics.parallel import process_map
 from irlos_pipe.numerics.problem import ROUNDING, Descent
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 
-FRAMES_PER_PIECE = 50
+FRAMES_PER_PIECE = 32
 ENOUGH = 1e-4  # part of the fall promised by the slope that a step must deliver (Armijo)
 SHORTEST = 1e-3  # part of a step below which a member is stuck
 SHORTER = (0.1, 0.5)  # factors on the length of a step that went too far
@@ -30,20 +30,20 @@ def polish(problem: Descent, found: Solution, max_evaluations: int) -> Solution:
     of evaluations (`max_iterations`).
     """
     members = torch.tensor([i for i, status in enumerate(found.status) if status != INVALID]).long()
-    pieces = ordered_map(
-        lambda which: _polished(problem, found, which, max_evaluations), members.split(FRAMES_PER_PIECE)
-    )
+    pieces = members.split(FRAMES_PER_PIECE)
+    polished = process_map(lambda which: _polished(problem, found, which, max_evaluations), pieces)
     values, objective, iterations = (t.clone() for t in (found.values, found.objective, found.iterations))
     status = list(found.status)
-    for piece in pieces:
-        values[piece.which], objective[piece.which] = piece.x, piece.value
-        iterations[piece.which] += piece.evaluations
-        for member, name in zip(piece.which.tolist(), piece.status, strict=True):
+    for which, (x, value, evaluations, names) in zip(pieces, polished, strict=True):
+        values[which], objective[which] = x, value
+        iterations[which] += evaluations
+        for member, name in zip(which.tolist(), names, strict=True):
             status[member] = name
     return replace(found, values=values, objective=objective, iterations=iterations, status=status)
 
 
-def _polished(problem: Descent, found: Solution, which: torch.Tensor, max_evaluations: int) -> _Descent:
+def _polished(problem: Descent, found: Solution, which: torch.Tensor, max_evaluations: int) -> tuple:
+    """Parameters, objective, evaluations and status of some members."""
     descent = _Descent(problem, found.values[which], found.covariance[which], which)
     moving = descent.moving()
     for _ in range(1, max_evaluations):
@@ -51,7 +51,7 @@ def _polished(problem: Descent, found: Solution, which: torch.Tensor, max_evalua
             break
         descent.step(moving)
         moving = descent.moving()
-    return descent
+    return descent.x, descent.value, descent.evaluations, descent.status
 
 
 class _Descent:

@@ -15,8 +15,9 @@ import torch
 from pydantic import Field, model_validator
 
 from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, curve_of, scan
+from irlos_pipe.estimate.sensitivity import Criterion, curve_of, scan
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.observation import (
     NoiseOf,

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.processes import forked_map
 from irlos_pipe.pipeline.runlog import RUN, TRACE
 
 silent_progress = partial(tqdm, disable=True)
@@ -88,7 +89,7 @@ def resolve_device(wanted: str) -> str:
 
 @contextmanager
 def limited_threads(jobs: int, *, arrays_only: bool = False) -> Iterator[None]:
-    """Use `jobs` threads while the block lasts; results do not depend on their number.
+    """Use `jobs` threads and processes while the block lasts; results do not depend on their number.
 
     NumPy and SciPy use one: sums of several differ in the last bits. Work with them alone does not wait for
     PyTorch, and has one thread.
@@ -97,5 +98,5 @@ def limited_threads(jobs: int, *, arrays_only: bool = False) -> Iterator[None]:
         if not arrays_only:
             from irlos_pipe.numerics.parallel import workers
 
-            stack.enter_context(workers(jobs))
+            stack.enter_context(workers(jobs, partial(forked_map, jobs) if jobs > 1 else None))
         yield

@@ -304,7 +304,7 @@ def _concluded(job: Job, run: runfolder.RunFolder) -> Outcome:
     if changed or ran:
         run.set_figures_aside()
     if job.resources.report and (changed or ran or not run.report.is_file()):
-        outcome = replace(outcome, report_error=_report_error(run))
+        outcome = replace(outcome, report_error=_report_error(run, job.resources.jobs))
     return replace(outcome, report=run.report if run.report.is_file() else None)
 
 
@@ -315,12 +315,12 @@ def _write_outcome(outcome: Outcome, run: runfolder.RunFolder) -> bool:
     return any(changed)
 
 
-def _report_error(run: runfolder.RunFolder) -> str:
+def _report_error(run: runfolder.RunFolder, jobs: int) -> str:
     """Build the report; returns what went wrong, as the products are good without it."""
     try:
         from irlos_pipe.report.build import write_report
 
-        write_report(run.path)
+        write_report(run.path, jobs)
     except Exception as error:
         TRACE.info("the report could not be built", exc_info=True)
         return f"{run.report}: could not be built: {_first_line(error)}; the traceback is in {run.log}"

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure, FigureBase
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.processes import forked_map
 from irlos_pipe.product.results import StageResults, provenance_of, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Section, Text, rendered
@@ -53,14 +54,16 @@ SECTIONS: dict[str, Callable[[RunData], Section]] = {
 }
 
 
-def write_report(run_folder: Path) -> Path:
+def write_report(run_folder: Path, jobs: int = 1) -> Path:
     """Build the report of a run, of which any stage may be missing; the same products give the same file.
+
+    It takes up to `jobs` processes.
 
     Raises `InputDataError` when it is not the folder of a run, or a product cannot be read; `IrlosError` when
     the report cannot be written.
     """
     run = read_run(run_folder)
-    verdict, tiles, sections = run.results(DiagnoseResults), key_numbers(run), report_sections(run)
+    verdict, tiles, sections = run.results(DiagnoseResults), key_numbers(run), report_sections(run, jobs)
     places = places_of(sections)
     lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
     page = rendered(
@@ -86,15 +89,16 @@ def write_report(run_folder: Path) -> Path:
     return path
 
 
-def report_sections(run: RunData) -> list[Section]:
-    sections = (*stage_sections(run).values(), quality_section(run), origin_section(run))
+def report_sections(run: RunData, jobs: int = 1) -> list[Section]:
+    sections = (*stage_sections(run, jobs).values(), quality_section(run), origin_section(run))
     return [section for section in sections if section]
 
 
-def stage_sections(run: RunData) -> dict[str, Section]:
-    """Return the section of every stage that has a product, results first."""
+def stage_sections(run: RunData, jobs: int = 1) -> dict[str, Section]:
+    """Return the section of every stage that has a product, results first; `jobs` processes draw them."""
     order = [*SECTIONS, *(stage for stage in run.products if stage not in SECTIONS)]
-    return {stage: _section(stage, run) for stage in order if stage in run.products}
+    stages = [stage for stage in order if stage in run.products]
+    return dict(zip(stages, forked_map(jobs, lambda stage: _section(stage, run), stages), strict=True))
 
 
 def _section(stage: str, run: RunData) -> Section:

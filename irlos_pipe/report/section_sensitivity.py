@@ -11,7 +11,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
+from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData, StageData

@@ -13,6 +13,7 @@ from pydantic import field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.files.processes import require_memory
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.product.product import Quantity, declared
@@ -159,9 +160,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
     fits = ordered_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
-
-        def curve(fit: RampFit) -> Curve:
-            return scan(
+        curves = [
+            scan(
                 fit.model,
                 ramp.data.of(chosen),
                 fit.result.model_e,
@@ -176,8 +176,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
                 near_nm=fit.result.zernike_nm,
                 report=bar.update,
             )
-
-        curves = ordered_map(curve, fits)
+            for fit in fits
+        ]
     return _output(ctx.config, combinations, curves, noise)
 
 
@@ -218,7 +218,7 @@ def _output(
     curves: Sequence[Curve],
     noise: NoiseRow,
 ) -> StageOutput:
-    from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion
+    from irlos_pipe.estimate.sensitivity import Criterion
 
     rows: list[CurveRow] = []
     arrays: dict[str, Quantity] = {}

@@ -2,6 +2,8 @@
 purpose: bias, efficiency and error bars are properties of the estimator), analysis at zero flux, and fits
 with derivatives of their own."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -18,7 +20,9 @@ from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
+from irlos_pipe.files.processes import forked_map
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics import quasi_newton
 from irlos_pipe.numerics.loss import LOSSES
 from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.numerics.solution import CONVERGED
@@ -365,9 +369,12 @@ def minimum(fit: ImageFit, near: torch.Tensor, frame: int) -> float:
     return minimize(loss, np.zeros(len(scale)), jac=True, method="BFGS").fun
 
 
-def test_results_are_the_same_to_the_bit_for_any_number_of_workers(solved):
-    fit, true, found = solved
-    with workers(2):
+@pytest.mark.parametrize("processes", [None, partial(forked_map, 2)], ids=["threads", "processes"])
+def test_results_are_the_same_to_the_bit_for_any_number_of_workers(solved, processes, monkeypatch):
+    monkeypatch.setattr(quasi_newton, "FRAMES_PER_PIECE", 8)
+    fit, true, _ = solved
+    found = fit_frames(fit, start(fit, true), max_iterations=60)
+    with workers(2, processes):
         again = fit_frames(fit, start(fit, true), max_iterations=60)
     assert torch.equal(again.values, found.values)
     assert again.status == found.status

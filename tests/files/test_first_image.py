@@ -1,16 +1,21 @@
 """The first image of a FITS file."""
 
+import multiprocessing
+import os
+import signal
 import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.io import fits
 
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files import processes
-from irlos_pipe.files.processes import TookTooLong
+from irlos_pipe.files.processes import TookTooLong, forked_map
 from irlos_pipe.files.regular import first_image
 
 
@@ -97,3 +102,71 @@ def test_a_worker_with_a_progress_bar_that_is_killed_leaves_nothing_behind(tmp_p
         [sys.executable, script, tmp_path / "begun"], capture_output=True, text=True, timeout=60
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
+
+
+# Workers that are forked.
+
+
+def test_forked_workers_return_in_order_and_report_every_item():
+    done = []
+    found = forked_map(2, lambda item: (item, os.getpid()), range(7), done.append)
+    assert [item for item, _ in found] == list(range(7))
+    assert sorted(done) == list(range(7))
+    assert os.getpid() not in {pid for _, pid in found}
+
+
+def test_an_error_of_a_forked_worker_is_the_callers_and_ends_all():
+    def work(item):
+        if item == 1:
+            raise InputDataError("cube.fits: no frames")
+        time.sleep(0.01 if item == 0 else 60)
+
+    began = time.monotonic()
+    with pytest.raises(InputDataError, match=r"cube\.fits: no frames"):
+        forked_map(3, work, range(6))
+    assert time.monotonic() - began < 30
+    assert not multiprocessing.active_children()
+
+
+def test_what_a_killed_worker_had_to_do_is_done_by_the_caller():
+    caller = os.getpid()
+
+    def work(item):
+        if item == 2 and os.getpid() != caller:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item**2
+
+    with pytest.warns(UserWarning, match="a worker process was killed"):
+        assert forked_map(2, work, range(5)) == [0, 1, 4, 9, 16]
+
+
+FORKING = """
+    import os, sys, time
+    from pathlib import Path
+    from irlos_pipe.files.processes import forked_map
+
+    def work(item):
+        Path(sys.argv[1], str(os.getpid())).touch()
+        time.sleep(60)
+
+    forked_map(2, work, range(4))
+"""
+
+
+def test_forked_workers_end_with_a_caller_that_is_killed(tmp_path):
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(FORKING), tmp_path])
+    deadline = time.monotonic() + 30
+    while len(pids := [int(one.name) for one in tmp_path.iterdir()]) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.kill()
+    process.wait()
+    assert len(pids) == 2
+    while any(map(running, pids)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(running, pids))
+
+
+def running(pid):
+    """Whether a process is there, and no zombie."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"

@@ -147,7 +147,7 @@ def modules() -> dict[str, ModuleType]:
 def report_module() -> ModuleType:
     module = ModuleType("irlos_pipe.report.build")
 
-    def write_report(folder: Path) -> Path:
+    def write_report(folder: Path, jobs: int = 1) -> Path:
         COUNTS["report"] += 1
         (folder / "report.html").write_text("<html></html>")
         return folder / "report.html"

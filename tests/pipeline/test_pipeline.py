@@ -68,7 +68,7 @@ def test_a_bug_is_reported_in_one_line_with_the_traceback_in_the_log(bench):
 
 
 def test_a_report_that_cannot_be_built_costs_no_product(bench, monkeypatch):
-    def fail(_):
+    def fail(*_):
         raise KeyError("template")
 
     monkeypatch.setattr(sys.modules["irlos_pipe.report.build"], "write_report", fail)

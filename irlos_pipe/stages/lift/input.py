@@ -1,9 +1,8 @@
 """What `lift` and `sensitivity` both need: the frames of the ramp, the model with the NCPAs, the effects."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +21,7 @@ from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.ingest.results import IngestResults
+from irlos_pipe.stages.lift.results import OWN, size_nm_of
 from irlos_pipe.stages.lift.stage import Config
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
@@ -164,7 +164,6 @@ def ramp_start(
 # (`filter_ncpa`). Other things that a model may lack change with the focus in another way, and are hardly
 # imitated.
 
-OWN = (ChromaticNcpa, FilterNcpa)
 ALIKE = 0.01  # relative difference of mean wavelengths up to which they are of one filter
 EXCUSED = 3.0  # standard errors up to which a wavefront of filter or lens may be one of the calibration
 EXPLAINED = 0.5  # part of the excess of χ²/ν to be explained: less, and the model lacks something else
@@ -212,8 +211,8 @@ def older_text(fit: RampFit, calibration_nm: float) -> str:
     """
     if FilterNcpa.name not in fit.effects:
         return ""
-    size_nm = _size(fit.effects[FilterNcpa.name][FilterNcpa.table])
-    own_nm = _size(fit.sigma.get(FilterNcpa.name, {}).get(FilterNcpa.table, {}))
+    size_nm = size_nm_of(fit.effects[FilterNcpa.name][FilterNcpa.table])
+    own_nm = size_nm_of(fit.sigma.get(FilterNcpa.name, {}).get(FilterNcpa.table, {}))
     error_nm = float(np.hypot(own_nm, calibration_nm))
     if size_nm < EXCUSED * error_nm:
         return ""
@@ -221,15 +220,3 @@ def older_text(fit: RampFit, calibration_nm: float) -> str:
         f"the ramp's own light adds {size_nm:.0f} ± {error_nm:.0f} nm RMS to the calibrated wavefront: the "
         "calibration is not of this time, unless filter or lens differ by so much"
     )
-
-
-def _size(table: Any) -> float:
-    return float(np.linalg.norm(list(table.values())))
-
-
-def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return in words how large a wavefront of the ramp's own light is among `effects`; empty without one."""
-    sizes = {kind.name: _size(effects[kind.name][kind.table]) for kind in OWN if kind.name in effects}
-    units = {ChromaticNcpa.name: "nm RMS per µm of wavelength", FilterNcpa.name: "nm RMS of filter or lens"}
-    texts = [f"{size:.0f} {units[name]}" for name, size in sizes.items()]
-    return f"its own light adds {' and '.join(texts)}" if texts else ""

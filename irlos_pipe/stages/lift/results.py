@@ -1,8 +1,10 @@
 """Results of stage `lift`."""
 
-from math import nan
-from typing import ClassVar
+from collections.abc import Mapping
+from math import hypot, nan
+from typing import Any, ClassVar
 
+from irlos_pipe.effects.wavefront import ChromaticNcpa, FilterNcpa
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
 
 ARRAYS = {
@@ -34,6 +36,7 @@ CHECKS = {
         "",
     ),
 }
+OWN = (ChromaticNcpa, FilterNcpa)  # wavefronts that the light of a ramp has for itself
 DECISIVE = 10.0  # evidence from which the twin counts as excluded: odds of 150 to 1
 
 
@@ -132,3 +135,15 @@ class LiftResults(StageResults):
     ao_defocus_nm: Number = item(nan, "Scatter of the estimates at one offset beyond photon noise.")
     chi2_nu: Number = item(nan, "Median of the frames, and what their scatter lets expect of a right model.")
     nominal_chi2_nu: Number = item(nan, DITTO)
+
+
+def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return in words how large a wavefront of the ramp's own light is among `effects`; empty without one."""
+    sizes = {kind.name: size_nm_of(effects[kind.name][kind.table]) for kind in OWN if kind.name in effects}
+    units = {ChromaticNcpa.name: "nm RMS per µm of wavelength", FilterNcpa.name: "nm RMS of filter or lens"}
+    texts = [f"{size:.0f} {units[name]}" for name, size in sizes.items()]
+    return f"its own light adds {' and '.join(texts)}" if texts else ""
+
+
+def size_nm_of(table: Any) -> float:
+    return hypot(*table.values())
