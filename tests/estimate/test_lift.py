@@ -169,7 +169,7 @@ def test_the_scan_finds_defocus_and_position_of_any_image():
 def test_errors_of_a_robust_loss_hold_and_are_not_smaller_than_those_of_the_likelihood(model, loss, nominal):
     """Truth: Monte Carlo, and the Cramér-Rao bound that holds for every unbiased estimate.
 
-    Errors of L1 are known to be 6 % too small (three other sets of images, ± 1.4 %), see `robust_covariance`.
+    Errors of L1 are known to be 6 % too small (three other sets of images, ± 2 %), see `robust_covariance`.
     """
     images = 300
     true, flux = random_modes(images, seed=11), cases.photons(14)
