@@ -21,7 +21,7 @@ MAY_IMPORT = {
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
     "estimate": {"conventions", "frames", "numerics", "optics", "effects"},
-    "diagnosis": {
+    "diagnosis": 6200{
         "conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnosis.records",
     },
     # What results.json holds of a diagnosis, for those who read it without the science.
@@ -77,7 +77,7 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 530, "commands": 1920, "control": 510, "conventions": 1000, "diagnosis": 6190, "effects": 4090,
+    "api": 530, "commands": 1920, "control": 510, "conventions": 1000, "diagnosis": 6200, "effects": 4090,
     "esorex": 110, "estimate": 7180, "files": 1040, "focus": 2350, "frames": 2010, "instrument": 860,
     "night": 3380, "numerics": 970, "optics": 3700, "paper": 5610, "pipeline": 1170, "product": 2420,
     "readers": 2500, "recipe": 390, "reference": 320, "report": 4260, "simulate": 4200, "stages": 6710,
