@@ -21,7 +21,7 @@ MAY_IMPORT = {
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
     "estimate": {"conventions", "frames", "numerics", "optics", "effects"},
-    "diagnosis": 6200{
+    "diagnosis": {
         "conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnosis.records",
     },
     # What results.json holds of a diagnosis, for those who read it without the science.

@@ -252,8 +252,9 @@ class ImageFit(ModesFit):
 
         ``(JᵀDJ + P)⁻¹ (JᵀSJ + P) (JᵀDJ + P)⁻¹`` with derivatives J of the images, the slope D of ψ = ρ' at
         the residuals, the prior's precision P, and S = ψ²/(1 − h)², as a pixel of leverage h follows its own
-        noise (Huber 1967, Proc. 5th Berkeley Symp. 1, 221; MacKinnon & White 1985, J. Econom. 29, 305). Errors
-        of L1 come out 6 % too small: its slope is that of the few pixels that happen to be met exactly.
+        noise (Huber 1967, Proc. 5th Berkeley Symp. 1, 221; MacKinnon & White 1985, J. Econom. 29, 305).
+
+        Errors of L1 come out 6 % too small: its slope is that of few pixels, which happen to be met exactly.
         """
         return self._map(self._robust_covariance, x, torch.arange(len(x)))[0]
 
