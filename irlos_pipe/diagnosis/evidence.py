@@ -55,7 +55,7 @@ PROMISING = 3.0  # ln odds by a linear test from which an effect is fitted
 MOST_RIVALS = 2  # that are told besides a name
 LOOKED_AT = 2  # effects fitted at once, those of the best odds
 FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change of laws, with an effect more
-FOLLOWING, TURNED = 1, 6  # iterations from another side: of all else, and of everything
+FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
 SIDES = 2  # that are followed to their end, those on which all else has made the most of it
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
 FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
@@ -161,8 +161,6 @@ class EvidenceTask(Task):
                 x = fitted.x.clone()
                 x[0, columns] = torch.as_tensor(side)
                 starts.append((x, columns))
-        if not starts:
-            return laplace
 
         def following(start: tuple[torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
             x, columns = start
