@@ -153,6 +153,17 @@ def test_a_second_image_beside_image_motion_has_the_narrowest_form_that_fits(def
 
 
 @pytest.mark.slow
+def test_an_ao_residual_that_was_missing_is_named_beside_everything_else():
+    """It is never absent where it is at all, so no odds are for it: the search with declared facts names it."""
+    halo = CATALOGUE["seeing_halo"].under(CONDITIONS)
+    values = [one.start for one in halo.parameters]
+    search = searched([FixedEffect(halo, values), FixedEffect(COMPANION, PLACE)])
+    assert {one.name for one in search.accepted} == {"seeing_halo", "companion"}
+    found = halo.describe(search.final.fitted.values_of("seeing_halo"))
+    assert found["wfe_nm"] == pytest.approx(halo.describe(np.array(values))["wfe_nm"], rel=0.1)
+
+
+@pytest.mark.slow
 def test_beside_a_tail_of_modes_nothing_is_named_where_nothing_is_and_errors_know_of_it():
     search = searched([])
     assert search.accepted == []
