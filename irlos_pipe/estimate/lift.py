@@ -29,7 +29,8 @@ from irlos_pipe.numerics.solution import Solution, joined, mixed
 
 DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
-IMAGES_AT_ONCE = 32  # images in a piece at most: some for every worker
+IMAGES_AT_ONCE = 128  # images in a piece: a dozen copies of them are made on the way
+NEAR_AT_ONCE = 32  # of those that have a quicker model, which take long: some for every worker
 CLOSE_TOLERANCE = 1e-2  # of a fit that a coarse model began: the step that ends it leaves a tenth of that
 COARSE_TOLERANCE = 1000.0  # fall of χ² (30 σ): near enough to go on with variances that follow the model
 
@@ -94,7 +95,7 @@ def lift(
     def piece(some: torch.Tensor) -> LiftResult:
         return _lift(model, near, images_e[some], good, noise, start_nm[some], options.of(some))
 
-    pieces = in_pieces(torch.arange(len(images_e)))
+    pieces = in_pieces(torch.arange(len(images_e)), near)
     result = LiftResult.joined(process_map(piece, pieces, lambda some: report(len(some))))
     stuck = model.at_limit(result.zernike_nm)
     if not (beyond and stuck.any()):
@@ -103,9 +104,10 @@ def lift(
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def in_pieces(images: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Split `images`, or their numbers, into those that are estimated at once."""
-    return images.tensor_split(max(1, math.ceil(len(images) / IMAGES_AT_ONCE)))
+def in_pieces(images: torch.Tensor, near: NearModel | None) -> tuple[torch.Tensor, ...]:
+    """Split `images`, or their numbers, into those that are estimated at once, with or without `near`."""
+    size = IMAGES_AT_ONCE if near is None else NEAR_AT_ONCE
+    return images.tensor_split(max(1, math.ceil(len(images) / size)))
 
 
 def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options) -> LiftResult:

@@ -167,7 +167,7 @@ def scan(
         """Errors (magnitudes, trials) of some magnitudes."""
         images_e = torch.stack([dimmed(index) for index in group], dim=1).to(data.images_e.dtype)
         by_frame = enumerate(images_e.flatten(1, 2))
-        pieces = [(frame, some) for frame, images in by_frame for some in in_pieces(images)]
+        pieces = [(frame, some) for frame, images in by_frame for some in in_pieces(images, close_to(frame))]
         errors = np.concatenate(process_map(errors_of, pieces, lambda piece: report(len(piece[1]))))
         return errors.reshape(len(start_nm), len(group), -1).swapaxes(0, 1).reshape(len(group), -1)
 
