@@ -154,7 +154,7 @@ def test_a_second_image_beside_image_motion_has_the_narrowest_form_that_fits(def
 
 @pytest.mark.slow
 def test_an_ao_residual_that_was_missing_is_named_beside_everything_else():
-    """It is never absent where it is at all, so no odds are for it: the search with declared facts names it."""
+    """It is never absent, so no odds are for it: the search with declared facts names it."""
     halo = CATALOGUE["seeing_halo"].under(CONDITIONS)
     values = [one.start for one in halo.parameters]
     search = searched([FixedEffect(halo, values), FixedEffect(COMPANION, PLACE)])
