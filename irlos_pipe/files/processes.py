@@ -1,12 +1,12 @@
 """Worker processes of one thread each, which never outlive the process that uses them."""
 
+import logging
 import os
 import pickle
 import re
 import signal
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -23,6 +23,7 @@ from irlos_pipe.conventions.errors import IrlosError
 
 GRACE_S = 30.0  # how much later a process of our own is killed that does not even hear of it
 GB = 1e9
+LOG = logging.getLogger("irlos_pipe.run")
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -182,7 +183,7 @@ def forked_map(
                     results[places[future]] = pickle.loads(future.result())
                     report(items[places[future]])
         except BrokenProcessPool:
-            warnings.warn("a worker process was killed, perhaps because memory ran out", stacklevel=2)
+            LOG.warning("a worker process was killed, perhaps because memory ran out; its work is done again")
         finally:
             _work.reset(token)
     for place, item in enumerate(items):
