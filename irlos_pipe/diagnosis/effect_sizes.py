@@ -14,6 +14,7 @@ from irlos_pipe.effects import Parameter
 from irlos_pipe.effects.public_values import public_difference
 
 FAR = 1e3  # standard errors, as the width of a prior where there is none
+ALONE = 0.25  # part of a parameter that others determine, below which it is undetermined by itself
 UNDETERMINED = 0.5  # part of the prior's variance that is left, from which the data determine nothing
 NOTHING = 1e-9  # size that stands for none, as of rounding
 
@@ -45,7 +46,8 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
     """The `covariance` of free `parameters` without the directions that only the prior holds.
 
     Petals may move as one, which tip, tilt and piston of the whole pupil do as well: the prior keeps such a
-    direction at zero, and its width says nothing about the effect.
+    direction at zero, and its width says nothing about the effect. A parameter that is such a direction by
+    itself has its variance: nothing else says that the data do not determine it.
     """
     sigma, variance = np.array([p.prior_sigma for p in parameters]), np.diag(covariance)
     measured = np.isfinite(variance) & (variance > 0)  # not a direction in which the size is zero
@@ -55,7 +57,9 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
     values, vectors = np.linalg.eigh(relative)
     kept = vectors[:, values < UNDETERMINED]
     projector = kept @ kept.T
-    return (projector @ relative @ projector) * units
+    found = (projector @ relative @ projector) * units
+    alone = np.diag(projector) < ALONE
+    return np.where(np.diag(alone), relative * units, found)
 
 
 class Covariances:

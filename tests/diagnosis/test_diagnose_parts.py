@@ -265,6 +265,14 @@ def test_directions_that_only_the_prior_holds_are_no_part_of_an_effects_error():
     assert np.sqrt(np.diag(own)) == pytest.approx([1.0, 1.0], rel=1e-3)
 
 
+def test_a_number_that_only_its_prior_holds_has_the_width_of_that_as_its_error():
+    """By itself and beside one that the data determine; by hand."""
+    scale, turn = (Parameter(name, "", 0.0, prior_sigma=0.02) for name in ("fraction", "turn"))
+    for more, sigma in (((), [0.018]), ((turn,), [0.018, 0.001])):
+        own = determined((scale, *more), np.diag(sigma) ** 2)
+        assert np.sqrt(np.diag(own)) == pytest.approx(sigma)
+
+
 def test_motion_from_frame_to_frame_does_not_raise_the_floor_of_the_gap():
     """Monte Carlo: frames that differ by a tilt, which is refitted, and by photons."""
     rng = np.random.default_rng(9)

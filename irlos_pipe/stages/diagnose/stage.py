@@ -19,7 +19,7 @@ from irlos_pipe.stages.diagnose.results import DiagnoseResults as Results
 __all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
 
 NAME = "diagnose"
-VERSION = 32
+VERSION = 33
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 WORK = LateModule("irlos_pipe.stages.diagnose.work")
