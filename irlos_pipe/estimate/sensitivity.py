@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import in_pieces, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import NearModel, near
+from irlos_pipe.estimate.lift_problems import near
 from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
@@ -148,14 +147,13 @@ def scan(
         arguments = signal_e, factors[index], data.noise, generator, faint
         return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1)
 
-    @cache
-    def close_to(frame: int) -> NearModel | None:
-        return None if near_nm is None else near(model, near_nm[frame])
+    frames = range(len(start_nm))
+    close_to = [None if near_nm is None else near(model, near_nm[frame]) for frame in frames]
 
     def errors_of(piece: tuple[int, torch.Tensor]) -> np.ndarray:
         """Errors of some images of a frame."""
         frame, images_e = piece
-        close, start = close_to(frame), start_nm[frame].expand(len(images_e), -1)
+        close, start = close_to[frame], start_nm[frame].expand(len(images_e), -1)
         options = LiftOptions("model")
         result = lift(model, images_e, data.good, faint, start, options, near=close, beyond=False)
         error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame])
@@ -166,8 +164,8 @@ def scan(
     def errors_nm(group: np.ndarray) -> np.ndarray:
         """Errors (magnitudes, trials) of some magnitudes."""
         images_e = torch.stack([dimmed(index) for index in group], dim=1).to(data.images_e.dtype)
-        by_frame = enumerate(images_e.flatten(1, 2))
-        pieces = [(frame, some) for frame, images in by_frame for some in in_pieces(images, close_to(frame))]
+        by_frame = images_e.flatten(1, 2)
+        pieces = [(frame, some) for frame in frames for some in in_pieces(by_frame[frame], close_to[frame])]
         errors = np.concatenate(process_map(errors_of, pieces, lambda piece: report(len(piece[1]))))
         return errors.reshape(len(start_nm), len(group), -1).swapaxes(0, 1).reshape(len(group), -1)
 

@@ -24,6 +24,7 @@ from irlos_pipe.conventions.errors import IrlosError
 GRACE_S = 30.0  # how much later a process of our own is killed that does not even hear of it
 GB = 1e9
 LOG = logging.getLogger("irlos_pipe.run")
+FORKS = sys.platform == "linux"  # elsewhere libraries do not survive a fork
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -169,12 +170,12 @@ def forked_map(
     """Return what `function` makes of all `items`, in order, with up to `count` processes of one thread each.
 
     They are forked, know all that the caller knows, and send back results only; they take some hundredths of
-    a second to start. `report` gets each item that is done. There are none but on Linux: elsewhere libraries
-    do not survive a fork. What is left then, or when a process was killed, is done here.
+    a second to start. `report` gets each item that is done. What is left where a system does not fork, or
+    when a process was killed, is done here.
     """
     items, results = list(items), {}
     count = min(count, len(items))
-    if count > 1 and sys.platform == "linux":
+    if count > 1 and FORKS:
         token = _work.set((function, items))
         try:
             with in_processes(count, _worked, [(i,) for i in range(len(items))], "fork", begin) as futures:

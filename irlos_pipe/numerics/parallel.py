@@ -2,8 +2,8 @@
 
 Matrices here are small: one worker per piece keeps two cores busy where threads inside every matrix product
 do not. And as each piece is computed by one thread, results are the same to the bit for any number of
-workers. Between two products the interpreter has its turn: more than two threads wait for each other there,
-processes do not. What makes these is for the caller to say: science knows no system.
+workers. Between two products the interpreter has its turn: threads wait for each other there, processes do
+not. What makes these is for the caller to say: science knows no system.
 
 Who has pieces for threads computes them as well, and waits for none that nobody has begun: pieces of pieces
 keep workers busy that would else have none.
@@ -62,8 +62,8 @@ def process_map(
 ) -> list[Result]:
     """Return what `function` makes of all `items`, in order, from processes; `report` gets each that is done.
 
-    There are none within workers, where gradients are recorded, nor where a GPU is in use, which does not
-    survive a fork. Then there are threads.
+    There are none beside threads, whose locks a fork would keep, within processes, where gradients are
+    recorded, nor where a GPU is in use, which does not survive a fork. Then there are threads.
     """
     forked_map, items = _forked.get(), list(items)
     if forked_map and len(items) > 1 and not (torch.is_grad_enabled() or torch.cuda.is_initialized()):
@@ -115,8 +115,16 @@ def _results(function: Callable[[Item], Result], items: list[Item]) -> Iterator[
     if pool is None or len(items) < 2 or torch.is_grad_enabled():
         yield from map(function, items)
         return
-    function = torch.no_grad()(function)
-    futures = [pool.submit(function, item) for item in items]
+
+    @torch.no_grad()
+    def piece(item: Item) -> Result:
+        token = _forked.set(None)
+        try:
+            return function(item)
+        finally:
+            _forked.reset(token)
+
+    futures = [pool.submit(piece, item) for item in items]
     places, own = iter(range(len(items))), {}
     try:
         for place, future in enumerate(futures):
@@ -124,7 +132,7 @@ def _results(function: Callable[[Item], Result], items: list[Item]) -> Iterator[
                 free = next((one for one in places if futures[one].cancel()), None)
                 if free is None:
                     break
-                own[free] = function(items[free])
+                own[free] = piece(items[free])
             yield own.pop(place) if place in own else future.result()
     finally:
         for future in futures:

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.processes import forked_map
+from irlos_pipe.files.processes import FORKS, forked_map
 from irlos_pipe.pipeline.runlog import RUN, TRACE
 
 silent_progress = partial(tqdm, disable=True)
@@ -98,5 +98,5 @@ def limited_threads(jobs: int, *, arrays_only: bool = False) -> Iterator[None]:
         if not arrays_only:
             from irlos_pipe.numerics.parallel import workers
 
-            stack.enter_context(workers(jobs, partial(forked_map, jobs) if jobs > 1 else None))
+            stack.enter_context(workers(jobs, partial(forked_map, jobs) if FORKS else None))
         yield

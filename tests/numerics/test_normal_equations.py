@@ -22,7 +22,7 @@ from irlos_pipe.numerics.directional import Directional, along_all
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.loss import L1_ROUNDING, LOSSES
 from irlos_pipe.numerics.normal_equations import Linearised, normal_equations
-from irlos_pipe.numerics.parallel import ordered_map, workers
+from irlos_pipe.numerics.parallel import ordered_map, process_map, workers
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE
 from irlos_pipe.optics.psf import PsfModel
 
@@ -303,6 +303,21 @@ def test_who_has_no_piece_left_helps_with_pieces_of_pieces():
 
     with workers(2):
         assert ordered_map(piece, range(3)) == [[], [0, 1], []]
+
+
+def test_no_process_is_forked_while_threads_are_at_work():
+    """A lock that another thread holds would never be released in the process."""
+    forked = []
+
+    def forked_map(function, items, report, begin):
+        forked.append(items)
+        return [function(item) for item in items]
+
+    with workers(2, forked_map):
+        ordered_map(lambda _: process_map(abs, [1, -2]), range(8))
+        assert forked == []
+        assert process_map(abs, [1, -2]) == [1, 2]
+    assert forked == [[1, -2]]
 
 
 def test_an_error_in_a_worker_reaches_the_caller():
