@@ -55,7 +55,7 @@ def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
     return Chapter(
         name,
         run.recipe.get("title") or name,
-        "failed" if problem else run.status,
+        "failed" if problem else run.outcome.status,
         [*([problem] if problem else []), *warnings(run)],
         [_own(section, name) for stage, section in stage_sections(run).items() if stage not in LEFT_OUT],
         Table(("setting", "value"), settings, "Settings", folded=True),
