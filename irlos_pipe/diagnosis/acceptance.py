@@ -6,10 +6,10 @@ from functools import cached_property
 
 from irlos_pipe.diagnosis.checks.drift import MOVING, Drift, motion_ratio
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, alternatives, gap_between, preference
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, alternatives, gap_between, preference
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import Alternative, Ranked
+from irlos_pipe.diagnosis.records import Alternative, Gap, Ranked
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma

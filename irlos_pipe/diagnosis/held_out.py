@@ -5,7 +5,6 @@ frozen.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,29 +12,8 @@ import torch
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.records import Alternative
+from irlos_pipe.diagnosis.records import Alternative, Gap
 from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
-
-
-@dataclass(frozen=True)
-class Gap:
-    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels."""
-
-    before: float  # with the old model
-    after: float  # with the new model
-    floor: float  # with a perfect model, from noise alone
-
-    @property
-    def shrink(self) -> float:
-        """Part of the gap above the floor that the new model closes; NaN where there was none."""
-        open_ = self.before - self.floor
-        return (self.before - self.after) / open_ if open_ > 0 else float("nan")
-
-    @property
-    def closed(self) -> float:
-        """The same of the squares, in which noise and what a model misses add; NaN where there was none."""
-        open_ = self.before**2 - self.floor**2
-        return (self.before**2 - self.after**2) / open_ if open_ > 0 else float("nan")
 
 
 class HeldOutEvaluation:

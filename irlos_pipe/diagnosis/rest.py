@@ -1,6 +1,6 @@
 """What a model still misses, in words and numbers: how much light, where, how large, and when."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -8,7 +8,7 @@ import torch
 from scipy import ndimage
 
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
-from irlos_pipe.diagnosis.records import FineStructure
+from irlos_pipe.diagnosis.records import FineStructure, Rest, Where
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SMOOTH_PX = 1.0  # of the residual, before its strongest part is looked for
@@ -18,35 +18,6 @@ CORE = 0.5  # part of the brightest pixel from which pixels belong to the star
 
 Symmetry = Literal["symmetric", "antisymmetric", "one-sided"]
 Time = Literal["static", "moving", "not seen"]
-
-
-@dataclass(frozen=True)
-class Rest:
-    """The residual between the held-out images and the final model."""
-
-    light_fraction: float  # part of the light that is misplaced beyond what noise alone shows
-    x_mas: float  # of its strongest part, from the star, to the right
-    y_mas: float  # the same, up
-    extent_mas: float  # diameter of a disc as large as the strongest part
-    excess: bool  # whether there is too much light in its strongest part, not too little
-    symmetry: Symmetry  # under a half turn about the star
-    time: Time  # whether the two halves of the frames leave the same
-    finer_than_diffraction: bool
-    # Relative error of the flat that would make what is finer; 0 where none is significant.
-    flat_rms: float = 0.0
-
-    @property
-    def text(self) -> str:
-        sign = "brighter" if self.excess else "fainter"
-        fine = ", partly finer than the diffraction limit" if self.finer_than_diffraction else ""
-        if fine and self.flat_rms:
-            fine += f" as an error of the flat of {self.flat_rms:.2%} RMS would make it"
-        when = "" if self.time == "not seen" else f", {self.time}"
-        return (
-            f"{self.light_fraction:.1%} of the light is misplaced beyond noise, most of it "
-            f"{self.x_mas:+.0f}, {self.y_mas:+.0f} mas from the star over {self.extent_mas:.0f} mas, where "
-            f"the data are {sign}; {self.symmetry}{when}{fine}"
-        )
 
 
 def rest_of(
@@ -67,16 +38,30 @@ def rest_of(
     star_y, star_x = _star(image)
     row, column, area_px, sign = _strongest(left)
     scale = settings.pixel_scale_mas
-    return Rest(
+    rest = Rest(
         light_fraction=float(np.sqrt(max(judge.gap**2 - floor**2, 0.0))),
-        x_mas=(column - star_x) * scale,
-        y_mas=(row - star_y) * scale,
-        extent_mas=2 * float(np.sqrt(area_px / np.pi)) * scale,
+        where=Where(
+            (column - star_x) * scale, (row - star_y) * scale, 2 * float(np.sqrt(area_px / np.pi)) * scale
+        ),
         excess=sign > 0,
         symmetry=_symmetry(left, star_y, star_x),
         time=_time(judge),
         finer_than_diffraction=fine.significance > sure,
         flat_rms=flat_rms,
+    )
+    return replace(rest, text=_text(rest))
+
+
+def _text(rest: Rest) -> str:
+    sign, at = "brighter" if rest.excess else "fainter", rest.where
+    fine = ", partly finer than the diffraction limit" if rest.finer_than_diffraction else ""
+    if fine and rest.flat_rms:
+        fine += f" as an error of the flat of {rest.flat_rms:.2%} RMS would make it"
+    when = "" if rest.time == "not seen" else f", {rest.time}"
+    return (
+        f"{rest.light_fraction:.1%} of the light is misplaced beyond noise, most of it "
+        f"{at.x_mas:+.0f}, {at.y_mas:+.0f} mas from the star over {at.extent_mas:.0f} mas, where "
+        f"the data are {sign}; {rest.symmetry}{when}{fine}"
     )
 
 

@@ -21,6 +21,7 @@ from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Star
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma
@@ -62,21 +63,12 @@ class Sharing:
 
 
 @dataclass(frozen=True)
-class Change:
-    """How much the wavefront of a moment differs from the mean of those of all moments."""
-
-    moment: str
-    rms_nm: float  # root mean square over the modes [nm]
-    sigma_nm: float  # the same of the standard errors [nm]
-
-
-@dataclass(frozen=True)
 class Together:
     """What the moments of a multi-epoch diagnosis share."""
 
     moments: Moments
     sharing: Sequence[Sharing]  # of every effect that was named, in the order of the steps
-    changes: Sequence[Change]  # of the wavefront, for every moment
+    stars: Sequence[Star]  # how much the wavefront of every moment differs from the mean of all
 
 
 def sharing(
@@ -199,7 +191,7 @@ def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, optio
     fitted = search.final.fitted
     fitter = fitter.of(search.final.stack, fitted.views)
     found = [sharing(labels, fitted, fitter, cube, moments, options.sure) for labels in _groups(search)]
-    return Together(moments, found, _changes(search, moments))
+    return Together(moments, found, _stars(search, moments))
 
 
 def _groups(search: Search) -> list[list[str]]:
@@ -212,7 +204,7 @@ def _groups(search: Search) -> list[list[str]]:
     return list(groups.values())
 
 
-def _changes(search: Search, moments: Moments) -> list[Change]:
+def _stars(search: Search, moments: Moments) -> list[Star]:
     """Changes from the mean of all moments, which images determine better than those from the common part."""
     final, drifts = search.final, search.final.fitted.problem.drifts
     columns = np.array([drifts[number] for number in moments.by_number])  # (moments, modes)
@@ -221,10 +213,9 @@ def _changes(search: Search, moments: Moments) -> list[Change]:
     changes = from_mean @ final.fitted.x[0].numpy()[columns]
     of_modes = covariance[columns.T[:, :, None], columns.T[:, None, :]]  # (modes, moments, moments)
     variances = np.diagonal(from_mean @ of_modes @ from_mean.T, axis1=1, axis2=2).T
-    names = [one.name for one in moments.by_number.values()]
     return [
-        Change(name, _rms(change), float(np.sqrt(np.mean(variance))))
-        for name, change, variance in zip(names, changes, variances, strict=True)
+        Star(one.name, one.star, _rms(change), float(np.sqrt(np.mean(variance))))
+        for one, change, variance in zip(moments.by_number.values(), changes, variances, strict=True)
     ]
 
 

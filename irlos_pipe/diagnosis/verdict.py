@@ -6,12 +6,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
+from irlos_pipe.diagnosis import records
 from irlos_pipe.diagnosis.cube import HeldOutKind
-from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.moments import Moments
-from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
-from irlos_pipe.diagnosis.rest import Rest
 from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.public_values import measured
@@ -36,7 +33,8 @@ class Sized:
     # Size as a report states it, see `Effect.shown`.
     shown: dict[str, Any] = field(default_factory=dict, kw_only=True)
     shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)  # its standard errors
-    opposite: OppositeSide | None = field(default=None, kw_only=True)  # where these data do not exclude it
+    # Its opposite side, where these data do not exclude that.
+    opposite: records.OppositeSide | None = field(default=None, kw_only=True)
 
     @property
     def phrase(self) -> str:
@@ -54,9 +52,9 @@ class Step(Sized):
     significance: float  # in Gaussian σ
     explained: float  # part of the excess that was there before
     preference: float  # Vuong's statistic on the held-out frames, against the model before
-    gap: Gap  # on the held-out frames, of the models before and after it
-    alternatives: Sequence[Alternative] = ()
-    ranking: Sequence[Ranked] = ()  # families that were fitted, the best first
+    gap: records.Gap  # on the held-out frames, of the models before and after it
+    alternatives: Sequence[records.Alternative] = ()
+    ranking: Sequence[records.Ranked] = ()  # families that were fitted, the best first
     label: str = ""  # of the effect among those of the final model; by default its name
     share: float = float("nan")  # part of its own signal that the final model explains where that signal lies
 
@@ -75,20 +73,6 @@ class Step(Sized):
     def unusual(self) -> list[str]:
         """Parameters at a bound, or beyond what is usual for the effect."""
         return self.effect.base.unusual(self.effect.values)
-
-
-@dataclass(frozen=True)
-class Tried:
-    """One effect of the catalogue in a diagnosis."""
-
-    name: str
-    # ``named``; ``nearest``: what comes nearest where the verdict is unknown; ``modelled``: in the model from
-    # the start; ``adjusted``: in the final model without being named; ``fitted``: fitted and explains less;
-    # ``scored``: not significant in what was left; ``absorbed``: these data cannot show it; ``not tried``.
-    outcome: Outcome
-    # Of its score test at the last model for which a name was looked for, in Gaussian σ; NaN without one.
-    significance: float
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -131,12 +115,13 @@ class Diagnosis:
     nearest: Step | None  # what comes nearest, where the verdict is unknown
     unexplained: bool  # whether a significant part of the residual is left
     why_unknown: str
-    rest: Rest  # what the final model misses
-    gap: Gap
+    rest: records.Rest  # what the final model misses
+    gap: records.Gap
     mdb: dict[str, dict]  # smallest detectable size of every effect that was not seen
     untestable: Sequence[str]  # effects that the free parameters absorb
-    noise: NoiseVerdict
-    fine: FineStructure  # left by the model with the names: whether pixels hold what no light can have made
+    noise: records.NoiseVerdict
+    # Left by the model with the names: whether pixels hold what no light can have made.
+    fine: records.FineStructure
     chi2_nu: tuple[float, float]  # of the mean training image, before and after
     excess_sigma: tuple[float, float]
     motion_ratio: float
@@ -149,12 +134,12 @@ class Diagnosis:
     modes_sigma_nm: np.ndarray
     pictures: Pictures
     # For those untestable that a second recording would show.
-    advice: dict[str, Advice] = field(default_factory=dict)
+    advice: dict[str, records.Advice] = field(default_factory=dict)
     # Of the final model besides the steps: it fits better with them, but none is sure enough to be named.
     adjusted: Sequence[Adjusted] = ()
     # Further facts of the instrument that fits should leave free, see `open_facts`.
     open_facts: Sequence[FixedEffect] = ()
-    tried: Sequence[Tried] = ()  # search log: every effect of the catalogue, and what became of it
+    tried: Sequence[records.Tried] = ()  # search log: every effect of the catalogue, and what became of it
     together: Together | None = None  # what the recordings share; None of a single star and night
     seconds: float = 0.0
 

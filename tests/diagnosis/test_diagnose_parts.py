@@ -28,7 +28,8 @@ from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
 from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
-from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, noise_floor, preference
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, noise_floor, preference
+from irlos_pipe.diagnosis.records import Gap
 from irlos_pipe.diagnosis.search.scores import (
     Family,
     brightest_copies,

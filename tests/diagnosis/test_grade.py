@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import pytest
 
 from irlos_pipe.diagnosis.acceptance import Search
-from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
+from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES
 from irlos_pipe.diagnosis.grade import (
     copies_in_a_row,
     judged,
     one_place_twice,
     without_ordinary_facts,
 )
-from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.null_model import Excess
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Gap, NoiseVerdict
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.records import Gap
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
