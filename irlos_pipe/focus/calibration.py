@@ -32,8 +32,7 @@ from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.lift.fit import focus_sensor, light_path
 from irlos_pipe.stages.lift.input import ROLES, read_ramp
-from irlos_pipe.stages.lift.results import LiftResults
-from irlos_pipe.stages.lift.stage import Config
+from irlos_pipe.stages.lift.stage import Config, LiftResults
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # frames of a ramp that show how right exposures fit

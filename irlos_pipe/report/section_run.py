@@ -17,7 +17,7 @@ from irlos_pipe.report.images import MANY_DIGITS, thumbnail
 from irlos_pipe.report.run_data import RunData, frame_times
 from irlos_pipe.report.text import number, plural
 from irlos_pipe.stages.correct import CorrectResults
-from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
+from irlos_pipe.stages.ingest.stage import IngestResults, RecordingRow
 
 MOST_THUMBNAILS = 60  # images of recordings that are shown
 CHECKSUM_DIGITS = 12  # of a checksum that are shown

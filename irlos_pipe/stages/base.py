@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -92,6 +93,11 @@ class Stage(Protocol):
     def run(ctx: StageContext[Any]) -> StageOutput:
         """Do the work of the stage."""
         ...
+
+
+def run_of(module: str) -> Callable[[StageContext[Any]], StageOutput]:
+    """Return the function `run` of a `module` that is imported when the stage runs, as for PyTorch."""
+    return lambda ctx: import_module(module).run(ctx)
 
 
 def needs(stage: Stage) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
 from irlos_pipe.product.product import declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.stage import CalibrateResults, CubeEstimate, cube_estimates
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 

@@ -10,6 +10,7 @@ import errno
 import sys
 import time
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import ClassVar, Literal
@@ -118,7 +119,9 @@ def _misbehave(name: str, folder: Path) -> None:
 
 
 def _module(name: str, config: type[StageConfig], work, **extra) -> ModuleType:
-    module = ModuleType(f"irlos_pipe.stages.{name}.stage")
+    real = import_module(f"irlos_pipe.stages.{name}.stage")
+    module = ModuleType(real.__name__)
+    module.__dict__.update({name: one for name, one in vars(real).items() if isinstance(one, type)})
 
     def run(ctx: StageContext) -> StageOutput:
         COUNTS[name] += 1

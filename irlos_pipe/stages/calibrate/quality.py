@@ -40,9 +40,8 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.calibrate.results import CauseRow
-from irlos_pipe.stages.calibrate.stage import Config, Limits
-from irlos_pipe.stages.ingest.results import IngestResults, NoiseRow, RecordingRow
+from irlos_pipe.stages.calibrate.stage import CauseRow, Config, Limits
+from irlos_pipe.stages.ingest.stage import IngestResults, NoiseRow, RecordingRow
 
 SPECKLED = {name for name, kind in CATALOGUE.items() if kind.speckles}
 # Effects that make frames scatter by more than noise.

@@ -15,7 +15,7 @@ from irlos_pipe.optics.image_quality import power_spectrum, quality_curves
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.product import Check, Quantity, declared
-from irlos_pipe.stages.diagnose.results import (
+from irlos_pipe.stages.diagnose.stage import (
     ARRAYS,
     AdjustedRow,
     Change,

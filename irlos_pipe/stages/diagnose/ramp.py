@@ -19,7 +19,7 @@ from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.product.product import Product, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.output import MODEL_FILE, checks_of
-from irlos_pipe.stages.diagnose.results import ARRAYS, Change, DiagnoseResults, StepRow
+from irlos_pipe.stages.diagnose.stage import ARRAYS, Change, DiagnoseResults, StepRow
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
 from irlos_pipe.stages.lift.stage import Config as LiftConfig
