@@ -71,8 +71,8 @@ class Stage(Protocol):
 
     - ``ARRAYS`` and ``CHECKS``: the arrays of its product and its checks, see `product.product`;
     - ``NEEDS``: names of stages that must come before it in a recipe (default none);
-    - ``READS``: names of the earlier stages whose products it looks at (default all of them).
-      A change of any other stage does not redo it;
+    - ``READS``: names of further stages whose products it looks at if they come before it (default
+      none). A change of any other stage does not redo it;
     - ``files_of(root)``: the files of an input, given as a file or folder, that it reads (default all
       of them). Other files may change without its product being made again;
     - ``problems(inputs, config, instrument)``: a line for everything that is wrong with the files of the
@@ -84,10 +84,9 @@ class Stage(Protocol):
       where they are collected: they may be older than the checks.
     """
 
-    NAME: str
     VERSION: int  # raised where its products change
     Config: type[StageConfig]  # its section of a recipe
-    Results: type[StageResults]  # its section of results.json
+    Results: type[StageResults]  # its section of results.json, which has its name
 
     @staticmethod
     def run(ctx: StageContext[Any]) -> StageOutput:
@@ -107,8 +106,8 @@ def needs(stage: Stage) -> tuple[str, ...]:
 
 def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
     """Return the names of those of the `earlier` stages whose products `stage` reads."""
-    wanted = getattr(stage, "READS", None)
-    return tuple(name for name in earlier if wanted is None or name in wanted or name in needs(stage))
+    wanted = (*needs(stage), *getattr(stage, "READS", ()))
+    return tuple(name for name in earlier if name in wanted)
 
 
 def arrays_only(stage: Stage) -> bool:

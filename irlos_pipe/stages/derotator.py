@@ -27,10 +27,8 @@ from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, Stage
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import AngleRow, CubeEstimate, cube_estimates
 
-NAME = "derotator"
 VERSION = 1
 NEEDS = ("calibrate",)
-READS = ("calibrate",)
 DEPENDS_ON = frozenset({"instrument"})
 ARRAYS = {
     "noll": ("", "mode", "Noll index"),

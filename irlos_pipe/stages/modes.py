@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from irlos_pipe.estimate.mode_number import Choice, ModeScan
     from irlos_pipe.frames.recording import Recording
 
-NAME = "modes"
 VERSION = 4
 NEEDS = ("ingest", "calibrate")
-READS = ("ingest", "calibrate")
 ARRAYS = {
     "noll": ("", "mode", "Noll index"),
     "std_nm": ("nm ±", "mode", "RMS over the draws, about zero"),

@@ -133,7 +133,7 @@ def _module(name: str, config: type[StageConfig], work, **extra) -> ModuleType:
         return output
 
     declared = {"Results": FreeResults} | extra
-    module.__dict__.update(NAME=name, VERSION=1, Config=config, run=run, **declared)
+    module.__dict__.update(VERSION=1, Config=config, run=run, **declared)
     return module
 
 
@@ -142,7 +142,7 @@ def modules() -> dict[str, ModuleType]:
     stages = [
         _module("ingest", IngestConfig, ingest, DEPENDS_ON={"inputs", "instrument"}),
         _module("calibrate", CalibrateConfig, calibrate, NEEDS=("ingest",), Results=MethodResults),
-        _module("lift", LiftConfig, lift, NEEDS=("ingest",), READS=("ingest",), DEPENDS_ON={"seed"}),
+        _module("lift", LiftConfig, lift, NEEDS=("ingest",), DEPENDS_ON={"seed"}),
     ]
     return {stage.__name__: stage for stage in stages} | {"irlos_pipe.report.build": report_module()}
 

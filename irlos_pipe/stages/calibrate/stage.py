@@ -35,10 +35,8 @@ from irlos_pipe.product.results import (
 )
 from irlos_pipe.stages.base import StageConfig, run_of
 
-NAME = "calibrate"
 VERSION = 28
 NEEDS = ("ingest",)
-READS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 CUBES = "cubes"  # group of the arrays of every recording, with `each`
 ARRAYS = {

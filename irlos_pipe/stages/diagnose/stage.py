@@ -20,10 +20,9 @@ from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, Resu
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.stages.base import StageConfig, run_of
 
-NAME = "diagnose"
 VERSION = 33
 NEEDS = ("ingest",)
-READS = ("ingest", "calibrate", "lift")
+READS = ("calibrate", "lift")
 Noll = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 Nanometres = Annotated[float, Field(ge=-5000, le=5000)]
 ARRAYS = {

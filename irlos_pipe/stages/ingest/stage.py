@@ -18,10 +18,8 @@ from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, Sta
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.base import StageConfig, run_of
 
-NAME = "ingest"
 VERSION = 13
 ARRAYS_ONLY = True
-READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 Part = TypeVar("Part", Thresholds, Limits)
 ROOT = "recordings"

@@ -15,10 +15,9 @@ from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, run_of
 
-NAME = "lift"
 VERSION = 18
 NEEDS = ("ingest",)
-READS = ("ingest", "prior", "calibrate")
+READS = ("prior", "calibrate")
 Mode = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 # "told" is the former spelling of "commanded".
 Start = Annotated[
