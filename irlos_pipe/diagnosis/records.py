@@ -81,7 +81,7 @@ class FineStructure:
 
 @dataclass(frozen=True)
 class Gap:
-    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels."""
+    """``Σ|measured − predicted| / Σ measured`` of the held-out frames."""
 
     before: Number = key(nan, "With the model as it was, and with what was found.")
     after: Number = key(nan, DITTO)
