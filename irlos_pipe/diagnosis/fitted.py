@@ -20,7 +20,7 @@ from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect, FixedEffect, Parameter
 from irlos_pipe.effects.effect_set import EffectSet
-from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, CheapGradientProblem
 from irlos_pipe.numerics.solution import Solution
 
@@ -132,7 +132,7 @@ OWN = 4  # tip, tilt, flux and background of each recording
 POINTING = 2  # modes that belong to each recording, tip and tilt
 
 
-class JointFit(CheapGradientProblem):
+class JointFit(CheapGradientProblem, JoinedFit):
     """Least-squares problem for the solver; one member.
 
     Of the `parts`, one per recording, all have the same modes, Noll 2 and 3 first, and those effects that act
@@ -150,12 +150,11 @@ class JointFit(CheapGradientProblem):
         drift_nm: float = DRIFT_NM,
         tolerance: float = CHI2_TOLERANCE,
     ):
-        self.parts, self.tolerance = tuple(parts), tolerance
         self.model = parts[0].model
         self.effects = self.model.effects if effects is None else effects
         self.moments = tuple(moments) or (0,) * len(parts)
-        self.layout = replace(parts[0].layout, effects=self.effects.parameters)
-        shared, modes = self.layout.size - 2, len(self.layout.nolls)
+        layout = replace(parts[0].layout, effects=self.effects.parameters)
+        shared, modes = layout.size - 2, len(layout.nolls)
         drifting = sorted({*self.moments}) if len({*self.moments}) > 1 else []
         starts = (shared + number * (modes - POINTING) for number in range(len(drifting)))
         self.drifts = {
@@ -163,26 +162,19 @@ class JointFit(CheapGradientProblem):
             for moment, begin in zip(drifting, starts, strict=True)
         }
         begin_own = shared + len(drifting) * (modes - POINTING)
-        self.size = begin_own + OWN * (len(parts) - 1) + 2
-        self.columns = []
+        last = begin_own + OWN * (len(parts) - 1)
+        columns = []
         for number, moment in enumerate(self.moments):
             begin = begin_own + OWN * (number - 1)
-            tip, tilt, flux, background = (
-                range(begin, begin + OWN) if number else (0, 1, self.size - 2, self.size - 1)
-            )
+            tip, tilt, flux, background = range(begin, begin + OWN) if number else (0, 1, last, last + 1)
             acting = [modes + column for column in self.effects.columns_in(moment)]
-            self.columns.append([tip, tilt, *range(POINTING, modes), *acting, flux, background])
+            columns.append([tip, tilt, *range(POINTING, modes), *acting, flux, background])
+        changes = [dict(enumerate(self.drifts.get(moment, ()), POINTING)) for moment in self.moments]
+        sigma = {column: drift_nm for columns in self.drifts.values() for column in columns}
+        super().__init__(parts, columns, changes, sigma, tolerance)
+        self.layout = layout
         ends = torch.tensor([0, *(part.images.shape[-1] for part in parts)]).cumsum(0).tolist()
         self.pixels = [slice(a, b) for a, b in pairwise(ends)]
-        good = sum(int((part.root_weight > 0).sum()) for part in parts)
-        self.freedom = max(1, good - self.size)
-        self.lower, self.upper = (self._spread(bound) for bound in ("lower", "upper"))
-        self.prior_mean, self.prior_precision = (
-            self._spread(name, 0)[None] for name in ("prior_mean", "prior_precision")
-        )
-        for columns in self.drifts.values():
-            self.lower[columns], self.upper[columns] = -torch.inf, torch.inf
-            self.prior_precision[:, columns] = drift_nm**-2
 
     @property
     def window(self) -> tuple[int, int]:
@@ -190,61 +182,18 @@ class JointFit(CheapGradientProblem):
         return self.model.psf.settings.window
 
     @property
-    def own(self) -> list[int]:
+    def of_recordings(self) -> list[int]:
         """Columns of what belongs to single recordings, four after the other for each."""
         return [column for number in range(len(self.parts)) for column in self.own_of(number)]
 
     def own_of(self, number: int) -> list[int]:
         """Columns of tip, tilt, flux and background of recording `number`."""
-        return [self.columns[number][i] for i in (0, 1, -2, -1)]
+        return [self.own[number][i] for i in (0, 1, -2, -1)]
 
     @property
     def tail(self) -> int:
         """Number of parameters behind the effects."""
         return self.size - self.layout.effect_values.stop
-
-    def part(self, x: torch.Tensor, number: int) -> torch.Tensor:
-        """Parameter vector of recording `number`, (1, its parameters), out of the whole vector `x`."""
-        at = x[:, self.columns[number]]
-        drift = self.drifts.get(self.moments[number])
-        if drift is None:
-            return at
-        modes = slice(POINTING, len(self.layout.nolls))
-        changed = at[:, modes] + x[:, drift]
-        return torch.cat([at[:, :POINTING], changed, at[:, modes.stop :]], dim=1)
-
-    # -- Problem -----------------------------------------------------------------------------
-
-    def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
-
-    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """Half of χ² plus that of the prior, (1,)."""
-        value = _half_chi2(x - self.prior_mean, self.prior_precision)
-        for number, part in enumerate(self.parts):
-            at = self.part(x, number)
-            own_prior = _half_chi2(at - part.prior_mean, part.prior_precision)
-            value = value + part.objective(at, which) - own_prior
-        return value
-
-    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """With the Gauss–Newton Hessian."""
-        offset = x - self.prior_mean
-        value = _half_chi2(offset, self.prior_precision)
-        gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
-        for number, part in enumerate(self.parts):
-            at = self.part(x, number)
-            own_value, own_gradient, own_hessian = part.normal_equations(at, which)
-            precision, miss = part.prior_precision, at - part.prior_mean
-            value = value + own_value - _half_chi2(miss, precision)
-            rows, columns = self._pairs(number)
-            slope = own_gradient - precision * miss
-            curvature = own_hessian - torch.diag_embed(precision)
-            gradient.index_add_(1, columns, slope[:, rows])
-            wide = torch.zeros(1, len(slope[0]), self.size, dtype=torch.float64)
-            wide.index_add_(2, columns, curvature[:, :, rows])
-            hessian.index_add_(1, columns, wide[:, rows])
-        return value, gradient, hessian
 
     # -- images ------------------------------------------------------------------------------
 
@@ -259,8 +208,7 @@ class JointFit(CheapGradientProblem):
         for number, part in enumerate(self.parts):
             image, own = part.predict_and_jacobian(self.part(x, number))
             images.append(image[0].cpu())
-            rows, columns = self._pairs(number)
-            jacobian[columns, self.pixels[number]] = own[0].cpu().double()[rows]
+            jacobian[self.columns[number], self.pixels[number]] = own[0].cpu().double()[self.rows[number]]
         return torch.cat(images), jacobian
 
     @torch.no_grad()
@@ -268,22 +216,3 @@ class JointFit(CheapGradientProblem):
         """χ² of all mean images at `x`."""
         left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
         return torch.stack(list(left)).sum()
-
-    def _pairs(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Parameters of recording `number`, and the columns of the whole vector that each is the sum of."""
-        columns, drift = self.columns[number], self.drifts.get(self.moments[number], [])
-        rows = [*range(len(columns)), *range(POINTING, POINTING + len(drift))]
-        return torch.tensor(rows), torch.tensor([*columns, *drift])
-
-    def _spread(self, name: str, member: int | None = None) -> torch.Tensor:
-        """A number per parameter of the parts as one vector; what they share is that of the first."""
-        spread = torch.zeros(self.size, dtype=torch.float64)
-        for part, columns in reversed(list(zip(self.parts, self.columns, strict=True))):
-            own = getattr(part, name)
-            spread[columns] = own if member is None else own[member]
-        return spread
-
-
-def _half_chi2(offset: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
-    """Half the χ² of parameters against their prior, (1,)."""
-    return 0.5 * (precision * offset**2).sum(1)

@@ -133,10 +133,8 @@ class Fitter:
         return JointFit(parts, whole, [view.moment for view in views], self.drift_nm, tolerance)
 
     def start(self, problem: JointFit, near: Fitted | None = None) -> torch.Tensor:
-        x = torch.zeros(1, problem.size, dtype=torch.float64)
-        parts = zip(self.views, self.stack.parts, problem.parts, problem.columns, strict=True)
-        for view, stack, part, columns in reversed(list(parts)):  # what they share is that of the first
-            x[:, columns] = _first_guess(view, stack, part)
+        parts = zip(self.views, self.stack.parts, problem.parts, strict=True)
+        x = problem.whole([_first_guess(*one)[0] for one in parts])[None]
         if near is not None:
             behind = problem.tail if problem.tail == near.problem.tail else 2
             common = min(len(problem.layout.nolls), len(near.problem.layout.nolls))  # both begin at tip

@@ -44,7 +44,7 @@ class HeldOutEvaluation:
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels
         self.image, columns = fitted.linearised
-        own = columns[fitted.problem.own if stack.own_refitted else []].mT
+        own = columns[fitted.problem.of_recordings if stack.own_refitted else []].mT
         root = stack.root[:, None]
         self.basis, triangle = torch.linalg.qr(own * root)
         self.moves = own @ torch.linalg.inv(triangle)

@@ -8,7 +8,7 @@ methods), or many images by one vector (`dip_joint`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, Self
@@ -292,6 +292,93 @@ class ImageFit(ModesFit):
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Return the model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
         return self._map(lambda part, _: (self.predict(part).cpu(),), x, torch.arange(len(x)))[0]
+
+
+class JoinedFit(ModesFit):
+    """Fits of several recordings by one vector; one member.
+
+    Parameters
+    ----------
+    parts : sequence of ImageFit
+        Of one member each, with the same modes.
+    columns : sequence of sequences of int
+        For each part where its parameters stand in the whole vector; parts may share some.
+    changes : sequence of mappings
+        For each part the numbers of those parameters to which a further one is added, and where that stands.
+    sigma : mapping
+        By place in the whole vector the prior standard errors of these, about 0.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[ImageFit],
+        columns: Sequence[Sequence[int]],
+        changes: Sequence[Mapping[int, int]],
+        sigma: Mapping[int, float],
+        tolerance: float = CHI2_TOLERANCE,
+    ):
+        self.parts, self.own, self.tolerance = tuple(parts), columns, tolerance
+        self.rows = [[*range(len(own)), *more] for own, more in zip(columns, changes, strict=True)]
+        self.columns = [[*own, *more.values()] for own, more in zip(columns, changes, strict=True)]
+        self.size = 1 + max(column for one in self.columns for column in one)
+        self.layout = parts[0].layout
+        good = sum(int((part.root_weight > 0).sum()) for part in parts)
+        self.freedom = max(1, good - self.size)
+        self.lower, self.upper = (
+            self.whole([getattr(p, name) for p in parts]) for name in ("lower", "upper")
+        )
+        self.prior_mean, self.prior_precision = (
+            self.whole([getattr(p, name)[0] for p in parts])[None]
+            for name in ("prior_mean", "prior_precision")
+        )
+        for column, own_sigma in sigma.items():
+            self.lower[column], self.upper[column] = -INFINITE, INFINITE
+            self.prior_precision[:, column] = own_sigma**-2
+
+    def whole(self, of_parts: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Return the whole vector of numbers per parameter of each part; what they share is the first's."""
+        spread = torch.zeros(self.size, dtype=torch.float64)
+        for columns, values in reversed(list(zip(self.own, of_parts, strict=True))):
+            spread[columns] = values
+        return spread
+
+    def part(self, x: torch.Tensor, number: int) -> torch.Tensor:
+        """Return the parameters of the part `number`, (1, its parameters), out of the whole vector `x`."""
+        own = torch.zeros(1, len(self.own[number]), dtype=torch.float64)
+        return own.index_add(1, torch.tensor(self.rows[number]), x[:, self.columns[number]])
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
+
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Half of χ² plus that of the prior, (1,)."""
+        value = _half_chi2(x - self.prior_mean, self.prior_precision)
+        for number, part in enumerate(self.parts):
+            at = self.part(x, number)
+            own_prior = _half_chi2(at - part.prior_mean, part.prior_precision)
+            value = value + part.objective(at, which) - own_prior
+        return value
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """With the Gauss–Newton Hessian; the priors of the parts are replaced by those of the whole."""
+        offset = x - self.prior_mean
+        value = _half_chi2(offset, self.prior_precision)
+        gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
+        for number, part in enumerate(self.parts):
+            at, rows = self.part(x, number), self.rows[number]
+            own_value, own_gradient, own_hessian = part.normal_equations(at, which)
+            precision, miss = part.prior_precision, at - part.prior_mean
+            value = value + own_value - _half_chi2(miss, precision)
+            columns = torch.tensor(self.columns[number])
+            gradient[:, columns] += (own_gradient - precision * miss)[:, rows]
+            curvature = own_hessian - torch.diag_embed(precision)
+            hessian[:, columns[:, None], columns] += curvature[:, rows][:, :, rows]
+        return value, gradient, hessian
+
+
+def _half_chi2(offset: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
+    """Half the χ² of parameters against their prior, (1,)."""
+    return 0.5 * (precision * offset**2).sum(1)
 
 
 def masked_variance(variance_e2: torch.Tensor, good: torch.Tensor) -> torch.Tensor:
