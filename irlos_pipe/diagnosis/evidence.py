@@ -40,13 +40,12 @@ from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family, scored, whitened_shapes
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.starts import direction_of, rests
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
-from irlos_pipe.effects.base import on_every_side
 from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
+from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.parallel import ordered_map
 
 SURE = 25.0  # ln odds from which an effect is named: those of false ones reached 14 in tuning runs
@@ -149,21 +148,10 @@ class EvidenceTask(Task):
         else follows first, or the kink would draw back what has just begun elsewhere.
         """
         fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
-        starts: list[tuple[torch.Tensor, list[int]]] = []
-        for label in fitted.problem.effects.labels:
-            angle = direction_of(fitted, label)
-            if angle is None:
-                continue
-            columns = fitted.columns_of(label)
-            opposite = fitted.x[0, columns].numpy().copy()
-            opposite[angle] += np.pi
-            for side in on_every_side(fitted.effect(label)) if rests(fitted, label) else [opposite]:
-                x = fitted.x.clone()
-                x[0, columns] = torch.as_tensor(side)
-                starts.append((x, columns))
+        starts = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
 
-        def following(start: tuple[torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
-            x, columns = start
+        def following(start: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
+            _, x, columns = start
             return sharp.descended(x, FOLLOWING, roughly=True, held=columns, slopes=laplace.columns)
 
         promising = sorted(ordered_map(following, starts), key=lambda one: one[1])[:SIDES]

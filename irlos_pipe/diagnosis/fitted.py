@@ -8,7 +8,7 @@ the other recordings' own numbers between the effects and its flux and backgroun
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect, FixedEffect, Parameter
@@ -48,6 +49,14 @@ class Fitted:
     def moved(self, by: torch.Tensor) -> Fitted:
         """The model with other parameters, nothing fitted."""
         return Fitted(self.problem, replace(self.solution, values=self.x + by), self.chi2, self.views)
+
+    def with_wavefront(self, zernike_nm: Mapping[int, float]) -> Fitted:
+        """The model with another wavefront, Noll index to nm RMS, where it is known; it points as it did."""
+        x = self.x.clone()
+        for place, noll in enumerate(self.problem.layout.nolls):
+            if noll not in TIP_TILT:
+                x[0, place] = zernike_nm.get(noll, 0.0)
+        return replace(self, solution=replace(self.solution, values=x))
 
     @property
     def modes_nm(self) -> np.ndarray:

@@ -15,7 +15,6 @@ from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
 from irlos_pipe.diagnosis.search.scores import Family, Score, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
-from irlos_pipe.diagnosis.starts import with_wavefront
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
 SPLIT = 0.5  # part of what one value for all leaves, that a value for each moment must explain
@@ -67,7 +66,7 @@ class Task:
         if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
             found.append(self.fitter.twin(found[1]))
         if known_nm := self.options.begin_near_nm:
-            found.append(self.fitter.fit(effects, with_wavefront(found[0], known_nm)))
+            found.append(self.fitter.fit(effects, found[0].with_wavefront(known_nm)))
         self.report(2)
         return self.fitter.most_plausible(found)
 

@@ -25,8 +25,7 @@ from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
 from irlos_pipe.estimate.methods import Report, linear_estimates, scheme_of
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
-from irlos_pipe.estimate.open_minima import likelier_minimum
-from irlos_pipe.estimate.open_sides import likelier_side
+from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
 from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.twin import TwinCheck

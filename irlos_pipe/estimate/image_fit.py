@@ -25,6 +25,7 @@ from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
+OF_IMAGES = ("model", "few_colours", "held")  # what images and derivatives depend on, besides the parameters
 MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing is known of its noise
 Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
@@ -52,6 +53,8 @@ class ImageFit(ModesFit):
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
+    # from which images and derivatives of linearisations are, where they may be rough
+    few_colours: ImageModel | None = None
     # the last place of a single member, images and derivatives there
     known: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
 
@@ -129,7 +132,9 @@ class ImageFit(ModesFit):
 
     def _with(self, **changes: Any) -> Self:
         other = copy(self)
-        vars(other).update(changes, known=None)
+        vars(other).update(changes)
+        if not changes.keys().isdisjoint(OF_IMAGES):
+            other.known = None
         return other
 
     # -- Problem -----------------------------------------------------------------------------
@@ -178,7 +183,8 @@ class ImageFit(ModesFit):
         known = self.known
         if known is not None and torch.equal(known[0], x):
             return known[1], known[2]
-        image, columns = self.model.predict_and_jacobian(*self._arguments(x), held=not self.layout.effects)
+        model = self.few_colours or self.model
+        image, columns = model.predict_and_jacobian(*self._arguments(x), held=not self.layout.effects)
         found = image.flatten(1), columns.flatten(2)
         self.known = (x.clone(), *found) if len(x) == 1 else None
         return found

@@ -9,10 +9,14 @@ none of them often ends in the wrong one, with χ²/ν several times too large. 
 speckles and are less ambiguous; the median of a few of them is a start close enough.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import tilt_nm
+from irlos_pipe.effects import Effect, EffectSet
+from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import PupilSteps
 from irlos_pipe.estimate.image_fit import ImageFit
@@ -153,6 +157,28 @@ def a_wave_off(problem: ImageFit, x: torch.Tensor) -> list[torch.Tensor]:
             start[0, column] += sign * wave_nm
             found.append(start)
     return found
+
+
+def on_other_sides(
+    effects: EffectSet, own: slice, x: torch.Tensor
+) -> Iterator[tuple[Effect, torch.Tensor, list[int]]]:
+    """Yield starts on another side of an effect with a distance and a direction, to first order degenerate.
+
+    That is the opposite side, and every side where it has come to rest at no distance. The parameters of the
+    `effects` are `own` of `x`, (1, parameters). With each start go the effect and its columns.
+    """
+    for label, effect in zip(effects.labels, effects.effects, strict=True):
+        angle = direction_among(effect.parameters)
+        if angle is None:
+            continue
+        columns = [own.start + index for index in effects.columns_of(label)]
+        opposite = x[0, columns].numpy().copy()
+        opposite[angle] += np.pi
+        rests = opposite[0] <= effect.parameters[0].lower + AT_REST
+        for side in on_every_side(effect) if rests else [opposite]:
+            start = x.clone()
+            start[0, columns] = torch.from_numpy(side)
+            yield effect, start, columns
 
 
 def better(first: Solution, second: Solution) -> Solution:
