@@ -17,11 +17,12 @@ from irlos_pipe.estimate.calibration_errors import (
     NominalChi2,
     effect_errors,
     errors_of,
+    nominal_of,
     nominal_power,
 )
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
+from irlos_pipe.estimate.cube_fit import CubeFit, Fit
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
 from irlos_pipe.estimate.methods import Report, linear_estimates, scheme_of
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis

@@ -8,7 +8,7 @@ import torch
 
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.calibration_errors import NominalChi2, nominal_chi2
+from irlos_pipe.estimate.calibration_errors import nominal_of
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
@@ -114,12 +114,6 @@ class CubeFit:
         if self.options.optimiser == "lbfgs":
             return solve_lbfgs(problem, start, max_iterations=3 * limit)
         return scheme_of(self.options).solve(problem, start, limit, report)
-
-
-def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> NominalChi2:
-    """Return χ²/ν of the mean image about a model that lacks nothing, at `values` (1, parameters)."""
-    _, jacobian = problem.predict_and_jacobian(values)
-    return nominal_chi2(frames, jacobian[0], problem.prior_precision[0])
 
 
 HISTORY = 20

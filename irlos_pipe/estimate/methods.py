@@ -168,12 +168,8 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
     model_e, jacobian = problem.predict_and_jacobian(x)
     weight = problem.curvature_weights(x, model_e)[0]
     gain = read @ solution.covariance[0] @ (jacobian[0].double().cpu() * weight)
-    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
     total = x[0, layout.modes] + added
-    per_frame = torch.empty(len(images), len(total), dtype=torch.float64)
-    for block in blocks(len(images)):
-        per_frame[block] = total + (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
-    return Estimates(x, total.numpy(), per_frame.numpy())
+    return Estimates(x, total.numpy(), (total + frames.responses(gain)).numpy())
 
 
 MEAN_IMAGE, EVERY_FRAME, ALL_FRAMES = MeanImage(), EveryFrame(), AllFrames()

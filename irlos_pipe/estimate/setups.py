@@ -35,9 +35,8 @@ from irlos_pipe.estimate.calibration import (
 from irlos_pipe.estimate.calibration_errors import (
     NominalChi2,
     Part,
-    nominal_chi2_of,
+    nominal_chi2,
     public_errors,
-    responses,
 )
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
@@ -311,7 +310,7 @@ def _errors(
         weight = part.root_weight[0].double().mean(0) ** 2
         columns, jacobian = problem.columns[number], jacobian[0, problem.rows[number]].double()
         gain = inverse[:, columns] @ (jacobian * weight).cpu()
-        series = responses(setup.frames, gain)
+        series = setup.frames.responses(gain)
         wanted.append(gain @ (part.images[0, 0].double() - image[0]).cpu())
         if setup.frames.show_scatter:
             total += torch.as_tensor(covariance_of_mean(series.numpy()))
@@ -319,7 +318,7 @@ def _errors(
             total += gain @ jacobian.cpu().mT @ inverse[columns]
         changes.append(series)
         images.append(Part(setup.frames, jacobian, columns))
-    nominal = nominal_chi2_of(images, problem.prior_precision[0])
+    nominal = nominal_chi2(images, problem.prior_precision[0])
     misfit = max(1.0, chi2_nu / nominal.value)
     if len(setups) >= LEAST_SETUPS:
         modes = problem.layout.modes.stop
