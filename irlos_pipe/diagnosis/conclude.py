@@ -7,21 +7,19 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.acceptance import Accepted, HeldOutEvaluation, Search, gap_between
 from irlos_pipe.diagnosis.checks.drift import motion_ratio
 from irlos_pipe.diagnosis.checks.fine_structure import fine_structure, flat_rms
 from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import Covariances, detectable, within_reach
-from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.grade import judged, share_at_its_place
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import Advice, Ranked
-from irlos_pipe.diagnosis.rest import rest_of
-from irlos_pipe.diagnosis.search.scores import Score
+from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.diagnosis.second_recording import SecondRecordings
 from irlos_pipe.diagnosis.verdict import (
     COMPLETE,
@@ -35,6 +33,7 @@ from irlos_pipe.diagnosis.verdict import (
     Pictures,
     Step,
     Tried,
+    rest_of,
 )
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect

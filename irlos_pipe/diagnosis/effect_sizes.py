@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.diagnosis.cube import Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import surely_exceeding, threshold
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.null_model import surely_exceeding, threshold
+from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.effects import Parameter
 from irlos_pipe.effects.public_values import public_difference
 

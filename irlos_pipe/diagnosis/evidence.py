@@ -18,15 +18,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import resolution_px
-from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.acceptance import Accepted, HeldOutEvaluation, Search, gap_between, preference
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Errors, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.forward import Task, families
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, FAR_OFF, copies_in_a_row, share_at_its_place
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between, preference
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.posterior import (
     Covariance,
     Images,
@@ -38,8 +37,7 @@ from irlos_pipe.diagnosis.posterior import (
 )
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.search.scores import Family, Score, score_family, scored, whitened_shapes
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.scores import Family, Score, score_family, scored, whitened_shapes
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of

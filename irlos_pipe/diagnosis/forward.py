@@ -7,14 +7,13 @@ from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose
 from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.moments import Moments, Placement
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
-from irlos_pipe.diagnosis.search.scores import Family, Score, scores
+from irlos_pipe.diagnosis.scores import Family, Score, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
+from irlos_pipe.diagnosis.view import Moments, Placement
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
 SPLIT = 0.5  # part of what one value for all leaves, that a value for each moment must explain

@@ -6,10 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.acceptance import Accepted, Gap, Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import FineStructure

@@ -18,8 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.fitted import POINTING, Fitted, begun_at
-from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.fitting import POINTING, Fitted, Fitter, begun_at
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.records import OppositeSide
 from irlos_pipe.effects import FixedEffect

@@ -34,13 +34,12 @@ from scipy.optimize import minimize
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted, JointFit
-from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter, JointFit
 from irlos_pipe.diagnosis.null_model import FittedModel
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect
+from irlos_pipe.estimate.calibration_options import FOCUS_NM, POINTING_NM
 from irlos_pipe.estimate.cube import local_mean
-from irlos_pipe.estimate.ncpa_prior import FOCUS_NM, POINTING_NM
 from irlos_pipe.estimate.open_fit import TailLaw, last_noll_of, visible_order
 from irlos_pipe.estimate.score_test import NullModel
 from irlos_pipe.numerics.parallel import ordered_map

@@ -6,11 +6,9 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.null_model import Excess, Optimum
-from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.null_model import Excess, Optimum, gaussian_sigma, threshold
+from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.effects import Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import label_of
 from irlos_pipe.numerics.parallel import ordered_map

@@ -13,15 +13,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.bands import H, J
+from irlos_pipe.diagnosis.acceptance import likeness
 from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.effect_sizes import detectable, within_reach
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.held_out import likeness
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.records import Advice
 from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.search.scores import Score, whitened_shapes
+from irlos_pipe.diagnosis.scores import Score, whitened_shapes
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS

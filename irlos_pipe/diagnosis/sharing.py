@@ -12,16 +12,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Search
+from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation, Search, preference
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
-from irlos_pipe.diagnosis.moments import Moments
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma
 

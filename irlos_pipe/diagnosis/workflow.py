@@ -9,19 +9,17 @@ import torch
 
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
-from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.cube import Cube, hold_out_of
 from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Report, Task
 from irlos_pipe.diagnosis.grade import much_is_left
-from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import together
-from irlos_pipe.diagnosis.splitting import hold_out_of
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Adjusted, Diagnosis, Step
-from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.diagnosis.view import Exposures, Moments
 from irlos_pipe.effects import Effect
 
 Named = TypeVar("Named", Step, Adjusted)
@@ -44,7 +42,7 @@ def diagnose(
 
     The `recordings` have different focus, diversity or band, but the same window; those of one moment have
     one wavefront. The model has the `effects` already, stated for the first recording in which they act, see
-    `moments.placed`. `report` is called with the number of finished fits, for a progress bar.
+    `view.placed`. `report` is called with the number of finished fits, for a progress bar.
     """
     began = time.perf_counter()
     hold_out = hold_out_of(recordings)

@@ -22,9 +22,8 @@ from irlos_pipe.estimate.calibration_errors import (
 )
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.cube_fit import CubeFit, Fit
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
-from irlos_pipe.estimate.methods import Report, linear_estimates, scheme_of
+from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
 from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven

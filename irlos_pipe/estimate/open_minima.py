@@ -30,7 +30,7 @@ import torch
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
-from irlos_pipe.estimate.cube_fit import FIRST, CubeFit, Fit
+from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit
 from irlos_pipe.estimate.open_fit import Opened, OpenFit, fitted_from, settled, widened
 from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.levenberg_marquardt import solve

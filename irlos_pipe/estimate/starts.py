@@ -106,11 +106,6 @@ def _signed(index: int, size: int) -> int:
     return index - size if index > size // 2 else index
 
 
-def is_plausible(problem: ImageFit, solution: Solution, most: float) -> bool:
-    """Return whether the first `solution` of a `problem` is converged, with χ²/ν up to `most`."""
-    return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] <= most)
-
-
 def median_of_frames_nm(
     model: LightPath,
     images_e: torch.Tensor,

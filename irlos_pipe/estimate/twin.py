@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.estimate.calibration_options import NcpaPrior
 from irlos_pipe.estimate.image_fit import ModesFit
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.zernike import noll_to_nm

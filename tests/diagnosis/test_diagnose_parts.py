@@ -23,20 +23,20 @@ from helpers.diagnose_frames import (
 from helpers.optics_cases import READ_NOISE
 from scipy import stats
 
+from irlos_pipe.diagnosis.acceptance import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnosis.checks.drift import measure_drift, motion_ratio
 from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
+from irlos_pipe.diagnosis.cube import HeldOutFrames
 from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
-from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, noise_floor, preference
-from irlos_pipe.diagnosis.search.scores import (
+from irlos_pipe.diagnosis.null_model import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.scores import (
     Family,
     brightest_copies,
     score_family,
     whitened_shapes,
 )
-from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
-from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion

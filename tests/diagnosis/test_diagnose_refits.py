@@ -10,18 +10,16 @@ import torch
 from helpers.diagnose_frames import CONDITIONS, NOLLS, WINDOW, cube, frames, image, model, optimum
 from scipy import stats
 
-from irlos_pipe.diagnosis.acceptance import by_plausibility
+from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation, by_plausibility
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import families
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
-from irlos_pipe.diagnosis.moments import Moment, Moments
+from irlos_pipe.diagnosis.null_model import gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
-from irlos_pipe.diagnosis.search.scores import Family, scores
-from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.view import Exposures, View
+from irlos_pipe.diagnosis.scores import Family, scores
+from irlos_pipe.diagnosis.view import Exposures, Moment, Moments, View
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.colour import PlateScale

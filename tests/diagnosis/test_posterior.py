@@ -13,10 +13,9 @@ from scipy.stats import multivariate_normal
 from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Task
-from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.posterior import Covariance, Images, Linear, Posterior, WavefrontLaw
-from irlos_pipe.diagnosis.view import Exposures, View
+from irlos_pipe.diagnosis.view import Exposures, Moments, View
 from irlos_pipe.diagnosis.workflow import silent
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel

@@ -18,8 +18,8 @@ from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.cube_fit import CubeFit
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.methods import CubeFit
 from irlos_pipe.estimate.open_fit import (
     Opened,
     OpenFit,

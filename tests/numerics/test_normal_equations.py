@@ -15,7 +15,7 @@ from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.optics_cases import ncpa_nm, settings
 from scipy.optimize import minimize
 
-from irlos_pipe.diagnosis.fitted import JointFit
+from irlos_pipe.diagnosis.fitting import JointFit
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.numerics.directional import Directional, along_all

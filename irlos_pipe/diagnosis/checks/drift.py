@@ -13,8 +13,8 @@ from scipy.special import chdtri, ndtr
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.null_model import gaussian_sigma, surely_exceeding
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.wavefront import NcpaDrift

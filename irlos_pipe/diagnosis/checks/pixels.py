@@ -10,10 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.null_model import FittedModel, Optimum
-from irlos_pipe.diagnosis.search.scores import Family
-from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.acceptance import Gap
+from irlos_pipe.diagnosis.null_model import FittedModel, Optimum, gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.scores import Family
 from irlos_pipe.diagnosis.verdict import Step
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import FixedEffect

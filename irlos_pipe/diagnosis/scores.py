@@ -17,9 +17,8 @@ import torch
 from scipy.special import logsumexp
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.diagnosis.moments import Placement
-from irlos_pipe.diagnosis.null_model import FittedModel
-from irlos_pipe.diagnosis.significance import significance_of
+from irlos_pipe.diagnosis.null_model import FittedModel, significance_of
+from irlos_pipe.diagnosis.view import Placement
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
 from irlos_pipe.estimate.image_fit import ImageFit
