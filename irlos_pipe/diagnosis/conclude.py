@@ -55,7 +55,7 @@ def conclude(
     plain = search.final.under(search.null.stack)
     fine = fine_structure(plain)
     before, after = (HeldOutEvaluation(cube.held_out, one.fitted) for one in (search.null, plain))
-    gap = gap_between(before, after)
+    gap = gap_between(cube.held_out, search.null.fitted, plain.fitted)
     judgement = judged(search, noise, fine, gap, options)
     search, why = judgement.search, judgement.why_unknown
     covariances = Covariances(search.final.stack, search.final.fitted)
@@ -244,7 +244,6 @@ def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
     drift = search.drift
     if drift is None or drift.significance < options.sure:
         return []
-    judge = HeldOutEvaluation(cube.held_out, search.null.fitted)
     effect = drift.effect()
     sigma = effect.base.describe(drift.sigma_nm)
     return [
@@ -255,7 +254,7 @@ def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
             drift.significance,
             float("nan"),
             float("nan"),
-            gap_between(judge, judge),
+            gap_between(cube.held_out, search.null.fitted, search.null.fitted),
         )
     ]
 

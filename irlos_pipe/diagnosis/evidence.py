@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import resolution_px
-from irlos_pipe.diagnosis.acceptance import Accepted, HeldOutEvaluation, Search, gap_between, preference
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, gap_between, preference
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Errors, Stacks
@@ -178,8 +178,7 @@ class EvidenceTask(Task):
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
-        start = score.start(WITHIN)
-        start = start.base.whole(start, score.sizes).only_in(score.candidate.acts_in)
+        start = score.whole(WITHIN)
         null = torch.tensor(score.candidate.null_values, dtype=torch.float64)
         sizes = start.values[score.candidate.free] - null.numpy()
         shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
@@ -288,8 +287,8 @@ class EvidenceTask(Task):
             return None
         if share_at_its_place(refit, final.optimum) < AT_ITS_PLACE[self.kind]:
             return None
-        judges = [HeldOutEvaluation(self.cube.held_out, one) for one in (refit.fitted, refit.origin.fitted)]
-        z = preference(*judges)
+        stack, without = self.cube.held_out, refit.origin.fitted
+        z = preference(stack, refit.fitted, without)
         if z < 0:
             return None
         rivals = final.rivals(refit, found)
@@ -298,7 +297,7 @@ class EvidenceTask(Task):
             for one, cosine in rivals
         ]
         ranking = [Ranked(refit.name, refit.gain, 1.0, refit.significance, z)]
-        gap = gap_between(judges[1], judges[0])
+        gap = gap_between(stack, without, refit.fitted)
         return Accepted(refit, z, gap, alternatives, ranking, [one for one, _ in rivals])
 
 

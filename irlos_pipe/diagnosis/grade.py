@@ -189,9 +189,8 @@ def share_at_its_place(one: Refit, final: Optimum) -> float:
     of the star does not, and near its core that error is noise as any other.
     """
     stack = final.stack if one.base.copies_star else final.stack.without_model_error()
-    plain = final.under(stack)
-    change = (one.fitted.image_e - one.origin.fitted.image_e) * plain.root
-    signal = one.origin.under(stack).project(change[:, None])[:, 0]
+    plain, origin = final.under(stack), one.origin.under(stack)
+    signal = origin.project(origin.change_to(one.fitted)[:, None])[:, 0]
     weight = signal**2 / (signal**2).sum().clamp_min(1e-300)
     after = (weight * (plain.residual**2 - 1)).sum().clamp_min(0.0)
     before = (weight * (plain.residual + signal) ** 2).sum().clamp_min(1e-300)

@@ -90,6 +90,26 @@ class Optimum(FittedModel):
         """The same model with other variances of the same frames."""
         return self if stack is self.stack else Optimum(stack, self.fitted)
 
+    def change_to(self, other: Fitted) -> torch.Tensor:
+        """Whitened change of the image to another model, (pixels,)."""
+        return (other.image_e - self.fitted.image_e) * self.root
+
+    def significance_of_change(
+        self, other: Fitted, parameters: int, trials: int = 1, misfit: float = 1.0
+    ) -> float:
+        """Significance of that to a model with so many more `parameters`, against noise or the frames [σ].
+
+        It is the best of `trials`; errors of both models enlarge χ² by `misfit`.
+        """
+        stack = self.stack
+        if stack.photon_limited:
+            fall = max((self.fitted.chi2 - other.chi2) / misfit, 0.0)
+            return gaussian_sigma(fall, parameters, np.inf, trials)
+        change = self.change_to(other)[:, None]
+        variance = misfit * stack.covariance_of(self.project(change))[0, 0]
+        hotelling = float(self.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
+        return gaussian_sigma(hotelling, parameters, stack.independent, trials)
+
     @property
     def deviations(self) -> torch.Tensor:
         """Deviations of the frames, whitened, (frames, pixels)."""

@@ -83,12 +83,15 @@ class Score:
         """
         null = np.array(self.candidate.null_values)
         reach = within * np.array([p.prior_sigma for p in self.candidate.parameters])
-        return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
-
-    def _begun_at(self, sizes: Sequence[float] | np.ndarray) -> FixedEffect:
-        base, values = self.candidate.base, self.candidate.all_values(sizes)
+        base = self.candidate.base
+        values = self.candidate.all_values(np.clip(self.sizes, null - reach, null + reach))
         unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
         return FixedEffect(base, values, [p.name for p in base.parameters if p.name not in unseen])
+
+    def whole(self, within: float = LINEAR) -> FixedEffect:
+        """The effect to be fitted, which may have more parameters than the one that was searched for."""
+        start = self.start(within)
+        return start.base.whole(start, self.sizes).only_in(self.candidate.acts_in)
 
 
 def scores(optimum: FittedModel, families: Sequence[Family]) -> list[Score]:

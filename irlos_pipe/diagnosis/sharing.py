@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation, Search, preference
+from irlos_pipe.diagnosis.acceptance import Search, preference
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
@@ -129,11 +129,11 @@ def _judged(
     misfit = max(1.0, Optimum(stack, apart).excess.chi2_nu)  # what both models miss is no difference
     covariance = misfit * parameter_covariance(stack, apart)
     more = len(apart.effect_values) - len(together.effect_values)
-    significance = _significance(together, apart, Optimum(stack, together), more, misfit)
+    significance = Optimum(stack, together).significance_of_change(apart, more, misfit=misfit)
     frames = np.inf if stack.photon_limited else stack.independent
     places = {number: _last_of(number, name, apart) for number in moments.by_number}
     values = [_value(number, place, apart, covariance, moments, frames) for number, place in places.items()]
-    z = preference(*(HeldOutEvaluation(cube.held_out, one) for one in (apart, together)))
+    z = preference(cube.held_out, apart, together)
     seen = sum(one.significance > SEEN for one in values)
     differs = significance > sure and z > PREFERRED
     finding: Finding = "differs" if differs else "common" if seen > 1 else "open"
@@ -163,21 +163,6 @@ def _value(
         public_sigma(effect.base, values, full),
         _wald(values[sized] - null, full[np.ix_(sized, sized)], frames),
     )
-
-
-def _significance(together: Fitted, apart: Fitted, optimum: Optimum, parameters: int, misfit: float) -> float:
-    """Significance of the fall of χ² by values of each, against noise or the scatter of frames [σ].
-
-    `optimum` is that with one value for all (`together`); a value for each (`apart`) takes so many more
-    `parameters`; errors of both models enlarge χ² by `misfit`.
-    """
-    stack, fall = optimum.stack, together.chi2 - apart.chi2
-    if stack.photon_limited:
-        return gaussian_sigma(max(fall / misfit, 0.0), parameters, np.inf)
-    change = ((apart.image_e - together.image_e) * optimum.root)[:, None]
-    variance = misfit * stack.covariance_of(optimum.project(change))[0, 0]
-    hotelling = float(optimum.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
-    return gaussian_sigma(hotelling, parameters, stack.independent)
 
 
 def _wald(estimate: np.ndarray, covariance: np.ndarray, frames: float) -> float:

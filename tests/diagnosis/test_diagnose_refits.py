@@ -10,7 +10,7 @@ import torch
 from helpers.diagnose_frames import CONDITIONS, NOLLS, WINDOW, cube, frames, image, model, optimum
 from scipy import stats
 
-from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation, by_plausibility
+from irlos_pipe.diagnosis.acceptance import by_plausibility
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
@@ -46,8 +46,7 @@ def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
     fitter = Fitter([View(model(), CONDITIONS)], stack.training)
     ranked = refits(fitter, at_rest, scores(at_rest, present))
     ranked.sort(key=lambda one: one.name)  # plate_scale first
-    judges = [HeldOutEvaluation(stack.held_out, one.fitted) for one in ranked]
-    first, second = by_plausibility(ranked, judges)[0]
+    first, second = by_plausibility(ranked, stack)
     assert (first.name, second.name) == ("spectrum", "plate_scale")
     assert second.implausible and not first.implausible
 
