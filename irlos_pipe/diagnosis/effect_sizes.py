@@ -63,14 +63,14 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
 
 
 class Covariances:
-    """Covariances of the effects and modes of a model."""
+    """Covariances of the effects and modes of a model, by whose `misfit` they grow."""
 
-    def __init__(self, stack: Stacks, fitted: Fitted):
-        self.stack, self.fitted = stack, fitted
+    def __init__(self, stack: Stacks, fitted: Fitted, misfit: float = 1.0):
+        self.stack, self.fitted, self.misfit = stack, fitted, misfit
 
     @cached_property
     def _whole(self) -> np.ndarray:
-        return parameter_covariance(self.stack, self.fitted)
+        return self.misfit * parameter_covariance(self.stack, self.fitted)
 
     def of(self, label: str) -> np.ndarray:
         """Of all parameters of the effect with a `label`; zero for what is held."""
