@@ -101,13 +101,18 @@ class Stack:
         """One over the standard errors of the mean image, 0 for bad pixels, (pixels,)."""
         return self.variance_e2**-0.5
 
-    @cached_property
-    def deviations(self) -> torch.Tensor:
-        """Frames of equal flux minus their mean, over the standard error of the mean, (frames, pixels)."""
+    @property
+    def differences_e(self) -> torch.Tensor:
+        """Frames of equal flux minus their mean, (frames, pixels)."""
         images = self.frames.images_e.double().flatten(1) * self.frames.good.flatten()
         flux = images.sum(1, keepdim=True)
         equal = images * (flux.mean() / flux)
-        return (equal - equal.mean(0)) * self.root
+        return equal - equal.mean(0)
+
+    @cached_property
+    def deviations(self) -> torch.Tensor:
+        """The same over the standard error of the mean."""
+        return self.differences_e * self.root
 
     @cached_property
     def independent(self) -> float:
