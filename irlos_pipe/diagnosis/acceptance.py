@@ -48,7 +48,8 @@ class HeldOutEvaluation:
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels
         self.image, columns = fitted.linearised
-        own = columns[fitted.problem.of_recordings if stack.own_refitted else []].mT
+        recordings = range(len(fitted.problem.parts) if stack.own_refitted else 0)
+        own = columns[[column for number in recordings for column in fitted.problem.own_of(number)]].mT
         root = stack.root[:, None]
         self.basis, triangle = torch.linalg.qr(own * root)
         self.moves = own @ torch.linalg.inv(triangle)

@@ -20,7 +20,7 @@ from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.diagnosis.view import View
-from irlos_pipe.effects import Effect, FixedEffect, Parameter
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration_options import NcpaPrior
@@ -156,20 +156,10 @@ class Fitter:
             solution = solve(problem, start, max_iterations=max_iterations)
             chi2 = float(problem.chi2(solution.values))
         except (ValueError, torch.linalg.LinAlgError):  # a wavelength out of the grid, a singular matrix
-            solution, chi2 = _failed(start), float("inf")
+            unknown = torch.full((1, problem.size, problem.size), torch.nan, dtype=torch.float64)
+            no, chi2 = torch.zeros(1, dtype=torch.int64), float("inf")
+            solution = Solution(start, unknown, [INVALID], no, torch.full_like(start[:, 0], chi2))
         return Fitted(problem, solution, chi2, self.views)
-
-
-def _failed(start: torch.Tensor) -> Solution:
-    """No solution: where it began."""
-    size = start.shape[1]
-    return Solution(
-        values=start,
-        covariance=torch.full((1, size, size), torch.nan, dtype=torch.float64),
-        status=[INVALID],
-        iterations=torch.zeros(1, dtype=torch.int64),
-        objective=torch.full((1,), torch.inf, dtype=torch.float64),
-    )
 
 
 def most_plausible(
@@ -312,12 +302,6 @@ def begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
     return FixedEffect(effect.base, effect.all_values(values).numpy(), free)
 
 
-def _free(effect: Effect) -> list[Parameter]:
-    """Free parameters as the effect itself declares them."""
-    free = {parameter.name for parameter in effect.parameters}
-    return [parameter for parameter in effect.base.parameters if parameter.name in free]
-
-
 OWN = 4  # tip, tilt, flux and background of each recording
 POINTING = 2  # modes that belong to each recording, tip and tilt
 
@@ -370,11 +354,6 @@ class JointFit(CheapGradientProblem, JoinedFit):
     def window(self) -> tuple[int, int]:
         """Rows and columns, the same in all recordings."""
         return self.model.psf.settings.window
-
-    @property
-    def of_recordings(self) -> list[int]:
-        """Columns of what belongs to single recordings, four after the other for each."""
-        return [column for number in range(len(self.parts)) for column in self.own_of(number)]
 
     def own_of(self, number: int) -> list[int]:
         """Columns of tip, tilt, flux and background of recording `number`."""

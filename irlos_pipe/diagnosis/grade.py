@@ -75,7 +75,8 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
     """The grade, and what speaks against the names."""
     names = search.accepted
     if not names:
-        missing = left or _missed(search, kind, sure)
+        null = search.null.excess  # what is only adjusted may stand in for what was missing at first
+        missing = left or (null.significance > sure and null.chi2_nu > LEFT_CHI2_NU[kind])
         return (UNKNOWN, _unexplained(search, left)) if missing else (NONE, "")
     if kind == PHOTONS and any(one.refit.effect.speckles for one in names):
         return RESEMBLES, "a halo without the speckles that an AO residual makes from frame to frame"
@@ -86,11 +87,6 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
     if left and max(shares) < AT_ITS_PLACE[kind]:
         return RESEMBLES, f"{names[0].name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
     return (PARTIAL if left else COMPLETE), ""
-
-
-def _missed(search: Search, kind: str, sure: float) -> bool:
-    """Whether much was missing at first: what is only adjusted may stand in for it."""
-    return search.null.excess.significance > sure and search.null.excess.chi2_nu > LEFT_CHI2_NU[kind]
 
 
 def _unexplained(search: Search, left: bool) -> str:

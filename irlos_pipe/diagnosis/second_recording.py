@@ -62,7 +62,13 @@ class SecondRecordings:
         """
         if not others:
             return []
-        rows = ordered_map(partial(self._likenesses, one, others), self.views)
+
+        def likenesses(recording: str) -> list[float]:
+            before = self._with_recording(one.origin.fitted, recording)
+            first, *rest = (self._model(fit.fitted, recording)[0] for fit in (one, *others))
+            return [likeness(first, other, before) for other in rest]
+
+        rows = ordered_map(likenesses, self.views)
         return [
             min(zip(self.views, row, strict=True), key=lambda pair: pair[1])
             for row in zip(*rows, strict=True)
@@ -74,12 +80,6 @@ class SecondRecordings:
         seen = torch.where(power > MEANINGLESS * power.max(), left / power.clamp_min(1e-300), 0.0)
         smallest = torch.where(seen > ABSORBED, left**-0.5, torch.inf).numpy()
         return replace(score, observability=float(seen.max()), smallest=smallest)
-
-    def _likenesses(self, one: Refit, others: Sequence[Refit], recording: str) -> list[float]:
-        """Likeness of a fit and others with one recording more."""
-        before = self._with_recording(one.origin.fitted, recording)
-        first, *rest = (self._model(fit.fitted, recording)[0] for fit in (one, *others))
-        return [likeness(first, other, before) for other in rest]
 
     def _with_recording(self, fitted: Fitted, recording: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""

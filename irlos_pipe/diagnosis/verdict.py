@@ -71,7 +71,8 @@ def rest_of(
     pixels, window = judge.pixels[0], settings.window
     image = judge.mean_e[pixels].reshape(window).numpy()
     left = _misplaced_e(judge, judge.stack.mean_e)[pixels].reshape(window).numpy()
-    star_y, star_x = _star(image)
+    # centroid of the brightest pixels
+    star_y, star_x = map(float, ndimage.center_of_mass(np.where(image > CORE * image.max(), image, 0.0)))
     row, column, area_px, sign = _strongest(left)
     scale = settings.pixel_scale_mas
     return Rest(
@@ -93,12 +94,6 @@ def _misplaced_e(judge: HeldOutEvaluation, mean_e: torch.Tensor) -> torch.Tensor
     white = torch.where(root > 0, mean_e - judge.image, 0.0) * root
     white = white - judge.basis @ (judge.basis.mT @ white)
     return torch.where(root > 0, white / root.clamp_min(1e-300), 0.0)
-
-
-def _star(image: np.ndarray) -> tuple[float, float]:
-    """Row and column of the centroid of the brightest pixels."""
-    y, x = ndimage.center_of_mass(np.where(image > CORE * image.max(), image, 0.0))
-    return float(y), float(x)
 
 
 def _strongest(left: np.ndarray) -> tuple[float, float, int, float]:
@@ -306,8 +301,10 @@ def _found(diagnosis: Diagnosis) -> str:
         return f"Nothing significant is missing in the model{_limit(diagnosis)}."
     if diagnosis.verdict == UNKNOWN:
         return f"{_unnamed(diagnosis)}: {diagnosis.why_unknown}. {diagnosis.rest.text}."
-    lacking = _listed([f"{_phrase(step)}{_where(diagnosis, step)}" for step in diagnosis.steps])
-    return f"Missing in the model: {lacking}{_others(diagnosis.steps)}; {_left(diagnosis)}."
+    lacking = _listed([f"{step.phrase}{_where(diagnosis, step)}" for step in diagnosis.steps])
+    others = [f"{step.label}: {other.name}" for step in diagnosis.steps for other in step.alternatives]
+    alike = f" (not distinguished from {', '.join(others)})" if others else ""
+    return f"Missing in the model: {lacking}{alike}; {_left(diagnosis)}."
 
 
 def _listed(phrases: Sequence[str]) -> str:
@@ -321,8 +318,8 @@ def _unnamed(diagnosis: Diagnosis) -> str:
     """That something is missing, and what it resembles."""
     nearest = diagnosis.nearest
     if diagnosis.grade == RESEMBLES and nearest is not None:
-        return f"Something is missing that resembles {_phrase(nearest)} and is not that"
-    near = "" if nearest is None else f" (the nearest is {_phrase(nearest)})"
+        return f"Something is missing that resembles {nearest.phrase} and is not that"
+    near = "" if nearest is None else f" (the nearest is {nearest.phrase})"
     return f"Something is missing that nothing in the catalogue explains{near}"
 
 
@@ -343,10 +340,6 @@ def _adjusted(diagnosis: Diagnosis) -> str:
     return f"; not named, as it may take up a part of that: {', '.join(one.phrase for one in facts)}"
 
 
-def _phrase(step: Step) -> str:
-    return step.phrase
-
-
 def _where(diagnosis: Diagnosis, step: Step) -> str:
     """In which recordings a name is, and whether they share it."""
     together = diagnosis.together
@@ -354,19 +347,16 @@ def _where(diagnosis: Diagnosis, step: Step) -> str:
         return ""
     named = step.found_in(together.moments)
     where = f"in {' and '.join(named)}" if named else f"in all {len(together.moments.by_number)} recordings"
-    findings = [one.finding for one in together.sharing if step.label in one.labels]
-    words = {
-        "common": "one value for all",
-        "differs": "not in the others" if _alone(together, step) else "each recording has its own",
-        "open": "the others would not show it",
-    }
-    return f" ({', '.join([where, *(words[one] for one in findings)])})"
-
-
-def _alone(together: Together, step: Step) -> bool:
-    """Whether the recordings in which a name is not found do not show it."""
-    (sharing,) = (one for one in together.sharing if step.label in one.labels)
-    return len(sharing.labels) == 1 and step.effect.acts_in is not None
+    for one in together.sharing:
+        if step.label in one.labels:
+            alone = len(one.labels) == 1 and step.effect.acts_in is not None
+            words = {
+                "common": "one value for all",
+                "differs": "not in the others" if alone else "each recording has its own",
+                "open": "the others would not show it",
+            }
+            where = f"{where}, {words[one.finding]}"
+    return f" ({where})"
 
 
 def _advised(diagnosis: Diagnosis) -> str:
@@ -379,11 +369,6 @@ def _advised(diagnosis: Diagnosis) -> str:
         for recording, names in by_recording.items()
     ]
     return f" Untestable here: {'; '.join(shown)}." if shown else ""
-
-
-def _others(steps: Sequence[Step]) -> str:
-    others = [f"{step.label}: {other.name}" for step in steps for other in step.alternatives]
-    return f" (not distinguished from {', '.join(others)})" if others else ""
 
 
 def _limit(diagnosis: Diagnosis) -> str:
