@@ -15,7 +15,6 @@ neither side.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -278,18 +277,11 @@ MOST_FRAMES = 512  # frames of a recording; more are averaged, which bounds memo
 SEED = 1  # of the choice of pixels, so that a diagnosis can be repeated
 
 
-class HoldOut(ABC):
-    """A way to hold out a part of the data."""
-
-    @abstractmethod
-    def split(self, frames: Frames, share: float = 0.25) -> Cube:
-        """Hold out a `share` of the data of one recording, whose `frames` are in order of time."""
-
-
-class HeldOutFrames(HoldOut):
+class HeldOutFrames:
     """Blocks of time that interleave with the others."""
 
     def split(self, frames: Frames, share: float = 0.25) -> Cube:
+        """Hold out a `share` of the data of one recording, whose `frames` are in order of time."""
         frames = averaged(frames, MOST_FRAMES)
         count = len(frames.images_e)
         blocks_of_time = min(BLOCKS, count // 2)
@@ -305,7 +297,7 @@ class HeldOutFrames(HoldOut):
 
 
 @dataclass(frozen=True)
-class HeldOutPixels(HoldOut):
+class HeldOutPixels:
     """Squares of pixels."""
 
     side_px: int  # of a square; about λ/D, which makes squares independent parts of an image
@@ -328,11 +320,18 @@ class HeldOutPixels(HoldOut):
         return Cube(part(~held), part(held))
 
 
-def hold_out_of(recordings: Sequence[Exposures]) -> HoldOut:
-    """What to hold out of `recordings` that are diagnosed jointly; the shortest of them decides."""
+def hold_out_of(recordings: Sequence[Exposures]) -> HeldOutFrames | HeldOutPixels:
+    """What to hold out of `recordings` that are diagnosed jointly; the shortest of them decides.
+
+    Squares of pixels have a side of λ/D of the longest wavelength.
+    """
     if all(one.frames.show_scatter for one in recordings):
         return HeldOutFrames()
-    return HeldOutPixels(max(_resolution_px(one) for one in recordings))
+    sides_px = []
+    for settings in (one.conditions.settings for one in recordings):
+        longest_m = max(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
+        sides_px.append(resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas))
+    return HeldOutPixels(max(1, *map(round, sides_px)))
 
 
 def averaged(frames: Frames, most: int) -> Frames:
@@ -347,13 +346,6 @@ def averaged(frames: Frames, most: int) -> Frames:
         noise, excess_noise_factor=noise.excess_noise_factor / each, floor_e2=noise.floor_e2 / each
     )
     return replace(frames, images_e=torch.as_tensor(np.array(means, np.float32)), noise=quieter)
-
-
-def _resolution_px(exposures: Exposures) -> int:
-    """λ/D of the longest wavelength, rounded [px]."""
-    settings = exposures.conditions.settings
-    longest_m = max(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
-    return max(1, round(resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)))
 
 
 def _squares(window: tuple[int, ...], side_px: int) -> np.ndarray:

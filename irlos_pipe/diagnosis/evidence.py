@@ -86,7 +86,9 @@ class EvidenceTask(Task):
         most = len(entered) + self.options.most_names * len(self.moments.by_number)
         known: list[Score] = []
         while True:
-            laplace = self._deepest(laplace)
+            # Each time that the model gets better its errors get smaller, which shows sides apart.
+            while (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING:
+                laplace = self._settled(other)
             found = self._proposed(laplace, known)
             best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
             if best is None:
@@ -118,15 +120,6 @@ class EvidenceTask(Task):
             if other.log_evidence < laplace.log_evidence + PROMISING:
                 return max(laplace, other, key=lambda one: one.log_evidence)
             laplace = other
-
-    def _deepest(self, laplace: Laplace) -> Laplace:
-        """The fit that no other side of anything improves.
-
-        Each time that the model gets better its errors get smaller, which shows sides apart that were alike.
-        """
-        while (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING:
-            laplace = self._settled(other)
-        return laplace
 
     def _nearest(self, laplace: Laplace) -> Laplace:
         """The model of least squares, which is nearest to the images.
@@ -347,8 +340,10 @@ class _Final:
 
     @cached_property
     def optimum(self) -> Optimum:
-        """With the errors of flat and model in the variances."""
-        return Optimum(_allowing(self.task.cube.training, self.laplace), self.fitted)
+        """With the errors of flat and model in the variances that the fit has found."""
+        stack, laplace = self.task.cube.training, self.laplace
+        misfit, flat = max(1.0, _misfit(stack, laplace)), laplace.posterior.covariance.flat_rms
+        return Optimum(stack.with_errors(Errors(misfit, _alike_px(laplace), flat)), self.fitted)
 
     def _reduced(self, linear: Linear) -> Fitted:
         """The linear model in the closed basis."""
@@ -434,12 +429,6 @@ def _sides(form: FixedEffect, known: int) -> list[FixedEffect]:
     return found or [form]
 
 
-def _allowing(stack: Stacks, laplace: Laplace) -> Stacks:
-    """The data, with the errors of flat and model in the variances that the fit has found."""
-    flat = laplace.posterior.covariance.flat_rms
-    return stack.with_errors(Errors(max(1.0, _misfit(stack, laplace)), _alike_px(laplace), flat))
-
-
 def _alike_px(laplace: Laplace) -> float:
     """Number of pixels that what a model misses changes alike: those of an Airy disc."""
     settings = laplace.settings
@@ -462,15 +451,10 @@ def _is_lit(laplace: Laplace, effect: Effect, values: np.ndarray) -> bool:
     return geometry.obscuration_m <= 2 * away_m <= geometry.diameter_m
 
 
-def _places(score: Score) -> list[int]:
-    """Which parameters of what is looked for say where it is, or how wide."""
-    return [i for i, one in enumerate(score.candidate.base.parameters) if one.null is None]
-
-
 def _refined(laplace: Laplace, score: Score) -> Score:
     """The candidate of the best odds near one: a search in smaller and smaller steps."""
     base, free = score.candidate.base, [one.name for one in score.candidate.parameters]
-    places = _places(score)
+    places = [i for i, one in enumerate(base.parameters) if one.null is None]  # and widths
     lower, upper = (np.array([getattr(base.parameters[i], n) for i in places]) for n in ("lower", "upper"))
     best = scored(laplace, score.trials, (score.candidate.acts_in,), [score.candidate])[0]
     at = best.candidate.all_values(best.candidate.null_values).numpy()

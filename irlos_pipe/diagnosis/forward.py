@@ -44,7 +44,10 @@ class Task:
         null = self._optimum(fitted)
         drift, current = self._with_drift(null)
         found, meaningless = self._scores(current)
-        chosen = self._next_name(current, found)
+        sure, chosen = self.options.sure, None
+        if current.excess.significance > sure or any(one.significance > sure for one in found):
+            ranked = refits(self.fitter, current, found, self.report)
+            chosen = choose(ranked, self.cube, self.options)
         accepted = self._of_each_moment(chosen) if chosen else []
         if accepted:
             current = accepted[-1].refit.optimum
@@ -92,14 +95,6 @@ class Task:
         if not self.cube.training.in_time:
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
-
-    def _next_name(self, current: Optimum, found: list[Score]) -> Accepted | None:
-        """The best name; None if nothing is missing or nothing explains it."""
-        sure = self.options.sure
-        if current.excess.significance <= sure and not any(one.significance > sure for one in found):
-            return None
-        ranked = refits(self.fitter, current, found, self.report)
-        return choose(ranked, self.cube, self.options)
 
     def _of_each_moment(self, chosen: Accepted) -> list[Accepted]:
         """The name, or one with its own value for each moment where one value for all leaves much."""

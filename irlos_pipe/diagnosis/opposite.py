@@ -103,16 +103,10 @@ def open_facts(final: Optimum, known: Sequence[str]) -> list[FixedEffect]:
     """
     fitted, found = final.fitted, []
     for label in fitted.problem.effects.labels:
-        effect = fitted.effect(label)
-        if effect.base.varies and label not in known and _off(fitted, label):
+        effect, columns = fitted.effect(label), fitted.columns_of(label)
+        sigma = fitted.solution.covariance[0].diagonal()[columns] ** 0.5
+        rows = zip(effect.parameters, fitted.x[0, columns].tolist(), sigma.tolist(), strict=True)
+        off = any(p.null is not None and abs(value - p.null) > WORTH * error for p, value, error in rows)
+        if effect.base.varies and label not in known and off:
             found.append(FixedEffect(effect.base, fitted.values_of(label)))
     return found
-
-
-def _off(fitted: Fitted, label: str) -> bool:
-    """Whether a parameter is off from its null by more than `WORTH` of its standard errors."""
-    columns = fitted.columns_of(label)
-    sigma = fitted.solution.covariance[0].diagonal()[columns] ** 0.5
-    values = fitted.x[0, columns]
-    rows = zip(fitted.effect(label).parameters, values.tolist(), sigma.tolist(), strict=True)
-    return any(one.null is not None and abs(value - one.null) > WORTH * error for one, value, error in rows)

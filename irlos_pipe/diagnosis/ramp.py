@@ -217,11 +217,13 @@ class Visits:
         starts = np.flatnonzero(np.diff(commanded_nm, prepend=np.nan) != 0)
         offsets = commanded_nm[starts]
         groups = [g[np.isfinite(g)] for g in np.split(np.where(used, estimated_nm, np.nan), starts[1:])]
-        good = np.array([len(group) > 0 for group in groups]) & ~_of_unknown_history(offsets)
+        unknown = (travel_direction(offsets) == 0) & _turns(offsets)
+        good = np.array([len(group) > 0 for group in groups]) & ~unknown
         if good.sum() < 3:
             raise ValueError("a diagnosis of a ramp needs three visits to offsets, with estimates")
-        means, errors = np.array([_mean(groups[i]) for i in np.flatnonzero(good)]).T
-        return cls(offsets, good, means, np.hypot(errors, MODEL_NM))
+        kept = [groups[i] for i in np.flatnonzero(good)]
+        errors = [np.std(g, ddof=1) / np.sqrt(len(g)) if len(g) > 1 else 0.0 for g in kept]
+        return cls(offsets, good, np.array([np.mean(g) for g in kept]), np.hypot(errors, MODEL_NM))
 
     @property
     def commanded_nm(self) -> np.ndarray:
@@ -232,20 +234,9 @@ class Visits:
         return course(effect, self.all_nm)[self.good] / self.sigma_nm
 
 
-def _mean(values: np.ndarray) -> tuple[float, float]:
-    """Mean and its standard error; a single value has none."""
-    error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-    return float(np.mean(values)), float(error)
-
-
 def _turns(offsets_nm: np.ndarray) -> bool:
     """Whether the stage moves both ways."""
     return len(set(travel_direction(offsets_nm)) - {0}) > 1
-
-
-def _of_unknown_history(offsets_nm: np.ndarray) -> np.ndarray:
-    """Visits before the first move, where the direction matters because it changes later."""
-    return (travel_direction(offsets_nm) == 0) & _turns(offsets_nm)
 
 
 def course(effect: RampEffect, commanded_nm: np.ndarray) -> np.ndarray:
@@ -285,10 +276,12 @@ def ramp_gap(
     chosen = torch.as_tensor(held_out)
     images, offsets = data.images_e.double()[chosen], data.introduced_nm[held_out]
     good = data.good
-    predicted = [
-        _predicted(model, data, images, _with_defocus(model, start_nm, defocus)[chosen])
-        for defocus in (before_nm, after_nm)
-    ]
+    predicted = []
+    for defocus_nm in (before_nm, after_nm):
+        modes_nm = start_nm.clone()
+        modes_nm[:, model.psf.nolls.index(4)] = torch.as_tensor(defocus_nm)
+        pieces = (one.split(FRAMES_AT_ONCE) for one in (images, modes_nm[chosen]))
+        predicted.append(torch.cat([_refitted(model, data, *piece) for piece in zip(*pieces, strict=True)]))
     groups = [torch.as_tensor(offsets == value) for value in np.unique(offsets)]
     total = sum(float(images[group].mean(0)[good].sum()) for group in groups)
     before, after = (
@@ -300,20 +293,6 @@ def ramp_gap(
         for value in np.unique(offsets)
     ]
     return Gap(before, after, sum(noise) / total)
-
-
-def _with_defocus(model: ImageModel, start_nm: torch.Tensor, defocus_nm: np.ndarray) -> torch.Tensor:
-    modes = start_nm.clone()
-    modes[:, model.psf.nolls.index(4)] = torch.as_tensor(defocus_nm)
-    return modes
-
-
-def _predicted(
-    model: ImageModel, data: RampData, images: torch.Tensor, modes_nm: torch.Tensor
-) -> torch.Tensor:
-    """Predictions of frames (frames, rows, columns) by few frames at a time."""
-    parts = zip(images.split(FRAMES_AT_ONCE), modes_nm.split(FRAMES_AT_ONCE), strict=True)
-    return torch.cat([_refitted(model, data, *part) for part in parts])
 
 
 def _refitted(

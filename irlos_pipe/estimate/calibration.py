@@ -157,7 +157,9 @@ def calibrate(
         note("all modes fitted")
     nominal = None
     if opened is not None and start_nm is None:
-        opened, nominal = _likelier(task, closed, opened)
+        nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
+        found = likelier_minimum(task, closed, opened, nominal.most)
+        opened, nominal = found, nominal if found is opened else None
         note("other minima compared")
     twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
@@ -226,13 +228,6 @@ def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit
     if other is None or float(opened.solution.objective[0]) <= float(other.solution.objective[0]):
         return closed, opened
     return held, other
-
-
-def _likelier(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Opened, NominalChi2 | None]:
-    """The likelier minimum of all modes, and the nominal χ²/ν there where it is known already."""
-    nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
-    found = likelier_minimum(task, closed, opened, nominal.most)
-    return found, nominal if found is opened else None
 
 
 def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> bool:

@@ -13,7 +13,6 @@ import torch
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.directional import Directional
-from irlos_pipe.optics.grids import PupilGrid
 
 
 def effects_in_modes_nm(
@@ -25,7 +24,10 @@ def effects_in_modes_nm(
     """
     if not effects.at("pupil"):
         return torch.zeros(len(nolls)), torch.zeros(len(nolls), len(values))
-    project = torch.as_tensor(_projection(effects.grids.pupil, nolls))
+    grid = effects.grids.pupil
+    weight = np.clip(grid.amplitude.ravel() / grid.light, 0, 1)
+    basis = grid.modes([1, *nolls]).reshape(len(nolls) + 1, -1)
+    project = torch.as_tensor(np.linalg.solve((basis * weight) @ basis.T, basis * weight)[1:])
 
     def modes(v: torch.Tensor) -> torch.Tensor:
         return project @ effects.opd_nm(v).flatten()
@@ -46,13 +48,6 @@ def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, t
     derivatives[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
     derivatives[:, layout.effect_values] = slopes.double()
     return added, derivatives
-
-
-def _projection(grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
-    """Matrix from an OPD on the grid, flattened, to the coefficients of `nolls`."""
-    weight = np.clip(grid.amplitude.ravel() / grid.light, 0, 1)
-    basis = grid.modes([1, *nolls]).reshape(len(nolls) + 1, -1)
-    return np.linalg.solve((basis * weight) @ basis.T, basis * weight)[1:]
 
 
 def drifts(effect: Effect) -> bool:

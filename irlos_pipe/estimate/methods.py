@@ -215,7 +215,8 @@ def fit_frames(
     found = polish(problem, replace(shared, iterations=found.iterations), EVALUATIONS)
     open_before = len(start)
     for spent in range(0, max_iterations, EVALUATIONS):
-        left = _unfinished(found)
+        # those that can be improved, those that are stuck included
+        left = torch.tensor([i for i, s in enumerate(found.status) if s not in (CONVERGED, INVALID)]).long()
         if report is not None:
             report(open_before - len(left))
         if len(left) == 0:
@@ -244,11 +245,6 @@ def _with_shared_curvature(problem: ImageFit, x: torch.Tensor) -> Solution:
     covariance = scaled_inverse(hessian).expand(len(x), -1, -1)
     unknown = torch.full((len(x),), float("nan"), dtype=torch.float64)
     return Solution(x, covariance, [MAX_ITERATIONS] * len(x), torch.zeros(len(x), dtype=torch.int64), unknown)
-
-
-def _unfinished(found: Solution) -> torch.Tensor:
-    """Members that can be improved, those that are stuck included."""
-    return torch.tensor([i for i, s in enumerate(found.status) if s not in (CONVERGED, INVALID)]).long()
 
 
 FIRST = torch.zeros(1, dtype=torch.int64)  # the only member of a batch of one

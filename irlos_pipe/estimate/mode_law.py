@@ -109,14 +109,10 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
         x_scale=0.1,
     )
     covariance = np.linalg.pinv(_information(fit.x, nolls, noise2, scatter.draws))
-    expected = _mean_deviance(scatter.draws) * (len(nolls) - 3)
+    # of one mode's deviance 1.27 for one draw, 1 for many; from ``E ln χ²_ν``
+    expected = scatter.draws * (np.log(scatter.draws / 2) - digamma(scatter.draws / 2)) * (len(nolls) - 3)
     a_nm, decay, plateau_nm = np.exp(fit.x)
     return ModeLaw(a_nm, decay, plateau_nm, covariance, float(np.sum(fit.fun**2) / expected))
-
-
-def _mean_deviance(draws: int) -> float:
-    """Expectation of one mode's deviance: 1.27 for one draw, 1 for many; from ``E ln χ²_ν``."""
-    return draws * (np.log(draws / 2) - digamma(draws / 2))
 
 
 def _law(x: np.ndarray, nolls: Sequence[int] | np.ndarray) -> np.ndarray:

@@ -94,10 +94,14 @@ def scan_mode_numbers(
         np.concatenate([held_out_misfit(frames, of_one, other), held_out_misfit(frames, of_other, one)])
         for of_one, of_other in zip(*fits, strict=True)
     ]
+    given_nm = [
+        [dict(zip(fit.nolls, fit.zernike_nm, strict=True)) for fit in pair]
+        for pair in zip(*fits, strict=True)
+    ]
     return ModeScan(
         tuple(highest_nolls),
         tuple(nolls),
-        np.array([[_picked(fit, nolls) for fit in pair] for pair in zip(*fits, strict=True)]),
+        np.array([[[one.get(noll, 0.0) for noll in nolls] for one in pair] for pair in given_nm]),
         np.array(misfit),
         np.mean([[fit.chi2_nu for fit in half] for half in fits], axis=0),
     )
@@ -125,12 +129,6 @@ def fit_mode_numbers(
         if report:
             report(1)
     return fits[::-1]
-
-
-def _picked(fit: Calibration, nolls: Sequence[int]) -> np.ndarray:
-    """Coefficients of `nolls`, (modes,)."""
-    given_nm = dict(zip(fit.nolls, fit.zernike_nm, strict=True))
-    return np.array([given_nm.get(noll, 0.0) for noll in nolls])
 
 
 def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.ndarray:

@@ -99,7 +99,11 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
     if len(frames.images_e) < LEAST_FRAMES:
         return None
     image, jacobian = problem.predict_and_jacobian(values)
-    difference = _mirrored_problem(problem).predict(values)[0].cpu() - image[0].cpu()
+    psf = problem.model.psf
+    settings = replace(psf.settings, geometry=placed(psf.settings.geometry, MIRROR))
+    path = light_path(settings, psf.nolls, device=psf.device, dtype=torch.float64)
+    other = problem.with_model(ImageModel(path, problem.model.effects.effects))
+    difference = other.predict(values)[0].cpu() - image[0].cpu()
     root = frames.root
     columns = (jacobian[0].double().cpu() * root).mT
     along = _not_followed(difference * root, columns, problem.prior_precision[0].double().cpu())
@@ -123,14 +127,6 @@ def _not_followed(change: torch.Tensor, columns: torch.Tensor, precision: torch.
     sought = torch.cat([change, torch.zeros(len(precision), dtype=torch.float64)])
     steps = torch.linalg.lstsq(both / scale, sought[:, None], driver="gelsd").solution[:, 0]
     return change - columns @ (steps / scale)
-
-
-def _mirrored_problem(problem: ImageFit) -> ImageFit:
-    """The same problem with the mirrored pupil."""
-    psf = problem.model.psf
-    settings = replace(psf.settings, geometry=placed(psf.settings.geometry, MIRROR))
-    other = light_path(settings, psf.nolls, device=psf.device, dtype=torch.float64)
-    return problem.with_model(ImageModel(other, problem.model.effects.effects))
 
 
 FRAMES_OF_A_KIND = (
