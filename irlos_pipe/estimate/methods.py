@@ -23,12 +23,13 @@ from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
 from irlos_pipe.estimate.starts import (
     START_HIGHEST_NOLL,
+    TwinCheck,
     a_wave_off,
     better,
+    check_twin,
     median_of_frames_nm,
     start_tilts_nm,
 )
-from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.loss import GAUSSIAN
@@ -96,7 +97,7 @@ class MeanImage(Scheme):
 
     def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
         known_nm = problem.model.psf.settings.known.total_nm
-        return check_twin(problem, solution.values[:1], float(solution.objective[0]), law, known_nm)[0]
+        return check_twin(problem, solution, law, known_nm)[0]
 
 
 class EveryFrame(Scheme):
@@ -261,12 +262,12 @@ class CubeFit:
     options: CalibrationOptions
     # (modes,), where every fit begins, from Noll 2 on; else each begins from none, and from elsewhere if it
     # ends in a wrong minimum
-    start_nm: np.ndarray | None
-    report: Report | None  # called with the number of finished frames
+    start_nm: np.ndarray | None = None
+    report: Report | None = None  # called with the number of finished frames
 
     def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
         """Fit with these effects, from scratch or from the modes of another fit, `near`."""
-        problem = self._problem(ImageModel(self.psf, effects))
+        problem = self.problem(effects)
         if self.start_nm is None:
             start = scheme_of(self.options).start(self.frames, problem)
         else:
@@ -289,7 +290,7 @@ class CubeFit:
 
         Those that are free there are so here as well. The fit may have more modes.
         """
-        problem = self._problem(ImageModel(self.psf, effects))
+        problem = self.problem(effects)
         old, new = held[0].layout, problem.layout
         found = held[1].values[0]
         values = new.start(problem.images.double().mean(1).cpu())
@@ -318,8 +319,9 @@ class CubeFit:
         most = nominal_of(self.frames, problem, solution.values).most
         return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] <= most)
 
-    def _problem(self, model: ImageModel) -> ImageFit:
-        nolls, prior = self.psf.nolls, self.options.prior
+    def problem(self, effects: Sequence[Effect]) -> ImageFit:
+        """Return the problem with these effects, which begins nowhere."""
+        model, nolls, prior = ImageModel(self.psf, effects), self.psf.nolls, self.options.prior
         sigma_nm = None if prior is None else prior.sigma_nm(nolls)
         layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
         images, variance = scheme_of(self.options).data(self.frames)

@@ -41,10 +41,10 @@ from irlos_pipe.estimate.calibration_errors import (
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, masked_variance
-from irlos_pipe.estimate.methods import MEAN_IMAGE, start_at_centroids
+from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout
+from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
 from irlos_pipe.estimate.residual import kurtosis_of_frames
-from irlos_pipe.estimate.twin import TwinCheck, check_twin
+from irlos_pipe.estimate.starts import TwinCheck, check_twin
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.image_quality import power_spectrum
@@ -119,7 +119,7 @@ class SetupsFit(JoinedFit):
         """
         known = [setup.settings.known.total_nm for setup in setups]
         mean = {noll: sum(one.get(noll, 0.0) for one in known) / len(known) for noll in set().union(*known)}
-        return check_twin(self, solution.values, float(solution.objective[0]), law, mean, TWIN_ITERATIONS)
+        return check_twin(self, solution, law, mean, TWIN_ITERATIONS)
 
 
 def _keys(number: int, setup: Setup, part: ImageFit) -> list[Hashable]:
@@ -286,12 +286,8 @@ def _found(setup: Setup, part: ImageFit, x: torch.Tensor, common_nm: float, devi
 def _part(setup: Setup, options: CalibrationOptions, device: str) -> ImageFit:
     """The mean image of a set-up."""
     psf = MEAN_IMAGE.psf_model(setup.settings, range(2, options.last_noll + 1), device)
-    model = ImageModel(psf, [*setup.common, *setup.own])
-    sigma_nm = None if options.prior is None else options.prior.sigma_nm(psf.nolls)
-    layout = Layout(psf.nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
-    variance = masked_variance(mean_variance_e2(setup.frames), setup.frames.good)
-    data = (one[None, None].flatten(-2).to(psf.device) for one in (setup.frames.mean_e, variance))
-    return ImageFit(model, layout, *data)
+    task = CubeFit(setup.frames, psf, CalibrationOptions(prior=options.prior))
+    return task.problem([*setup.common, *setup.own])
 
 
 def _errors(
