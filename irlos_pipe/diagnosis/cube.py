@@ -35,19 +35,6 @@ LEADING = 8  # principal components of a cube that show its autocorrelation
 
 
 @dataclass(frozen=True)
-class Errors:
-    """What may be wrong besides noise.
-
-    Light that a model has in the wrong place interferes with the image as speckles do: its variance follows
-    theirs, or that of photons.
-    """
-
-    misfit: float = 1.0  # factor by which variances grow for errors of the model
-    alike_px: float = 1.0  # pixels that errors of the model change coherently
-    flat_rms: float = 0.0  # relative error of the flat, pixel by pixel
-
-
-@dataclass(frozen=True)
 class Stack:
     """Frames of one part of a recording, brought to the same flux, and their mean."""
 
@@ -72,18 +59,23 @@ class Stack:
     def __len__(self) -> int:
         return len(self.when)
 
-    def with_errors(self, errors: Errors) -> Stack:
-        """The same frames, with what may be wrong in flat and model in their variances."""
+    def with_errors(self, flat_rms: float, misfit: float, alike_px: float) -> Stack:
+        """The same frames, with what may be wrong in flat and model in their variances.
+
+        The flat has a relative error `flat_rms`, pixel by pixel. For errors of the model, which change so
+        many pixels coherently, variances grow by the factor `misfit`: light that a model has in the wrong
+        place interferes with the image as speckles do, so its variance follows theirs, or that of photons.
+        """
         plain = self.variance_e2 - self.flat_error_e2 - self.model_error_e2
         signal = local_mean(self.mean_e.view(self.frames.good.shape), self.frames.good.double()).flatten()
-        flat = (errors.flat_rms * signal) ** 2
-        model = torch.where(plain.isfinite(), (errors.misfit - 1) * (plain + flat), 0.0)
+        flat = (flat_rms * signal) ** 2
+        model = torch.where(plain.isfinite(), (misfit - 1) * (plain + flat), 0.0)
         return replace(
             self,
             variance_e2=plain + flat + model,
             flat_error_e2=flat,
             model_error_e2=model,
-            alike_px=errors.alike_px,
+            alike_px=alike_px,
         )
 
     def without_model_error(self) -> Stack:
@@ -197,8 +189,9 @@ class Stacks:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
 
-    def with_errors(self, errors: Errors) -> Stacks:
-        return replace(self, parts=tuple(part.with_errors(errors) for part in self.parts))
+    def with_errors(self, flat_rms: float, misfit: float = 1.0, alike_px: float = 1.0) -> Stacks:
+        parts = tuple(part.with_errors(flat_rms, misfit, alike_px) for part in self.parts)
+        return replace(self, parts=parts)
 
     def without_model_error(self) -> Stacks:
         return replace(self, parts=tuple(part.without_model_error() for part in self.parts))
@@ -254,9 +247,6 @@ class Cube:
 
     def limited_by(self, photons: bool) -> Cube:
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
-
-    def with_errors(self, errors: Errors) -> Cube:
-        return Cube(self.training.with_errors(errors), self.held_out.with_errors(errors))
 
 
 def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:

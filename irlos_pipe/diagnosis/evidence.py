@@ -21,7 +21,7 @@ from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.acceptance import Accepted, Search, gap_between, preference
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
-from irlos_pipe.diagnosis.cube import Errors, Stacks
+from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.forward import Task, families
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, FAR_OFF, copies_in_a_row, share_at_its_place
@@ -343,7 +343,7 @@ class _Final:
         """With the errors of flat and model in the variances that the fit has found."""
         stack, laplace = self.task.cube.training, self.laplace
         misfit, flat = max(1.0, _misfit(stack, laplace)), laplace.posterior.covariance.flat_rms
-        return Optimum(stack.with_errors(Errors(misfit, _alike_px(laplace), flat)), self.fitted)
+        return Optimum(stack.with_errors(flat, misfit, _alike_px(laplace)), self.fitted)
 
     def _reduced(self, linear: Linear) -> Fitted:
         """The linear model in the closed basis."""
@@ -438,9 +438,9 @@ def _alike_px(laplace: Laplace) -> float:
 
 def _misfit(stack: Stacks, laplace: Laplace) -> float:
     """χ²/ν with the error of the flat in the variances, and none of the model."""
-    errors, problem = Errors(flat_rms=laplace.posterior.covariance.flat_rms), laplace.fitted.problem
-    white = (stack.mean_e - laplace.image) * stack.with_errors(errors).root
-    return float(white @ white) / problem.freedom
+    root = stack.with_errors(laplace.posterior.covariance.flat_rms).root
+    white = (stack.mean_e - laplace.image) * root
+    return float(white @ white) / laplace.fitted.problem.freedom
 
 
 def _is_lit(laplace: Laplace, effect: Effect, values: np.ndarray) -> bool:

@@ -19,7 +19,7 @@ from irlos_pipe.effects.declaration import Parameter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss
-from irlos_pipe.numerics.normal_equations import Linearised, normal_equations
+from irlos_pipe.numerics.normal_equations import normal_equations, robust_equations
 from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
@@ -227,16 +227,14 @@ class ImageFit(ModesFit):
 
     def _gradient(self, x, which):
         """Without the prior; pixels in the precision of the images."""
-        image, pullback = self._image_and_pullback(x, which)
+        modes_nm = x[:, self.layout.modes].to(self.device)
+        image, pullback = self.model.predict_and_pullback(modes_nm, x[:, -2], x[:, -1])
         which = which.to(self.device)
         root = self.root_weight[which]
         residual = (self.images[which] - image.flatten(1)[:, None]) * root
         force = (self.loss.weight(residual) * residual * root).sum(1)
         value = self.loss.value(residual).sum((1, 2), dtype=torch.float64)
         return value.cpu(), -pullback(force.view_as(image)).cpu()
-
-    def _image_and_pullback(self, x, which):
-        return self.model.predict_and_pullback(x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1])
 
     def _normal(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)
@@ -248,8 +246,7 @@ class ImageFit(ModesFit):
                 gradient += (precision * offset).to(gradient.device)
                 hessian += torch.diag_embed(precision).to(hessian.device)
         else:
-            linearised = Linearised(columns, residual, root, self.loss, precision, offset)
-            gradient, hessian = linearised.normal_equations()
+            gradient, hessian = robust_equations(columns, residual, root, self.loss, precision, offset)
         return self._value(residual, model_e, which), gradient.cpu(), hessian.cpu()
 
     @torch.no_grad()
@@ -288,11 +285,12 @@ class ImageFit(ModesFit):
     @torch.no_grad()
     def reduced_chi2_of(self, predicted_e: torch.Tensor) -> torch.Tensor:
         """Return the same of images of the model, (batch, pixels)."""
-        return self._map(self._squared_residual, predicted_e, torch.arange(len(predicted_e)))[0]
 
-    def _squared_residual(self, predicted_e, which):
-        residual, _ = self._whitened(predicted_e.to(self.device), which)
-        return (residual.square().sum((1, 2), dtype=torch.float64).cpu() / self.freedom,)
+        def reduced(part: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
+            residual, _ = self._whitened(part.to(self.device), which)
+            return (residual.square().sum((1, 2), dtype=torch.float64).cpu() / self.freedom,)
+
+        return self._map(reduced, predicted_e, torch.arange(len(predicted_e)))[0]
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
