@@ -11,7 +11,7 @@ from irlos_pipe.diagnosis.conclude import conclude
 from irlos_pipe.diagnosis.cube import Cube, hold_out_of
 from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import Report, Task
+from irlos_pipe.diagnosis.forward import Report
 from irlos_pipe.diagnosis.grade import much_is_left
 from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
@@ -45,13 +45,11 @@ def diagnose(
 
     views = [one.view(range(2, options.highest_noll + 1), device) for one in recordings]
     fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
-    task = Task(cube, fitter, moments, options, report)
-    everything = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
-
+    task = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
     search = task.searched(effects)
     further = any(one.significance > options.sure for one in search.scores)
     if (search.accepted and further) or much_is_left(search, noise.kind, options.sure):
-        search = everything.beyond(search, effects)
+        search = task.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
 
     def opposite(label: str) -> OppositeSide | None:

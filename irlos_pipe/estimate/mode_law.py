@@ -108,7 +108,15 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
         bounds=(low, high),
         x_scale=0.1,
     )
-    covariance = np.linalg.pinv(_information(fit.x, nolls, noise2, scatter.draws))
+
+    def log_variance(x: np.ndarray) -> np.ndarray:
+        return np.log(_law(x, nolls) ** 2 + noise2)
+
+    # Fisher information of the logarithms of A, B, C: ``ν/2 Σ ∂ln v ∂ln vᵀ``, (3, 3)
+    steps = CURVATURE_STEP * np.eye(3)
+    slopes = np.array([log_variance(fit.x + step) - log_variance(fit.x - step) for step in steps])
+    slopes /= 2 * CURVATURE_STEP
+    covariance = np.linalg.pinv(scatter.draws / 2 * slopes @ slopes.T)
     # of one mode's deviance 1.27 for one draw, 1 for many; from ``E ln χ²_ν``
     expected = scatter.draws * (np.log(scatter.draws / 2) - digamma(scatter.draws / 2)) * (len(nolls) - 3)
     a_nm, decay, plateau_nm = np.exp(fit.x)
@@ -119,15 +127,3 @@ def _law(x: np.ndarray, nolls: Sequence[int] | np.ndarray) -> np.ndarray:
     """The law for the logarithms of A, B and C."""
     a, b, c = np.exp(x)
     return a * np.exp(-b * (np.asarray(nolls) - 2)) + c
-
-
-def _information(x: np.ndarray, nolls: np.ndarray, noise2: np.ndarray, draws: int) -> np.ndarray:
-    """Fisher information of the logarithms of A, B, C: ``ν/2 Σ ∂ln v ∂ln vᵀ``, (3, 3)."""
-
-    def log_variance(point: np.ndarray) -> np.ndarray:
-        return np.log(_law(point, nolls) ** 2 + noise2)
-
-    steps = CURVATURE_STEP * np.eye(3)
-    slopes = np.array([log_variance(x + step) - log_variance(x - step) for step in steps])
-    slopes /= 2 * CURVATURE_STEP
-    return draws / 2 * slopes @ slopes.T

@@ -119,8 +119,13 @@ def open_basis(
         return None
     wider = light_path(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
     model = ImageModel(wider, closed.model.effects.effects)
+    sigma = torch.full((len(nolls),), torch.inf, dtype=torch.float64)
+    if closed.layout.prior_sigma_nm is not None:
+        sigma[: len(psf.nolls)] = closed.layout.prior_sigma_nm
+    layout = Layout(wider.nolls, model.effects.parameters, prior_sigma_nm=sigma)
+    variance_e2 = closed.root_weight.double() ** -2
     law = law or TailLaw(psf.nolls[-1] + 1)
-    problem = _wider(closed, model).with_law(law).roughly()
+    problem = OpenFit(model, layout, closed.images, variance_e2, loss=closed.loss).with_law(law).roughly()
     start = widened(values, closed.layout, problem.layout, beyond_nm or {})
     return fitted_from(problem, problem.hastened(), start, law, max_iterations)
 
@@ -151,31 +156,16 @@ def settled(
     None where numbers are not finite.
     """
     modes = len(problem.layout.nolls)
-    law = _law_at(problem, values, law)
+    # the law by evidence at a solution with another one
+    hessian = problem.normal_equations(values, torch.zeros(1, dtype=torch.int64))[2][0].numpy()
+    precision = problem.prior_precision[0].numpy()
+    law = fit_tail_law(law, problem.layout.nolls, values[0].numpy(), hessian, precision)
     problem, quick = (one.with_law(law).with_tolerance(SETTLED * modes) for one in (problem, quick))
     near = solve(quick, start, max_iterations=max_iterations)
     if near.status[0] == INVALID:
         return None
     final = solve(problem, near.values, max_iterations=FINISHING)
     return None if final.status[0] == INVALID else Opened(problem, final, law)
-
-
-def _law_at(problem: OpenFit, values: torch.Tensor, law: TailLaw) -> TailLaw:
-    """The law by evidence at a solution with another one."""
-    which = torch.zeros(1, dtype=torch.int64)
-    hessian = problem.normal_equations(values, which)[2][0].numpy()
-    precision = problem.prior_precision[0].numpy()
-    return fit_tail_law(law, problem.layout.nolls, values[0].numpy(), hessian, precision)
-
-
-def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:
-    """The images of `closed` by all modes of the `model`, with its prior for those that it has."""
-    nolls, known = model.psf.nolls, closed.layout.prior_sigma_nm
-    sigma = torch.full((len(nolls),), torch.inf, dtype=torch.float64)
-    if known is not None:
-        sigma[: len(known)] = known
-    layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma)
-    return OpenFit(model, layout, closed.images, closed.root_weight.double() ** -2, loss=closed.loss)
 
 
 def widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:

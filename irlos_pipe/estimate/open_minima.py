@@ -130,21 +130,20 @@ class _Search:
             found += self._led(start, path)
             if found and self._is_nominal(found[-1]):
                 return found[-1]
-        if all(self._apart_nm(one, known) < BACK_NM for one in found):
+        corrected = [i for i, noll in enumerate(self.problem.layout.nolls) if noll in CORRECTED_NOLLS]
+        if all(float((one.values - known)[0, corrected].norm()) < BACK_NM for one in found):
             return None
         found.sort(key=_objective)
         self.allowed = (1 + SHAKEN_TIMES) * self.spent
-        if self._lacks_a_fact(found[0]):
+        asked = Asked(None, self.most)
+        facts = causes_of_misfit(self.problem, found[0].values, asked, facts_only=True)
+        if any(one.explains > EXPLAINED for one in facts):
             return found[0]
         for place, one in enumerate(found):
             found[place] = self._shaken(one)
             if self._is_nominal(found[place]):
                 break
         return min(found, key=_objective)
-
-    def _lacks_a_fact(self, solution: Solution) -> bool:
-        facts = causes_of_misfit(self.problem, solution.values, Asked(None, self.most), facts_only=True)
-        return any(one.explains > EXPLAINED for one in facts)
 
     def _shaken(self, best: Solution) -> Solution:
         """The likeliest of the minima around one, and around those that are found."""
@@ -166,13 +165,6 @@ class _Search:
                 return []
             start = solution.values
         return [solution]
-
-    def _apart_nm(self, solution: Solution, x: torch.Tensor) -> float:
-        """RMS in the corrected modes from a solution to a place."""
-        corrected = [
-            column for column, noll in enumerate(self.problem.layout.nolls) if noll in CORRECTED_NOLLS
-        ]
-        return float((solution.values - x)[0, corrected].norm())
 
     def _is_nominal(self, solution: Solution) -> bool:
         return float(self.problem.reduced_chi2(solution.values)[0]) <= self.most
