@@ -39,7 +39,7 @@ from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import public_sigma
-from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
+from irlos_pipe.estimate.image_fit import effects_in_modes_nm
 
 HALF_CLEAR = 0.5  # part of the full amplitude from which the pupil is clear
 

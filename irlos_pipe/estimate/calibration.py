@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import NM, resolution_px, tilt_nm
-from irlos_pipe.effects import Effect
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.base import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import (
@@ -22,7 +22,6 @@ from irlos_pipe.estimate.calibration_errors import (
 )
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
 from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
@@ -329,3 +328,31 @@ def window_resolutions(settings: PsfSettings) -> float:
     longest_m = max(wavelength for wavelength, _ in settings.spectrum) * NM
     pixels = resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
     return min(settings.window) / pixels
+
+
+def drifts(effect: Effect) -> bool:
+    """Return whether the effect is a change with time that is still to be estimated."""
+    return effect.plane == "time" and len(effect.parameters) > 0
+
+
+def starts_as_told(effect: Effect) -> bool:
+    """Return whether the effect, one that not every recording has, starts from values found before."""
+    if effect.usual or not isinstance(effect, FixedEffect) or not effect.free:
+        return False
+    return not np.array_equal(effect.values, effect.base.null_values)
+
+
+def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
+    """Return the effect held at what the estimates of single frames show of it, by least squares.
+
+    The mean image shows a drift to second order only, and not its sign; the frames show both. The `effect` is
+    of the plane `time` and linear in its parameters, all of which are free; the modes `nolls` of `frames_nm`
+    (frames, modes) are estimates at equal intervals of time. Raises ValueError if a mode that is to drift is
+    not estimated.
+    """
+    when = torch.linspace(0, 1, len(frames_nm), dtype=torch.float64)
+    still = torch.zeros(len(frames_nm), len(nolls), dtype=torch.float64)
+    units = torch.eye(len(effect.base.parameters), dtype=torch.float64)
+    courses = [effect.base.apply(unit, still, tuple(nolls), when) for unit in units]
+    frames = torch.as_tensor(frames_nm)
+    return FixedEffect(effect.base, [float((c * frames).sum() / c.square().sum()) for c in courses])

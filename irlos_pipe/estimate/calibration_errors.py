@@ -49,8 +49,7 @@ from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean
-from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.image_fit import ImageFit, whole_wavefront
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.image_quality import power_spectrum

@@ -13,10 +13,13 @@ from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+import numpy as np
 import torch
 
+from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.declaration import Parameter
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss
 from irlos_pipe.numerics.normal_equations import normal_equations, robust_equations
@@ -452,3 +455,40 @@ class Layout:
         x[:, self.effect_values] = torch.tensor([p.start for p in self.effects], dtype=torch.float64)
         x[:, -2] = images_e.double().sum(1).cpu()
         return x
+
+
+def effects_in_modes_nm(
+    effects: EffectSet, values: torch.Tensor, nolls: Sequence[int]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the part of each mode that the effects hold, (modes,), and its derivatives.
+
+    These are (modes, effect parameters), at `values` (effect parameters,). Petals, bumps and high orders are
+    not orthogonal to the modes on an obscured pupil: the effects' OPD is projected on piston and the modes by
+    least squares over the clear pupil.
+    """
+    if not effects.at("pupil"):
+        return torch.zeros(len(nolls)), torch.zeros(len(nolls), len(values))
+    grid = effects.grids.pupil
+    weight = np.clip(grid.amplitude.ravel() / grid.light, 0, 1)
+    basis = grid.modes([1, *nolls]).reshape(len(nolls) + 1, -1)
+    project = torch.as_tensor(np.linalg.solve((basis * weight) @ basis.T, basis * weight)[1:])
+
+    def modes(v: torch.Tensor) -> torch.Tensor:
+        return project @ effects.opd_nm(v).flatten()
+
+    change = Directional(modes, values)
+    slopes = [change.by(index) for index in range(len(values))]
+    return modes(values), torch.stack(slopes, dim=1) if slopes else torch.zeros(len(nolls), 0)
+
+
+def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return what effects add to the modes, (modes,), and the derivatives of their sum, (modes, parameters).
+
+    The parameters are `x` (parameters,).
+    """
+    layout = problem.layout
+    added, slopes = effects_in_modes_nm(problem.model.effects, x[layout.effect_values], layout.nolls)
+    derivatives = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
+    derivatives[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
+    derivatives[:, layout.effect_values] = slopes.double()
+    return added, derivatives

@@ -40,8 +40,7 @@ from irlos_pipe.estimate.calibration_errors import (
 )
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout
+from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront
 from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
 from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.estimate.starts import TwinCheck, check_twin
