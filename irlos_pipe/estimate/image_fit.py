@@ -19,7 +19,7 @@ import torch
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.declaration import Parameter
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.numerics.directional import Directional
+from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss
 from irlos_pipe.numerics.normal_equations import normal_equations, robust_equations
@@ -476,9 +476,7 @@ def effects_in_modes_nm(
     def modes(v: torch.Tensor) -> torch.Tensor:
         return project @ effects.opd_nm(v).flatten()
 
-    change = Directional(modes, values)
-    slopes = [change.by(index) for index in range(len(values))]
-    return modes(values), torch.stack(slopes, dim=1) if slopes else torch.zeros(len(nolls), 0)
+    return modes(values), along_all(modes, values).mT if len(values) else torch.zeros(len(nolls), 0)
 
 
 def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
