@@ -47,11 +47,6 @@ class Refit:
         return self.origin.fitted.chi2 - self.fitted.chi2
 
     @property
-    def explains_all(self) -> bool:
-        """Whether nothing significant is left of the excess, although there was some."""
-        return self.origin.excess.significance > NOTHING_LEFT > self.excess.significance
-
-    @property
     def parameters(self) -> int:
         """Number of free parameters it adds."""
         return len(self.fitted.effect_values) - len(self.origin.fitted.effect_values)
@@ -94,11 +89,6 @@ class Refit:
     def values(self) -> np.ndarray:
         return self.fitted.values_of(self.label)
 
-    @property
-    def public(self) -> dict:
-        """Its parameters under public names."""
-        return self.base.describe(self.values)
-
     def wider_forms(self, conditions: Conditions) -> list[FixedEffect]:
         """Wider forms of the effect, where it is; what acts in some moments alone has none."""
         if self.base.acts_in is not None:
@@ -132,7 +122,9 @@ def refits(
     found: list[Refit] = []
     for begin in (0, *range(1, len(promising), SIDE_BY_SIDE)):
         some = promising[begin : begin + (SIDE_BY_SIDE if begin else 1)]
-        enough = HOPELESS * _best(found).gain if found and _best(found).explains_all else -np.inf
+        best = _best(found) if found else None
+        explains_all = best and origin.excess.significance > NOTHING_LEFT > best.excess.significance
+        enough = HOPELESS * best.gain if best and explains_all else -np.inf
         found = _joined(fitter, found, ordered_map(fitted, [one for one in some if not one.gain < enough]))
         report(len(some))
     # wider forms from where the effect is: a second image may be out of focus
