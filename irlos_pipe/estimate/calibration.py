@@ -72,7 +72,7 @@ class Calibration:
     nominal: NominalChi2  # what it would be about a model that lacks nothing
     noise_ratio: float  # see `Frames.noise_ratio`
     window_resolutions: float  # smaller side of the window in λ/D
-    kurtosis: float  # of the frames, see `frame_kinds`
+    kurtosis: float  # of the frames, see `kurtosis_of_frames`
     twin: TwinCheck | None  # of the closed basis
     tail: TailLaw | None  # law of the modes beyond it; None where there are none
     seconds: float
