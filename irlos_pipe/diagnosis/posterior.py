@@ -34,13 +34,12 @@ from scipy.optimize import minimize
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted, JointFit
-from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter, JointFit
 from irlos_pipe.diagnosis.null_model import FittedModel
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect
+from irlos_pipe.estimate.calibration_options import FOCUS_NM, POINTING_NM
 from irlos_pipe.estimate.cube import local_mean
-from irlos_pipe.estimate.ncpa_prior import FOCUS_NM, POINTING_NM
 from irlos_pipe.estimate.open_fit import TailLaw, last_noll_of, visible_order
 from irlos_pipe.estimate.score_test import NullModel
 from irlos_pipe.numerics.parallel import ordered_map
@@ -88,11 +87,6 @@ class WavefrontLaw:
         tail = replace(self.tail, amplitude_nm=math.exp(x[1]), slope=float(x[2]))
         return replace(self, scale=math.exp(x[0]), tail=tail)
 
-    @property
-    def numbers(self) -> np.ndarray:
-        """ln k, ln A and p."""
-        return np.array([math.log(self.scale), math.log(self.tail.amplitude_nm), self.tail.slope])
-
 
 @dataclass(frozen=True)
 class _Scatter:
@@ -118,10 +112,7 @@ class _Scatter:
             photons = frames.noise.scatter_e2(frames.mean_e).flatten() / count + frames.noise.shared_e2
             scatter = local_mean(frames.scatter_e2, weights).flatten() / count
             speckles = (slow * (scatter - photons)).clamp_min(0)
-            images = frames.images_e.double().flatten(1) * good
-            flux = images.sum(1, keepdim=True)
-            equal = images * (flux.mean() / flux)
-            sample = (equal - equal.mean(0)).mT * math.sqrt(SAMPLED * slow / count / (count - 1))
+            sample = stack.differences_e.mT * math.sqrt(SAMPLED * slow / count / (count - 1))
         photons = torch.where(good, photons.double(), torch.inf)
         return cls(photons, SMOOTHED * speckles, light, _Airy.of(settings), sample.float())
 
@@ -298,19 +289,12 @@ class Posterior:
         """The same without an error of the model, which grows by what is missing and hides it."""
         return replace(self, covariance=self.covariance.with_errors(0.0, self.covariance.flat_rms))
 
-    def with_effects(self, effects: Sequence[Effect]) -> Posterior:
-        return replace(self, effects=effects)
-
     def penalty(self, x: torch.Tensor) -> float:
         """What the priors add to χ² at `x`, (1, parameters)."""
         return float((self.prior_precision * (x[0] - self.prior_mean) ** 2).sum())
 
-    def half_chi2(self, x: torch.Tensor) -> float:
-        """Half of χ² and priors; infinite where nothing can be computed."""
-        return self._left(x)[1]
-
-    def _left(self, x: torch.Tensor) -> tuple[torch.Tensor, float]:
-        """What is left of the images, whitened, and half of χ² and priors."""
+    def left(self, x: torch.Tensor) -> tuple[torch.Tensor, float]:
+        """What is left of the images, whitened, and half of χ² and priors, infinite where it is not known."""
         try:
             left = self.covariance.whiten((self.images.stack.mean_e - self.exact.predict(x))[:, None])[:, 0]
         except ValueError:  # a wavelength out of the grid
@@ -344,24 +328,24 @@ class Posterior:
         iteration they are `slopes`, where those are known from near by. Parameters that push against a bound
         stay there, those `held` where they are.
         """
-        (left, value), damping, coarse = self._left(x), 1e-3, True
+        (left, value), damping, coarse = self.left(x), 1e-3, True
         lower, upper = self.exact.lower.clone(), self.exact.upper.clone()
         lower[..., held] = upper[..., held] = x[0, held]
         for _ in range(iterations):
             if slopes is None:
                 slopes = (self.coarse if coarse else self.exact).predict_and_jacobian(x)[1]
             design, slopes = self.covariance.whiten(slopes.mT), None
-            hessian = self._hessian(design)
+            hessian = self.hessian(design)
             before, first, enough = value, math.inf, CONVERGED_AT * max(1.0, value / self.exact.freedom)
             for _ in range(CHORDS):
-                gradient = self._gradient(x, design, left)
+                gradient = self.gradient(x, design, left)
                 step_of, ahead = _steps(x, gradient, hessian, lower, upper)
                 first = ahead if first == math.inf else first
                 fall = 0.0
                 for _ in range(0 if ahead < enough else TRIALS):
                     step = step_of(damping)
                     trial = torch.minimum(torch.maximum(x + step, lower), upper)
-                    left_then, new = self._left(trial)
+                    left_then, new = self.left(trial)
                     if new < value:
                         predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
                         fall, x, left, value = value - new, trial, left_then, new
@@ -383,12 +367,14 @@ class Posterior:
         image = self.exact.predict(x) if coarse else image
         design = self.covariance.whiten(columns.mT)
         left = self.covariance.whiten((self.images.stack.mean_e - image)[:, None])[:, 0]
-        return image, columns, design, left, self._gradient(x, design, left), self._hessian(design)
+        return image, columns, design, left, self.gradient(x, design, left), self.hessian(design)
 
-    def _gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:
+    def gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:
+        """Of half of χ² and priors, by whitened derivatives and what is left."""
         return self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
 
-    def _hessian(self, design: torch.Tensor) -> torch.Tensor:
+    def hessian(self, design: torch.Tensor) -> torch.Tensor:
+        """The same of Gauss and Newton."""
         return design.mT @ design + torch.diag(self.prior_precision)
 
 
@@ -413,6 +399,11 @@ def _factored(hessian: torch.Tensor, jitter: float = 1e-13) -> tuple[torch.Tenso
     return torch.linalg.cholesky(hessian / scale[:, None] / scale + jitter * unit), scale
 
 
+def _inside(factor: torch.Tensor, scale: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    """L⁻¹ Rᵀ of rows (n, parameters) in scaled variables, by the Cholesky factor L, (parameters, n)."""
+    return torch.linalg.solve_triangular(factor, (rows / scale).mT, upper=False)
+
+
 class Laplace(FittedModel):
     """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there.
 
@@ -425,10 +416,8 @@ class Laplace(FittedModel):
         self.posterior, self.x, self.coarse = posterior, x, coarse
         self.stack = posterior.images.stack
         self.image, self.columns, design, residual, gradient, self.hessian = posterior.equations(x, coarse)
-        self.factor, self.scale = factor, scale = _factored(self.hessian)
-        force = (-gradient / scale)[:, None]
-        unconverged = torch.linalg.solve_triangular(factor, force, upper=False)[:, 0]
-        basis = torch.linalg.solve_triangular(factor, (design / scale).mT, upper=False).mT
+        self.factor, self.scale = factored = _factored(self.hessian)
+        unconverged, basis = _inside(*factored, -gradient[None])[:, 0], _inside(*factored, design).mT
         super().__init__(residual, posterior.covariance.root, basis, unconverged)
         half = 0.5 * (float((residual**2).sum()) + posterior.penalty(x))
         value = torch.tensor([half], dtype=torch.float64)
@@ -481,15 +470,14 @@ class Laplace(FittedModel):
         gone = {column for label in linear.gone for column in self.fitted.columns_of(label)}
         rows = [row for row in range(len(self.scale)) if row not in gone]
         move = linear.move
-        factor, scale = _factored(self.hessian[rows][:, rows])
+        factored = _factored(self.hessian[rows][:, rows])
         design = self.whiten(self.columns[rows].mT)
-        basis = torch.linalg.solve_triangular(factor, (design / scale).mT, upper=False).mT
         residual = self.residual - self.whiten((self.columns.mT @ move)[:, None])[:, 0]
         precision = self.posterior.prior_precision[rows]
         force = design.mT @ residual - precision * (
             (self.x[0] + move)[rows] - self.posterior.prior_mean[rows]
         )
-        unconverged = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)[:, 0]
+        unconverged, basis = _inside(*factored, force[None])[:, 0], _inside(*factored, design).mT
         return NullModel(residual, self.root, basis, unconverged)
 
     def with_best_law(self) -> WavefrontLaw:
@@ -517,9 +505,10 @@ class Laplace(FittedModel):
             expected = (((x - LAW_EXPECTED) / LAW_WIDTH) ** 2).sum()
             return float(spread - (np.linalg.solve(factor, pull) ** 2).sum() + expected)
 
-        start = posterior.law.numbers
+        law = posterior.law
+        start = np.array([math.log(law.scale), math.log(law.tail.amplitude_nm), law.tail.slope])
         options = {**LAW_TOLERANCES, "initial_simplex": start + LAW_SIMPLEX}
-        return posterior.law.changed(minimize(deviance, start, method="Nelder-Mead", options=options).x)
+        return law.changed(minimize(deviance, start, method="Nelder-Mead", options=options).x)
 
     def with_best_errors(self) -> Covariance:
         """The covariance with the errors of model and flat by evidence, all parameters following linearly.
@@ -544,14 +533,10 @@ class Laplace(FittedModel):
             best = max(tried, key=lambda place: tried[place][0])
 
     def _log_evidence_under(self, covariance: Covariance) -> float:
-        posterior = self.posterior
-        precision = posterior.prior_precision
-        design = covariance.whiten(self.columns.mT)
+        posterior, design = self.posterior, covariance.whiten(self.columns.mT)
         left = covariance.whiten((self.stack.mean_e - self.image)[:, None])[:, 0]
-        force = design.mT @ left - precision * (self.x[0] - posterior.prior_mean)
-        hessian = design.mT @ design + torch.diag(precision)
-        factor, scale = _factored(hessian, 1e-12)
-        ahead = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)
+        factor, scale = _factored(posterior.hessian(design), 1e-12)
+        ahead = _inside(factor, scale, posterior.gradient(self.x, design, left)[None])
         chi2 = float(left @ left) + posterior.penalty(self.x) - float((ahead**2).sum())
         volume = 2 * float(factor.diagonal().log().sum() + scale.log().sum())
         return 0.5 * (-chi2 - volume - covariance.log_determinant)
@@ -583,19 +568,21 @@ class Linear:
 
     def without(self, label: str) -> Linear:
         """The model with one effect more at nothing."""
-        nulls = self.nulls_of(label)
-        own = [*nulls]
-        apart = self.x[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
-        gain = self.covariance[:, own] @ torch.linalg.pinv(self.covariance[own][:, own], hermitian=True)
+        own, apart, inverse = self._from_nothing(label)
+        gain = self.covariance[:, own] @ inverse
         left = self.covariance - gain @ self.covariance[own]
         return replace(self, covariance=left, x=self.x - gain @ apart, gone=(*self.gone, label))
 
     def rise_without(self, label: str) -> float:
         """Rise of χ² and priors without one effect more."""
+        _, apart, inverse = self._from_nothing(label)
+        return float(apart @ inverse @ apart)
+
+    def _from_nothing(self, label: str) -> tuple[list[int], torch.Tensor, torch.Tensor]:
+        """Columns of an effect, their values from where it has no effect, and their inverse covariance."""
         nulls = self.nulls_of(label)
-        own = [*nulls]
-        apart = self.x[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
-        return float(apart @ torch.linalg.pinv(self.covariance[own][:, own], hermitian=True) @ apart)
+        apart = self.x[[*nulls]] - torch.tensor([*nulls.values()], dtype=torch.float64)
+        return [*nulls], apart, torch.linalg.pinv(self.covariance[[*nulls]][:, [*nulls]], hermitian=True)
 
     def log_odds(self, label: str) -> float:
         """ln odds of an effect against its absence (Dickey 1971, Ann. Math. Stat. 42, 204)."""

@@ -9,7 +9,7 @@ from irlos_pipe.conventions.keys import DITTO, Number, key
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect not distinguished from the one found, see `diagnosis.held_out`."""
+    """An effect not distinguished from the one found, see `diagnosis.acceptance`."""
 
     name: str = key("", "Name of the effect.")
     reason: str = key("", "Why the two are not distinguished.")
@@ -139,7 +139,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Rest:
-    """What the model still misses, see `diagnosis.rest`."""
+    """What the model still misses, see `diagnosis.verdict`."""
 
     light_fraction: Number = key(nan, "Part of the light that is misplaced beyond what noise alone shows.")
     where: Where = Where()

@@ -120,7 +120,7 @@ def test_gradients_are_those_of_finite_differences(setups):
     parts = [_part(one, OPTIONS, "cpu") for one in setups]
     problem = SetupsFit(setups, parts)
     starts = [part.layout.start(part.images.flatten(1)) for part in parts]
-    x, which = problem.whole(starts), torch.tensor([0])
+    x, which = problem.whole([start[0] for start in starts])[None], torch.tensor([0])
     x[:, 2:14] += 20.0
     gradient = problem.normal_equations(x, which)[1][0]
     for index in (0, 4, 14, 20, problem.size - 4, problem.size - 1):

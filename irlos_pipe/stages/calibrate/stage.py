@@ -18,9 +18,9 @@ from irlos_pipe.estimate.calibration_options import (
     OPEN,
     CalibrationOptions,
     MethodName,
+    NcpaPrior,
     OptimiserName,
 )
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import (
@@ -232,7 +232,7 @@ class Estimate(ResultsPart):
 
 
 class Twin(ResultsPart):
-    """Comparison with the twin solution, see `estimate.twin.TwinCheck`."""
+    """Comparison with the twin solution, see `estimate.starts.TwinCheck`."""
 
     delta_chi2: Number = item(nan, "χ² of the refitted twin minus that of the solution, prior included.")
     rms_nm: Number = item(
