@@ -20,9 +20,9 @@ from irlos_pipe.estimate.calibration_errors import nominal_of
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance, whole_wavefront
+from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.starts import (
     START_HIGHEST_NOLL,
-    TwinCheck,
     a_wave_off,
     better,
     check_twin,
