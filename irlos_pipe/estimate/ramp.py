@@ -18,8 +18,9 @@ MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not expl
 
 @dataclass(frozen=True)
 class Line:
-    """The straight line of a ramp, as results.json has it; NaN is what the ramp does not determine."""
+    """The straight line of a ramp."""
 
+    # As results.json has it; NaN is what the ramp does not determine.
     slope: Number = key(nan, "Estimated over introduced defocus, 1 is right, and its standard error.")
     slope_sigma: Number = key(nan, DITTO)
     offset_nm: Number = key(nan, "Estimated defocus where none is introduced, by the line.")
