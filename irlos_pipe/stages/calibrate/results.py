@@ -133,7 +133,7 @@ class Estimate(ResultsPart):
 
 
 class Twin(ResultsPart):
-    """Comparison with the twin solution, see `estimate.twin.TwinCheck`."""
+    """Comparison with the twin solution, see `estimate.starts.TwinCheck`."""
 
     delta_chi2: Number = item(nan, "χ² of the refitted twin minus that of the solution, prior included.")
     rms_nm: Number = item(
