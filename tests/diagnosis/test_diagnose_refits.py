@@ -85,7 +85,7 @@ def test_two_hot_pixels_are_one_effect_of_both():
     (found,) = scores(at_rest, bad_pixel_family(at_rest))
     assert (found.name, found.trials) == ("bad_pixels", WINDOW**2)
     (fit,) = refits(fitter_of(at_rest.stack), at_rest, [found])
-    assert fit.public == {"pixels": [[25, 8], [5, 22]]}
+    assert fit.base.describe(fit.values) == {"pixels": [[25, 8], [5, 22]]}
     assert fit.values == pytest.approx([90.0, 60.0], abs=6.0)
     assert abs(fit.excess.significance) < 4
 
