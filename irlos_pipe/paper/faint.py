@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.sensitivity import Criterion, curve_of, scan
+from irlos_pipe.estimate.sensitivity import Configuration, Criterion, curve_of, scan
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.observation import (
     NoiseOf,
@@ -92,20 +92,25 @@ def rows(star: ex.Sample) -> ex.Rows:
         data, signal_e = observed.data, observed.estimate(LIFT_VARIANTS[SIGNAL_VARIANT]).result.model_e
         magnitudes = faintest - np.arange(sizes.magnitudes)[::-1] * sizes.mag_step
         faint = None if read is None else exposure_noise(as_read(ramp, read)).beyond(noise_of(ramp))
-        for key in COMPARED:
-            variant = LIFT_VARIANTS[key]
-            curve = scan(
+        configurations = [
+            Configuration(
                 ImageModel(observed.model(variant), observed.effects(variant)),
-                data,
                 signal_e,
-                sizes.mag_j,
-                magnitudes,
-                sizes.realisations,
                 torch.zeros(len(data.images_e), len(variant.modes), dtype=torch.float64),
-                Criterion(np.inf, 1.0),  # the limit is that of all samples together
-                star.seed[-1],
-                faint=faint,
             )
+            for variant in (LIFT_VARIANTS[key] for key in COMPARED)
+        ]
+        curves = scan(
+            configurations,
+            data,
+            sizes.mag_j,
+            magnitudes,
+            sizes.realisations,
+            Criterion(np.inf, 1.0),  # the limit is that of all samples together
+            star.seed[-1],
+            faint=faint,
+        )
+        for key, curve in zip(COMPARED, curves, strict=True):
             yield {
                 "exposure_s": exposure_s,
                 "key": key,

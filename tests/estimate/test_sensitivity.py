@@ -9,6 +9,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.estimate.sensitivity import (
     MEDIAN_OF_NORMAL,
+    Configuration,
     Criterion,
     dim,
     limiting_magnitude,
@@ -76,14 +77,12 @@ def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
     true[:, 2] = torch.as_tensor(introduced)
     signal = model.images(true).double() * 2e6
     frames = torch.cat([cases.draw_frames(mean.numpy(), 1, seed) for seed, mean in enumerate(signal)])
-    curve = scan(
-        ImageModel(model),
+    (curve,) = scan(
+        [Configuration(ImageModel(model), signal, true)],
         RampData(frames, cases.everything(frames), cases.READ_NOISE, introduced),
-        signal,
         10.0,
         np.array([12.5, 15.0]),
         20,
-        true,
         Criterion(30.0, 0.1),
         seed=5,
     )
