@@ -23,6 +23,7 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import expose
 
+pytestmark = pytest.mark.slow
 WINDOW, FRAMES, HIGHEST_NOLL, SEEING_ARCSEC = (40, 40), 48, 36, 0.6
 NOISE = NoiseModel(1.0, 1.0)
 
@@ -58,7 +59,6 @@ def error_nm(modes_nm: np.ndarray, nolls: tuple[int, ...]) -> float:
     return float(np.sqrt(sum((modes_nm[nolls.index(n)] - true[n]) ** 2 for n in range(4, 31))))
 
 
-@pytest.mark.slow
 def test_the_ao_residual_is_what_an_on_sky_model_without_it_lacks_first():
     diagnosis, _ = on_sky()
     assert diagnosis.verdict == "effect"
@@ -66,14 +66,12 @@ def test_the_ao_residual_is_what_an_on_sky_model_without_it_lacks_first():
     assert diagnosis.steps[0].explained > 0.9
 
 
-@pytest.mark.slow
 def test_the_ncpa_error_falls_several_times_with_the_residual_in_the_model():
     diagnosis, _ = on_sky()
     before, after = (error_nm(modes_nm, diagnosis.nolls) for modes_nm in diagnosis.modes_nm)
     assert after < before / 3
 
 
-@pytest.mark.slow
 def test_without_the_residual_the_fit_still_ends_beside_the_truth_and_not_at_its_twin():
     """The twin has Noll 6 at twice the diversity, some 340 nm away."""
     diagnosis, _ = on_sky()
