@@ -218,23 +218,6 @@ def test_old_products_stay_complete_when_a_later_stage_of_the_new_ones_fails(ben
     assert after["02_calibrate.h5"] != before["02_calibrate.h5"] and not list(folder.glob(".*.part"))
 
 
-@pytest.mark.slow
-def test_an_interrupted_reprocessing_continues_where_it_stopped(bench, monkeypatch):
-    folder = bench.record(MORNING)
-    bench.run()
-    before = contents(bench.run_folder())
-    change_model(monkeypatch, "ingest")
-    (folder / "numbers.json").touch()  # same content
-    with monkeypatch.context() as patch:
-        patch.setattr(sys.modules["irlos_pipe.stages.lift.stage"], "run", _interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            bench.run()
-    assert contents(bench.run_folder()) == before
-    bench.run()
-    assert (COUNTS["ingest"], COUNTS["calibrate"]) == (2, 2)
-    assert len(list(bench.run_folder().parent.iterdir())) == 1
-
-
 def _interrupted(_):
     raise KeyboardInterrupt
 
