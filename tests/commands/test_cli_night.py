@@ -4,18 +4,16 @@ import json
 
 import pytest
 from conftest import invoke
-from helpers import night_bench
+from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.night import engines
 
 MORNING = "2024-02-11T03:00:00"
 
 
-@pytest.fixture
-def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
-    night_bench.without_drawings(monkeypatch)
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch):
     monkeypatch.setattr(engines, "local_runner", lambda jobs: map)
-    return night_bench.make(tmp_path, monkeypatch)
 
 
 def night(bench, *options: str):

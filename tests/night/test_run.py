@@ -10,20 +10,14 @@ import time
 from dataclasses import replace
 
 import pytest
-from helpers import night_bench
 from helpers.fake_stages import COUNTS
+from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.run import plan_night, run_night
 
 MORNING = "2024-02-11T03:00:00"
-
-
-@pytest.fixture
-def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
-    night_bench.without_drawings(monkeypatch)
-    return night_bench.make(tmp_path, monkeypatch)
 
 
 def contents(folder) -> dict[str, bytes]:
