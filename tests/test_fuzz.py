@@ -4,16 +4,7 @@ Truth: the result of the same recording without damage, and the exit codes of th
 """
 
 import pytest
-from fuzz import (  # noqa: F401
-    fits_kinds,
-    judge,
-    name_kinds,
-    pristine,
-    product_kinds,
-    transport_kinds,
-    tree_kinds,
-    yaml_kinds,
-)
+from fuzz import judge
 from fuzz.case import KINDS
 
 SEEDS = range(3)
