@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from irlos_pipe.estimate.calibration_options import NcpaPrior
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings

@@ -89,24 +89,15 @@ def decide(state: ControllerState, defocus_nm: float | None, settings: Controlle
     if state.settling:
         return Decision(waiting, False, held=SETTLING)
     if state.mode == BOOTSTRAP and abs(defocus_nm) > settings.capture_nm:
-        return _jump(state, defocus_nm, settings)
+        step_nm = math.copysign(min(abs(defocus_nm), settings.jump_nm), defocus_nm)
+        return _moved(replace(state, settling=settings.delay), state.offset_nm + step_nm, settings)
     if abs(defocus_nm) > settings.linear_nm:
-        return _doubt(state, settings)
+        # a loop cannot leave its range at once; if it has, it starts again
+        outside = state.outside + 1
+        again = replace(state, mode=BOOTSTRAP, outside=0) if outside >= settings.patience else None
+        return Decision(again or replace(state, outside=outside), False, held=OUTSIDE)
     unclipped_nm = (1 - settings.leak) * state.offset_nm + settings.gain * defocus_nm
     return _moved(replace(state, mode=TRACKING, outside=0), unclipped_nm, settings)
-
-
-def _jump(state: ControllerState, defocus_nm: float, settings: ControllerSettings) -> Decision:
-    step_nm = math.copysign(min(abs(defocus_nm), settings.jump_nm), defocus_nm)
-    return _moved(replace(state, settling=settings.delay), state.offset_nm + step_nm, settings)
-
-
-def _doubt(state: ControllerState, settings: ControllerSettings) -> Decision:
-    """A loop cannot leave its range at once; if it has, it starts again."""
-    outside = state.outside + 1
-    if outside < settings.patience:
-        return Decision(replace(state, outside=outside), False, held=OUTSIDE)
-    return Decision(replace(state, mode=BOOTSTRAP, outside=0), False, held=OUTSIDE)
 
 
 def _moved(state: ControllerState, unclipped_nm: float, settings: ControllerSettings) -> Decision:

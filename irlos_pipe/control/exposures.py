@@ -130,12 +130,14 @@ class Accumulator:
             return []
         index, first = self._index(self._first), self._first
         images = [self._open[counter].image_e for counter in sorted(self._open)]
+        alike = len({image.shape for image in images}) == 1
+        total_e = np.asarray(np.sum(images, axis=0, dtype=np.float64)) if alike else np.zeros((0, 0))
         skipped = 0 if self.last_index is None or self._tally.restarted else index - self.last_index - 1
         jumped = skipped * self.reads > LARGEST_GAP
         self._tally.restarted |= jumped
         exposure = Exposure(
             index=index,
-            image_e=_total(images),
+            image_e=total_e,
             reads=len(images),
             expected=self.reads,
             first_counter=first.counter,
@@ -180,12 +182,6 @@ class Accumulator:
         self._tally.late += len(self._open)
         self._tally.restarted, self._open = True, {}
         return False
-
-
-def _total(images: list[np.ndarray]) -> np.ndarray:
-    if len({image.shape for image in images}) > 1:
-        return np.zeros((0, 0))
-    return np.asarray(np.sum(images, axis=0, dtype=np.float64))
 
 
 def _keys(image: np.ndarray) -> list[int]:

@@ -44,11 +44,8 @@ def printable(text: str) -> str:
 
     Control characters, line ends and bytes of names that are no UTF-8 are among these.
     """
-    return "".join(letter if letter.isprintable() else _escape(letter) for letter in text)
-
-
-def _escape(letter: str) -> str:
-    return letter.encode("unicode_escape", "backslashreplace").decode("ascii")
+    escaped = (one.encode("unicode_escape", "backslashreplace").decode("ascii") for one in text)
+    return "".join(one if one.isprintable() else other for one, other in zip(text, escaped, strict=True))
 
 
 def aligned(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:

@@ -1,18 +1,126 @@
-"""Whether a fitted name is accepted."""
+"""Whether a name is accepted, also by frames or pixels that no fit has seen, and which others these allow.
+
+What belongs to single frames, tip, tilt, flux and background, is refitted linearly to frames; all else is
+frozen.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+import torch
+
 from irlos_pipe.diagnosis.checks.drift import MOVING, Drift, motion_ratio
-from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, alternatives, gap_between, preference
-from irlos_pipe.diagnosis.null_model import Excess, Optimum
+from irlos_pipe.diagnosis.cube import Cube, Stacks
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.null_model import Excess, Optimum, gaussian_sigma, threshold
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import Alternative, Ranked
-from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
+from irlos_pipe.diagnosis.scores import Score
+
+
+@dataclass(frozen=True)
+class Gap:
+    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels."""
+
+    before: float  # with the old model
+    after: float  # with the new model
+    floor: float  # with a perfect model, from noise alone
+
+    @property
+    def shrink(self) -> float:
+        """Part of the gap above the floor that the new model closes; NaN where there was none."""
+        open_ = self.before - self.floor
+        return (self.before - self.after) / open_ if open_ > 0 else float("nan")
+
+    @property
+    def closed(self) -> float:
+        """The same of the squares, in which noise and what a model misses add; NaN where there was none."""
+        open_ = self.before**2 - self.floor**2
+        return (self.before**2 - self.after**2) / open_ if open_ > 0 else float("nan")
+
+
+class HeldOutEvaluation:
+    """A model's residuals on the held-out data."""
+
+    def __init__(self, stack: Stacks, fitted: Fitted):
+        self.stack, self.pixels = stack, fitted.problem.pixels
+        self.image, columns = fitted.linearised
+        recordings = range(len(fitted.problem.parts) if stack.own_refitted else 0)
+        own = columns[[column for number in recordings for column in fitted.problem.own_of(number)]].mT
+        root = stack.root[:, None]
+        self.basis, triangle = torch.linalg.qr(own * root)
+        self.moves = own @ torch.linalg.inv(triangle)
+
+    @property
+    def mean_e(self) -> torch.Tensor:
+        """Prediction of the mean images, (pixels,)."""
+        residual = (self.stack.mean_e - self.image) * self.stack.root
+        return self.image + self.moves @ (self.basis.mT @ residual)
+
+    @property
+    def gap(self) -> float:
+        good = self.stack.root > 0
+        return float((self.stack.mean_e - self.mean_e)[good].abs().sum() / self.stack.mean_e[good].sum())
+
+    @property
+    def floor(self) -> float:
+        """What noise alone leaves of the gap: a normal deviate is √(2/π) σ away from zero on average.
+
+        What frames differ by in pointing, flux and background is no noise: it is refitted.
+        """
+        good = self.stack.root > 0
+        noise_e = self.stack.noise_e(self.basis)[good].sum()
+        return float(np.sqrt(2 / np.pi) * noise_e / self.stack.mean_e[good].sum())
+
+    @property
+    def losses(self) -> np.ndarray:
+        """Half of χ² of every frame or patch of pixels, (frames or patches,)."""
+        pairs = zip(self.stack.parts, self.pixels, strict=True)
+        return np.concatenate([part.losses(self.image[at], self.basis[at]) for part, at in pairs])
+
+
+def preference(stack: Stacks, better: Fitted, worse: Fitted) -> float:
+    """Vuong's statistic for the model `better` on held-out data: mean difference of losses over its error."""
+    difference = HeldOutEvaluation(stack, worse).losses - HeldOutEvaluation(stack, better).losses
+    error = difference.std(ddof=1) / np.sqrt(stack.independent)
+    return float(difference.mean() / error) if error > 0 else 0.0
+
+
+def gap_between(stack: Stacks, before: Fitted, after: Fitted) -> Gap:
+    """Gaps of the models `before` and `after` on the same held-out data."""
+    old = HeldOutEvaluation(stack, before)
+    return Gap(old.gap, HeldOutEvaluation(stack, after).gap, old.floor)
+
+
+SURE = 3.0  # Vuong's statistic from which held-out frames decide between two names
+LIKENESS = 0.9  # |cos| from which two effects are degenerate in the image
+LARGEST_SET = 3  # names not distinguished from the best that are listed, with it
+
+
+def alternatives(ranked: Sequence[Refit], cube: Cube) -> list[Alternative]:
+    """Names that are not significantly worse than the first of `ranked`, nor on held-out data of `cube`."""
+    best, found = ranked[0], []
+    for other in ranked[1:]:
+        z = preference(cube.held_out, best.fitted, other.fitted)
+        if best.deficit(other) < CLEARLY_LESS or (z < SURE and other.gain > EXPLAINS_AS_MUCH * best.gain):
+            cosine = likeness(best.fitted, other.fitted, best.origin)
+            alike = "they change the image alike" if cosine > LIKENESS else "both explain the excess as well"
+            reason = f"{alike} (|cos| {cosine:.3f}), and the held-out frames do not decide (z {z:.1f})"
+            found.append(Alternative(other.name, reason, best.base.look_alike, cosine))
+    return sorted(found, key=lambda one: -one.likeness)[: LARGEST_SET - 1]
+
+
+def likeness(one: Fitted, other: Fitted, before: Optimum) -> float:
+    """|cos| of the changes of the image that models `one` and `other` make.
+
+    They are projected off the fitted parameters of the model `before`.
+    """
+    gram = before.norm2(torch.stack([before.change_to(fitted) for fitted in (one, other)], dim=1))
+    return float(gram[0, 1].abs() / (gram[0, 0] * gram[1, 1]).clamp_min(1e-300).sqrt())
+
 
 SIGNIFICANT = 5.0  # standard errors of the excess, from which that of a moment counts
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known
@@ -74,91 +182,74 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | 
     """
     if not ranked or not detected(ranked[0], cube, options.sure):
         return None
-    evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
-    ranked, judges = by_simplicity(*by_plausibility(*by_motion(ranked, evaluations, cube)))
-    best, without = ranked[0], HeldOutEvaluation(cube.held_out, ranked[0].origin.fitted)
-    z = preference(judges[0], without)
+    for order in (by_motion, by_plausibility, by_simplicity):
+        ranked = order(ranked, cube)
+    best, stack = ranked[0], cube.held_out
+    z = preference(stack, best.fitted, best.origin.fitted)
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None
-    ranking = [_ranked(one, preference(judges[0], judge)) for one, judge in zip(ranked, judges, strict=True)]
-    others = alternatives(ranked, judges)
+    of_each = [preference(stack, best.fitted, one.fitted) for one in ranked]
+    ranking = [
+        Ranked(one.name, one.gain, explained(one), one.significance, own_z)
+        for one, own_z in zip(ranked, of_each, strict=True)
+    ]
+    others = alternatives(ranked, cube)
     rivals = [next(r for r in ranked if r.name == other.name) for other in others]
-    return Accepted(best, z, gap_between(without, judges[0]), others, ranking, rivals)
+    gap = gap_between(stack, best.origin.fitted, best.fitted)
+    return Accepted(best, z, gap, others, ranking, rivals)
 
 
-def _ranked(refit: Refit, held_out_z: float) -> Ranked:
-    return Ranked(refit.name, refit.gain, explained(refit), refit.significance, held_out_z)
-
-
-def by_motion(
-    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation], cube: Cube
-) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+def by_motion(ranked: Sequence[Refit], cube: Cube) -> Sequence[Refit]:
     """Decide by the motion of the frames between effects that blur, which a mean image hardly shows.
 
-    This and the functions below return `ranked` in another order, and `judges`, the evaluation of each, with
-    it.
+    This and the functions below return `ranked` in another order.
     """
-    if not cube.training.in_time:
-        return ranked, judges
-    rivals = _rivals(ranked, judges)
-    if not ranked[0].effect.blurs or not any(one.effect.blurs and one.name in rivals for one in ranked):
-        return ranked, judges
+    if not cube.training.in_time or not ranked[0].effect.blurs:
+        return ranked
+    rivals = _rivals(ranked, cube)
+    if not any(one.effect.blurs for one in rivals):
+        return ranked
     right = "motion" if motion_ratio(cube.training, ranked[0].fitted) > MOVING else "detector"
-    allowed = [
-        i for i, one in enumerate(ranked) if one.effect.blurs == right and (i == 0 or one.name in rivals)
-    ]
-    return _led_by(allowed, ranked, judges)
+    return _led_by([one for one in (ranked[0], *rivals) if one.effect.blurs == right], ranked)
 
 
-def by_plausibility(
-    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
-) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+def by_plausibility(ranked: Sequence[Refit], cube: Cube) -> Sequence[Refit]:
     """Among indistinguishable names prefer the first with plausible parameters."""
     if not ranked[0].implausible:
-        return ranked, judges
-    rivals = _rivals(ranked, judges)
-    better = [i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible]
-    return _led_by(better[:1], ranked, judges)
+        return ranked
+    return _led_by([one for one in _rivals(ranked, cube) if not one.implausible][:1], ranked)
 
 
-def by_simplicity(
-    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
-) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+def by_simplicity(ranked: Sequence[Refit], cube: Cube) -> Sequence[Refit]:
     """Prefer to an effect the one of which it is a wider form, if these data do not distinguish them."""
-    rivals = _rivals(ranked, judges)
-    narrower = [i for i, one in enumerate(ranked) if one.name == ranked[0].base.widens and one.name in rivals]
-    return _led_by(narrower, ranked, judges)
+    narrower = ranked[0].base.widens
+    return _led_by([one for one in _rivals(ranked, cube) if one.name == narrower], ranked)
 
 
-def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:
-    """Names that these data allow instead of the first."""
-    return {one.name for one in alternatives(ranked, judges)}
+def _rivals(ranked: Sequence[Refit], cube: Cube) -> list[Refit]:
+    """Those that these data allow instead of the first, in their order."""
+    names = {one.name for one in alternatives(ranked, cube)}
+    return [one for one in ranked[1:] if one.name in names]
 
 
-def _led_by(
-    first: Sequence[int], ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
-) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
-    """Both in another order: the positions `first` ahead, the others as they were."""
-    order = [*first, *(i for i in range(len(ranked)) if i not in first)]
-    return [ranked[i] for i in order], [judges[i] for i in order]
+def _led_by(first: Sequence[Refit], ranked: Sequence[Refit]) -> list[Refit]:
+    """All in another order: some `first`, the others as they were."""
+    return [*first, *(one for one in ranked if one not in first)]
 
 
 def detected(refit: Refit, cube: Cube, sure: float) -> bool:
     """Whether `refit` lowers χ² beyond chance and is significant, above `sure` σ.
 
     It is so in the training frames, all places of the search counted, or in those that no fit has seen: the
-    scatter of few independent frames allows no strong statement about many places.
+    scatter of few independent frames allows no strong statement about many places. The preference of the
+    held-out frames is a deviate of Student's law.
     """
-    if not refit.beyond_chance:
+    if not refit.gain > threshold(refit.parameters, refit.score.trials) * refit.score.inflation:
         return False
-    return refit.significance > sure or _held_out_significance(refit, cube) > sure
-
-
-def _held_out_significance(refit: Refit, cube: Cube) -> float:
-    """Preference of the held-out frames, a deviate of Student's law, in Gaussian σ."""
-    judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.fitted, refit.origin.fitted))
-    z = preference(*judges)
-    return gaussian_sigma(z**2, 1, cube.held_out.independent) if z > 0 else 0.0
+    if refit.significance > sure:
+        return True
+    z = preference(cube.held_out, refit.fitted, refit.origin.fitted)
+    return z > 0 and gaussian_sigma(z**2, 1, cube.held_out.independent) > sure
 
 
 def explained(refit: Refit) -> float:

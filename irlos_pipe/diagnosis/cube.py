@@ -1,38 +1,37 @@
 """The data of a diagnosis: those that fits may see, and those held out to judge them.
 
-What is held out are frames, as here, or pixels (`splitting.PixelStacks`). The classes say how uncertain a
-mean image is, and what its independent parts are.
+What is held out of a recording are some of its frames or, where these are too few, some of its pixels. The
+classes say how uncertain a mean image is, and what its independent parts are. Of thousands of frames, means
+over consecutive ones are as good and bound memory and time: what a mean image cannot show changes slowly, or
+averages out.
+
+Of one image or a few frames a part of the pixels is held out. The scatter between frames, which would tell
+how speckles that did not average out make a mean image differ from its model, is not seen. The noise model,
+and the scatter of as many frames as there are, give the errors of pixels; what a model misfits beyond them is
+counted as an error of the model that any further parameter would meet as well: variances grow by χ²/ν. That
+is weaker than held-out frames: an error common to all pixels, or to all the time of the exposure, is seen by
+neither side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, local_mean, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
+from irlos_pipe.frames.blocks import mean_frame
 
 HeldOutKind = Literal["frames", "pixels"]
 FAINT_SIGMA = 30.0  # signal of the mean over its noise below which a pixel's variance is taken from around it
 LEADING = 8  # principal components of a cube that show its autocorrelation
-
-
-@dataclass(frozen=True)
-class Errors:
-    """What may be wrong besides noise.
-
-    Light that a model has in the wrong place interferes with the image as speckles do: its variance follows
-    theirs, or that of photons.
-    """
-
-    misfit: float = 1.0  # factor by which variances grow for errors of the model
-    alike_px: float = 1.0  # pixels that errors of the model change coherently
-    flat_rms: float = 0.0  # relative error of the flat, pixel by pixel
 
 
 @dataclass(frozen=True)
@@ -60,18 +59,23 @@ class Stack:
     def __len__(self) -> int:
         return len(self.when)
 
-    def with_errors(self, errors: Errors) -> Stack:
-        """The same frames, with what may be wrong in flat and model in their variances."""
+    def with_errors(self, flat_rms: float, misfit: float, alike_px: float) -> Stack:
+        """The same frames, with what may be wrong in flat and model in their variances.
+
+        The flat has a relative error `flat_rms`, pixel by pixel. For errors of the model, which change so
+        many pixels coherently, variances grow by the factor `misfit`: light that a model has in the wrong
+        place interferes with the image as speckles do, so its variance follows theirs, or that of photons.
+        """
         plain = self.variance_e2 - self.flat_error_e2 - self.model_error_e2
         signal = local_mean(self.mean_e.view(self.frames.good.shape), self.frames.good.double()).flatten()
-        flat = (errors.flat_rms * signal) ** 2
-        model = torch.where(plain.isfinite(), (errors.misfit - 1) * (plain + flat), 0.0)
+        flat = (flat_rms * signal) ** 2
+        model = torch.where(plain.isfinite(), (misfit - 1) * (plain + flat), 0.0)
         return replace(
             self,
             variance_e2=plain + flat + model,
             flat_error_e2=flat,
             model_error_e2=model,
-            alike_px=errors.alike_px,
+            alike_px=alike_px,
         )
 
     def without_model_error(self) -> Stack:
@@ -88,13 +92,18 @@ class Stack:
         """One over the standard errors of the mean image, 0 for bad pixels, (pixels,)."""
         return self.variance_e2**-0.5
 
-    @cached_property
-    def deviations(self) -> torch.Tensor:
-        """Frames of equal flux minus their mean, over the standard error of the mean, (frames, pixels)."""
+    @property
+    def differences_e(self) -> torch.Tensor:
+        """Frames of equal flux minus their mean, (frames, pixels)."""
         images = self.frames.images_e.double().flatten(1) * self.frames.good.flatten()
         flux = images.sum(1, keepdim=True)
         equal = images * (flux.mean() / flux)
-        return (equal - equal.mean(0)) * self.root
+        return equal - equal.mean(0)
+
+    @cached_property
+    def deviations(self) -> torch.Tensor:
+        """The same over the standard error of the mean."""
+        return self.differences_e * self.root
 
     @cached_property
     def independent(self) -> float:
@@ -180,8 +189,9 @@ class Stacks:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
 
-    def with_errors(self, errors: Errors) -> Stacks:
-        return replace(self, parts=tuple(part.with_errors(errors) for part in self.parts))
+    def with_errors(self, flat_rms: float, misfit: float = 1.0, alike_px: float = 1.0) -> Stacks:
+        parts = tuple(part.with_errors(flat_rms, misfit, alike_px) for part in self.parts)
+        return replace(self, parts=parts)
 
     def without_model_error(self) -> Stacks:
         return replace(self, parts=tuple(part.without_model_error() for part in self.parts))
@@ -238,9 +248,6 @@ class Cube:
     def limited_by(self, photons: bool) -> Cube:
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
 
-    def with_errors(self, errors: Errors) -> Cube:
-        return Cube(self.training.with_errors(errors), self.held_out.with_errors(errors))
-
 
 def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:
     """Correction of the variance of faint pixels to that of the running mean of their signal.
@@ -253,3 +260,154 @@ def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:
     calm = frames.noise.mean_variance_e2(smooth(mean_e[None])[0], count)
     faint = mean_e < FAINT_SIGMA * variance.sqrt()
     return torch.where(faint, calm / variance, 1.0)
+
+
+BLOCKS = 20  # blocks of a cube in time; every fourth is held out
+MOST_FRAMES = 512  # frames of a recording; more are averaged, which bounds memory
+SEED = 1  # of the choice of pixels, so that a diagnosis can be repeated
+
+
+class HeldOutFrames:
+    """Blocks of time that interleave with the others."""
+
+    def split(self, frames: Frames, share: float = 0.25) -> Cube:
+        """Hold out a `share` of the data of one recording, whose `frames` are in order of time."""
+        frames = averaged(frames, MOST_FRAMES)
+        count = len(frames.images_e)
+        blocks_of_time = min(BLOCKS, count // 2)
+        every = min(round(1 / share), blocks_of_time)
+        held = (np.arange(count) * blocks_of_time // count) % every == every // 2
+        when = np.linspace(0, 1, count)
+
+        def part(chosen: np.ndarray) -> Stacks:
+            some = replace(frames, images_e=frames.images_e[torch.as_tensor(chosen)])
+            return Stacks((Stack.of(some, when[chosen]),))
+
+        return Cube(part(~held), part(held))
+
+
+@dataclass(frozen=True)
+class HeldOutPixels:
+    """Squares of pixels."""
+
+    side_px: int  # of a square; about λ/D, which makes squares independent parts of an image
+
+    def split(self, frames: Frames, share: float = 0.25) -> Cube:
+        """Of squares of similar brightness the same share, at random."""
+        squares = _squares(tuple(frames.good.shape), self.side_px)
+        held = torch.as_tensor(_drawn(squares, (frames.mean_e * frames.good).numpy(), share))
+        labels = torch.as_tensor(squares).flatten()
+        whole = Stack.of(frames, np.linspace(0, 1, len(frames.images_e)))
+
+        def part(chosen: torch.Tensor) -> PixelStacks:
+            good = chosen & frames.good
+            seen = good.flatten()
+            variance = torch.where(seen, whole.variance_e2, torch.inf)
+            patches = torch.where(seen, labels, -1)
+            some = replace(frames, good=good)
+            return PixelStacks((PatchStack(some, whole.when, whole.mean_e, variance, patches=patches),))
+
+        return Cube(part(~held), part(held))
+
+
+def hold_out_of(recordings: Sequence[Exposures]) -> HeldOutFrames | HeldOutPixels:
+    """What to hold out of `recordings` that are diagnosed jointly; the shortest of them decides.
+
+    Squares of pixels have a side of λ/D of the longest wavelength.
+    """
+    if all(one.frames.show_scatter for one in recordings):
+        return HeldOutFrames()
+    sides_px = []
+    for settings in (one.conditions.settings for one in recordings):
+        longest_m = max(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
+        sides_px.append(resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas))
+    return HeldOutPixels(max(1, *map(round, sides_px)))
+
+
+def averaged(frames: Frames, most: int) -> Frames:
+    """`frames`, or means over as many consecutive ones each, `most` at most; the last few may be left out."""
+    each = -(-len(frames.images_e) // most)
+    if each == 1:
+        return frames
+    whole = len(frames.images_e) // each * each
+    means = [mean_frame(run.numpy()) for run in frames.images_e[:whole].split(each)]
+    noise = frames.noise
+    quieter = replace(
+        noise, excess_noise_factor=noise.excess_noise_factor / each, floor_e2=noise.floor_e2 / each
+    )
+    return replace(frames, images_e=torch.as_tensor(np.array(means, np.float32)), noise=quieter)
+
+
+def _squares(window: tuple[int, ...], side_px: int) -> np.ndarray:
+    """Number of the square that each pixel of a `window` belongs to, (rows, columns)."""
+    rows, columns = (np.arange(size) // side_px for size in window)
+    return rows[:, None] * (columns[-1] + 1) + columns
+
+
+def _drawn(squares: np.ndarray, image_e: np.ndarray, share: float) -> np.ndarray:
+    """Pixels of a `share` of the squares, drawn by lot among squares of similar brightness."""
+    order, group = np.argsort(-np.bincount(squares.ravel(), image_e.ravel())), round(1 / share)
+    lots = np.random.default_rng(SEED)
+    drawn = [lots.choice(order[start : start + group]) for start in range(0, len(order), group)]
+    return np.isin(squares, drawn)
+
+
+@dataclass(frozen=True)
+class PatchStack(Stack):
+    """Some pixels of one recording."""
+
+    # (pixels,), the patch of each pixel, -1 where it is not used.
+    patches: torch.Tensor = field(default_factory=lambda: torch.empty(0, dtype=torch.int64))
+
+    @cached_property
+    def independent(self) -> float:
+        """Number of patches: pixels of one are too close to be independent."""
+        return float(len(self._places[0]))
+
+    def losses(self, image_e: torch.Tensor, basis: torch.Tensor) -> np.ndarray:
+        """Half of χ² of every patch, (patches,)."""
+        residual = torch.where(self.root > 0, self.mean_e - image_e, 0.0) * self.root
+        left = residual - basis @ (basis.mT @ residual)
+        return 0.5 * self.summed(left**2).numpy()
+
+    def summed(self, values: torch.Tensor) -> torch.Tensor:
+        """Sums over the patches of values (pixels,), (patches,)."""
+        found, place, used = self._places
+        return torch.zeros(len(found), dtype=values.dtype).index_add_(0, place, values[used])
+
+    @cached_property
+    def _places(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The patches, the place among them of every pixel used, and which are."""
+        used = self.patches >= 0
+        return *torch.unique(self.patches[used], return_inverse=True), used
+
+
+@dataclass(frozen=True)
+class PixelStacks(Stacks):
+    """Some pixels of one or several recordings."""
+
+    parts: tuple[PatchStack, ...]
+    misfit: float = 1.0  # χ²/ν of the model at hand where it is more than 1, by which variances grow
+    held_out: ClassVar[HeldOutKind] = "pixels"
+    in_time: ClassVar[bool] = False
+    own_refitted: ClassVar[bool] = False
+
+    def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
+        return self.misfit * shapes.mT @ shapes
+
+    def chance(self, basis: torch.Tensor) -> tuple[float, float]:
+        """From known noise alone."""
+        expected = float((self.root > 0).sum()) - float((basis**2).sum())
+        return expected, (2 * expected) ** 0.5
+
+    def noise_e(self, basis: torch.Tensor) -> torch.Tensor:
+        """Known noise."""
+        return self.variance_e2.sqrt()
+
+    def against(self, residual: torch.Tensor, parameters: int) -> PixelStacks:
+        freedom = max(1, int((self.root > 0).sum()) - parameters)
+        return replace(self, misfit=max(1.0, float(residual @ residual) / freedom))
+
+    def limited_by(self, photons: bool) -> PixelStacks:
+        """Unchanged: whether photons limit them is not known."""
+        return self

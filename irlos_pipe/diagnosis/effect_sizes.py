@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.diagnosis.cube import Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import surely_exceeding, threshold
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.null_model import surely_exceeding, threshold
+from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.effects import Parameter
 from irlos_pipe.effects.public_values import public_difference
 
@@ -63,14 +63,14 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
 
 
 class Covariances:
-    """Covariances of the effects and modes of a model."""
+    """Covariances of the effects and modes of a model, by whose `misfit` they grow."""
 
-    def __init__(self, stack: Stacks, fitted: Fitted):
-        self.stack, self.fitted = stack, fitted
+    def __init__(self, stack: Stacks, fitted: Fitted, misfit: float = 1.0):
+        self.stack, self.fitted, self.misfit = stack, fitted, misfit
 
     @cached_property
     def _whole(self) -> np.ndarray:
-        return parameter_covariance(self.stack, self.fitted)
+        return self.misfit * parameter_covariance(self.stack, self.fitted)
 
     def of(self, label: str) -> np.ndarray:
         """Of all parameters of the effect with a `label`; zero for what is held."""

@@ -18,15 +18,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import resolution_px
-from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, gap_between, preference
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
-from irlos_pipe.diagnosis.cube import Errors, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.cube import Stacks
+from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.forward import Task, families
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, FAR_OFF, copies_in_a_row, share_at_its_place
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between, preference
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.posterior import (
     Covariance,
     Images,
@@ -38,15 +37,13 @@ from irlos_pipe.diagnosis.posterior import (
 )
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.search.scores import Family, Score, score_family, scored, whitened_shapes
-from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.starts import direction_of, rests
+from irlos_pipe.diagnosis.scores import Family, Score, score_family, scored, whitened_shapes
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
-from irlos_pipe.effects.base import on_every_side
 from irlos_pipe.effects.colour import PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
+from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.parallel import ordered_map
 
 SURE = 25.0  # ln odds from which an effect is named: those of false ones reached 14 in tuning runs
@@ -89,7 +86,9 @@ class EvidenceTask(Task):
         most = len(entered) + self.options.most_names * len(self.moments.by_number)
         known: list[Score] = []
         while True:
-            laplace = self._deepest(laplace)
+            # Each time that the model gets better its errors get smaller, which shows sides apart.
+            while (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING:
+                laplace = self._settled(other)
             found = self._proposed(laplace, known)
             best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
             if best is None:
@@ -122,15 +121,6 @@ class EvidenceTask(Task):
                 return max(laplace, other, key=lambda one: one.log_evidence)
             laplace = other
 
-    def _deepest(self, laplace: Laplace) -> Laplace:
-        """The fit that no other side of anything improves.
-
-        Each time that the model gets better its errors get smaller, which shows sides apart that were alike.
-        """
-        while (other := self._turned(laplace)).log_evidence > laplace.log_evidence + PROMISING:
-            laplace = self._settled(other)
-        return laplace
-
     def _nearest(self, laplace: Laplace) -> Laplace:
         """The model of least squares, which is nearest to the images.
 
@@ -149,21 +139,10 @@ class EvidenceTask(Task):
         else follows first, or the kink would draw back what has just begun elsewhere.
         """
         fitted, posterior, sharp = laplace.fitted, laplace.posterior, laplace.posterior.sharp
-        starts: list[tuple[torch.Tensor, list[int]]] = []
-        for label in fitted.problem.effects.labels:
-            angle = direction_of(fitted, label)
-            if angle is None:
-                continue
-            columns = fitted.columns_of(label)
-            opposite = fitted.x[0, columns].numpy().copy()
-            opposite[angle] += np.pi
-            for side in on_every_side(fitted.effect(label)) if rests(fitted, label) else [opposite]:
-                x = fitted.x.clone()
-                x[0, columns] = torch.as_tensor(side)
-                starts.append((x, columns))
+        starts = on_other_sides(fitted.problem.effects, fitted.problem.layout.effect_values, fitted.x)
 
-        def following(start: tuple[torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
-            x, columns = start
+        def following(start: tuple[Effect, torch.Tensor, list[int]]) -> tuple[torch.Tensor, float]:
+            _, x, columns = start
             return sharp.descended(x, FOLLOWING, roughly=True, held=columns, slopes=laplace.columns)
 
         promising = sorted(ordered_map(following, starts), key=lambda one: one[1])[:SIDES]
@@ -192,8 +171,7 @@ class EvidenceTask(Task):
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
-        start = score.start(WITHIN)
-        start = start.base.whole(start, score.sizes).only_in(score.candidate.acts_in)
+        start = score.whole(WITHIN)
         null = torch.tensor(score.candidate.null_values, dtype=torch.float64)
         sizes = start.values[score.candidate.free] - null.numpy()
         shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
@@ -302,8 +280,8 @@ class EvidenceTask(Task):
             return None
         if share_at_its_place(refit, final.optimum) < AT_ITS_PLACE[self.kind]:
             return None
-        judges = [HeldOutEvaluation(self.cube.held_out, one) for one in (refit.fitted, refit.origin.fitted)]
-        z = preference(*judges)
+        stack, without = self.cube.held_out, refit.origin.fitted
+        z = preference(stack, refit.fitted, without)
         if z < 0:
             return None
         rivals = final.rivals(refit, found)
@@ -312,7 +290,7 @@ class EvidenceTask(Task):
             for one, cosine in rivals
         ]
         ranking = [Ranked(refit.name, refit.gain, 1.0, refit.significance, z)]
-        gap = gap_between(judges[1], judges[0])
+        gap = gap_between(stack, without, refit.fitted)
         return Accepted(refit, z, gap, alternatives, ranking, [one for one, _ in rivals])
 
 
@@ -362,8 +340,10 @@ class _Final:
 
     @cached_property
     def optimum(self) -> Optimum:
-        """With the errors of flat and model in the variances."""
-        return Optimum(_allowing(self.task.cube.training, self.laplace), self.fitted)
+        """With the errors of flat and model in the variances that the fit has found."""
+        stack, laplace = self.task.cube.training, self.laplace
+        misfit, flat = max(1.0, _misfit(stack, laplace)), laplace.posterior.covariance.flat_rms
+        return Optimum(stack.with_errors(flat, misfit, _alike_px(laplace)), self.fitted)
 
     def _reduced(self, linear: Linear) -> Fitted:
         """The linear model in the closed basis."""
@@ -449,12 +429,6 @@ def _sides(form: FixedEffect, known: int) -> list[FixedEffect]:
     return found or [form]
 
 
-def _allowing(stack: Stacks, laplace: Laplace) -> Stacks:
-    """The data, with the errors of flat and model in the variances that the fit has found."""
-    flat = laplace.posterior.covariance.flat_rms
-    return stack.with_errors(Errors(max(1.0, _misfit(stack, laplace)), _alike_px(laplace), flat))
-
-
 def _alike_px(laplace: Laplace) -> float:
     """Number of pixels that what a model misses changes alike: those of an Airy disc."""
     settings = laplace.settings
@@ -464,9 +438,9 @@ def _alike_px(laplace: Laplace) -> float:
 
 def _misfit(stack: Stacks, laplace: Laplace) -> float:
     """χ²/ν with the error of the flat in the variances, and none of the model."""
-    errors, problem = Errors(flat_rms=laplace.posterior.covariance.flat_rms), laplace.fitted.problem
-    white = (stack.mean_e - laplace.image) * stack.with_errors(errors).root
-    return float(white @ white) / problem.freedom
+    root = stack.with_errors(laplace.posterior.covariance.flat_rms).root
+    white = (stack.mean_e - laplace.image) * root
+    return float(white @ white) / laplace.fitted.problem.freedom
 
 
 def _is_lit(laplace: Laplace, effect: Effect, values: np.ndarray) -> bool:
@@ -477,15 +451,10 @@ def _is_lit(laplace: Laplace, effect: Effect, values: np.ndarray) -> bool:
     return geometry.obscuration_m <= 2 * away_m <= geometry.diameter_m
 
 
-def _places(score: Score) -> list[int]:
-    """Which parameters of what is looked for say where it is, or how wide."""
-    return [i for i, one in enumerate(score.candidate.base.parameters) if one.null is None]
-
-
 def _refined(laplace: Laplace, score: Score) -> Score:
     """The candidate of the best odds near one: a search in smaller and smaller steps."""
     base, free = score.candidate.base, [one.name for one in score.candidate.parameters]
-    places = _places(score)
+    places = [i for i, one in enumerate(base.parameters) if one.null is None]  # and widths
     lower, upper = (np.array([getattr(base.parameters[i], n) for i in places]) for n in ("lower", "upper"))
     best = scored(laplace, score.trials, (score.candidate.acts_in,), [score.candidate])[0]
     at = best.candidate.all_values(best.candidate.null_values).numpy()

@@ -1,26 +1,33 @@
-"""Fits of the mean training images with one set of effects or another."""
+"""Fits of one wavefront and one set of effects to the mean training images of one or several recordings.
+
+Tip, tilt, flux and background are those of each recording. Recordings of other moments, of another star or
+night, have effects of their own, and a wavefront that differs from the common one by a drift: small changes
+of every mode with a Gaussian prior. The parameter vector is that of the first recording with the drifts and
+the other recordings' own numbers between the effects and its flux and background.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitted import POINTING, Fitted, JointFit
 from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.diagnosis.view import View
-from irlos_pipe.effects import Effect
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import ImageFit, Layout
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
-from irlos_pipe.estimate.starts import start_tilts_nm
-from irlos_pipe.estimate.twin import twin_of
+from irlos_pipe.estimate.calibration_options import NcpaPrior
+from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout
+from irlos_pipe.estimate.starts import start_tilts_nm, twin_of
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.problem import CHI2_TOLERANCE
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE, CheapGradientProblem
 from irlos_pipe.numerics.solution import INVALID, Solution
 
 PRIOR_SCALE = 3.0  # width of the prior over the law of the NCPAs
@@ -133,10 +140,8 @@ class Fitter:
         return JointFit(parts, whole, [view.moment for view in views], self.drift_nm, tolerance)
 
     def start(self, problem: JointFit, near: Fitted | None = None) -> torch.Tensor:
-        x = torch.zeros(1, problem.size, dtype=torch.float64)
-        parts = zip(self.views, self.stack.parts, problem.parts, problem.columns, strict=True)
-        for view, stack, part, columns in reversed(list(parts)):  # what they share is that of the first
-            x[:, columns] = _first_guess(view, stack, part)
+        parts = zip(self.views, self.stack.parts, problem.parts, strict=True)
+        x = problem.whole([_first_guess(*one)[0] for one in parts])[None]
         if near is not None:
             behind = problem.tail if problem.tail == near.problem.tail else 2
             common = min(len(problem.layout.nolls), len(near.problem.layout.nolls))  # both begin at tip
@@ -150,20 +155,10 @@ class Fitter:
             solution = solve(problem, start, max_iterations=max_iterations)
             chi2 = float(problem.chi2(solution.values))
         except (ValueError, torch.linalg.LinAlgError):  # a wavelength out of the grid, a singular matrix
-            solution, chi2 = _failed(start), float("inf")
+            unknown = torch.full((1, problem.size, problem.size), torch.nan, dtype=torch.float64)
+            no, chi2 = torch.zeros(1, dtype=torch.int64), float("inf")
+            solution = Solution(start, unknown, [INVALID], no, torch.full_like(start[:, 0], chi2))
         return Fitted(problem, solution, chi2, self.views)
-
-
-def _failed(start: torch.Tensor) -> Solution:
-    """No solution: where it began."""
-    size = start.shape[1]
-    return Solution(
-        values=start,
-        covariance=torch.full((1, size, size), torch.nan, dtype=torch.float64),
-        status=[INVALID],
-        iterations=torch.zeros(1, dtype=torch.int64),
-        objective=torch.full((1,), torch.inf, dtype=torch.float64),
-    )
 
 
 def most_plausible(
@@ -199,3 +194,193 @@ def _first_guess(view: View, stack: Stack, part: ImageFit) -> torch.Tensor:
     image = masked.reshape(1, *settings.window)
     x[:, :2] = start_tilts_nm(image, settings)
     return x
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model as a fit left it."""
+
+    problem: JointFit
+    solution: Solution
+    chi2: float  # of the mean training images
+    views: Sequence[View]  # of the recordings
+    complete: bool = False  # whether its covariance holds all errors of the mean images, speckles' as well
+
+    @property
+    def x(self) -> torch.Tensor:
+        """All parameters, (1, parameters)."""
+        return self.solution.values
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of the model, in the order of the light path."""
+        return self.problem.effects.effects
+
+    def moved(self, by: torch.Tensor) -> Fitted:
+        """The model with other parameters, nothing fitted."""
+        return Fitted(self.problem, replace(self.solution, values=self.x + by), self.chi2, self.views)
+
+    def with_wavefront(self, zernike_nm: Mapping[int, float]) -> Fitted:
+        """The model with another wavefront, Noll index to nm RMS, where it is known; it points as it did."""
+        x = self.x.clone()
+        for place, noll in enumerate(self.problem.layout.nolls):
+            if noll not in TIP_TILT:
+                x[0, place] = zernike_nm.get(noll, 0.0)
+        return replace(self, solution=replace(self.solution, values=x))
+
+    @property
+    def modes_nm(self) -> np.ndarray:
+        """Zernike coefficients, (modes,)."""
+        return self.x[0, self.problem.layout.modes].numpy()
+
+    @property
+    def effect_values(self) -> torch.Tensor:
+        """Parameters of all effects, (parameters,)."""
+        return self.x[0, self.problem.layout.effect_values]
+
+    @property
+    def recordings(self) -> list[tuple[ImageFit, torch.Tensor]]:
+        """Problem and parameters (1, its parameters) of every recording by itself."""
+        return [(part, self.problem.part(self.x, number)) for number, part in enumerate(self.problem.parts)]
+
+    @cached_property
+    def image_e(self) -> torch.Tensor:
+        """Predicted mean images, (pixels,); those that came with the derivatives, where these are known."""
+        return self.linearised[0] if "linearised" in vars(self) else self.problem.predict(self.x)
+
+    @cached_property
+    def linearised(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean images (pixels,) and derivatives (parameters, pixels), which many ask for."""
+        return self.problem.predict_and_jacobian(self.x)
+
+    @property
+    def penalty(self) -> float:
+        """What the priors add to χ²."""
+        offset = self.x - self.problem.prior_mean
+        return float((self.problem.prior_precision * offset**2).sum())
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver says so."""
+        return bool(self.solution.converged[0])
+
+    @property
+    def explored(self) -> bool:
+        """Whether it was fitted to a loose tolerance only."""
+        return self.problem.tolerance > CHI2_TOLERANCE
+
+    def effect(self, label: str) -> Effect:
+        return self.effects[self.problem.effects.labels.index(label)]
+
+    def values_of(self, label: str) -> np.ndarray:
+        """All parameters of the effect, fixed ones included."""
+        free = self.problem.effects.split(self.effect_values)[label]
+        return self.effect(label).all_values(free).numpy()
+
+    def columns_of(self, label: str) -> list[int]:
+        """Positions of the effect's free parameters in the whole parameter vector."""
+        begin = self.problem.layout.effect_values.start
+        return [begin + index for index in self.problem.effects.columns_of(label)]
+
+    def continued(self) -> list[Effect]:
+        """The effects with the same freedom, to start from where they are now."""
+        return [*self.continued_by_label().values()]
+
+    def continued_by_label(self) -> dict[str, Effect]:
+        """The same by label, to leave one out or to put another in its place."""
+        effects = self.problem.effects
+        rows = zip(effects.labels, self.effects, effects.pieces(self.effect_values), strict=True)
+        return {label: begun_at(effect, piece) for label, effect, piece in rows}
+
+
+def begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
+    """The same effect with the same freedom, from other `values` of its free parameters."""
+    if not effect.parameters:
+        return effect
+    free = [parameter.name for parameter in effect.parameters]
+    return FixedEffect(effect.base, effect.all_values(values).numpy(), free)
+
+
+OWN = 4  # tip, tilt, flux and background of each recording
+POINTING = 2  # modes that belong to each recording, tip and tilt
+
+
+class JointFit(CheapGradientProblem, JoinedFit):
+    """Least-squares problem for the solver; one member.
+
+    Of the `parts`, one per recording, all have the same modes, Noll 2 and 3 first, and those effects that act
+    in them; `effects` are all, by default those of the first recording. Unless `moments` says the moment of
+    each recording, it is the same. `drift_nm` is the prior σ of the change of every mode from the common
+    wavefront to that of a moment, of no use with one moment. The fit is done where the fall of χ² still ahead
+    is below `tolerance`, in units of χ²/ν where the model misfits.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[ImageFit],
+        effects: EffectSet | None = None,
+        moments: Sequence[int] = (),
+        drift_nm: float = DRIFT_NM,
+        tolerance: float = CHI2_TOLERANCE,
+    ):
+        self.model = parts[0].model
+        self.effects = self.model.effects if effects is None else effects
+        self.moments = tuple(moments) or (0,) * len(parts)
+        layout = replace(parts[0].layout, effects=self.effects.parameters)
+        shared, modes = layout.size - 2, len(layout.nolls)
+        drifting = sorted({*self.moments}) if len({*self.moments}) > 1 else []
+        starts = (shared + number * (modes - POINTING) for number in range(len(drifting)))
+        self.drifts = {
+            moment: list(range(begin, begin + modes - POINTING))
+            for moment, begin in zip(drifting, starts, strict=True)
+        }
+        begin_own = shared + len(drifting) * (modes - POINTING)
+        last = begin_own + OWN * (len(parts) - 1)
+        columns = []
+        for number, moment in enumerate(self.moments):
+            begin = begin_own + OWN * (number - 1)
+            tip, tilt, flux, background = range(begin, begin + OWN) if number else (0, 1, last, last + 1)
+            acting = [modes + column for column in self.effects.columns_in(moment)]
+            columns.append([tip, tilt, *range(POINTING, modes), *acting, flux, background])
+        changes = [dict(enumerate(self.drifts.get(moment, ()), POINTING)) for moment in self.moments]
+        sigma = {column: drift_nm for columns in self.drifts.values() for column in columns}
+        super().__init__(parts, columns, changes, sigma, tolerance)
+        self.layout = layout
+        ends = torch.tensor([0, *(part.images.shape[-1] for part in parts)]).cumsum(0).tolist()
+        self.pixels = [slice(a, b) for a, b in pairwise(ends)]
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """Rows and columns, the same in all recordings."""
+        return self.model.psf.settings.window
+
+    def own_of(self, number: int) -> list[int]:
+        """Columns of tip, tilt, flux and background of recording `number`."""
+        return [self.own[number][i] for i in (0, 1, -2, -1)]
+
+    @property
+    def tail(self) -> int:
+        """Number of parameters behind the effects."""
+        return self.size - self.layout.effect_values.stop
+
+    # -- images ------------------------------------------------------------------------------
+
+    def predict(self, x: torch.Tensor) -> torch.Tensor:
+        """Mean images of all recordings [e-], one after the other, (pixels,)."""
+        pairs = enumerate(self.parts)
+        return torch.cat([part.predict(self.part(x, number))[0].cpu() for number, part in pairs])
+
+    def predict_and_jacobian(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean images (pixels,) and derivatives (parameters, pixels)."""
+        images, jacobian = [], torch.zeros(self.size, self.pixels[-1].stop, dtype=torch.float64)
+        for number, part in enumerate(self.parts):
+            image, own = part.predict_and_jacobian(self.part(x, number))
+            images.append(image[0].cpu())
+            jacobian[self.columns[number], self.pixels[number]] = own[0].cpu().double()[self.rows[number]]
+        return torch.cat(images), jacobian
+
+    @torch.no_grad()
+    def chi2(self, x: torch.Tensor) -> torch.Tensor:
+        """χ² of all mean images at `x`."""
+        left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
+        return torch.stack(list(left)).sum()

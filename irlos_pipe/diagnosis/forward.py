@@ -7,15 +7,13 @@ from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose
 from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.moments import Moments, Placement
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
-from irlos_pipe.diagnosis.search.scores import Family, Score, scores
+from irlos_pipe.diagnosis.scores import Family, Score, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
-from irlos_pipe.diagnosis.starts import with_wavefront
+from irlos_pipe.diagnosis.view import Moments, Placement
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
 SPLIT = 0.5  # part of what one value for all leaves, that a value for each moment must explain
@@ -46,7 +44,10 @@ class Task:
         null = self._optimum(fitted)
         drift, current = self._with_drift(null)
         found, meaningless = self._scores(current)
-        chosen = self._next_name(current, found)
+        sure, chosen = self.options.sure, None
+        if current.excess.significance > sure or any(one.significance > sure for one in found):
+            ranked = refits(self.fitter, current, found, self.report)
+            chosen = choose(ranked, self.cube, self.options)
         accepted = self._of_each_moment(chosen) if chosen else []
         if accepted:
             current = accepted[-1].refit.optimum
@@ -67,7 +68,7 @@ class Task:
         if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
             found.append(self.fitter.twin(found[1]))
         if known_nm := self.options.begin_near_nm:
-            found.append(self.fitter.fit(effects, with_wavefront(found[0], known_nm)))
+            found.append(self.fitter.fit(effects, found[0].with_wavefront(known_nm)))
         self.report(2)
         return self.fitter.most_plausible(found)
 
@@ -94,14 +95,6 @@ class Task:
         if not self.cube.training.in_time:
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
-
-    def _next_name(self, current: Optimum, found: list[Score]) -> Accepted | None:
-        """The best name; None if nothing is missing or nothing explains it."""
-        sure = self.options.sure
-        if current.excess.significance <= sure and not any(one.significance > sure for one in found):
-            return None
-        ranked = refits(self.fitter, current, found, self.report)
-        return choose(ranked, self.cube, self.options)
 
     def _of_each_moment(self, chosen: Accepted) -> list[Accepted]:
         """The name, or one with its own value for each moment where one value for all leaves much."""

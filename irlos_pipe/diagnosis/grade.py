@@ -6,10 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.acceptance import Accepted, Gap, Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import FineStructure
@@ -76,7 +75,8 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
     """The grade, and what speaks against the names."""
     names = search.accepted
     if not names:
-        missing = left or _missed(search, kind, sure)
+        null = search.null.excess  # what is only adjusted may stand in for what was missing at first
+        missing = left or (null.significance > sure and null.chi2_nu > LEFT_CHI2_NU[kind])
         return (UNKNOWN, _unexplained(search, left)) if missing else (NONE, "")
     if kind == PHOTONS and any(one.refit.effect.speckles for one in names):
         return RESEMBLES, "a halo without the speckles that an AO residual makes from frame to frame"
@@ -87,11 +87,6 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
     if left and max(shares) < AT_ITS_PLACE[kind]:
         return RESEMBLES, f"{names[0].name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
     return (PARTIAL if left else COMPLETE), ""
-
-
-def _missed(search: Search, kind: str, sure: float) -> bool:
-    """Whether much was missing at first: what is only adjusted may stand in for it."""
-    return search.null.excess.significance > sure and search.null.excess.chi2_nu > LEFT_CHI2_NU[kind]
 
 
 def _unexplained(search: Search, left: bool) -> str:
@@ -190,9 +185,8 @@ def share_at_its_place(one: Refit, final: Optimum) -> float:
     of the star does not, and near its core that error is noise as any other.
     """
     stack = final.stack if one.base.copies_star else final.stack.without_model_error()
-    plain = final.under(stack)
-    change = (one.fitted.image_e - one.origin.fitted.image_e) * plain.root
-    signal = one.origin.under(stack).project(change[:, None])[:, 0]
+    plain, origin = final.under(stack), one.origin.under(stack)
+    signal = origin.project(origin.change_to(one.fitted)[:, None])[:, 0]
     weight = signal**2 / (signal**2).sum().clamp_min(1e-300)
     after = (weight * (plain.residual**2 - 1)).sum().clamp_min(0.0)
     before = (weight * (plain.residual + signal) ** 2).sum().clamp_min(1e-300)

@@ -34,13 +34,12 @@ from scipy.optimize import minimize
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted, JointFit
-from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter, JointFit
 from irlos_pipe.diagnosis.null_model import FittedModel
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Effect
+from irlos_pipe.estimate.calibration_options import FOCUS_NM, POINTING_NM
 from irlos_pipe.estimate.cube import local_mean
-from irlos_pipe.estimate.ncpa_prior import FOCUS_NM, POINTING_NM
 from irlos_pipe.estimate.open_fit import TailLaw, last_noll_of, visible_order
 from irlos_pipe.estimate.score_test import NullModel
 from irlos_pipe.numerics.parallel import ordered_map
@@ -118,10 +117,7 @@ class _Scatter:
             photons = frames.noise.scatter_e2(frames.mean_e).flatten() / count + frames.noise.shared_e2
             scatter = local_mean(frames.scatter_e2, weights).flatten() / count
             speckles = (slow * (scatter - photons)).clamp_min(0)
-            images = frames.images_e.double().flatten(1) * good
-            flux = images.sum(1, keepdim=True)
-            equal = images * (flux.mean() / flux)
-            sample = (equal - equal.mean(0)).mT * math.sqrt(SAMPLED * slow / count / (count - 1))
+            sample = stack.differences_e.mT * math.sqrt(SAMPLED * slow / count / (count - 1))
         photons = torch.where(good, photons.double(), torch.inf)
         return cls(photons, SMOOTHED * speckles, light, _Airy.of(settings), sample.float())
 
@@ -351,10 +347,10 @@ class Posterior:
             if slopes is None:
                 slopes = (self.coarse if coarse else self.exact).predict_and_jacobian(x)[1]
             design, slopes = self.covariance.whiten(slopes.mT), None
-            hessian = self._hessian(design)
+            hessian = self.hessian(design)
             before, first, enough = value, math.inf, CONVERGED_AT * max(1.0, value / self.exact.freedom)
             for _ in range(CHORDS):
-                gradient = self._gradient(x, design, left)
+                gradient = self.gradient(x, design, left)
                 step_of, ahead = _steps(x, gradient, hessian, lower, upper)
                 first = ahead if first == math.inf else first
                 fall = 0.0
@@ -383,12 +379,14 @@ class Posterior:
         image = self.exact.predict(x) if coarse else image
         design = self.covariance.whiten(columns.mT)
         left = self.covariance.whiten((self.images.stack.mean_e - image)[:, None])[:, 0]
-        return image, columns, design, left, self._gradient(x, design, left), self._hessian(design)
+        return image, columns, design, left, self.gradient(x, design, left), self.hessian(design)
 
-    def _gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:
+    def gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:
+        """Of half of χ² and priors, by whitened derivatives and what is left."""
         return self.prior_precision * (x[0] - self.prior_mean) - design.mT @ left
 
-    def _hessian(self, design: torch.Tensor) -> torch.Tensor:
+    def hessian(self, design: torch.Tensor) -> torch.Tensor:
+        """The same of Gauss and Newton."""
         return design.mT @ design + torch.diag(self.prior_precision)
 
 
@@ -413,6 +411,11 @@ def _factored(hessian: torch.Tensor, jitter: float = 1e-13) -> tuple[torch.Tenso
     return torch.linalg.cholesky(hessian / scale[:, None] / scale + jitter * unit), scale
 
 
+def _inside(factor: torch.Tensor, scale: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    """L⁻¹ Rᵀ of rows (n, parameters) in scaled variables, by the Cholesky factor L, (parameters, n)."""
+    return torch.linalg.solve_triangular(factor, (rows / scale).mT, upper=False)
+
+
 class Laplace(FittedModel):
     """A posterior about its optimum `x`, (1, parameters), and the null model of score tests there.
 
@@ -425,10 +428,8 @@ class Laplace(FittedModel):
         self.posterior, self.x, self.coarse = posterior, x, coarse
         self.stack = posterior.images.stack
         self.image, self.columns, design, residual, gradient, self.hessian = posterior.equations(x, coarse)
-        self.factor, self.scale = factor, scale = _factored(self.hessian)
-        force = (-gradient / scale)[:, None]
-        unconverged = torch.linalg.solve_triangular(factor, force, upper=False)[:, 0]
-        basis = torch.linalg.solve_triangular(factor, (design / scale).mT, upper=False).mT
+        self.factor, self.scale = factored = _factored(self.hessian)
+        unconverged, basis = _inside(*factored, -gradient[None])[:, 0], _inside(*factored, design).mT
         super().__init__(residual, posterior.covariance.root, basis, unconverged)
         half = 0.5 * (float((residual**2).sum()) + posterior.penalty(x))
         value = torch.tensor([half], dtype=torch.float64)
@@ -481,15 +482,14 @@ class Laplace(FittedModel):
         gone = {column for label in linear.gone for column in self.fitted.columns_of(label)}
         rows = [row for row in range(len(self.scale)) if row not in gone]
         move = linear.move
-        factor, scale = _factored(self.hessian[rows][:, rows])
+        factored = _factored(self.hessian[rows][:, rows])
         design = self.whiten(self.columns[rows].mT)
-        basis = torch.linalg.solve_triangular(factor, (design / scale).mT, upper=False).mT
         residual = self.residual - self.whiten((self.columns.mT @ move)[:, None])[:, 0]
         precision = self.posterior.prior_precision[rows]
         force = design.mT @ residual - precision * (
             (self.x[0] + move)[rows] - self.posterior.prior_mean[rows]
         )
-        unconverged = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)[:, 0]
+        unconverged, basis = _inside(*factored, force[None])[:, 0], _inside(*factored, design).mT
         return NullModel(residual, self.root, basis, unconverged)
 
     def with_best_law(self) -> WavefrontLaw:
@@ -544,14 +544,10 @@ class Laplace(FittedModel):
             best = max(tried, key=lambda place: tried[place][0])
 
     def _log_evidence_under(self, covariance: Covariance) -> float:
-        posterior = self.posterior
-        precision = posterior.prior_precision
-        design = covariance.whiten(self.columns.mT)
+        posterior, design = self.posterior, covariance.whiten(self.columns.mT)
         left = covariance.whiten((self.stack.mean_e - self.image)[:, None])[:, 0]
-        force = design.mT @ left - precision * (self.x[0] - posterior.prior_mean)
-        hessian = design.mT @ design + torch.diag(precision)
-        factor, scale = _factored(hessian, 1e-12)
-        ahead = torch.linalg.solve_triangular(factor, (force / scale)[:, None], upper=False)
+        factor, scale = _factored(posterior.hessian(design), 1e-12)
+        ahead = _inside(factor, scale, posterior.gradient(self.x, design, left)[None])
         chi2 = float(left @ left) + posterior.penalty(self.x) - float((ahead**2).sum())
         volume = 2 * float(factor.diagonal().log().sum() + scale.log().sum())
         return 0.5 * (-chi2 - volume - covariance.log_determinant)
@@ -583,19 +579,21 @@ class Linear:
 
     def without(self, label: str) -> Linear:
         """The model with one effect more at nothing."""
-        nulls = self.nulls_of(label)
-        own = [*nulls]
-        apart = self.x[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
-        gain = self.covariance[:, own] @ torch.linalg.pinv(self.covariance[own][:, own], hermitian=True)
+        own, apart, inverse = self._from_nothing(label)
+        gain = self.covariance[:, own] @ inverse
         left = self.covariance - gain @ self.covariance[own]
         return replace(self, covariance=left, x=self.x - gain @ apart, gone=(*self.gone, label))
 
     def rise_without(self, label: str) -> float:
         """Rise of χ² and priors without one effect more."""
+        _, apart, inverse = self._from_nothing(label)
+        return float(apart @ inverse @ apart)
+
+    def _from_nothing(self, label: str) -> tuple[list[int], torch.Tensor, torch.Tensor]:
+        """Columns of an effect, their values from where it has no effect, and their inverse covariance."""
         nulls = self.nulls_of(label)
-        own = [*nulls]
-        apart = self.x[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
-        return float(apart @ torch.linalg.pinv(self.covariance[own][:, own], hermitian=True) @ apart)
+        apart = self.x[[*nulls]] - torch.tensor([*nulls.values()], dtype=torch.float64)
+        return [*nulls], apart, torch.linalg.pinv(self.covariance[[*nulls]][:, [*nulls]], hermitian=True)
 
     def log_odds(self, label: str) -> float:
         """ln odds of an effect against its absence (Dickey 1971, Ann. Math. Stat. 42, 204)."""

@@ -9,7 +9,7 @@ from irlos_pipe.conventions.keys import Number, key
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect not distinguished from the one found, see `diagnosis.held_out`."""
+    """An effect not distinguished from the one found, see `diagnosis.acceptance`."""
 
     name: str = key("", "Name of the effect.")
     reason: str = key("", "Why the two are not distinguished.")

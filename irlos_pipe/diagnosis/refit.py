@@ -1,16 +1,16 @@
 """Non-linear fits of the families that a score proposes, and their order."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
-from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.effects import Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import label_of
 from irlos_pipe.numerics.parallel import ordered_map
@@ -52,11 +52,6 @@ class Refit:
         return self.origin.excess.significance > NOTHING_LEFT > self.excess.significance
 
     @property
-    def beyond_chance(self) -> bool:
-        """Whether it lowers χ² by more than the best of so many places does by chance."""
-        return self.gain > threshold(self.parameters, self.score.trials) * self.score.inflation
-
-    @property
     def parameters(self) -> int:
         """Number of free parameters it adds."""
         return len(self.fitted.effect_values) - len(self.origin.fitted.effect_values)
@@ -79,15 +74,13 @@ class Refit:
     @cached_property
     def significance(self) -> float:
         """Significance in Gaussian σ of its change of the image, against noise or the scatter of frames."""
-        origin, stack = self.origin, self.origin.stack
         if self.sigma is not None:
             return self.sigma
-        if stack.photon_limited:
-            return gaussian_sigma(max(self.gain, 0.0), self.parameters, np.inf, self.score.trials)
-        change = ((self.fitted.image_e - origin.fitted.image_e) * origin.root)[:, None]
-        variance = stack.covariance_of(origin.project(change))[0, 0]
-        hotelling = float(origin.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
-        return gaussian_sigma(hotelling, self.parameters, stack.independent, self.score.trials)
+        return self.origin.significance_of_change(self.fitted, self.parameters, self.score.trials)
+
+    def deficit(self, other: Refit) -> float:
+        """By how much less χ² falls by another one, over what the scatter of frames makes of it."""
+        return (other.fitted.chi2 - self.fitted.chi2) / self.score.inflation
 
     @property
     def effect(self) -> Effect:
@@ -124,37 +117,32 @@ def refits(
     scores: Sequence[Score],
     report: Callable[[int], None] = lambda count: None,
 ) -> list[Refit]:
-    """Fit the most promising families, and return the best first.
+    """Fit the most promising families by calibrated gain, the first by itself, and return the best first.
 
-    `origin` is the model without them; `report` is called with the number of finished fits.
+    `origin` is the model without them; `report` is called with the number of finished fits. Where the best
+    leaves nothing to explain, those that promise too little of its fall of χ² are left out.
     """
+    promising = [score for score in scores if score.testable and score.gain > 0]
+    promising = sorted(promising, key=lambda one: -one.gain / one.inflation)[:PROPOSALS]
+
+    def fitted(score: Score) -> Refit:
+        effects = [*origin.fitted.continued(), score.whole()]
+        return Refit(score, origin, fitter.explored(effects, origin.fitted))
+
     found: list[Refit] = []
-    for some in _rounds(proposals(scores)):
-        hopeful = [score for score in some if not _hopeless(score, found)]
-        found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
+    for begin in (0, *range(1, len(promising), SIDE_BY_SIDE)):
+        some = promising[begin : begin + (SIDE_BY_SIDE if begin else 1)]
+        enough = HOPELESS * _best(found).gain if found and _best(found).explains_all else -np.inf
+        found = _joined(fitter, found, ordered_map(fitted, [one for one in some if not one.gain < enough]))
         report(len(some))
-    found = _joined(fitter, found, _wider_forms(fitter, _leaders(found)))
-    return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
-
-
-def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
-    """The most promising by itself, the others side by side."""
-    rest = promising[1:]
-    return [promising[:1], *(rest[i : i + SIDE_BY_SIDE] for i in range(0, len(rest), SIDE_BY_SIDE))]
-
-
-def _hopeless(score: Score, found: Sequence[Refit]) -> bool:
-    """Whether the best leaves nothing to explain, and this one promises too little of its fall of χ²."""
-    if not found:
-        return False
-    best = _best(found)
-    return best.explains_all and score.gain < HOPELESS * best.gain
-
-
-def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
-    """Fitted from the model before."""
-    effects = [*origin.fitted.continued(), _whole(score, score.start())]
-    return Refit(score, origin, fitter.explored(effects, origin.fitted))
+    # wider forms from where the effect is: a second image may be out of focus
+    pairs = [(one, form) for one in _leaders(found) for form in one.wider_forms(fitter.views[0].conditions)]
+    found = _joined(fitter, found, ordered_map(lambda pair: _as_effect(fitter, *pair), pairs))
+    # rivals of the best converge, as any may be chosen
+    rivals = [one for one in _leaders(found) if one.fitted.explored]
+    finished = ordered_map(partial(_finished, fitter), rivals)
+    found = _joined(fitter, [one for one in found if one not in rivals], finished)
+    return sorted(found, key=lambda one: -one.merit)
 
 
 def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:
@@ -173,30 +161,12 @@ def _finished(fitter: Fitter, one: Refit) -> Refit:
     return replace(one, fitted=fitter.finished(one.fitted))
 
 
-def _rivals_finished(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
-    """All of `found`; those converge that explain about as much as the best, as any may be chosen."""
-    rivals = [one for one in found if one.fitted.explored and is_rival(_best(found), one)]
-    finished = ordered_map(partial(_finished, fitter), rivals)
-    return _joined(fitter, [one for one in found if one not in rivals], finished)
-
-
-def is_rival(best: Refit, other: Refit) -> bool:
-    """Whether χ² falls about as far with `other` as with `best`."""
-    deficit = (other.fitted.chi2 - best.fitted.chi2) / best.score.inflation
-    return deficit < CLEARLY_LESS or other.gain > EXPLAINS_AS_MUCH * best.gain
-
-
 def _leaders(found: Sequence[Refit]) -> list[Refit]:
-    """The best and its rivals."""
-    return [one for one in found if is_rival(_best(found), one)]
-
-
-def _wider_forms(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
-    """Fits of wider forms of what was found, from where that is: a second image may be out of focus."""
-    conditions = fitter.views[0].conditions
-    pairs = [(one, form) for one in found for form in one.wider_forms(conditions)]
-    fits = ordered_map(lambda pair: _as_effect(fitter, *pair), pairs)
-    return [one for one in fits if np.isfinite(one.fitted.chi2)]
+    """The best and its rivals, with which χ² falls about as far."""
+    if not found:
+        return []
+    best, enough = _best(found), EXPLAINS_AS_MUCH * _best(found).gain
+    return [one for one in found if best.deficit(one) < CLEARLY_LESS or one.gain > enough]
 
 
 def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:
@@ -205,14 +175,3 @@ def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:
     del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
     return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
-
-
-def proposals(scores: Sequence[Score]) -> list[Score]:
-    """Families that promise most, by calibrated gain."""
-    promising = [score for score in scores if score.testable and score.gain > 0]
-    return sorted(promising, key=lambda one: -one.gain / one.inflation)[:PROPOSALS]
-
-
-def _whole(score: Score, start: FixedEffect) -> FixedEffect:
-    """The effect to be fitted, which may have more parameters than the one that was searched for."""
-    return start.base.whole(start, score.sizes).only_in(score.candidate.acts_in)

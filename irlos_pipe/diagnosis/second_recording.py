@@ -13,15 +13,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.bands import H, J
+from irlos_pipe.diagnosis.acceptance import likeness
 from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.effect_sizes import detectable, within_reach
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.held_out import likeness
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.records import Advice
 from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.search.scores import Score, whitened_shapes
+from irlos_pipe.diagnosis.scores import Score, whitened_shapes
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
@@ -63,7 +62,13 @@ class SecondRecordings:
         """
         if not others:
             return []
-        rows = ordered_map(partial(self._likenesses, one, others), self.views)
+
+        def likenesses(recording: str) -> list[float]:
+            before = self._with_recording(one.origin.fitted, recording)
+            first, *rest = (self._model(fit.fitted, recording)[0] for fit in (one, *others))
+            return [likeness(first, other, before) for other in rest]
+
+        rows = ordered_map(likenesses, self.views)
         return [
             min(zip(self.views, row, strict=True), key=lambda pair: pair[1])
             for row in zip(*rows, strict=True)
@@ -75,12 +80,6 @@ class SecondRecordings:
         seen = torch.where(power > MEANINGLESS * power.max(), left / power.clamp_min(1e-300), 0.0)
         smallest = torch.where(seen > ABSORBED, left**-0.5, torch.inf).numpy()
         return replace(score, observability=float(seen.max()), smallest=smallest)
-
-    def _likenesses(self, one: Refit, others: Sequence[Refit], recording: str) -> list[float]:
-        """Likeness of a fit and others with one recording more."""
-        before = self._with_recording(one.origin.fitted, recording)
-        first, *rest = (self._model(fit.fitted, recording)[0] for fit in (one, *others))
-        return [likeness(first, other, before) for other in rest]
 
     def _with_recording(self, fitted: Fitted, recording: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""

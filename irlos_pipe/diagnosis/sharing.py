@@ -12,16 +12,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Search
-from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
-from irlos_pipe.diagnosis.moments import Moments
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.acceptance import Search, preference
+from irlos_pipe.diagnosis.cube import Cube, Stacks
+from irlos_pipe.diagnosis.effect_sizes import Covariances, parameter_covariance
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma
 
@@ -90,7 +87,10 @@ def sharing(
     chosen = [others.pop(label) for label in [*others] if label in labels]
     own = [_own_of(number, chosen) for number in moments.by_number]
     apart = fitter.finished(fitter.explored([*others.values(), *own], fitted))
-    together = fitter.finished(fitter.explored([*others.values(), _one_for_all(chosen[0])], fitted))
+    one_for_all = FixedEffect(
+        chosen[0].base.only_in(None), _values_of(chosen[0]), [p.name for p in chosen[0].parameters]
+    )
+    together = fitter.finished(fitter.explored([*others.values(), one_for_all], fitted))
     return _judged(labels, chosen[0].name, together, apart, cube, moments, sure)
 
 
@@ -101,16 +101,15 @@ def parted(comparison: Sharing, fitted: Fitted, label: str) -> list[Effect]:
     return [*others.values(), *(_own_of(value.number, [one]) for value in comparison.seen)]
 
 
-def _one_for_all(effect: Effect) -> FixedEffect:
-    values = effect.all_values([p.start for p in effect.parameters]).numpy()
-    return FixedEffect(effect.base.only_in(None), values, [p.name for p in effect.parameters])
+def _values_of(effect: Effect) -> np.ndarray:
+    return effect.all_values([p.start for p in effect.parameters]).numpy()
 
 
 def _own_of(number: int, chosen: Sequence[Effect]) -> FixedEffect:
     """The effect in one moment: as it is there, or absent at the place where others have it."""
     acting = [effect for effect in chosen if effect.acting(number)]
     effect = (acting or chosen)[0]
-    values = effect.all_values([p.start for p in effect.parameters]).numpy()
+    values = _values_of(effect)
     free = list(effect.parameters)
     if not acting:
         free = [p for p in free if p.null is not None]
@@ -130,57 +129,33 @@ def _judged(
 ) -> Sharing:
     stack = cube.training
     misfit = max(1.0, Optimum(stack, apart).excess.chi2_nu)  # what both models miss is no difference
-    covariance = misfit * parameter_covariance(stack, apart)
     more = len(apart.effect_values) - len(together.effect_values)
-    significance = _significance(together, apart, Optimum(stack, together), more, misfit)
-    frames = np.inf if stack.photon_limited else stack.independent
-    places = {number: _last_of(number, name, apart) for number in moments.by_number}
-    values = [_value(number, place, apart, covariance, moments, frames) for number, place in places.items()]
-    z = preference(*(HeldOutEvaluation(cube.held_out, one) for one in (apart, together)))
+    significance = Optimum(stack, together).significance_of_change(apart, more, misfit=misfit)
+    covariances = Covariances(stack, apart, misfit)
+    pairs = [*zip(apart.problem.effects.labels, apart.effects, strict=True)]
+    values = []
+    for number, moment in moments.by_number.items():
+        # the effect of this name that was put into the moment last
+        label = [one for one, effect in pairs if effect.name == name and effect.acts_in == {number}][-1]
+        values.append(_value(number, moment.name, apart, label, covariances.of(label), stack))
+    z = preference(cube.held_out, apart, together)
     seen = sum(one.significance > SEEN for one in values)
     differs = significance > sure and z > PREFERRED
     finding: Finding = "differs" if differs else "common" if seen > 1 else "open"
     return Sharing(labels, finding, significance, together.chi2 - apart.chi2, more, z, values)
 
 
-def _last_of(number: int, name: str, fitted: Fitted) -> str:
-    """Label of the effect of this `name` that was put into a moment last."""
-    pairs = zip(fitted.problem.effects.labels, fitted.effects, strict=True)
-    found = [one for one, effect in pairs if effect.name == name and effect.acts_in == {number}]
-    return found[-1]
-
-
 def _value(
-    number: int, label: str, fitted: Fitted, covariance: np.ndarray, moments: Moments, frames: float
+    number: int, moment: str, fitted: Fitted, label: str, covariance: np.ndarray, stack: Stacks
 ) -> OwnValue:
-    effect, values, columns = fitted.effect(label), fitted.values_of(label), fitted.columns_of(label)
-    full = np.zeros((len(values), len(values)))
-    own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
-    full[np.ix_(effect.free, effect.free)] = own
+    """What a moment has of the effect with this `label`, whose parameters have a `covariance`."""
+    effect, values = fitted.effect(label), fitted.values_of(label)
     sized = [i for i in effect.free if effect.base.parameters[i].null is not None]
     null = np.array([effect.base.parameters[i].null for i in sized], float)
-    return OwnValue(
-        moments.by_number[number].name,
-        number,
-        effect.base.describe(values),
-        public_sigma(effect.base, values, full),
-        _wald(values[sized] - null, full[np.ix_(sized, sized)], frames),
-    )
-
-
-def _significance(together: Fitted, apart: Fitted, optimum: Optimum, parameters: int, misfit: float) -> float:
-    """Significance of the fall of χ² by values of each, against noise or the scatter of frames [σ].
-
-    `optimum` is that with one value for all (`together`); a value for each (`apart`) takes so many more
-    `parameters`; errors of both models enlarge χ² by `misfit`.
-    """
-    stack, fall = optimum.stack, together.chi2 - apart.chi2
-    if stack.photon_limited:
-        return gaussian_sigma(max(fall / misfit, 0.0), parameters, np.inf)
-    change = ((apart.image_e - together.image_e) * optimum.root)[:, None]
-    variance = misfit * stack.covariance_of(optimum.project(change))[0, 0]
-    hotelling = float(optimum.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
-    return gaussian_sigma(hotelling, parameters, stack.independent)
+    frames = np.inf if stack.photon_limited else stack.independent
+    significance = _wald(values[sized] - null, covariance[np.ix_(sized, sized)], frames)
+    public = effect.base.describe(values), public_sigma(effect.base, values, covariance)
+    return OwnValue(moment, number, *public, significance)
 
 
 def _wald(estimate: np.ndarray, covariance: np.ndarray, frames: float) -> float:
@@ -198,18 +173,12 @@ def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, optio
     """Compare the moments, of which there are several, in what was found."""
     fitted = search.final.fitted
     fitter = fitter.of(search.final.stack, fitted.views)
-    found = [sharing(labels, fitted, fitter, cube, moments, options.sure) for labels in _groups(search)]
-    return Together(moments, found, _changes(search, moments))
-
-
-def _groups(search: Search) -> list[list[str]]:
-    """Labels of every effect that was named; those of one kind of which a model has one are in one group."""
-    fitted = search.final.fitted
-    groups: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}  # labels; those of one kind of which a model has one are in one group
     for one in search.accepted:
         effect = fitted.effect(one.label)
         groups.setdefault(one.label if effect.repeatable else effect.name, []).append(one.label)
-    return list(groups.values())
+    found = [sharing(labels, fitted, fitter, cube, moments, options.sure) for labels in groups.values()]
+    return Together(moments, found, _changes(search, moments))
 
 
 def _changes(search: Search, moments: Moments) -> list[Change]:
@@ -221,12 +190,7 @@ def _changes(search: Search, moments: Moments) -> list[Change]:
     changes = from_mean @ final.fitted.x[0].numpy()[columns]
     of_modes = covariance[columns.T[:, :, None], columns.T[:, None, :]]  # (modes, moments, moments)
     variances = np.diagonal(from_mean @ of_modes @ from_mean.T, axis1=1, axis2=2).T
-    names = [one.name for one in moments.by_number.values()]
     return [
-        Change(name, _rms(change), float(np.sqrt(np.mean(variance))))
-        for name, change, variance in zip(names, changes, variances, strict=True)
+        Change(moment.name, *(float(np.sqrt(np.mean(squares))) for squares in (change**2, variance)))
+        for moment, change, variance in zip(moments.by_number.values(), changes, variances, strict=True)
     ]
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

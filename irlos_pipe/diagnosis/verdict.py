@@ -1,20 +1,138 @@
-"""What a diagnosis says, in numbers and in one or two sentences."""
+"""What a diagnosis says, and what a model still misses, in numbers and in one or two sentences."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import numpy as np
+import torch
+from scipy import ndimage
 
+from irlos_pipe.diagnosis.acceptance import Gap, HeldOutEvaluation
 from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.cube import HeldOutKind
-from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
-from irlos_pipe.diagnosis.rest import Rest
 from irlos_pipe.diagnosis.sharing import Together
+from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.public_values import measured
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+SMOOTH_PX = 1.0  # of the residual, before its strongest part is looked for
+HALF = 0.5  # part of the maximum down to which its strongest part reaches
+ALIKE = 0.5  # correlation from which two halves show the same
+CORE = 0.5  # part of the brightest pixel from which pixels belong to the star
+
+Symmetry = Literal["symmetric", "antisymmetric", "one-sided"]
+Time = Literal["static", "moving", "not seen"]
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The residual between the held-out images and the final model."""
+
+    light_fraction: float  # part of the light that is misplaced beyond what noise alone shows
+    x_mas: float  # of its strongest part, from the star, to the right
+    y_mas: float  # the same, up
+    extent_mas: float  # diameter of a disc as large as the strongest part
+    excess: bool  # whether there is too much light in its strongest part, not too little
+    symmetry: Symmetry  # under a half turn about the star
+    time: Time  # whether the two halves of the frames leave the same
+    finer_than_diffraction: bool
+    # Relative error of the flat that would make what is finer; 0 where none is significant.
+    flat_rms: float = 0.0
+
+    @property
+    def text(self) -> str:
+        sign = "brighter" if self.excess else "fainter"
+        fine = ", partly finer than the diffraction limit" if self.finer_than_diffraction else ""
+        if fine and self.flat_rms:
+            fine += f" as an error of the flat of {self.flat_rms:.2%} RMS would make it"
+        when = "" if self.time == "not seen" else f", {self.time}"
+        return (
+            f"{self.light_fraction:.1%} of the light is misplaced beyond noise, most of it "
+            f"{self.x_mas:+.0f}, {self.y_mas:+.0f} mas from the star over {self.extent_mas:.0f} mas, where "
+            f"the data are {sign}; {self.symmetry}{when}{fine}"
+        )
+
+
+def rest_of(
+    judge: HeldOutEvaluation,
+    floor: float,
+    fine: FineStructure,
+    sure: float,
+    settings: PsfSettings,
+    flat_rms: float = 0.0,
+) -> Rest:
+    """Describe what the final model leaves of the held-out frames of the first recording.
+
+    Noise alone leaves a gap of `floor`; fine structure counts from `sure` σ; for `flat_rms` see there.
+    """
+    pixels, window = judge.pixels[0], settings.window
+    image = judge.mean_e[pixels].reshape(window).numpy()
+    left = _misplaced_e(judge, judge.stack.mean_e)[pixels].reshape(window).numpy()
+    # centroid of the brightest pixels
+    star_y, star_x = map(float, ndimage.center_of_mass(np.where(image > CORE * image.max(), image, 0.0)))
+    row, column, area_px, sign = _strongest(left)
+    scale = settings.pixel_scale_mas
+    return Rest(
+        light_fraction=float(np.sqrt(max(judge.gap**2 - floor**2, 0.0))),
+        x_mas=(column - star_x) * scale,
+        y_mas=(row - star_y) * scale,
+        extent_mas=2 * float(np.sqrt(area_px / np.pi)) * scale,
+        excess=sign > 0,
+        symmetry=_symmetry(left, star_y, star_x),
+        time=_time(judge),
+        finer_than_diffraction=fine.significance > sure,
+        flat_rms=flat_rms,
+    )
+
+
+def _misplaced_e(judge: HeldOutEvaluation, mean_e: torch.Tensor) -> torch.Tensor:
+    """What a mean image shows beyond the prediction, pointing and flux refitted, 0 in bad pixels [e-]."""
+    root = judge.stack.root
+    white = torch.where(root > 0, mean_e - judge.image, 0.0) * root
+    white = white - judge.basis @ (judge.basis.mT @ white)
+    return torch.where(root > 0, white / root.clamp_min(1e-300), 0.0)
+
+
+def _strongest(left: np.ndarray) -> tuple[float, float, int, float]:
+    """Row, column, pixels and sign of the connected part of `left` that holds its largest value."""
+    calm = ndimage.gaussian_filter(left, SMOOTH_PX)
+    peak = np.unravel_index(np.argmax(np.abs(calm)), calm.shape)
+    sign = float(np.sign(calm[peak]))
+    parts, _ = ndimage.label(sign * calm > HALF * abs(calm[peak]))
+    own = parts == parts[peak]
+    y, x = ndimage.center_of_mass(np.abs(calm), own)
+    return float(y), float(x), int(own.sum()), sign
+
+
+def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> Symmetry:
+    """How `left` changes under a half turn about the star."""
+    rows, columns = (np.arange(size) for size in left.shape)
+    y, x = np.meshgrid(2 * star_y - rows, 2 * star_x - columns, indexing="ij")
+    turned = ndimage.map_coordinates(left, [y, x], order=1, cval=0.0)
+    likeness = float((left * turned).sum() / max((left**2).sum(), 1e-300))
+    if abs(likeness) < ALIKE:
+        return "one-sided"
+    return "symmetric" if likeness > 0 else "antisymmetric"
+
+
+def _time(judge: HeldOutEvaluation) -> Time:
+    """Whether the two halves of the held-out frames of the first recording leave the same."""
+    stack = judge.stack.parts[0]
+    if not judge.stack.in_time or len(stack) < 4:
+        return "not seen"
+    images = stack.frames.images_e.double().flatten(1)
+    images = images * (images.sum(1).mean() / images.sum(1, keepdim=True))
+    halves = []
+    for half in (images[: len(images) // 2], images[len(images) // 2 :]):
+        mean = judge.stack.mean_e.clone()
+        mean[judge.pixels[0]] = half.mean(0)
+        halves.append(_misplaced_e(judge, mean)[judge.pixels[0]])
+    likeness = float(halves[0] @ halves[1] / (halves[0].norm() * halves[1].norm()).clamp_min(1e-300))
+    return "static" if likeness > ALIKE else "moving"
+
 
 NONE: Final = "none"
 EFFECT: Final = "effect"
@@ -183,8 +301,10 @@ def _found(diagnosis: Diagnosis) -> str:
         return f"Nothing significant is missing in the model{_limit(diagnosis)}."
     if diagnosis.verdict == UNKNOWN:
         return f"{_unnamed(diagnosis)}: {diagnosis.why_unknown}. {diagnosis.rest.text}."
-    lacking = _listed([f"{_phrase(step)}{_where(diagnosis, step)}" for step in diagnosis.steps])
-    return f"Missing in the model: {lacking}{_others(diagnosis.steps)}; {_left(diagnosis)}."
+    lacking = _listed([f"{step.phrase}{_where(diagnosis, step)}" for step in diagnosis.steps])
+    others = [f"{step.label}: {other.name}" for step in diagnosis.steps for other in step.alternatives]
+    alike = f" (not distinguished from {', '.join(others)})" if others else ""
+    return f"Missing in the model: {lacking}{alike}; {_left(diagnosis)}."
 
 
 def _listed(phrases: Sequence[str]) -> str:
@@ -198,8 +318,8 @@ def _unnamed(diagnosis: Diagnosis) -> str:
     """That something is missing, and what it resembles."""
     nearest = diagnosis.nearest
     if diagnosis.grade == RESEMBLES and nearest is not None:
-        return f"Something is missing that resembles {_phrase(nearest)} and is not that"
-    near = "" if nearest is None else f" (the nearest is {_phrase(nearest)})"
+        return f"Something is missing that resembles {nearest.phrase} and is not that"
+    near = "" if nearest is None else f" (the nearest is {nearest.phrase})"
     return f"Something is missing that nothing in the catalogue explains{near}"
 
 
@@ -220,10 +340,6 @@ def _adjusted(diagnosis: Diagnosis) -> str:
     return f"; not named, as it may take up a part of that: {', '.join(one.phrase for one in facts)}"
 
 
-def _phrase(step: Step) -> str:
-    return step.phrase
-
-
 def _where(diagnosis: Diagnosis, step: Step) -> str:
     """In which recordings a name is, and whether they share it."""
     together = diagnosis.together
@@ -231,19 +347,16 @@ def _where(diagnosis: Diagnosis, step: Step) -> str:
         return ""
     named = step.found_in(together.moments)
     where = f"in {' and '.join(named)}" if named else f"in all {len(together.moments.by_number)} recordings"
-    findings = [one.finding for one in together.sharing if step.label in one.labels]
-    words = {
-        "common": "one value for all",
-        "differs": "not in the others" if _alone(together, step) else "each recording has its own",
-        "open": "the others would not show it",
-    }
-    return f" ({', '.join([where, *(words[one] for one in findings)])})"
-
-
-def _alone(together: Together, step: Step) -> bool:
-    """Whether the recordings in which a name is not found do not show it."""
-    (sharing,) = (one for one in together.sharing if step.label in one.labels)
-    return len(sharing.labels) == 1 and step.effect.acts_in is not None
+    for one in together.sharing:
+        if step.label in one.labels:
+            alone = len(one.labels) == 1 and step.effect.acts_in is not None
+            words = {
+                "common": "one value for all",
+                "differs": "not in the others" if alone else "each recording has its own",
+                "open": "the others would not show it",
+            }
+            where = f"{where}, {words[one.finding]}"
+    return f" ({where})"
 
 
 def _advised(diagnosis: Diagnosis) -> str:
@@ -256,11 +369,6 @@ def _advised(diagnosis: Diagnosis) -> str:
         for recording, names in by_recording.items()
     ]
     return f" Untestable here: {'; '.join(shown)}." if shown else ""
-
-
-def _others(steps: Sequence[Step]) -> str:
-    others = [f"{step.label}: {other.name}" for step in steps for other in step.alternatives]
-    return f" (not distinguished from {', '.join(others)})" if others else ""
 
 
 def _limit(diagnosis: Diagnosis) -> str:

@@ -3,32 +3,23 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import torch
 
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
-from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.cube import Cube, hold_out_of
 from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.forward import Report, Task
+from irlos_pipe.diagnosis.forward import Report
 from irlos_pipe.diagnosis.grade import much_is_left
-from irlos_pipe.diagnosis.moments import Moments
-from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import OppositeSide
 from irlos_pipe.diagnosis.sharing import together
-from irlos_pipe.diagnosis.splitting import hold_out_of
-from irlos_pipe.diagnosis.verdict import UNKNOWN, Adjusted, Diagnosis, Step
-from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis
+from irlos_pipe.diagnosis.view import Exposures, Moments
 from irlos_pipe.effects import Effect
-
-Named = TypeVar("Named", Step, Adjusted)
-
-
-def silent(count: int) -> None:
-    """Report nothing."""
 
 
 @torch.no_grad()
@@ -38,13 +29,13 @@ def diagnose(
     options: Options,
     *,
     device: str = "cpu",
-    report: Report = silent,
+    report: Report = lambda count: None,
 ) -> Diagnosis:
     """Find what the model of one recording lacks, or that of several with other settings, stars or nights.
 
     The `recordings` have different focus, diversity or band, but the same window; those of one moment have
     one wavefront. The model has the `effects` already, stated for the first recording in which they act, see
-    `moments.placed`. `report` is called with the number of finished fits, for a progress bar.
+    `view.placed`. `report` is called with the number of finished fits, for a progress bar.
     """
     began = time.perf_counter()
     hold_out = hold_out_of(recordings)
@@ -54,28 +45,22 @@ def diagnose(
 
     views = [one.view(range(2, options.highest_noll + 1), device) for one in recordings]
     fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
-    task = Task(cube, fitter, moments, options, report)
-    everything = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
-
+    task = EvidenceTask(cube, fitter, moments, options, report, noise.kind)
     search = task.searched(effects)
     further = any(one.significance > options.sure for one in search.scores)
     if (search.accepted and further) or much_is_left(search, noise.kind, options.sure):
-        search = everything.beyond(search, effects)
+        search = task.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
-    diagnosis = with_opposite_sides(diagnosis, fitter, search.final, options.sure)
+
+    def opposite(label: str) -> OppositeSide | None:
+        return opposite_side(fitter, search.final, label, options.sure)
+
+    steps = [replace(one, opposite=opposite(one.label)) for one in diagnosis.steps]
+    adjusted = [replace(one, opposite=opposite(one.label)) for one in diagnosis.adjusted]
+    diagnosis = replace(diagnosis, steps=steps, adjusted=adjusted)
     if search.tolerant:
         known = [*(one.label for one in diagnosis.steps), *(one.label for one in diagnosis.adjusted)]
         diagnosis = replace(diagnosis, open_facts=open_facts(search.final, known))
     if moments.several and diagnosis.verdict != UNKNOWN:
         diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
     return replace(diagnosis, seconds=time.perf_counter() - began)
-
-
-def with_opposite_sides(diagnosis: Diagnosis, fitter: Fitter, final: Optimum, sure: float) -> Diagnosis:
-    """The diagnosis with the opposite sides of what is named or adjusted that these data do not exclude."""
-
-    def completed(one: Named) -> Named:
-        return replace(one, opposite=opposite_side(fitter, final, one.label, sure))
-
-    steps, adjusted = map(completed, diagnosis.steps), map(completed, diagnosis.adjusted)
-    return replace(diagnosis, steps=list(steps), adjusted=list(adjusted))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import NM, resolution_px, tilt_nm
-from irlos_pipe.effects import Effect
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.base import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import (
@@ -17,19 +17,17 @@ from irlos_pipe.estimate.calibration_errors import (
     NominalChi2,
     effect_errors,
     errors_of,
+    nominal_of,
     nominal_power,
 )
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
-from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
-from irlos_pipe.estimate.methods import Report, linear_estimates, scheme_of
+from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
-from irlos_pipe.estimate.open_minima import likelier_minimum
-from irlos_pipe.estimate.open_sides import likelier_side
+from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
 from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
 from irlos_pipe.estimate.score_test import best_start
-from irlos_pipe.estimate.twin import TwinCheck
+from irlos_pipe.estimate.starts import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
@@ -158,7 +156,9 @@ def calibrate(
         note("all modes fitted")
     nominal = None
     if opened is not None and start_nm is None:
-        opened, nominal = _likelier(task, closed, opened)
+        nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
+        found = likelier_minimum(task, closed, opened, nominal.most)
+        opened, nominal = found, nominal if found is opened else None
         note("other minima compared")
     twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
@@ -227,13 +227,6 @@ def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit
     if other is None or float(opened.solution.objective[0]) <= float(other.solution.objective[0]):
         return closed, opened
     return held, other
-
-
-def _likelier(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Opened, NominalChi2 | None]:
-    """The likelier minimum of all modes, and the nominal χ²/ν there where it is known already."""
-    nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
-    found = likelier_minimum(task, closed, opened, nominal.most)
-    return found, nominal if found is opened else None
 
 
 def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> bool:
@@ -335,3 +328,31 @@ def window_resolutions(settings: PsfSettings) -> float:
     longest_m = max(wavelength for wavelength, _ in settings.spectrum) * NM
     pixels = resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
     return min(settings.window) / pixels
+
+
+def drifts(effect: Effect) -> bool:
+    """Return whether the effect is a change with time that is still to be estimated."""
+    return effect.plane == "time" and len(effect.parameters) > 0
+
+
+def starts_as_told(effect: Effect) -> bool:
+    """Return whether the effect, one that not every recording has, starts from values found before."""
+    if effect.usual or not isinstance(effect, FixedEffect) or not effect.free:
+        return False
+    return not np.array_equal(effect.values, effect.base.null_values)
+
+
+def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
+    """Return the effect held at what the estimates of single frames show of it, by least squares.
+
+    The mean image shows a drift to second order only, and not its sign; the frames show both. The `effect` is
+    of the plane `time` and linear in its parameters, all of which are free; the modes `nolls` of `frames_nm`
+    (frames, modes) are estimates at equal intervals of time. Raises ValueError if a mode that is to drift is
+    not estimated.
+    """
+    when = torch.linspace(0, 1, len(frames_nm), dtype=torch.float64)
+    still = torch.zeros(len(frames_nm), len(nolls), dtype=torch.float64)
+    units = torch.eye(len(effect.base.parameters), dtype=torch.float64)
+    courses = [effect.base.apply(unit, still, tuple(nolls), when) for unit in units]
+    frames = torch.as_tensor(frames_nm)
+    return FixedEffect(effect.base, [float((c * frames).sum() / c.square().sum()) for c in courses])

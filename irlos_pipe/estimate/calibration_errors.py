@@ -37,6 +37,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -47,10 +48,9 @@ from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean, mean_variance_e2
-from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.frames.blocks import blocks, sample_frames
+from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean
+from irlos_pipe.estimate.image_fit import ImageFit, whole_wavefront
+from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.image_quality import power_spectrum
 
@@ -195,74 +195,67 @@ class Part:
     jacobian: torch.Tensor  # (its parameters, pixels), of the model image [e- per unit of the parameter]
     columns: Sequence[int]  # (its parameters,), where they stand among the parameters of all parts
 
+    @cached_property
+    def root(self) -> torch.Tensor:
+        """See `Frames.root`."""
+        return self.frames.root
 
-def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor) -> NominalChi2:
-    """Return the χ²/ν that the mean of `frames` would have about a model that lacks nothing.
-
-    For the `jacobian` see `Part`; the prior has a `precision` (parameters,), 0 where there is none.
-    """
-    return nominal_chi2_of([Part(frames, jacobian, range(len(precision)))], precision)
-
-
-def nominal_chi2_of(parts: Sequence[Part], precision: torch.Tensor) -> NominalChi2:
-    """Return the χ²/ν of mean images fitted together about a model that lacks nothing.
-
-    The prior has a `precision` (parameters of all,), 0 where there is none.
-    """
-    whitened = [_Whitened.of(part) for part in parts]
-    data = torch.zeros(len(precision), len(precision), dtype=torch.float64)
-    for one in whitened:
-        data[one.place[:, None], one.place] += one.columns.mT @ one.columns
-    gain = torch.linalg.pinv(data + torch.diag(precision.double()), hermitian=True)
-    used = sum(one.used for one in whitened)
-    freedom = max(used - len(precision), 1)
-    followed = gain @ data
-    white = used - 2 * float(torch.trace(followed)) + float((followed * followed.mT).sum())
-    expected, variance = 0.0, 0.0
-    for part, one in zip(parts, whitened, strict=True):
-        share = white * one.used / used
-        if len(part.frames.images_e) < LEAST_FRAMES:
-            expected, variance = expected + share, variance + 2 * share
-            continue
-        own, deviation = _of_scatter(one.products(part.frames, gain, data))
-        shared = float((part.frames.noise.shared_e2 * one.root**2).sum()) * share / one.used
-        expected, variance = expected + own + shared, variance + deviation**2
-    return NominalChi2(expected / freedom, float(np.sqrt(variance)) / freedom)
-
-
-@dataclass(frozen=True)
-class _Whitened:
-    """Derivatives of a mean image in units of its noise: (pixels, its parameters), and where these stand."""
-
-    root: torch.Tensor
-    columns: torch.Tensor
-    place: torch.Tensor
-
-    @classmethod
-    def of(cls, part: Part) -> _Whitened:
-        variance = mean_variance_e2(part.frames).flatten()
-        usable = part.frames.good.flatten() & torch.isfinite(variance)
-        root = torch.where(usable, variance**-0.5, 0.0)
-        return cls(root, (part.jacobian.double().cpu() * root).mT, torch.tensor(list(part.columns)))
+    @cached_property
+    def whitened(self) -> torch.Tensor:
+        """Derivatives in units of the noise, (pixels, its parameters)."""
+        return (self.jacobian.double().cpu() * self.root).mT
 
     @property
     def used(self) -> int:
+        """Number of pixels."""
         return int((self.root > 0).sum())
 
-    def products(self, frames: Frames, gain: torch.Tensor, data: torch.Tensor) -> torch.Tensor:
-        """Products of what deviations of the frames leave in all images, (frames, frames).
+    def products(self, gain: torch.Tensor, data: torch.Tensor) -> torch.Tensor:
+        """Return products of what deviations of the frames leave in all images, (frames, frames).
 
         Whitened deviations d less what the parameters of all images follow: ``R d · R d'``.
         """
-        images, mean = frames.images_e.flatten(1), frames.mean_e.flatten()
+        images, mean = self.frames.images_e.flatten(1), self.frames.mean_e.flatten()
         runs = torch.arange(len(images)).tensor_split(min(len(images), LONGEST))
         whitened = torch.empty(len(runs), len(self.root), dtype=torch.float64)
         for block in blocks(len(runs)):
             some = torch.stack([images[run].mean(0, dtype=torch.float64) for run in runs[block]])
             whitened[block] = torch.where(self.root > 0, (some - mean) * self.root, 0.0)
-        felt = whitened @ self.columns
-        moved = felt @ gain[self.place]
-        return whitened @ whitened.mT - 2 * moved[:, self.place] @ felt.mT + moved @ data @ moved.mT
+        felt, columns = whitened @ self.whitened, [*self.columns]
+        moved = felt @ gain[columns]
+        return whitened @ whitened.mT - 2 * moved[:, columns] @ felt.mT + moved @ data @ moved.mT
+
+
+def nominal_chi2(parts: Sequence[Part], precision: torch.Tensor) -> NominalChi2:
+    """Return the χ²/ν of mean images fitted together about a model that lacks nothing.
+
+    The prior has a `precision` (parameters of all,), 0 where there is none.
+    """
+    data = torch.zeros(len(precision), len(precision), dtype=torch.float64)
+    for one in parts:
+        columns = torch.tensor([*one.columns])
+        data[columns[:, None], columns] += one.whitened.mT @ one.whitened
+    gain = torch.linalg.pinv(data + torch.diag(precision.double()), hermitian=True)
+    used = sum(one.used for one in parts)
+    freedom = max(used - len(precision), 1)
+    followed = gain @ data
+    white = used - 2 * float(torch.trace(followed)) + float((followed * followed.mT).sum())
+    expected, variance = 0.0, 0.0
+    for one in parts:
+        share = white * one.used / used
+        if len(one.frames.images_e) < LEAST_FRAMES:
+            expected, variance = expected + share, variance + 2 * share
+            continue
+        own, deviation = _of_scatter(one.products(gain, data))
+        shared = float((one.frames.noise.shared_e2 * one.root**2).sum()) * share / one.used
+        expected, variance = expected + own + shared, variance + deviation**2
+    return NominalChi2(expected / freedom, float(np.sqrt(variance)) / freedom)
+
+
+def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> NominalChi2:
+    """Return that of the mean of `frames` at the place `values`, (1, parameters), of its `problem`."""
+    _, jacobian = problem.predict_and_jacobian(values)
+    return nominal_chi2([Part(frames, jacobian[0], range(jacobian.shape[1]))], problem.prior_precision[0])
 
 
 def nominal_power(
@@ -270,18 +263,17 @@ def nominal_power(
 ) -> np.ndarray | None:
     """Return the power spectrum that a complete model leaves of the mean image; None of too few frames.
 
-    It is that of ``R d_i``, averaged over frames and scaled to the `nominal` χ²; the fit of the `problem` is
-    at `values` (1, parameters). See `image_quality.power_spectrum`.
+    It is that of ``R d_i``, averaged over frames and scaled to the `nominal` χ²; other arguments are those of
+    `nominal_of`. See `image_quality.power_spectrum`.
     """
     if len(frames.images_e) < LEAST_FRAMES:
         return None
     _, jacobian = problem.predict_and_jacobian(values)
-    one = _Whitened.of(Part(frames, jacobian[0], range(jacobian.shape[1])))
+    one = Part(frames, jacobian[0], range(jacobian.shape[1]))
     precision = torch.diag(problem.prior_precision[0].double().cpu())
-    gain = torch.linalg.pinv(one.columns.mT @ one.columns + precision, hermitian=True)
-    some = frames.images_e[torch.as_tensor(sample_frames(len(frames.images_e)))].flatten(1).double()
-    own = torch.where(one.root > 0, (some - frames.mean_e.flatten()) * one.root, 0.0)
-    left = torch.where(one.root > 0, own - own @ one.columns @ gain @ one.columns.mT, torch.nan).numpy()
+    gain = torch.linalg.pinv(one.whitened.mT @ one.whitened + precision, hermitian=True)
+    own = torch.where(one.root > 0, (frames.sample_e - frames.mean_e.flatten()) * one.root, 0.0)
+    left = torch.where(one.root > 0, own - own @ one.whitened @ gain @ one.whitened.mT, torch.nan).numpy()
     resolution_px = problem.model.psf.settings.resolution_px
     spectra = [power_spectrum(each.reshape(frames.good.shape), resolution_px).value for each in left]
     chi2 = nominal.value * max(one.used - jacobian.shape[1], 1)
@@ -344,7 +336,7 @@ def effect_errors(
         _, jacobian = problem.predict_and_jacobian(x)
         weight = problem.root_weight[0].double().mean(0) ** 2
         gain = covariance @ (jacobian[0].double() * weight).cpu()
-        of_effects = covariance_of_mean(responses(frames, gain).numpy())
+        of_effects = covariance_of_mean(frames.responses(gain).numpy())
     else:
         of_effects = covariance[:, layout.effect_values].numpy()
     return public_errors(problem.model.effects, x[0, layout.effect_values], max(1.0, misfit) * of_effects)
@@ -364,12 +356,3 @@ def public_errors(effects: EffectSet, values: torch.Tensor, covariance: np.ndarr
             full[np.ix_(effect.free, effect.free)] = covariance[np.ix_(columns, columns)]
             found[label] = public_sigma(effect.base, every, full)
     return found
-
-
-def responses(frames: Frames, gain: torch.Tensor) -> torch.Tensor:
-    """Return what `gain` (parameters, pixels) makes of every frame less the mean, (frames, parameters)."""
-    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
-    series = torch.empty(len(images), len(gain), dtype=torch.float64)
-    for block in blocks(len(images)):
-        series[block] = (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
-    return series

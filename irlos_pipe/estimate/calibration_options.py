@@ -6,11 +6,12 @@ model and needs the mean image only. `methods` fits them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.loss import LOSSES, Loss, LossName
 
 Fits = Literal["mean image", "every frame", "all frames"]
@@ -21,66 +22,50 @@ OPEN: Final = "open"
 HighestNoll = int | Literal["open"]
 
 
+POINTING_NM = 5000.0  # tip and tilt: where the star lies in the window says nothing about the optics
+FOCUS_NM = 400.0  # an uncontrolled focus bias is common
+
+
+@dataclass(frozen=True)
+class NcpaPrior:
+    """Gaussian prior of the modes about zero: the instrument's law of NCPAs, widened."""
+
+    law: NcpaLaw
+    scale: float  # factor on the law; above 1 the prior only steadies what the data do not determine
+
+    def sigma_nm(self, nolls: Sequence[int]) -> torch.Tensor:
+        """Standard deviation of every mode, (modes,) [nm RMS]; tip, tilt and focus are left almost free."""
+        sigma = torch.as_tensor(self.scale * self.law.sigma_nm(nolls))
+        noll = torch.as_tensor(list(nolls))
+        sigma[noll < 4] = POINTING_NM
+        sigma[noll == 4] = FOCUS_NM
+        return sigma
+
+
 @dataclass(frozen=True)
 class Method:
     name: str
     fits: Fits  # to which images, see `methods.SCHEMES`
     loss: LossName  # the default
-    highest_noll: int  # default number of modes, Noll 2 to this
-    open: bool  # whether they are only the first, and all that the window shows follow, see `open_fit`
-    effects: bool  # whether the AO residual and jitter belong to the model
     description: str
+    highest_noll: int = 30  # default number of modes, Noll 2 to this
+    open: bool = (
+        False  # whether they are only the first, and all that the window shows follow, see `open_fit`
+    )
+    effects: bool = False  # whether the AO residual and jitter belong to the model
 
 
+_LONG = "mean image; the AO residual's long-exposure OTF and the jitter are part of the model"
+_SINGLY, _WEIGHTED = "every frame by itself, ", "noise-weighted Gauss-Newton"
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
-        Method(
-            "long_exposure",
-            "mean image",
-            "gaussian",
-            66,
-            True,
-            True,
-            "mean image; the AO residual's long-exposure OTF and the jitter are part of the model",
-        ),
-        Method(
-            "dip_global",
-            "every frame",
-            "l1",
-            30,
-            False,
-            False,
-            "every frame by itself, coefficients averaged (paper, method 3)",
-        ),
-        Method("dip_avg", "mean image", "l1", 30, False, False, "mean image, L1 loss (paper, method 1)"),
-        Method(
-            "dip_joint",
-            "all frames",
-            "l1",
-            30,
-            False,
-            False,
-            "one coefficient vector for all frames (paper, method 2)",
-        ),
-        Method(
-            "lift_avg",
-            "mean image",
-            "gaussian",
-            30,
-            False,
-            False,
-            "mean image, noise-weighted Gauss-Newton (paper, LIFT avg.)",
-        ),
-        Method(
-            "lift_slices",
-            "every frame",
-            "gaussian",
-            30,
-            False,
-            False,
-            "every frame by itself, noise-weighted Gauss-Newton (paper, LIFT slices)",
-        ),
+        Method("long_exposure", "mean image", "gaussian", _LONG, 66, open=True, effects=True),
+        Method("dip_global", "every frame", "l1", f"{_SINGLY}coefficients averaged (paper, method 3)"),
+        Method("dip_avg", "mean image", "l1", "mean image, L1 loss (paper, method 1)"),
+        Method("dip_joint", "all frames", "l1", "one coefficient vector for all frames (paper, method 2)"),
+        Method("lift_avg", "mean image", "gaussian", f"mean image, {_WEIGHTED} (paper, LIFT avg.)"),
+        Method("lift_slices", "every frame", "gaussian", f"{_SINGLY}{_WEIGHTED} (paper, LIFT slices)"),
     )
 }
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 import torch
 
-from irlos_pipe.frames.blocks import blocks, frame_flux, frame_variance, mean_frame
+from irlos_pipe.frames.blocks import blocks, frame_flux, frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.screening import star_peaks
 
@@ -67,6 +67,29 @@ class Frames:
     def flux_e(self) -> torch.Tensor:
         """Signal of each image, (frames,), float64."""
         return torch.from_numpy(frame_flux(self.images_e.numpy()))
+
+    @property
+    def sample_e(self) -> torch.Tensor:
+        """A few of the images, spread evenly, (some frames, pixels), float64."""
+        chosen = torch.as_tensor(sample_frames(len(self.images_e)))
+        return self.images_e[chosen].flatten(1).double()
+
+    @property
+    def root(self) -> torch.Tensor:
+        """One over the standard errors of the mean image, 0 where it is not known, (pixels,)."""
+        variance = mean_variance_e2(self).flatten()
+        return torch.where(self.good.flatten() & torch.isfinite(variance), variance**-0.5, 0.0)
+
+    def responses(self, gain: torch.Tensor) -> torch.Tensor:
+        """Return what `gain` (parameters, pixels) makes of every image less the mean, (frames, parameters).
+
+        All images have the flux of the mean one.
+        """
+        images, mean, flux = self.images_e.flatten(1), self.mean_e.flatten(), self.flux_e[:, None]
+        series = torch.empty(len(images), len(gain), dtype=torch.float64)
+        for block in blocks(len(images)):
+            series[block] = (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
+        return series
 
 
 def mean_variance_e2(frames: Frames) -> torch.Tensor:

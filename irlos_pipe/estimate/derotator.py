@@ -111,10 +111,19 @@ def split_series(series: Series, sense: int) -> Split:
     """
     modes = len(series.nolls)
     turns = np.array([rotation_matrix(series.nolls, sense * angle) for angle in series.angles_deg])
-    separable = np.array([_is_separable(noll, series.angles_deg) for noll in series.nolls])
+    # whether the angles are spread enough for the azimuthal order m of a mode: with equal errors σ in K cubes
+    # each part's variance is ``σ²/K/(1 − |⟨exp(imα)⟩|²)``
+    m = np.array([noll_to_nm(noll)[1] for noll in series.nolls])
+    phases = [np.exp(1j * one * np.radians(series.angles_deg)) for one in m]
+    separable = np.array([1 - abs(one.mean()) ** 2 > MIN_SPREAD for one in phases])
     values, covariances = np.zeros((3, modes)), np.zeros((3, modes, modes))
     for pair in _pairs(series.nolls):
-        parts, design = _design(turns[:, pair][:, :, pair], bool(separable[pair[0]]))
+        # numbers of the parts (rotating, fixed, unsplit) and their design, (cubes, modes, unknowns)
+        turned = turns[:, pair][:, :, pair]
+        unturned = np.broadcast_to(np.eye(len(pair)), turned.shape)
+        parts, design = [2], unturned
+        if separable[pair[0]]:
+            parts, design = [0, 1], np.concatenate([turned, unturned], axis=2)
         value, covariance = _least_squares(design, series, pair)
         for place, part in enumerate(parts):
             own = slice(place * len(pair), (place + 1) * len(pair))
@@ -129,26 +138,11 @@ def split_series(series: Series, sense: int) -> Split:
     )
 
 
-def _is_separable(noll: int, angles_deg: np.ndarray) -> bool:
-    """Whether the angles are spread enough for a mode of this azimuthal order.
-
-    With equal errors σ in K cubes each part's variance is ``σ²/K/(1 − |⟨exp(imα)⟩|²)``.
-    """
-    m = noll_to_nm(noll)[1]
-    return 1 - abs(np.exp(1j * m * np.radians(angles_deg)).mean()) ** 2 > MIN_SPREAD
-
-
 def _pairs(nolls: Sequence[int]) -> Iterator[list[int]]:
     """Places of the modes of each (n, |m|)."""
     for place, noll in enumerate(nolls):
         if partner(noll) >= noll:
             yield sorted({place, list(nolls).index(partner(noll))})
-
-
-def _design(turns: np.ndarray, separable: bool) -> tuple[tuple[int, ...], np.ndarray]:
-    """Numbers of the parts (rotating, fixed, unsplit) and their design, (cubes, modes, unknowns)."""
-    unturned = np.broadcast_to(np.eye(turns.shape[1]), turns.shape)
-    return ((0, 1), np.concatenate([turns, unturned], axis=2)) if separable else ((2,), unturned)
 
 
 def _least_squares(design: np.ndarray, series: Series, pair: list[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -137,13 +137,12 @@ def axis_ratios(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) ->
     pixels (rows, columns) count.
     """
     blocks = images_e.split(IMAGES_AT_ONCE)
-    (ratio,) = joined_map(lambda block: (_ratios(block, good, angle_deg),), blocks, len(images_e))
-    return ratio.numpy()
 
+    def ratios(block: torch.Tensor) -> tuple[torch.Tensor]:
+        fit = fit_gaussians(block, good, angle_deg)
+        return (torch.where(fit.converged, torch.exp(fit.values[:, 2] - fit.values[:, 3]), torch.nan),)
 
-def _ratios(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) -> torch.Tensor:
-    fit = fit_gaussians(images_e, good, angle_deg)
-    return torch.where(fit.converged, torch.exp(fit.values[:, 2] - fit.values[:, 3]), torch.nan)
+    return joined_map(ratios, blocks, len(images_e))[0].numpy()
 
 
 def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:

@@ -8,23 +8,27 @@ methods), or many images by one vector (`dip_joint`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+import numpy as np
 import torch
 
+from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.declaration import Parameter
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss
-from irlos_pipe.numerics.normal_equations import Linearised, normal_equations
+from irlos_pipe.numerics.normal_equations import normal_equations, robust_equations
 from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
+OF_IMAGES = ("model", "few_colours", "held")  # what images and derivatives depend on, besides the parameters
 MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing is known of its noise
 Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
@@ -52,6 +56,8 @@ class ImageFit(ModesFit):
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
+    # from which images and derivatives of linearisations are, where they may be rough
+    few_colours: ImageModel | None = None
     # the last place of a single member, images and derivatives there
     known: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
 
@@ -129,7 +135,9 @@ class ImageFit(ModesFit):
 
     def _with(self, **changes: Any) -> Self:
         other = copy(self)
-        vars(other).update(changes, known=None)
+        vars(other).update(changes)
+        if not changes.keys().isdisjoint(OF_IMAGES):
+            other.known = None
         return other
 
     # -- Problem -----------------------------------------------------------------------------
@@ -178,7 +186,8 @@ class ImageFit(ModesFit):
         known = self.known
         if known is not None and torch.equal(known[0], x):
             return known[1], known[2]
-        image, columns = self.model.predict_and_jacobian(*self._arguments(x), held=not self.layout.effects)
+        model = self.few_colours or self.model
+        image, columns = model.predict_and_jacobian(*self._arguments(x), held=not self.layout.effects)
         found = image.flatten(1), columns.flatten(2)
         self.known = (x.clone(), *found) if len(x) == 1 else None
         return found
@@ -221,16 +230,14 @@ class ImageFit(ModesFit):
 
     def _gradient(self, x, which):
         """Without the prior; pixels in the precision of the images."""
-        image, pullback = self._image_and_pullback(x, which)
+        modes_nm = x[:, self.layout.modes].to(self.device)
+        image, pullback = self.model.predict_and_pullback(modes_nm, x[:, -2], x[:, -1])
         which = which.to(self.device)
         root = self.root_weight[which]
         residual = (self.images[which] - image.flatten(1)[:, None]) * root
         force = (self.loss.weight(residual) * residual * root).sum(1)
         value = self.loss.value(residual).sum((1, 2), dtype=torch.float64)
         return value.cpu(), -pullback(force.view_as(image)).cpu()
-
-    def _image_and_pullback(self, x, which):
-        return self.model.predict_and_pullback(x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1])
 
     def _normal(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)
@@ -242,8 +249,7 @@ class ImageFit(ModesFit):
                 gradient += (precision * offset).to(gradient.device)
                 hessian += torch.diag_embed(precision).to(hessian.device)
         else:
-            linearised = Linearised(columns, residual, root, self.loss, precision, offset)
-            gradient, hessian = linearised.normal_equations()
+            gradient, hessian = robust_equations(columns, residual, root, self.loss, precision, offset)
         return self._value(residual, model_e, which), gradient.cpu(), hessian.cpu()
 
     @torch.no_grad()
@@ -282,16 +288,104 @@ class ImageFit(ModesFit):
     @torch.no_grad()
     def reduced_chi2_of(self, predicted_e: torch.Tensor) -> torch.Tensor:
         """Return the same of images of the model, (batch, pixels)."""
-        return self._map(self._squared_residual, predicted_e, torch.arange(len(predicted_e)))[0]
 
-    def _squared_residual(self, predicted_e, which):
-        residual, _ = self._whitened(predicted_e.to(self.device), which)
-        return (residual.square().sum((1, 2), dtype=torch.float64).cpu() / self.freedom,)
+        def reduced(part: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
+            residual, _ = self._whitened(part.to(self.device), which)
+            return (residual.square().sum((1, 2), dtype=torch.float64).cpu() / self.freedom,)
+
+        return self._map(reduced, predicted_e, torch.arange(len(predicted_e)))[0]
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Return the model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
         return self._map(lambda part, _: (self.predict(part).cpu(),), x, torch.arange(len(x)))[0]
+
+
+class JoinedFit(ModesFit):
+    """Fits of several recordings by one vector; one member.
+
+    Parameters
+    ----------
+    parts : sequence of ImageFit
+        Of one member each, with the same modes.
+    columns : sequence of sequences of int
+        For each part where its parameters stand in the whole vector; parts may share some.
+    changes : sequence of mappings
+        For each part the numbers of those parameters to which a further one is added, and where that stands.
+    sigma : mapping
+        By place in the whole vector the prior standard errors of these, about 0.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[ImageFit],
+        columns: Sequence[Sequence[int]],
+        changes: Sequence[Mapping[int, int]],
+        sigma: Mapping[int, float],
+        tolerance: float = CHI2_TOLERANCE,
+    ):
+        self.parts, self.own, self.tolerance = tuple(parts), columns, tolerance
+        self.rows = [[*range(len(own)), *more] for own, more in zip(columns, changes, strict=True)]
+        self.columns = [[*own, *more.values()] for own, more in zip(columns, changes, strict=True)]
+        self.size = 1 + max(column for one in self.columns for column in one)
+        self.layout = parts[0].layout
+        good = sum(int((part.root_weight > 0).sum()) for part in parts)
+        self.freedom = max(1, good - self.size)
+        self.lower, self.upper = (
+            self.whole([getattr(p, name) for p in parts]) for name in ("lower", "upper")
+        )
+        self.prior_mean, self.prior_precision = (
+            self.whole([getattr(p, name)[0] for p in parts])[None]
+            for name in ("prior_mean", "prior_precision")
+        )
+        for column, own_sigma in sigma.items():
+            self.lower[column], self.upper[column] = -INFINITE, INFINITE
+            self.prior_precision[:, column] = own_sigma**-2
+
+    def whole(self, of_parts: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Return the whole vector of numbers per parameter of each part; what they share is the first's."""
+        spread = torch.zeros(self.size, dtype=torch.float64)
+        for columns, values in reversed(list(zip(self.own, of_parts, strict=True))):
+            spread[columns] = values
+        return spread
+
+    def part(self, x: torch.Tensor, number: int) -> torch.Tensor:
+        """Return the parameters of the part `number`, (1, its parameters), out of the whole vector `x`."""
+        own = torch.zeros(1, len(self.own[number]), dtype=torch.float64)
+        return own.index_add(1, torch.tensor(self.rows[number]), x[:, self.columns[number]])
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
+
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Half of χ² plus that of the prior, (1,)."""
+        value = _half_chi2(x - self.prior_mean, self.prior_precision)
+        for number, part in enumerate(self.parts):
+            at = self.part(x, number)
+            own_prior = _half_chi2(at - part.prior_mean, part.prior_precision)
+            value = value + part.objective(at, which) - own_prior
+        return value
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """With the Gauss–Newton Hessian; the priors of the parts are replaced by those of the whole."""
+        offset = x - self.prior_mean
+        value = _half_chi2(offset, self.prior_precision)
+        gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
+        for number, part in enumerate(self.parts):
+            at, rows = self.part(x, number), self.rows[number]
+            own_value, own_gradient, own_hessian = part.normal_equations(at, which)
+            precision, miss = part.prior_precision, at - part.prior_mean
+            value = value + own_value - _half_chi2(miss, precision)
+            columns = torch.tensor(self.columns[number])
+            gradient[:, columns] += (own_gradient - precision * miss)[:, rows]
+            curvature = own_hessian - torch.diag_embed(precision)
+            hessian[:, columns[:, None], columns] += curvature[:, rows][:, :, rows]
+        return value, gradient, hessian
+
+
+def _half_chi2(offset: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
+    """Half the χ² of parameters against their prior, (1,)."""
+    return 0.5 * (precision * offset**2).sum(1)
 
 
 def masked_variance(variance_e2: torch.Tensor, good: torch.Tensor) -> torch.Tensor:
@@ -361,3 +455,38 @@ class Layout:
         x[:, self.effect_values] = torch.tensor([p.start for p in self.effects], dtype=torch.float64)
         x[:, -2] = images_e.double().sum(1).cpu()
         return x
+
+
+def effects_in_modes_nm(
+    effects: EffectSet, values: torch.Tensor, nolls: Sequence[int]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the part of each mode that the effects hold, (modes,), and its derivatives.
+
+    These are (modes, effect parameters), at `values` (effect parameters,). Petals, bumps and high orders are
+    not orthogonal to the modes on an obscured pupil: the effects' OPD is projected on piston and the modes by
+    least squares over the clear pupil.
+    """
+    if not effects.at("pupil"):
+        return torch.zeros(len(nolls)), torch.zeros(len(nolls), len(values))
+    grid = effects.grids.pupil
+    weight = np.clip(grid.amplitude.ravel() / grid.light, 0, 1)
+    basis = grid.modes([1, *nolls]).reshape(len(nolls) + 1, -1)
+    project = torch.as_tensor(np.linalg.solve((basis * weight) @ basis.T, basis * weight)[1:])
+
+    def modes(v: torch.Tensor) -> torch.Tensor:
+        return project @ effects.opd_nm(v).flatten()
+
+    return modes(values), along_all(modes, values).mT if len(values) else torch.zeros(len(nolls), 0)
+
+
+def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return what effects add to the modes, (modes,), and the derivatives of their sum, (modes, parameters).
+
+    The parameters are `x` (parameters,).
+    """
+    layout = problem.layout
+    added, slopes = effects_in_modes_nm(problem.model.effects, x[layout.effect_values], layout.nolls)
+    derivatives = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
+    derivatives[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
+    derivatives[:, layout.effect_values] = slopes.double()
+    return added, derivatives

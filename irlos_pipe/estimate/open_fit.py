@@ -67,14 +67,12 @@ class Opened:
 
 
 class OpenFit(CheapGradientProblem, ImageFit):
-    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one."""
-
-    # from which the Hessian of steps is, where it may be rough; images and gradients are exact
-    few_colours: ImageModel | None = None
-    kept: tuple[torch.Tensor, ...] = ()  # the last place with its normal equations without the prior
+    """An `ImageFit` of so many modes that steps with an older Hessian pay."""
 
     def hastened(self) -> OpenFit:
-        """Return the same fit, the Hessian of its steps of a coarse light path."""
+        """Return the same fit, the Hessian of its steps of a coarse light path, unless the loss is robust."""
+        if self.reweighted:
+            return self
         psf = self.model.psf
         settings = psf.settings.with_fewer_colours(JOINED)
         options = {"device": psf.device, "dtype": psf.dtype, "rough_derivatives": True}
@@ -82,8 +80,8 @@ class OpenFit(CheapGradientProblem, ImageFit):
         return self._with(few_colours=ImageModel(coarse, self.model.effects.effects))
 
     def roughly(self) -> OpenFit:
-        """Return the same fit to a loose tolerance, nothing kept of it."""
-        return self.with_tolerance(ROUGHLY * len(self.layout.nolls)).reweighed(self.root_weight)
+        """Return the same fit to a loose tolerance."""
+        return self.with_tolerance(ROUGHLY * len(self.layout.nolls))
 
     def with_law(self, law: TailLaw) -> OpenFit:
         """Return the same fit with the modes beyond the closed basis as a `law` expects."""
@@ -97,20 +95,7 @@ class OpenFit(CheapGradientProblem, ImageFit):
 
     def reweighed(self, root_weight: torch.Tensor) -> OpenFit:
         """Return the same fit with other square roots of the weights, of the shape of the present ones."""
-        return self._with(root_weight=root_weight, kept=())
-
-    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """See `Problem.normal_equations`; those of the data are kept for another prior."""
-        if self.reweighted:
-            return super().normal_equations(x, which)
-        if not (self.kept and torch.equal(self.kept[0], x)):
-            nothing = torch.zeros_like(self.prior_precision)
-            free = self._with(model=self.few_colours or self.model, prior_precision=nothing, has_prior=False)
-            self.kept = x.clone(), *ImageFit.normal_equations(free, x, which)
-        _, value, gradient, hessian = self.kept
-        precision, offset = self.prior_precision[which], x - self.prior_mean[which]
-        value = value + self._prior_value(x, which)
-        return value, gradient + precision * offset, hessian + torch.diag_embed(precision)
+        return self._with(root_weight=root_weight)
 
 
 def open_basis(
@@ -134,49 +119,53 @@ def open_basis(
         return None
     wider = light_path(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
     model = ImageModel(wider, closed.model.effects.effects)
+    sigma = torch.full((len(nolls),), torch.inf, dtype=torch.float64)
+    if closed.layout.prior_sigma_nm is not None:
+        sigma[: len(psf.nolls)] = closed.layout.prior_sigma_nm
+    layout = Layout(wider.nolls, model.effects.parameters, prior_sigma_nm=sigma)
+    variance_e2 = closed.root_weight.double() ** -2
     law = law or TailLaw(psf.nolls[-1] + 1)
-    problem = _wider(closed, model).with_law(law).roughly()
+    problem = OpenFit(model, layout, closed.images, variance_e2, loss=closed.loss).with_law(law).roughly()
     start = widened(values, closed.layout, problem.layout, beyond_nm or {})
-    quick = problem.hastened()
+    return fitted_from(problem, problem.hastened(), start, law, max_iterations)
+
+
+def fitted_from(
+    problem: OpenFit, quick: OpenFit, start: torch.Tensor, law: TailLaw, max_iterations: int
+) -> Opened | None:
+    """Fit all modes from a `start`, (1, parameters), roughly by a `law`, and then as `settled` does."""
     rough = solve(quick, start, max_iterations=max_iterations)
-    return None if rough.status[0] == INVALID else settled(problem, quick, rough, law, max_iterations)
+    if rough.status[0] == INVALID:
+        return None
+    # the step from the place of the last derivatives was negligible
+    near = rough.values if quick.few_colours is None or quick.known is None else quick.known[0]
+    return settled(problem, quick, rough.values, law, max_iterations, near)
 
 
 def settled(
-    problem: OpenFit, quick: OpenFit, rough: Solution, law: TailLaw, max_iterations: int
+    problem: OpenFit,
+    quick: OpenFit,
+    values: torch.Tensor,
+    law: TailLaw,
+    max_iterations: int,
+    start: torch.Tensor,
 ) -> Opened | None:
-    """Fit the law of the tail where a fit of all modes roughly ended, and from there all modes by it.
+    """Fit the law of the tail where a fit of all modes roughly ended, and from `start` on all modes by it.
 
-    The fit `problem` has a `law`, `quick` is the same hastened, and `rough` the solution of that. None where
-    numbers are not finite.
+    The fit `problem` has a `law`, `quick` is the same hastened, which ended at `values`, (1, parameters).
+    None where numbers are not finite.
     """
     modes = len(problem.layout.nolls)
-    law = _law_at(problem, rough, law)
-    start = quick.kept[0] if quick.kept else rough.values  # the step from there was negligible
+    # the law by evidence at a solution with another one
+    hessian = problem.normal_equations(values, torch.zeros(1, dtype=torch.int64))[2][0].numpy()
+    precision = problem.prior_precision[0].numpy()
+    law = fit_tail_law(law, problem.layout.nolls, values[0].numpy(), hessian, precision)
     problem, quick = (one.with_law(law).with_tolerance(SETTLED * modes) for one in (problem, quick))
     near = solve(quick, start, max_iterations=max_iterations)
     if near.status[0] == INVALID:
         return None
     final = solve(problem, near.values, max_iterations=FINISHING)
     return None if final.status[0] == INVALID else Opened(problem, final, law)
-
-
-def _law_at(problem: OpenFit, rough: Solution, law: TailLaw) -> TailLaw:
-    """The law by evidence at a solution with another one."""
-    which = torch.zeros(1, dtype=torch.int64)
-    hessian = problem.normal_equations(rough.values, which)[2][0].numpy()
-    precision = problem.prior_precision[0].numpy()
-    return fit_tail_law(law, problem.layout.nolls, rough.values[0].numpy(), hessian, precision)
-
-
-def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:
-    """The images of `closed` by all modes of the `model`, with its prior for those that it has."""
-    nolls, known = model.psf.nolls, closed.layout.prior_sigma_nm
-    sigma = torch.full((len(nolls),), torch.inf, dtype=torch.float64)
-    if known is not None:
-        sigma[: len(known)] = known
-    layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma)
-    return OpenFit(model, layout, closed.images, closed.root_weight.double() ** -2, loss=closed.loss)
 
 
 def widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:

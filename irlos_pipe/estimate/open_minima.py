@@ -1,5 +1,9 @@
 """Other minima of the fit of all modes, for one that ended in a wrong one.
 
+Opposite sides of a displaced stop are degenerate to first order, and which is the right one shows only once
+all modes are in the model. So the fit is repeated from the opposite side, and from every side where the stop
+came to rest at its place.
+
 Where the modes beyond the closed basis hold nearly as much of the wavefront as those in it, the closed basis
 bends to imitate them, and the fit of all modes that begins there ends in a wrong minimum, with χ²/ν several
 times too large. The image has many such minima, each a little better than the next. Two means lead on:
@@ -26,8 +30,9 @@ import torch
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
-from irlos_pipe.estimate.cube_fit import FIRST, CubeFit, Fit
-from irlos_pipe.estimate.open_fit import Opened, OpenFit, settled, widened
+from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit
+from irlos_pipe.estimate.open_fit import Opened, OpenFit, fitted_from, settled, widened
+from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
 
@@ -53,6 +58,25 @@ class Softening:
         variance = self.factor * problem.root_weight.double() ** -2
         variance = variance + (self.part * problem.images.double()) ** 2
         return problem.reweighed((variance**-0.5).to(problem.root_weight.dtype))
+
+
+def likelier_side(opened: Opened, max_iterations: int) -> Opened:
+    """Return a fit of all modes, or a likelier one with a fact of the instrument on another side.
+
+    For `max_iterations` see `open_basis`.
+    """
+    problem, best = opened.problem, opened
+    sides = on_other_sides(problem.model.effects, problem.layout.effect_values, opened.solution.values[:1])
+    starts = [start for effect, start, _ in sides if effect.base.fact]
+    if not starts:
+        return opened
+    rough = problem.roughly()
+    quick = rough.hastened()
+    for start in starts:
+        found = fitted_from(rough, quick, start, opened.law, max_iterations)
+        if found is not None and _objective(found.solution) < _objective(best.solution):
+            best = found
+    return best
 
 
 Path = tuple[Softening, ...]
@@ -81,7 +105,8 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     best = search.best_from(starts, values)
     if best is None or float(best.objective[0]) >= float(opened.solution.objective[0]):
         return opened
-    found = settled(rough, search.problem, best, opened.law, task.options.max_iterations)
+    limit = task.options.max_iterations
+    found = settled(rough, search.problem, best.values, opened.law, limit, best.values)
     return opened if found is None else found
 
 
@@ -105,21 +130,20 @@ class _Search:
             found += self._led(start, path)
             if found and self._is_nominal(found[-1]):
                 return found[-1]
-        if all(self._apart_nm(one, known) < BACK_NM for one in found):
+        corrected = [i for i, noll in enumerate(self.problem.layout.nolls) if noll in CORRECTED_NOLLS]
+        if all(float((one.values - known)[0, corrected].norm()) < BACK_NM for one in found):
             return None
         found.sort(key=_objective)
         self.allowed = (1 + SHAKEN_TIMES) * self.spent
-        if self._lacks_a_fact(found[0]):
+        asked = Asked(None, self.most)
+        facts = causes_of_misfit(self.problem, found[0].values, asked, facts_only=True)
+        if any(one.explains > EXPLAINED for one in facts):
             return found[0]
         for place, one in enumerate(found):
             found[place] = self._shaken(one)
             if self._is_nominal(found[place]):
                 break
         return min(found, key=_objective)
-
-    def _lacks_a_fact(self, solution: Solution) -> bool:
-        facts = causes_of_misfit(self.problem, solution.values, Asked(None, self.most), facts_only=True)
-        return any(one.explains > EXPLAINED for one in facts)
 
     def _shaken(self, best: Solution) -> Solution:
         """The likeliest of the minima around one, and around those that are found."""
@@ -141,13 +165,6 @@ class _Search:
                 return []
             start = solution.values
         return [solution]
-
-    def _apart_nm(self, solution: Solution, x: torch.Tensor) -> float:
-        """RMS in the corrected modes from a solution to a place."""
-        corrected = [
-            column for column, noll in enumerate(self.problem.layout.nolls) if noll in CORRECTED_NOLLS
-        ]
-        return float((solution.values - x)[0, corrected].norm())
 
     def _is_nominal(self, solution: Solution) -> bool:
         return float(self.problem.reduced_chi2(solution.values)[0]) <= self.most

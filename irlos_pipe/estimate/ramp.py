@@ -15,26 +15,26 @@ from irlos_pipe.effects.focus_stage import travel_direction
 MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not explain, at least
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RampSummary:
-    """Straight line and scatter of a ramp."""
+    """Straight line and scatter of a ramp; NaN is what the ramp does not determine."""
 
-    slope: float
-    slope_sigma: float
+    slope: float = np.nan
+    slope_sigma: float = np.nan
     # Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
     # standard error each offset counts once.
     offset_nm: float
-    offset_sigma_nm: float
-    rms_nm: float  # of estimated minus introduced defocus
+    offset_sigma_nm: float = np.nan
+    rms_nm: float = np.nan  # of estimated minus introduced defocus
     residual_rms_nm: float  # about the straight line
     # Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
     # together with a line, which would else take a part of it; NaN when only one direction occurs.
-    saw_tooth_nm: float
-    saw_tooth_sigma_nm: float
+    saw_tooth_nm: float = np.nan
+    saw_tooth_sigma_nm: float = np.nan
     # Constant bias of the second part of the ramp against the first (the reference of the focus stage lost
     # between two runs), fitted in the same way; NaN when the ramp is declared as one part.
-    part_bias_nm: float
-    part_bias_sigma_nm: float
+    part_bias_nm: float = np.nan
+    part_bias_sigma_nm: float = np.nan
     offsets_nm: np.ndarray  # (offsets,), introduced defocus
     median_nm: np.ndarray  # (offsets,), of the estimates
     scatter_nm: np.ndarray  # (offsets,), 1σ of them, from the 16th and 84th percentile
@@ -59,17 +59,21 @@ def summarise(
     offsets = np.unique(introduced)
     lever = 1 + introduced.mean() ** 2 / introduced.var()
     groups = [estimated[introduced == value] for value in offsets]
+    steps, errors = _steps(introduced, estimated, direction[good] / 2, part[good])
     return RampSummary(
-        slope,
-        slope_sigma,
-        offset,
-        _rms(residual) * float(np.sqrt(lever / len(offsets))),
-        _rms(estimated - introduced),
-        _rms(residual),
-        *_steps(introduced, estimated, direction[good] / 2, part[good]),
-        offsets,
-        np.array([np.median(g) for g in groups]),
-        np.array([np.diff(np.percentile(g, [15.87, 84.13]))[0] / 2 for g in groups]),
+        slope=slope,
+        slope_sigma=slope_sigma,
+        offset_nm=offset,
+        offset_sigma_nm=_rms(residual) * float(np.sqrt(lever / len(offsets))),
+        rms_nm=_rms(estimated - introduced),
+        residual_rms_nm=_rms(residual),
+        saw_tooth_nm=steps[0],
+        saw_tooth_sigma_nm=errors[0],
+        part_bias_nm=steps[1],
+        part_bias_sigma_nm=errors[1],
+        offsets_nm=offsets,
+        median_nm=np.array([np.median(g) for g in groups]),
+        scatter_nm=np.array([np.diff(np.percentile(g, [15.87, 84.13]))[0] / 2 for g in groups]),
     )
 
 
@@ -83,16 +87,8 @@ def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) ->
         raise ValueError("no frame could be estimated")
     mean, spread = float(estimated.mean()), np.diff(np.percentile(estimated, [15.87, 84.13])) / 2
     return RampSummary(
-        slope=np.nan,
-        slope_sigma=np.nan,
         offset_nm=mean - float(introduced_nm[0]),
-        offset_sigma_nm=np.nan,
-        rms_nm=np.nan,
         residual_rms_nm=_rms(estimated - mean),
-        saw_tooth_nm=np.nan,
-        saw_tooth_sigma_nm=np.nan,
-        part_bias_nm=np.nan,
-        part_bias_sigma_nm=np.nan,
         offsets_nm=introduced_nm[:1],
         median_nm=np.array([np.median(estimated)]),
         scatter_nm=spread,
@@ -109,8 +105,8 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:
 
 def _steps(
     introduced: np.ndarray, estimated: np.ndarray, direction: np.ndarray, part: np.ndarray
-) -> tuple[float, float, float, float]:
-    """Coefficients of direction and part, fitted jointly with slope and offset, each with its standard error.
+) -> tuple[list[float], list[float]]:
+    """Coefficients of direction and part, fitted jointly with slope and offset, and their standard errors.
 
     What the ramp does not determine is NaN: a column that does not vary, or one that the others make up.
     """
@@ -121,7 +117,7 @@ def _steps(
     solution, sigma = np.full(4, np.nan), np.full(4, np.nan)
     if np.linalg.matrix_rank(columns[:, varies]) == varies.sum():
         solution[varies], sigma[varies] = _least_squares(columns[:, varies], estimated[known])
-    return float(solution[2]), float(sigma[2]), float(solution[3]), float(sigma[3])
+    return solution[2:].tolist(), sigma[2:].tolist()
 
 
 def _least_squares(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -105,8 +105,14 @@ def fit_ramp(
     """
     free = EffectSet(effects, model.grids)
     which = torch.nonzero(torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen))[:, 0]
-    which = which[_spread(len(which))]
-    shared = _fit_effects(model, data.of(which), start_nm[which], free) if free.parameters else None
+    which = which[torch.linspace(0, len(which) - 1, min(len(which), SHARED_FRAMES)).round().long()]
+    shared = None
+    if free.parameters:
+        some, layout = data.of(which), Layout(model.nolls)
+        variance = data.noise.variance_e2(smooth(some.images_e))
+        problem = image_problem(ImageModel(model, free), layout, some.images_e, variance, data.good)
+        start = layout.start((some.images_e * data.good).flatten(1), start_nm[which])
+        shared = fit_shared(problem, start)
     held = free.held(shared.values if shared else NOTHING)
     complete = ImageModel(model, held)
     if len(start_nm) >= MIN_FRAMES:
@@ -115,18 +121,6 @@ def fit_ramp(
     result = second_try(complete, data, result, options)
     sigma = public_errors(free, shared.values, shared.covariance.numpy()) if shared else {}
     return RampFit(result, complete, held.describe(NOTHING), shared, start_nm, sigma)
-
-
-def _fit_effects(model: LightPath, data: RampData, start_nm: torch.Tensor, effects: EffectSet) -> SharedFit:
-    layout = Layout(model.nolls)
-    variance = data.noise.variance_e2(smooth(data.images_e))
-    problem = image_problem(ImageModel(model, effects), layout, data.images_e, variance, data.good)
-    return fit_shared(problem, layout.start((data.images_e * data.good).flatten(1), start_nm))
-
-
-def _spread(frames: int) -> torch.Tensor:
-    """Numbers of at most `SHARED_FRAMES` of some frames, from the first to the last."""
-    return torch.linspace(0, frames - 1, min(frames, SHARED_FRAMES)).round().long()
 
 
 def second_try(model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions) -> LiftResult:
@@ -138,7 +132,11 @@ def second_try(model: ImageModel, data: RampData, result: LiftResult, options: L
     if not {2, 3, 4} <= set(model.psf.nolls):
         return result
     start = scan_start_nm(model.psf, data.images_e, data.good, model.optics)
-    suspect = _suspect(result, start)
+    finite, focus = result.chi2_nu[torch.isfinite(result.chi2_nu)], result.nolls.index(4)
+    typical = finite.median() if len(finite) else 1.0
+    contradicted = (result.zernike_nm[:, focus] - start[:, focus]).abs() > CONTRADICTION_NM
+    failed = ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical)
+    suspect = failed | contradicted
     if not suspect.any():
         return result
     images_e, own = data.images_e[suspect], options.of(suspect)
@@ -146,15 +144,6 @@ def second_try(model: ImageModel, data: RampData, result: LiftResult, options: L
     better = again.solution.converged & ~(again.chi2_nu > result.chi2_nu[suspect] * 0.999)
     better |= again.solution.converged & ~result.solution.converged[suspect]
     return result.updated(suspect, again, better)
-
-
-def _suspect(result: LiftResult, scan_nm: torch.Tensor) -> torch.Tensor:
-    """Frames to try again, (frames,)."""
-    finite = result.chi2_nu[torch.isfinite(result.chi2_nu)]
-    typical = finite.median() if len(finite) else 1.0
-    focus = result.nolls.index(4)
-    contradicted = (result.zernike_nm[:, focus] - scan_nm[:, focus]).abs() > CONTRADICTION_NM
-    return ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical) | contradicted
 
 
 def ramp_effects(
@@ -221,6 +210,8 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     """
     parameters = problem.model.effects.parameters
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)
+    mean = torch.tensor([p.prior_mean for p in parameters], dtype=torch.float64)
+    precision = torch.tensor([p.prior_sigma for p in parameters], dtype=torch.float64) ** -2
     values, before, lowest = problem.held, math.inf, math.inf
     status = MAX_ITERATIONS
     x = kept = _own_parameters(problem, x)
@@ -229,13 +220,15 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
         if not chi2 <= lowest * (1 + ROUNDING):  # the images have not followed by a step
             x = _own_parameters(problem, kept)
             chi2, steps, *reduced = _linearised(problem, x)
-        gradient, information = _with_prior(parameters, values, *reduced)
-        covariance = torch.linalg.inv(information)
+        gradient = reduced[0] + precision * (values - mean)
+        covariance = torch.linalg.inv(reduced[1] + torch.diag(precision))
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])
         step = float(((trial - values).abs() / torch.diagonal(covariance).sqrt()).max())
         kept, x, lowest = x, x + steps @ torch.cat([values - trial, values.new_ones(1)]), chi2
         values, problem = trial, problem.holding(trial)
-        if _still_ahead(step, before) < STEP_SIGMA:
+        # what further steps will add up to, if they go on to shrink as the last one did; else the last one
+        ahead = step**2 / (before - step) if step < before < math.inf else step
+        if ahead < STEP_SIGMA:
             status = CONVERGED
             break
         before = step
@@ -249,18 +242,6 @@ def _own_parameters(problem: ImageFit, x: torch.Tensor) -> torch.Tensor:
     alone = problem.with_model(held).holding(NOTHING).with_tolerance(ON_THE_WAY)
     found = solve(alone, x, max_iterations=20).values
     return torch.where(torch.isfinite(found), found, x)
-
-
-def _still_ahead(step: float, before: float) -> float:
-    """What further steps will add up to, if they go on to shrink as the last one did; else the last one."""
-    return step**2 / (before - step) if step < before < math.inf else step
-
-
-def _with_prior(parameters, values, gradient, information):
-    """Gradient and information with the Gaussian priors of the shared parameters."""
-    mean = torch.tensor([p.prior_mean for p in parameters], dtype=torch.float64)
-    precision = torch.tensor([p.prior_sigma for p in parameters], dtype=torch.float64) ** -2
-    return gradient + precision * (values - mean), information + torch.diag(precision)
 
 
 def _linearised(problem: ImageFit, x: torch.Tensor):

@@ -31,7 +31,6 @@ from irlos_pipe.effects.seeing_halo import SeeingHalo, UnevenResidual
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import derivatives, frozen_effects, null_model
-from irlos_pipe.frames.blocks import sample_frames
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.lenslets import light_path
 
@@ -100,16 +99,19 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
     if len(frames.images_e) < LEAST_FRAMES:
         return None
     image, jacobian = problem.predict_and_jacobian(values)
-    difference = _mirrored_problem(problem).predict(values)[0].cpu() - image[0].cpu()
-    variance = mean_variance_e2(frames).flatten()
-    root = torch.where(frames.good.flatten() & torch.isfinite(variance), variance**-0.5, 0.0)
+    psf = problem.model.psf
+    settings = replace(psf.settings, geometry=placed(psf.settings.geometry, MIRROR))
+    path = light_path(settings, psf.nolls, device=psf.device, dtype=torch.float64)
+    other = problem.with_model(ImageModel(path, problem.model.effects.effects))
+    difference = other.predict(values)[0].cpu() - image[0].cpu()
+    root = frames.root
     columns = (jacobian[0].double().cpu() * root).mT
     along = _not_followed(difference * root, columns, problem.prior_precision[0].double().cpu())
     length = float(along @ along)
     if not length > 0:
         return None
-    some = frames.images_e[torch.as_tensor(sample_frames(len(frames.images_e)))].flatten(1).double()
-    amplitudes = (torch.where(root > 0, (some - image[0].cpu()) * root, 0.0) @ along / length).numpy()
+    deviations = torch.where(root > 0, (frames.sample_e - image[0].cpu()) * root, 0.0)
+    amplitudes = (deviations @ along / length).numpy()
     whole = torch.where(root > 0, (frames.mean_e.flatten() - image[0].cpu()) * root, 0.0)
     independent = len(amplitudes) / float(autocorrelation_time(amplitudes[:, None])[0])
     return Mirrored(float(whole @ along / length), float(amplitudes.std(ddof=1) / np.sqrt(independent)))
@@ -127,14 +129,6 @@ def _not_followed(change: torch.Tensor, columns: torch.Tensor, precision: torch.
     return change - columns @ (steps / scale)
 
 
-def _mirrored_problem(problem: ImageFit) -> ImageFit:
-    """The same problem with the mirrored pupil."""
-    psf = problem.model.psf
-    settings = replace(psf.settings, geometry=placed(psf.settings.geometry, MIRROR))
-    other = light_path(settings, psf.nolls, device=psf.device, dtype=torch.float64)
-    return problem.with_model(ImageModel(other, problem.model.effects.effects))
-
-
 FRAMES_OF_A_KIND = (
     20  # Gaussian scatter of 16 has a kurtosis below 1.3 in one of 1000 cubes, of 20 in one of 5000
 )
@@ -146,7 +140,7 @@ def kurtosis_of_frames(frames: Frames) -> float:
 
     NaN for fewer than `FRAMES_OF_A_KIND`, or where no direction leads.
     """
-    some = frames.images_e[torch.as_tensor(sample_frames(len(frames.images_e)))].flatten(1).double()
+    some = frames.sample_e
     if len(some) < FRAMES_OF_A_KIND:
         return float("nan")
     variance = mean_variance_e2(frames).flatten()

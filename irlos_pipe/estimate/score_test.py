@@ -86,16 +86,12 @@ class LinearEstimate:
         start = torch.tensor(candidate.null_values, dtype=torch.float64)
         change = torch.zeros_like(start)
         change[usable] = torch.linalg.solve(normal, projection)
-        sizes = _within(candidate, start + change)
+        limits = torch.tensor([[p.lower, p.upper] for p in candidate.parameters], dtype=torch.float64)
+        sizes = (start + change).clamp(limits[:, 0], limits[:, 1])
         step = (sizes - start)[usable]
         gain = float(2 * step @ projection - step @ normal @ step)
         best = float(seen[usable].max() if usable.any() else seen.max())
         return cls(candidate, usable, best, left, sizes.numpy(), gain, used, gram, normal, projection)
-
-
-def _within(candidate: Effect, values: torch.Tensor) -> torch.Tensor:
-    limits = torch.tensor([[p.lower, p.upper] for p in candidate.parameters], dtype=torch.float64)
-    return values.clamp(limits[:, 0], limits[:, 1])
 
 
 def derivatives(

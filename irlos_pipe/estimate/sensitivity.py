@@ -11,14 +11,14 @@ import torch
 
 from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import in_pieces, lift
+from irlos_pipe.estimate.lift import NearModel, in_pieces, lift, near
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import NearModel, near
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.parallel import process_map
 
+PERCENTILES = (50, 15.87, 84.13)
 IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
 
 
@@ -225,7 +225,11 @@ def curve_of(
     """
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
-    median, low, high = np.array([_percentiles(row[~np.isnan(row)]) for row in abs_error_nm]).T
+    finite = [row[~np.isnan(row)] for row in abs_error_nm]
+    nothing = [np.nan] * len(PERCENTILES)
+    median, low, high = np.array(
+        [np.percentile(row, PERCENTILES) if len(row) else nothing for row in finite]
+    ).T
     limit = limiting_magnitude(mag_j, median, failures / trials, criterion)
     return Curve(
         nolls, mag_j, median, low, high, crb_nm, failures, trials, limit, abs_error_nm, one_read_crb_nm
@@ -248,14 +252,6 @@ def limiting_magnitude(
     span = np.log(median_nm[bad] / median_nm[good])
     part = np.log(criterion.median_nm / median_nm[good]) / span
     return float(magnitudes[good] + part * (magnitudes[bad] - magnitudes[good]))
-
-
-def _percentiles(error: np.ndarray) -> tuple[float, float, float]:
-    """Median, 16th and 84th percentile; NaN if nothing is left."""
-    if len(error) == 0:
-        return float("nan"), float("nan"), float("nan")
-    median, low, high = np.percentile(error, [50, 15.87, 84.13])
-    return float(median), float(low), float(high)
 
 
 def cramer_rao_nm(

@@ -35,19 +35,16 @@ from irlos_pipe.estimate.calibration import (
 from irlos_pipe.estimate.calibration_errors import (
     NominalChi2,
     Part,
-    nominal_chi2_of,
+    nominal_chi2,
     public_errors,
-    responses,
 )
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.effect_modes import whole_wavefront
-from irlos_pipe.estimate.image_fit import INFINITE, ImageFit, Layout, ModesFit, masked_variance
-from irlos_pipe.estimate.methods import MEAN_IMAGE, start_at_centroids
+from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront
+from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
 from irlos_pipe.estimate.residual import kurtosis_of_frames
-from irlos_pipe.estimate.twin import TwinCheck, check_twin
+from irlos_pipe.estimate.starts import TwinCheck, check_twin
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.problem import CHI2_TOLERANCE
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.image_quality import power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -84,72 +81,33 @@ def is_common(effect: Effect) -> bool:
     return effect.belongs_to == "instrument" and effect.instrumental
 
 
-class SetupsFit(ModesFit):
+class SetupsFit(JoinedFit):
     """Mean images of several set-ups, `parts` of the same modes, by one vector; one member.
 
     Introduced defoci are known to a part of them, `accuracy`.
     """
 
     def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit], accuracy: float = FIRST):
-        self.parts = [part._with(has_prior=False, prior_precision=0 * part.prior_precision) for part in parts]
         place: dict[Hashable, int] = {}
-        self.columns, self.rows, self.accuracy = [], [], accuracy
+        columns: list[list[int]] = []
+        changes: list[dict[int, int]] = [{} for _ in parts]
+        self.accuracy, self.off_nm = accuracy, {}
         for number, (setup, part) in enumerate(zip(setups, parts, strict=True)):
-            keys = _keys(number, setup, part)
-            off = [("off", number)] if setup.introduced_nm else []
-            self.columns.append([place.setdefault(key, len(place)) for key in [*keys, *off]])
-            self.rows.append([*range(len(keys)), *[FOCUSED - 1 for _ in off]])
-        introduced = ((("off", n), setup.introduced_nm) for n, setup in enumerate(setups))
-        self.off_nm = {place[key]: nm for key, nm in introduced if nm}
-        self.size, self.layout, self.same_unit = len(place), parts[0].layout, parts[0].layout.modes
-        good = sum(int((part.root_weight > 0).sum()) for part in parts)
-        self.freedom = max(1, good - self.size)
-        self.lower, self.upper = (
-            self._spread([getattr(p, name) for p in parts]) for name in ("lower", "upper")
+            columns.append([place.setdefault(key, len(place)) for key in _keys(number, setup, part)])
+            if setup.introduced_nm:
+                off = place.setdefault(("off", number), len(place))
+                changes[number], self.off_nm[off] = {FOCUSED - 1: off}, setup.introduced_nm
+        sigma_nm = {column: accuracy * nm for column, nm in self.off_nm.items()}
+        super().__init__(parts, columns, changes, sigma_nm)
+        self.parts = tuple(
+            part._with(has_prior=False, prior_precision=0 * part.prior_precision) for part in parts
         )
-        self.lower[list(self.off_nm)], self.upper[list(self.off_nm)] = -INFINITE, INFINITE
-        self.prior_mean, self.prior_precision = (
-            self._spread([getattr(p, name)[0] for p in parts])[None]
-            for name in ("prior_mean", "prior_precision")
-        )
-        for index, nm in self.off_nm.items():
-            self.prior_precision[:, index] = (accuracy * nm) ** -2
-
-    def part_of(self, x: torch.Tensor, number: int) -> torch.Tensor:
-        """Return the parameters of the set-up `number` out of the whole vector, (1, its parameters)."""
-        return torch.zeros(1, self.parts[number].layout.size, dtype=torch.float64).index_add(
-            1, torch.tensor(self.rows[number]), x[:, self.columns[number]]
-        )
-
-    def without_error(self, number: int) -> list[int]:
-        """Return where the parameters of the set-up `number` stand, its introduced defocus as declared."""
-        return self.columns[number][: self.parts[number].layout.size]
-
-    def whole(self, parts_x: Sequence[torch.Tensor]) -> torch.Tensor:
-        """Return the whole vector from those of the set-ups; what they share is the first's, (1, size)."""
-        return self._spread([x[0] for x in parts_x])[None]
-
-    def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        return CHI2_TOLERANCE * (2 * value / self.freedom).clamp_min(1.0)
-
-    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        own = [part.objective(self.part_of(x, n), which) for n, part in enumerate(self.parts)]
-        return torch.stack(own).sum(0) + self._prior(x)
-
-    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        value, gradient = self._prior(x), self.prior_precision * (x - self.prior_mean)
-        hessian = torch.diag_embed(self.prior_precision)
-        for number, part in enumerate(self.parts):
-            own_value, own_gradient, own_hessian = part.normal_equations(self.part_of(x, number), which)
-            value, place, row = value + own_value, torch.tensor(self.columns[number]), self.rows[number]
-            gradient[:, place] += own_gradient[:, row]
-            hessian[:, place[:, None], place] += own_hessian[:, row][:, :, row]
-        return value, gradient, hessian
+        self.same_unit = self.layout.modes
 
     def chi2(self, x: torch.Tensor) -> float:
         """Return χ² of all images."""
         parts = enumerate(self.parts)
-        return sum(float(part.reduced_chi2(self.part_of(x, n))[0]) * part.freedom for n, part in parts)
+        return sum(float(part.reduced_chi2(self.part(x, n))[0]) * part.freedom for n, part in parts)
 
     def twin(
         self, setups: Sequence[Setup], solution: Solution, law: NcpaLaw | None
@@ -160,17 +118,7 @@ class SetupsFit(ModesFit):
         """
         known = [setup.settings.known.total_nm for setup in setups]
         mean = {noll: sum(one.get(noll, 0.0) for one in known) / len(known) for noll in set().union(*known)}
-        return check_twin(self, solution.values, float(solution.objective[0]), law, mean, TWIN_ITERATIONS)
-
-    def _prior(self, x: torch.Tensor) -> torch.Tensor:
-        return 0.5 * (self.prior_precision * (x - self.prior_mean) ** 2).sum(1)
-
-    def _spread(self, of_parts: Sequence[torch.Tensor]) -> torch.Tensor:
-        """One number per parameter of the set-ups as one vector."""
-        spread = torch.zeros(self.size, dtype=torch.float64)
-        for number, values in reversed(list(enumerate(of_parts))):
-            spread[self.without_error(number)] = values
-        return spread
+        return check_twin(self, solution, law, mean, TWIN_ITERATIONS)
 
 
 def _keys(number: int, setup: Setup, part: ImageFit) -> list[Hashable]:
@@ -215,14 +163,14 @@ def calibrate_setups(
     x = solution.values
     chi2_nu = problem.chi2(x) / problem.freedom
     covariance, changes, nominal = _errors(setups, problem, x, solution.covariance[0], chi2_nu)
-    layout, effects, columns = problem.layout, parts[0].model.effects, torch.tensor(problem.without_error(0))
+    layout, effects, columns = problem.layout, parts[0].model.effects, torch.tensor(problem.own[0])
     own = x[:, columns]
     added, read = whole_wavefront(parts[0], own[0])
     values = own[0, layout.effect_values]
     mine = covariance[columns[:, None], columns]
     total = own[0, layout.modes] + added
     found = [
-        _found(setup, part, problem.part_of(x, n), float(x[0, FOCUSED - 1]), device)
+        _found(setup, part, problem.part(x, n), float(x[0, FOCUSED - 1]), device)
         for n, (setup, part) in enumerate(zip(setups, parts, strict=True))
     ]
     first, frames = found[0], [setup.frames for setup in setups]
@@ -265,14 +213,18 @@ def _from_none(
 ) -> Solution:
     """The fit from no aberrations; and where it misfits, the better of that and one from the first set-up."""
     starts = [start_at_centroids(s.frames, p) for s, p in zip(setups, problem.parts, strict=True)]
-    solution = solve(problem, problem.whole(starts), max_iterations=options.max_iterations)
+    solution = solve(
+        problem, problem.whole([start[0] for start in starts])[None], max_iterations=options.max_iterations
+    )
     if problem.chi2(solution.values) <= MISFIT * problem.freedom:
         return solution
     alone = calibrate(setups[0].frames, setups[0].settings, options, setups[0].own, device=device)
     for number, start in enumerate(starts):
         known = slice(POINTING if number else 0, len(alone.nolls))
         start[:, known] = torch.as_tensor(alone.fitted_modes_nm[known])
-    other = solve(problem, problem.whole(starts), max_iterations=options.max_iterations)
+    other = solve(
+        problem, problem.whole([start[0] for start in starts])[None], max_iterations=options.max_iterations
+    )
     return min(solution, other, key=lambda one: float(one.objective[0]))
 
 
@@ -333,12 +285,8 @@ def _found(setup: Setup, part: ImageFit, x: torch.Tensor, common_nm: float, devi
 def _part(setup: Setup, options: CalibrationOptions, device: str) -> ImageFit:
     """The mean image of a set-up."""
     psf = MEAN_IMAGE.psf_model(setup.settings, range(2, options.last_noll + 1), device)
-    model = ImageModel(psf, [*setup.common, *setup.own])
-    sigma_nm = None if options.prior is None else options.prior.sigma_nm(psf.nolls)
-    layout = Layout(psf.nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
-    variance = masked_variance(mean_variance_e2(setup.frames), setup.frames.good)
-    data = (one[None, None].flatten(-2).to(psf.device) for one in (setup.frames.mean_e, variance))
-    return ImageFit(model, layout, *data)
+    task = CubeFit(setup.frames, psf, CalibrationOptions(prior=options.prior))
+    return task.problem([*setup.common, *setup.own])
 
 
 def _errors(
@@ -353,11 +301,11 @@ def _errors(
     total = inverse @ torch.diag(problem.prior_precision[0]) @ inverse
     changes, wanted, images = [], [], []
     for number, (setup, part) in enumerate(zip(setups, problem.parts, strict=True)):
-        image, jacobian = part.predict_and_jacobian(problem.part_of(x, number))
+        image, jacobian = part.predict_and_jacobian(problem.part(x, number))
         weight = part.root_weight[0].double().mean(0) ** 2
         columns, jacobian = problem.columns[number], jacobian[0, problem.rows[number]].double()
         gain = inverse[:, columns] @ (jacobian * weight).cpu()
-        series = responses(setup.frames, gain)
+        series = setup.frames.responses(gain)
         wanted.append(gain @ (part.images[0, 0].double() - image[0]).cpu())
         if setup.frames.show_scatter:
             total += torch.as_tensor(covariance_of_mean(series.numpy()))
@@ -365,7 +313,7 @@ def _errors(
             total += gain @ jacobian.cpu().mT @ inverse[columns]
         changes.append(series)
         images.append(Part(setup.frames, jacobian, columns))
-    nominal = nominal_chi2_of(images, problem.prior_precision[0])
+    nominal = nominal_chi2(images, problem.prior_precision[0])
     misfit = max(1.0, chi2_nu / nominal.value)
     if len(setups) >= LEAST_SETUPS:
         modes = problem.layout.modes.stop

@@ -1,4 +1,4 @@
-"""Where fits begin: the centroid, a scan of defocus, or the median of a few single frames.
+"""Where fits begin, and begin again: the centroid, a scan of defocus, single frames, other sides, the twin.
 
 The scan needs no prior: one template per defocus is shared by all images, and the position comes from
 the peak of the normalised cross-correlation. It costs a few transforms per image and does not care how
@@ -7,22 +7,36 @@ far off the elongation prior is.
 Aberrations of 200 nm and more leave an averaged image with several minima, and a fit that starts from
 none of them often ends in the wrong one, with χ²/ν several times too large. Single frames keep their
 speckles and are less ambiguous; the median of a few of them is a start close enough.
+
+A centro-symmetric pupil gives φ(u) and its twin −φ(−u) the same image. Only the known diversity breaks the
+tie. With the diversity's own mode among the estimated ones, the twin is an equally good fit whose even modes,
+diversity included, change sign; only what is known of the size of aberrations, the instrument's law of NCPAs,
+separates them.
 """
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.units import tilt_nm
+from irlos_pipe.effects import Effect, EffectSet
+from irlos_pipe.effects.base import AT_REST, direction_among, on_every_side
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_steps import PupilSteps
-from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.calibration_options import NcpaPrior
+from irlos_pipe.estimate.image_fit import ImageFit, ModesFit
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import AS_BUILT, LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.zernike import noll_to_nm
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
 FEW_FRAMES = 10  # single frames whose median is a start
@@ -102,11 +116,6 @@ def _signed(index: int, size: int) -> int:
     return index - size if index > size // 2 else index
 
 
-def is_plausible(problem: ImageFit, solution: Solution, most: float) -> bool:
-    """Return whether the first `solution` of a `problem` is converged, with χ²/ν up to `most`."""
-    return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] <= most)
-
-
 def median_of_frames_nm(
     model: LightPath,
     images_e: torch.Tensor,
@@ -155,8 +164,98 @@ def a_wave_off(problem: ImageFit, x: torch.Tensor) -> list[torch.Tensor]:
     return found
 
 
+def on_other_sides(
+    effects: EffectSet, own: slice, x: torch.Tensor
+) -> Iterator[tuple[Effect, torch.Tensor, list[int]]]:
+    """Yield starts on another side of an effect with a distance and a direction, to first order degenerate.
+
+    That is the opposite side, and every side where it has come to rest at no distance. The parameters of the
+    `effects` are `own` of `x`, (1, parameters). With each start go the effect and its columns.
+    """
+    for label, effect in zip(effects.labels, effects.effects, strict=True):
+        angle = direction_among(effect.parameters)
+        if angle is None:
+            continue
+        columns = [own.start + index for index in effects.columns_of(label)]
+        opposite = x[0, columns].numpy().copy()
+        opposite[angle] += np.pi
+        rests = opposite[0] <= effect.parameters[0].lower + AT_REST
+        for side in on_every_side(effect) if rests else [opposite]:
+            start = x.clone()
+            start[0, columns] = torch.from_numpy(side)
+            yield effect, start, columns
+
+
 def better(first: Solution, second: Solution) -> Solution:
     """Return the one of `first` and `second` with the lower objective; a valid one before an invalid one."""
     if second.status[0] == INVALID or first.status[0] == INVALID:
         return first if second.status[0] == INVALID else second
     return second if second.objective[0] < first.objective[0] else first
+
+
+DECISIVE = 10.0  # evidence from which a sign counts as known: odds of 150 to 1
+
+
+@dataclass(frozen=True)
+class TwinCheck:
+    """Comparison of a solution with its twin."""
+
+    delta_chi2: float  # χ² (prior included) of the refitted twin minus that of the solution
+    rms_nm: float  # of the coefficients, tip and tilt left out
+    twin_rms_nm: float
+    distance_nm: float  # RMS difference between the two; near 0 when the twin fell back into the solution
+    # χ² of the data, and of the coefficients under the instrument's law of NCPAs as it is, of the twin minus
+    # that of the solution: -2 times the logarithm of the odds. The prior of the fit is wider than the law, so
+    # that it does not bend the estimates; it would understate what the law says of a twin, which needs twice
+    # the diversity as an aberration.
+    evidence: float
+
+    @property
+    def preferred(self) -> str:
+        """`solution`, `twin`, or `undecided` where neither data nor law decide."""
+        if self.distance_nm < 1.0 or self.evidence > DECISIVE:
+            return "solution"
+        return "twin" if self.evidence < -DECISIVE else "undecided"
+
+
+def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]) -> torch.Tensor:
+    """Return the coefficients, (batch, modes), that give a centro-symmetric pupil the same image [nm].
+
+    The known wavefront in the light path, `known_nm`, does not change.
+    """
+    twin = modes_nm.clone()
+    for column, noll in enumerate(nolls):
+        if noll_to_nm(noll)[0] % 2 == 0:
+            twin[:, column] = -twin[:, column] - 2 * known_nm.get(noll, 0.0)
+    return twin
+
+
+def check_twin(
+    problem: ModesFit,
+    solution: Solution,
+    law: NcpaLaw | None,
+    known_nm: Mapping[int, float],
+    max_iterations: int = 30,
+) -> tuple[TwinCheck, Solution]:
+    """Refit a `problem` from the twin of its first `solution` and compare; returns the twin as well.
+
+    The `law` is that of the instrument's NCPAs, `known_nm` the known wavefront by Noll index.
+    """
+    modes, nolls, x = problem.layout.modes, problem.layout.nolls, solution.values[:1]
+    start = x.clone()
+    start[:, modes] = twin_of(x[:, modes], nolls, known_nm)
+    twin = solve(problem, start, max_iterations=max_iterations)
+    shape = [i for i, noll in enumerate(nolls) if noll > 3]
+    size = [float(v[0, shape].square().sum().sqrt()) for v in (x, twin.values, twin.values - x)]
+    delta = 2 * float(twin.objective[0] - float(solution.objective[0]))
+    sigma_nm = None if law is None else NcpaPrior(law, 1.0).sigma_nm(nolls)
+
+    def by_prior(at: torch.Tensor) -> float:
+        return float((problem.prior_precision[0] * (at[0] - problem.prior_mean[0]).square()).sum())
+
+    def by_law(at: torch.Tensor) -> float:
+        return 0.0 if sigma_nm is None else float((at[0, modes] / sigma_nm).square().sum())
+
+    by_data = delta - by_prior(twin.values) + by_prior(x)
+    evidence = by_data + by_law(twin.values) - by_law(x)
+    return TwinCheck(delta, size[0], size[1], size[2], evidence), twin

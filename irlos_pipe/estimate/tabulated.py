@@ -15,9 +15,8 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import Layout
-from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift import PhotonFit, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import PhotonFit
 from irlos_pipe.estimate.starts import SCAN_NM
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
@@ -52,17 +51,13 @@ def tabulated(model: ImageModel, start_nm: torch.Tensor) -> ImageModel:
         return model
     if not is_family(model.psf.nolls) or model.psf.settings.lenslets > 1:
         return model
-    reach = _reach(model.psf.nolls, start_nm)
-    return TabulatedModel(model, reach) if can_tabulate(model.psf, model.optics, reach) else model
-
-
-def _reach(nolls: tuple[int, ...], start_nm: torch.Tensor) -> Reach:
-    """Limits well beyond the starts, wide enough for the scan of `scan_start_nm` too."""
-    focus = start_nm[:, place_of_focus(nolls)]
+    # well beyond the starts, wide enough for the scan of `scan_start_nm` too
+    nolls, focus = model.psf.nolls, start_nm[:, place_of_focus(model.psf.nolls)]
     low = min(float(focus.min()) - FOCUS_REACH_NM, SCAN_NM[0])
     high = max(float(focus.max()) + FOCUS_REACH_NM, SCAN_NM[-1])
     tilts = start_nm[:, [nolls.index(2), nolls.index(3)]]
-    return Reach((low, high), float(tilts.abs().max()) + TILT_REACH_NM)
+    reach = Reach((low, high), float(tilts.abs().max()) + TILT_REACH_NM)
+    return TabulatedModel(model, reach) if can_tabulate(model.psf, model.optics, reach) else model
 
 
 CURVE_NM = np.linspace(-900.0, 900.0, 37)

@@ -46,57 +46,39 @@ def _sums(columns: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
     return (columns * residual[:, None]).sum(2, dtype=torch.float64)
 
 
-class Linearised:
-    """Tangents of a batch of fits, and where they lead.
+def robust_equations(
+    columns: torch.Tensor,
+    residual: torch.Tensor,
+    root: torch.Tensor,
+    loss: Loss,
+    precision: torch.Tensor,
+    offset: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return gradient (b, p) and Hessian (b, p, p), float64, with their minimum where the tangents have it.
 
-    The derivatives of the images are `columns` (b, parameters, pixels), the whitened `residual` (b, repeats,
-    pixels) and `root` (b, repeats or 1, pixels), square roots of the weights, are float64. The Gaussian prior
-    has a `precision` and the parameters an `offset` from its mean, (b, parameters) each.
+    For `columns`, `residual` and `root` see `normal_equations`. The Gaussian prior has a `precision` and the
+    parameters an `offset` from its mean, (b, parameters) each. All is in the precision of the derivatives: it
+    shapes steps, which are only to lead near the minimum.
     """
-
-    def __init__(self, columns, residual, root, loss: Loss, precision, offset):
-        self.size = columns.shape[1]
-        self.columns = torch.nn.functional.pad(columns, (0, 0, 0, -self.size % TILE))
-        if not loss.quadratic:  # the step is only to lead near the minimum
-            residual, root = residual.to(columns.dtype), root.to(columns.dtype)
-        self.residual, self.root, self.loss = residual, root, loss
-        self.precision, self.offset = precision.to(columns.device), offset.to(columns.device)
-
-    def normal_equations(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradient (b, p) and Hessian (b, p, p), float64; for a robust loss those of an equivalent problem.
-
-        Equivalent is a quadratic problem with its minimum where the linearised one has it.
-        """
-        step = torch.zeros_like(self.offset)
-        if self.loss.quadratic:
-            return self._gradient(self.residual, step), self._hessian(self.residual)
-        residual = self.residual
-        for _ in range(NEWTON_STEPS):
-            hessian = self._hessian(residual)
-            ahead = -_solve(hessian, self._gradient(residual, step))
-            fraction, residual = self._searched(residual, ahead)
-            step = step + fraction * ahead
-        return -(hessian @ step[..., None])[..., 0], hessian
-
-    def _searched(self, residual: torch.Tensor, ahead: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Best of a few `FRACTIONS` of a step, (b, 1), and the residuals it leaves."""
-        change = (ahead[:, None].to(residual.dtype) @ self.columns[:, : self.size]) * self.root
-        tried = (self.loss.value(residual - fraction * change) for fraction in FRACTIONS)
-        losses = [loss.sum((1, 2), dtype=torch.float64) for loss in tried]
+    size = columns.shape[1]
+    padded = torch.nn.functional.pad(columns, (0, 0, 0, -size % TILE))
+    residual, root = residual.to(columns.dtype), root.to(columns.dtype)
+    precision, offset = precision.to(columns.device), offset.to(columns.device)
+    step = torch.zeros_like(offset)
+    for _ in range(NEWTON_STEPS):
+        weight = (loss.curvature(residual) * root**2).sum(1)
+        products = (padded * weight[:, None]) @ padded.mT
+        hessian = products[:, :size, :size].double() + torch.diag_embed(precision)
+        force = (loss.weight(residual) * residual * root).sum(1)
+        slope = (columns @ force[..., None])[..., 0]
+        ahead = -_solve(hessian, precision * (offset + step) - slope.double())
+        # the best of a few fractions of the step
+        change = (ahead[:, None].to(residual.dtype) @ columns) * root
+        losses = [loss.value(residual - part * change).sum((1, 2), dtype=torch.float64) for part in FRACTIONS]
         best = torch.tensor(FRACTIONS).to(change)[torch.stack(losses).argmin(0)]
-        return best[:, None].double(), residual - best[:, None, None] * change
-
-    def _gradient(self, residual: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
-        """Derivative of the loss and the prior after a step, in the precision of the residuals."""
-        force = (self.loss.weight(residual) * residual * self.root).sum(1)
-        slope = (self.columns[:, : self.size].to(residual.dtype) @ force[..., None])[..., 0]
-        return self.precision * (self.offset + step) - slope.double()
-
-    def _hessian(self, residual: torch.Tensor) -> torch.Tensor:
-        """In the precision of the images: it shapes steps, not the minimum."""
-        weight = (self.loss.curvature(residual) * self.root**2).sum(1)
-        products = (self.columns * weight[:, None].to(self.columns.dtype)) @ self.columns.mT
-        return products[:, : self.size, : self.size].double() + torch.diag_embed(self.precision)
+        residual = residual - best[:, None, None] * change
+        step = step + best[:, None].double() * ahead
+    return -(hessian @ step[..., None])[..., 0], hessian
 
 
 def _solve(hessian: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:

@@ -8,7 +8,7 @@ from pydantic import Field
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
-from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
+from irlos_pipe.estimate.mode_number import ModeLaw, ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import (
     DEFAULT,

@@ -147,7 +147,10 @@ def load_recipe(
     head = _check_head(data, errors)
     model = _check_section(data, "model", ModelConfig, errors)
     configs = _check_stage_sections(data, errors)
-    _check_stages(head.stages, errors)
+    for index, name in enumerate(head.stages):
+        problem = _stage_problem(name, head.stages[:index])
+        if problem:
+            errors.add(("stages", index), problem)
     named = "instrument" in head.model_fields_set
     sources = _with_samples(head, errors) if samples else head.inputs
     paths = _check_inputs(sources, absolute(path).parent, errors, head.samples, complete)
@@ -242,14 +245,6 @@ def _check_stage_sections(data: Mapping[str, Any], errors: ValidationErrors) -> 
     return {name: _check_section(data, name, STAGES[name].Config, errors) for name in concerned}
 
 
-def _check_stages(stages: Sequence[str], errors: ValidationErrors) -> None:
-    """Check names and order of the `stages`, noting `errors`."""
-    for index, name in enumerate(stages):
-        problem = _stage_problem(name, stages[:index])
-        if problem:
-            errors.add(("stages", index), problem)
-
-
 def _with_samples(head: RecipeHead, errors: ValidationErrors) -> dict[str, list[str]]:
     """Return the inputs of a recipe's `head` with samples for those not given, noting `errors`."""
     for name in head.samples.keys() - head.inputs.keys():
@@ -292,6 +287,7 @@ def _check_inputs(
 
 
 def _stage_problem(name: str, earlier: Sequence[str]) -> str:
+    """What is wrong with the name of a stage, or its place behind the `earlier` ones; empty if nothing is."""
     order = list(STAGES)
     if name not in order:
         return f"unknown stage '{name}'{suggestion(name, order)}"

@@ -35,6 +35,7 @@ WORDS = {
     "null": "nothing",
 }  # fmt: skip
 LINE_LENGTH = 100
+GLOSSARY = Path(__file__).with_name("glossary.md")
 TERM = re.compile(r"^\*\*(.+?)\.\*\* (.+?)(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 
 
@@ -60,18 +61,29 @@ class Entry:
 
 
 def all_entries() -> list[Entry]:
-    stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
-    effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
-    return [
-        *stages,
-        *effects,
-        *_check_entries(),
-        *key_entries(),
-        *_fact_entries(),
-        *_number_entries(),
-        *_array_entries(),
-        *_term_entries(),
-    ]
+    found = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
+    found += [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
+    for stage in LIGHT_PATH:  # a value out of the limits of a check makes the exit code 4
+        checks: Checks = getattr(STAGES[stage], "CHECKS", {})
+        for name, (text, key) in checks.items():
+            limit = f"{stage}.{key}" if key else "fixed"
+            found.append(Entry("check", f"{stage}.{name}", f"{text}\nlimit: {limit}"))
+    found += key_entries()
+    for name, rule in FACTS.items():
+        limits = f"value: {rule.kind}, ≥ {rule.low:g}, ≤ {rule.high:g}"
+        lines = [rule.text, f"unit: {rule.unit}", limits, *(["required"] if rule.required else [])]
+        found.append(Entry("fact of a profile", f"profile.facts.{name}", "\n".join(lines)))
+    found += [one for stage in LIGHT_PATH for one in _numbers(STAGES[stage].Results, (stage,))]
+    for stage in LIGHT_PATH:
+        arrays: Arrays = getattr(STAGES[stage], "ARRAYS", {})
+        for name, (unit, axes, text) in arrays.items():
+            lines = [text, *([f"unit: {unit}"] if unit else []), *([f"shape: ({axes})"] if axes else [])]
+            found.append(Entry("array of a product", f"{stage}.{name}", "\n".join(lines)))
+    for names, text in TERM.findall(GLOSSARY.read_text(encoding="utf-8")):
+        whole = textwrap.fill(" ".join(text.split()), LINE_LENGTH)
+        # one called ``A, B`` under both names
+        found += [Entry("term", name, whole) for name in ([names] if "(" in names else names.split(", "))]
+    return found
 
 
 def explain(name: str) -> str:
@@ -153,13 +165,6 @@ def key_entries() -> Iterator[Entry]:
     yield from _keys(Profile, ("profile",), "key of a profile")
 
 
-def _fact_entries() -> Iterator[Entry]:
-    for name, rule in FACTS.items():
-        limits = f"value: {rule.kind}, ≥ {rule.low:g}, ≤ {rule.high:g}"
-        lines = [rule.text, f"unit: {rule.unit}", limits, *(["required"] if rule.required else [])]
-        yield Entry("fact of a profile", f"profile.facts.{name}", "\n".join(lines))
-
-
 def _keys(model: type[BaseModel], above: tuple[str, ...], kind: Kind) -> Iterator[Entry]:
     schema = model.model_json_schema()
     yield from _of_section(schema, schema.get("$defs", {}), above, kind)
@@ -210,37 +215,12 @@ def _default(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-# -- what stages declare -----------------------------------------------------------------------------
-
-
-def _check_entries() -> Iterator[Entry]:
-    """Yield every check; a value out of its limits makes the exit code 4."""
-    for stage in LIGHT_PATH:
-        checks: Checks = getattr(STAGES[stage], "CHECKS", {})
-        for name, (text, key) in checks.items():
-            limit = f"{stage}.{key}" if key else "fixed"
-            yield Entry("check", f"{stage}.{name}", f"{text}\nlimit: {limit}")
-
-
-def _array_entries() -> Iterator[Entry]:
-    for stage in LIGHT_PATH:
-        arrays: Arrays = getattr(STAGES[stage], "ARRAYS", {})
-        for name, (unit, axes, text) in arrays.items():
-            lines = [text, *([f"unit: {unit}"] if unit else []), *([f"shape: ({axes})"] if axes else [])]
-            yield Entry("array of a product", f"{stage}.{name}", "\n".join(lines))
-
-
 # -- numbers of results.json -------------------------------------------------------------------------
 
 UNITS = {
     "nm": "nm", "mas": "mas", "e": "e-", "px": "px", "deg": "deg", "arcsec": "arcsec", "m": "m", "s": "s",
     "seconds": "s", "mag": "mag", "adu": "ADU",
 }  # fmt: skip
-
-
-def _number_entries() -> Iterator[Entry]:
-    for stage in LIGHT_PATH:
-        yield from _numbers(STAGES[stage].Results, (stage,))
 
 
 def _numbers(model: type, above: tuple[str, ...]) -> Iterator[Entry]:
@@ -260,19 +240,6 @@ def _of_the_part(annotation: Any) -> str:
     """What a field holds, by the first line of the model in it; empty without one."""
     model = next(models_in(annotation), None)
     return "" if model is None else inspect.cleandoc(model.__doc__ or "").partition("\n")[0]
-
-
-# -- terms of the glossary ---------------------------------------------------------------------------
-
-GLOSSARY = Path(__file__).with_name("glossary.md")
-
-
-def _term_entries() -> Iterator[Entry]:
-    """Yield every term of the glossary; one called ``A, B`` under both names."""
-    for names, text in TERM.findall(GLOSSARY.read_text(encoding="utf-8")):
-        lines = textwrap.fill(" ".join(text.split()), LINE_LENGTH)
-        for name in [names] if "(" in names else names.split(", "):
-            yield Entry("term", name, lines)
 
 
 def recipe_list() -> str:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TIP_TILT
-from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
+from irlos_pipe.estimate.correction import MirrorOffsets, mirror_offsets
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.image_quality import CURVES, quality_curves

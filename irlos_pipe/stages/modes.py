@@ -19,8 +19,7 @@ from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter
-    from irlos_pipe.estimate.mode_number import Choice, ModeScan
+    from irlos_pipe.estimate.mode_number import Choice, ModeLaw, ModeScan, ModeScatter
     from irlos_pipe.frames.recording import Recording
 
 NAME = "modes"
@@ -130,8 +129,7 @@ Results = ModesResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Fit a law to the scatter of the modes, and try several numbers of modes."""
-    from irlos_pipe.estimate.mode_law import fit_mode_law, mode_scatter
-    from irlos_pipe.estimate.mode_number import MIN_FRAMES, choose
+    from irlos_pipe.estimate.mode_number import MIN_FRAMES, choose, fit_mode_law, mode_scatter
 
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:

@@ -23,20 +23,20 @@ from helpers.diagnose_frames import (
 from helpers.optics_cases import READ_NOISE
 from scipy import stats
 
+from irlos_pipe.diagnosis.acceptance import Gap, HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.checks.drift import measure_drift, motion_ratio
 from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
+from irlos_pipe.diagnosis.cube import HeldOutFrames
 from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
-from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, noise_floor, preference
-from irlos_pipe.diagnosis.search.scores import (
+from irlos_pipe.diagnosis.null_model import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.scores import (
     Family,
     brightest_copies,
     score_family,
     whitened_shapes,
 )
-from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
-from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
@@ -242,11 +242,11 @@ def test_images_that_move_from_frame_to_frame_are_distinguished_from_those_that_
 @pytest.mark.slow
 def test_the_held_out_frames_prefer_the_true_model_and_its_gap_is_that_of_noise():
     parts = cube(image(effect=Vibration(), values=[64.0, 0.6]))
-    without = HeldOutEvaluation(parts.held_out, fitted(parts.training))
-    with_it = HeldOutEvaluation(parts.held_out, fitted(parts.training, [Vibration(start_angle_deg=30.0)]))
-    assert preference(with_it, without) > 3
-    assert with_it.gap == pytest.approx(noise_floor(with_it), rel=0.1)
-    assert with_it.gap < without.gap
+    without, with_it = (fitted(parts.training, some) for some in ([], [Vibration(start_angle_deg=30.0)]))
+    assert preference(parts.held_out, with_it, without) > 3
+    judge = HeldOutEvaluation(parts.held_out, with_it)
+    assert judge.gap == pytest.approx(judge.floor, rel=0.1)
+    assert judge.gap < HeldOutEvaluation(parts.held_out, without).gap
 
 
 def test_directions_that_only_the_prior_holds_are_no_part_of_an_effects_error():
@@ -272,8 +272,8 @@ def test_motion_from_frame_to_frame_does_not_raise_the_floor_of_the_gap():
     still = image()
     moved = np.array([image({**TRUE_NM, 2: TRUE_NM[2] + 8 * rng.standard_normal()}) for _ in range(FRAMES)])
     calm, shaken = (HeldOutFrames().split(frames(mean)).limited_by(False) for mean in (still, moved))
-    floors = [noise_floor(HeldOutEvaluation(one.held_out, fitted(one.training))) for one in (calm, shaken)]
-    photons = noise_floor(HeldOutEvaluation(cube(still).held_out, fitted(cube(still).training)))
+    floors = [HeldOutEvaluation(one.held_out, fitted(one.training)).floor for one in (calm, shaken)]
+    photons = HeldOutEvaluation(cube(still).held_out, fitted(cube(still).training)).floor
     assert floors == pytest.approx([photons, photons], rel=0.15)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.diagnosis.ramp.diagnosis import diagnose_ramp
+from irlos_pipe.diagnosis.ramp import diagnose_ramp
 from irlos_pipe.stages.diagnose.ramp import frames_held_out
 
 OFFSETS_NM = (-300, -200, -100, 0, 100, 200, 300, 250, 150, 50, -50, -150, -250)

@@ -15,13 +15,11 @@ from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import families
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
-from irlos_pipe.diagnosis.moments import Moment, Moments
+from irlos_pipe.diagnosis.null_model import gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
-from irlos_pipe.diagnosis.search.scores import Family, scores
-from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.diagnosis.view import Exposures, View
+from irlos_pipe.diagnosis.scores import Family, scores
+from irlos_pipe.diagnosis.view import Exposures, Moment, Moments, View
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.colour import PlateScale
@@ -48,8 +46,7 @@ def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
     fitter = Fitter([View(model(), CONDITIONS)], stack.training)
     ranked = refits(fitter, at_rest, scores(at_rest, present))
     ranked.sort(key=lambda one: one.name)  # plate_scale first
-    judges = [HeldOutEvaluation(stack.held_out, one.fitted) for one in ranked]
-    first, second = by_plausibility(ranked, judges)[0]
+    first, second = by_plausibility(ranked, stack)
     assert (first.name, second.name) == ("spectrum", "plate_scale")
     assert second.implausible and not first.implausible
 

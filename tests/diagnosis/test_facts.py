@@ -15,14 +15,11 @@ from irlos_pipe.diagnosis.acceptance import Options, choose
 from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.evidence import everyday
-from irlos_pipe.diagnosis.fitted import begun_at
-from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.opposite import open_facts, opposite_side
+from irlos_pipe.diagnosis.fitting import Fitter, begun_at
+from irlos_pipe.diagnosis.null_model import SURELY, Optimum, gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.opposite import open_facts, opposite_side, other_side
 from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.search.scores import Family, score_family
-from irlos_pipe.diagnosis.significance import SURELY, gaussian_sigma, surely_exceeding
-from irlos_pipe.diagnosis.starts import other_sides
+from irlos_pipe.diagnosis.scores import Family, score_family
 from irlos_pipe.diagnosis.verdict import Adjusted
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -137,7 +134,7 @@ def test_a_stop_that_came_to_rest_begins_where_the_fit_falls():
     fitter = Fitter([View(model(), CONDITIONS)], training)
     centred = begun_at(STOP, np.array([0.0, direction_rad + np.pi, 0.0]))
     resting = fitter.explored([centred], fitted(training), iterations=0)
-    (side,) = other_sides(resting, STOP.name)
+    side = other_side(resting, STOP.name)
     best = fitter.explored([begun_at(STOP, side)], resting)
     assert best.chi2 < resting.chi2 - 25
     assert best.values_of(STOP.name)[0] == pytest.approx(distance_m, abs=0.01)

@@ -12,7 +12,7 @@ import torch
 from helpers import diagnose_cases as cases
 from helpers.diagnose_frames import READ_NOISE, frames, image
 
-from irlos_pipe.diagnosis.splitting import HeldOutPixels, PixelStacks, averaged
+from irlos_pipe.diagnosis.cube import HeldOutPixels, PixelStacks, averaged
 from irlos_pipe.diagnosis.verdict import Diagnosis, sentence
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from irlos_pipe.diagnosis.acceptance import Search
+from irlos_pipe.diagnosis.acceptance import Gap, Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
 from irlos_pipe.diagnosis.grade import (
     copies_in_a_row,
@@ -12,7 +12,6 @@ from irlos_pipe.diagnosis.grade import (
     one_place_twice,
     without_ordinary_facts,
 )
-from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.null_model import Excess
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.effects import FixedEffect

@@ -13,11 +13,9 @@ from scipy.stats import multivariate_normal
 from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Task
-from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.posterior import Covariance, Images, Linear, Posterior, WavefrontLaw
-from irlos_pipe.diagnosis.view import Exposures, View
-from irlos_pipe.diagnosis.workflow import silent
+from irlos_pipe.diagnosis.view import Exposures, Moments, View
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.open_fit import last_noll_of, visible_order
@@ -126,9 +124,11 @@ def searched(effects, declared=()):
     fitter = Fitter([View(model(), CONDITIONS)], data.training)
     moments = Moments.of([Exposures(data.training.parts[0].frames, CONDITIONS)])
     options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
-    plain = Task(data, fitter, moments, options, silent)
+    plain = Task(data, fitter, moments, options, lambda count: None)
     null = plain.searched_from(fitted(data.training, declared))
-    return EvidenceTask(data, fitter, moments, options, silent, "photon-limited").beyond(null, declared)
+    return EvidenceTask(data, fitter, moments, options, lambda count: None, "photon-limited").beyond(
+        null, declared
+    )
 
 
 @pytest.mark.slow

@@ -13,11 +13,10 @@ from helpers.simulated_scenes import image as simulated
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import families
-from irlos_pipe.diagnosis.moments import Moments, placed
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import sharing
 from irlos_pipe.diagnosis.verdict import Diagnosis
-from irlos_pipe.diagnosis.view import Exposures, View
+from irlos_pipe.diagnosis.view import Exposures, Moments, View, placed
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import TipTiltJitter
 from irlos_pipe.effects.colour import PlateScale

@@ -43,7 +43,7 @@ from irlos_pipe.estimate.cube import (
     local_mean,
     steadied,
 )
-from irlos_pipe.estimate.twin import twin_of
+from irlos_pipe.estimate.starts import twin_of
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings

@@ -14,9 +14,8 @@ from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
-from irlos_pipe.estimate.lift import image_problem, lift
+from irlos_pipe.estimate.lift import REACH_NM, PhotonFit, image_problem, lift, near
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.lift_problems import REACH_NM, PhotonFit, near
 from irlos_pipe.estimate.methods import fit_frames
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm

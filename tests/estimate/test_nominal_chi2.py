@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.estimate.calibration_errors import Part, nominal_chi2, nominal_chi2_of, nominal_power
+from irlos_pipe.estimate.calibration_errors import Part, nominal_chi2, nominal_power
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.frames.noise import NoiseModel
@@ -52,9 +52,10 @@ def test_the_frames_tell_mean_and_scatter_of_chi2_about_a_right_model(patterns):
     found, told = [], []
     for _ in range(60):
         frames = _cube(rng, shared)
-        left = _left(Part(frames, jacobian, range(PARAMETERS)))
+        part = Part(frames, jacobian, range(PARAMETERS))
+        left = _left(part)
         found.append(float(left.square().sum()) / (PIXELS - PARAMETERS))
-        told.append(nominal_chi2(frames, jacobian, torch.zeros(PARAMETERS)))
+        told.append(nominal_chi2([part], torch.zeros(PARAMETERS)))
     found, value = np.array(found), np.array([one.value for one in told])
     assert np.mean(value) == pytest.approx(np.mean(found), abs=4 * np.std(found) / np.sqrt(60))
     pulls = (found - value) / [one.sigma for one in told]
@@ -78,9 +79,10 @@ def test_the_frames_tell_the_power_spectrum_about_a_right_model():
     found, told = [], []
     for _ in range(40):
         frames = _cube(rng, shared)
-        nominal = nominal_chi2(frames, jacobian, torch.zeros(PARAMETERS))
+        part = Part(frames, jacobian, range(PARAMETERS))
+        nominal = nominal_chi2([part], torch.zeros(PARAMETERS))
         told.append(nominal_power(frames, problem, torch.zeros(1, PARAMETERS), nominal))
-        left = _left(Part(frames, jacobian, range(PARAMETERS)))
+        left = _left(part)
         found.append(power_spectrum(left.reshape(SIDE, SIDE).numpy(), 2.0).value)
     error = np.std(found, axis=0) / np.sqrt(40)
     assert np.all(np.abs(np.mean(told, axis=0) - np.mean(found, axis=0)) < 4 * error)
@@ -103,7 +105,7 @@ def test_images_fitted_together_have_the_chi2_that_their_frames_tell():
             Part(frames, torch.as_tensor(jacobian), own)
             for frames, jacobian, own in zip(cubes, jacobians, columns, strict=True)
         ]
-        told.append(nominal_chi2_of(parts, torch.zeros(size)).value)
+        told.append(nominal_chi2(parts, torch.zeros(size)).value)
         found.append(float(_left(*parts, size=size).square().sum()) / (2 * PIXELS - size))
     assert np.mean(told) == pytest.approx(np.mean(found), abs=4 * np.std(found) / np.sqrt(60))
 

@@ -18,8 +18,8 @@ from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.cube_fit import CubeFit
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.methods import CubeFit
 from irlos_pipe.estimate.open_fit import (
     Opened,
     OpenFit,
@@ -29,8 +29,7 @@ from irlos_pipe.estimate.open_fit import (
     open_basis,
     visible_order,
 )
-from irlos_pipe.estimate.open_minima import Softening, likelier_minimum
-from irlos_pipe.estimate.open_sides import likelier_side
+from irlos_pipe.estimate.open_minima import Softening, likelier_minimum, likelier_side
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -86,7 +85,7 @@ def small_problems() -> tuple[OpenFit, ImageFit, torch.Tensor]:
     return open_fit, ImageFit(model, Layout(tuple(nolls), prior_sigma_nm=known), data, data), x
 
 
-def test_an_open_fit_has_the_equations_of_its_prior_whatever_it_has_kept():
+def test_an_open_fit_has_the_equations_of_its_prior_whatever_is_known():
     open_fit, image_fit, x = small_problems()
     which = torch.arange(1)
     open_fit.normal_equations(x, which)
@@ -241,7 +240,7 @@ def test_a_wrong_minimum_gives_way_to_the_right_one(problem):
 
 
 def test_softened_weights_are_those_of_the_larger_variance(problem):
-    """Also where the normal equations with the true weights are kept."""
+    """Also where the images and derivatives are known."""
     problem.normal_equations(place(), FIRST)
     data = problem.images
     variance = 30.0 * (data + 9.0) + (0.1 * data) ** 2

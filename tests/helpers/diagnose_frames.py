@@ -16,11 +16,9 @@ from helpers.optics_cases import (
     settings,
     vector,
 )
-from irlos_pipe.diagnosis.cube import Cube, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.cube import Cube, HeldOutFrames, Stacks
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.image_model import ImageModel

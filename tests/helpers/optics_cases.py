@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import EffectSet, SeeingHalo, TipTiltJitter
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
+from irlos_pipe.estimate.calibration_options import NcpaPrior
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel

@@ -16,15 +16,14 @@ from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, made
 from torch.overrides import TorchFunctionMode
 from torch.utils.weak import WeakIdKeyDictionary
 
+from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation
 from irlos_pipe.diagnosis.checks.drift import measure_drift
+from irlos_pipe.diagnosis.cube import HeldOutFrames
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import families
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
-from irlos_pipe.diagnosis.moments import Moment, Moments
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.search.scores import companion_gains, scores
-from irlos_pipe.diagnosis.splitting import HeldOutFrames
-from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.diagnosis.scores import companion_gains, scores
+from irlos_pipe.diagnosis.view import Exposures, Moment, Moments
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate

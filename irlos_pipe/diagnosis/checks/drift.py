@@ -13,8 +13,8 @@ from scipy.special import chdtri, ndtr
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.null_model import gaussian_sigma, surely_exceeding
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.wavefront import NcpaDrift
@@ -51,9 +51,7 @@ def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
 
     A drift more significant than `sure` is worth more than one linear step.
     """
-    problem = fitted.problem
-    pairs = enumerate(zip(stack.parts, problem.parts, strict=True))
-    steps = [LinearStep(one, part, problem.part(fitted.x, number)) for number, (one, part) in pairs]
+    steps = [LinearStep(one, *own) for one, own in zip(stack.parts, fitted.recordings, strict=True)]
     drifts = [(step, _drift(step, trials=len(steps))) for step in steps]
     step, drift = max(drifts, key=lambda one: one[1].significance)
     drift = replace(drift, recording=steps.index(step))
@@ -122,9 +120,8 @@ def motion_ratio(stack: Stacks, fitted: Fitted) -> float:
     """
     if not stack.in_time:
         return float("nan")
-    problem = fitted.problem
-    pairs = enumerate(zip(stack.parts, problem.parts, strict=True))
-    return float(np.mean([_ratio(one, part, problem.part(fitted.x, n)) for n, (one, part) in pairs]))
+    pairs = zip(stack.parts, fitted.recordings, strict=True)
+    return float(np.mean([_ratio(one, *own) for one, own in pairs]))
 
 
 def _ratio(stack: Stack, part: ImageFit, x: torch.Tensor) -> float:

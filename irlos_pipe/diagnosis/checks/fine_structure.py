@@ -113,11 +113,14 @@ class Beyond:
         rows, columns = (torch.fft.fftfreq(size, dtype=torch.float64) for size in good.shape)
         least = frequency_per_px + MAIN_LOBE / min(good.shape)
         self.band = torch.hypot(rows[:, None], columns) > least
-        self.fade = torch.outer(*(_hann(size) for size in good.shape))
+        edges = (torch.arange(size, dtype=torch.float64) + 0.5 for size in good.shape)
+        hann = (torch.sin(np.pi * one / len(one)) ** 2 for one in edges)
+        self.fade = torch.outer(*hann)
 
     def __call__(self, images: torch.Tensor) -> torch.Tensor:
         """The filtered images (images, rows, columns)."""
-        return self.of_whole(torch.stack([self._filled(image) for image in images]))
+        filled = (torch.where(self.weight > 0, one, local_mean(one, self.weight)) for one in images)
+        return self.of_whole(torch.stack([*filled]))
 
     def of_whole(self, images: torch.Tensor) -> torch.Tensor:
         """The filtered images (…, rows, columns) that have no bad pixels."""
@@ -137,10 +140,3 @@ class Beyond:
     def inside(self) -> torch.Tensor:
         """Good pixels where the window has not faded."""
         return (self.weight > 0) & (self.fade > FADED)
-
-    def _filled(self, image: torch.Tensor) -> torch.Tensor:
-        return torch.where(self.weight > 0, image, local_mean(image, self.weight))
-
-
-def _hann(size: int) -> torch.Tensor:
-    return torch.sin(np.pi * (torch.arange(size, dtype=torch.float64) + 0.5) / size) ** 2

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.null_model import FittedModel, Optimum
-from irlos_pipe.diagnosis.search.scores import Family
-from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.acceptance import Gap
+from irlos_pipe.diagnosis.null_model import FittedModel, Optimum, gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.scores import Family
 from irlos_pipe.diagnosis.verdict import Step
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import FixedEffect
@@ -84,14 +83,10 @@ def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, g
     significance = gaussian_sigma(sum(pulls[one] ** 2 for one, _ in bad), len(bad), np.inf, len(star_e))
     nothing = np.zeros(len(bad))
     sigma = {"pixels": [[0.0, 0.0] for _ in bad]}
-    before = _gap_with(gap.before, float(star_e.sum()), bad)
-    found = Gap(before, gap.before, gap.floor)
+    # the gap of the window with the pixels in it
+    light_e, missing_e = float(star_e.sum()), sum(abs(miss) for _, miss in bad)
+    whole_e = light_e + sum(max(one.mean_e, 0.0) for one, _ in bad)
+    found = Gap((gap.before * light_e + missing_e) / whole_e, gap.before, gap.floor)
     return Step(
         FixedEffect(effect, nothing), effect.describe(nothing), sigma, significance, np.nan, np.nan, found
     )
-
-
-def _gap_with(gap: float, light_e: float, bad: Sequence[tuple[Screened, float]]) -> float:
-    """The gap of a window of so much light, with pixels that miss by so much in it."""
-    missing = sum(abs(miss) for _, miss in bad)
-    return (gap * light_e + missing) / (light_e + sum(max(one.mean_e, 0.0) for one, _ in bad))

@@ -68,7 +68,8 @@ class PhotonFit:
         value = self._compare(image_e, x, noise)
         for iteration in range(1, self._iterations + 1):
             gradient, fisher = self._equations(x)
-            chi2_nu = self._chi2_nu()
+            np.multiply(self._residual, self._residual, out=self._scratch)
+            chi2_nu = float(self._scratch @ self._weight) / self._freedom
             step, gain = _scoring(gradient, fisher)
             if gain < CHI2_TOLERANCE * max(1.0, chi2_nu):
                 end = self._bounded(x + step)
@@ -123,10 +124,6 @@ class PhotonFit:
         np.multiply(self._slopes, self._single_weight, out=self._weighted)
         fisher = (self._weighted @ self._slopes.T).astype(np.float64)
         return -(self._weighted @ self._residual), fisher
-
-    def _chi2_nu(self) -> float:
-        np.multiply(self._residual, self._residual, out=self._scratch)
-        return float(self._scratch @ self._weight) / self._freedom
 
     def _misfit(self, x: np.ndarray, noise: Noise) -> float:
         positive = np.maximum(self._model, 0.0, out=self._scratch)

@@ -15,9 +15,9 @@ from irlos_pipe.estimate.calibration_options import (
     OPEN,
     CalibrationOptions,
     MethodName,
+    NcpaPrior,
     OptimiserName,
 )
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput

@@ -15,10 +15,9 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import mean_of, measured, rows_of
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_errors import errors_of_mean
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions, NcpaPrior
 from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.methods import scheme_of
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.estimate.setups import calibrate_setups
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.optics.image_quality import correlations

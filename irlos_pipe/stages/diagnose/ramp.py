@@ -8,9 +8,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
-from irlos_pipe.diagnosis.ramp.gap import LightPathName, compare, ramp_gap
+from irlos_pipe.diagnosis.acceptance import Gap
+from irlos_pipe.diagnosis.ramp import LightPathName, RampDiagnosis, RampName, compare, diagnose_ramp, ramp_gap
 from irlos_pipe.diagnosis.records import Alternative
 from irlos_pipe.diagnosis.verdict import EFFECT
 from irlos_pipe.effects import CATALOGUE, EffectSet

@@ -118,7 +118,7 @@ class SharingRow(ResultsPart):
 
 
 class StarRow(ResultsPart):
-    """One star and night, see `diagnosis.moments.Moment`, and by how much its wavefront differs."""
+    """One star and night, see `diagnosis.view.Moment`, and by how much its wavefront differs."""
 
     name: str = item("", "Name of the star and night, and of the star.")
     star: str = item("", DITTO)
@@ -173,7 +173,7 @@ class WhereRow(ResultsPart):
 
 
 class RestRow(ResultsPart):
-    """What the model still misses, see `diagnosis.rest.Rest`."""
+    """What the model still misses, see `diagnosis.verdict.Rest`."""
 
     light_fraction: Number = item(nan, "Part of the light that is misplaced beyond what noise alone shows.")
     where: WhereRow = WhereRow()

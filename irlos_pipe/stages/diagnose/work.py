@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnosis.moments import Moments, placed
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.verdict import Diagnosis
-from irlos_pipe.diagnosis.view import Exposures, Screened
+from irlos_pipe.diagnosis.view import Exposures, Moments, Screened, placed
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.residual import kurtosis_of_frames

@@ -12,9 +12,9 @@ from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.colour import AtmosphericDispersion, Spectrum
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.wavefront import HighOrderNcpa
+from irlos_pipe.estimate.calibration_options import NcpaPrior
 from irlos_pipe.estimate.focus.sensor import NOLLS, Focus, Limits, lift_singly
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Recording

@@ -5,6 +5,10 @@ of a few errors are fitted linearly to the means of the visits and compared.
 
 Estimates of one visit to an offset share the errors of the PSF model, so a visit's mean is known to no better
 than `MODEL_NM`, however many frames it has.
+
+The light path is decided before estimates are held against the focus stage. Two models with as many free
+parameters each are fitted to the frames that a diagnosis may see; frames that it may not see decide between
+them, each with its own tip, tilt, focus, flux and background.
 """
 
 from __future__ import annotations
@@ -16,12 +20,16 @@ from itertools import chain, combinations
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.acceptance import Gap
+from irlos_pipe.diagnosis.null_model import gaussian_sigma, surely_exceeding
 from irlos_pipe.diagnosis.verdict import EFFECT, NONE, UNKNOWN
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.focus_stage import travel_direction
+from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.planes import RampEffect
 from irlos_pipe.effects.public_values import measured
+from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 
 PER_PARAMETER = 8.0  # fall of χ² that a size or an edge has to earn
 CLOSE = 6.0  # χ² by which two indistinguishable names differ at most
@@ -209,11 +217,13 @@ class Visits:
         starts = np.flatnonzero(np.diff(commanded_nm, prepend=np.nan) != 0)
         offsets = commanded_nm[starts]
         groups = [g[np.isfinite(g)] for g in np.split(np.where(used, estimated_nm, np.nan), starts[1:])]
-        good = np.array([len(group) > 0 for group in groups]) & ~_of_unknown_history(offsets)
+        unknown = (travel_direction(offsets) == 0) & _turns(offsets)
+        good = np.array([len(group) > 0 for group in groups]) & ~unknown
         if good.sum() < 3:
             raise ValueError("a diagnosis of a ramp needs three visits to offsets, with estimates")
-        means, errors = np.array([_mean(groups[i]) for i in np.flatnonzero(good)]).T
-        return cls(offsets, good, means, np.hypot(errors, MODEL_NM))
+        kept = [groups[i] for i in np.flatnonzero(good)]
+        errors = [np.std(g, ddof=1) / np.sqrt(len(g)) if len(g) > 1 else 0.0 for g in kept]
+        return cls(offsets, good, np.array([np.mean(g) for g in kept]), np.hypot(errors, MODEL_NM))
 
     @property
     def commanded_nm(self) -> np.ndarray:
@@ -224,20 +234,9 @@ class Visits:
         return course(effect, self.all_nm)[self.good] / self.sigma_nm
 
 
-def _mean(values: np.ndarray) -> tuple[float, float]:
-    """Mean and its standard error; a single value has none."""
-    error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-    return float(np.mean(values)), float(error)
-
-
 def _turns(offsets_nm: np.ndarray) -> bool:
     """Whether the stage moves both ways."""
     return len(set(travel_direction(offsets_nm)) - {0}) > 1
-
-
-def _of_unknown_history(offsets_nm: np.ndarray) -> np.ndarray:
-    """Visits before the first move, where the direction matters because it changes later."""
-    return (travel_direction(offsets_nm) == 0) & _turns(offsets_nm)
 
 
 def course(effect: RampEffect, commanded_nm: np.ndarray) -> np.ndarray:
@@ -254,3 +253,140 @@ def candidates(visits: Visits) -> list[RampEffect]:
         *(one for kind in kinds for one in kind.on_whole_ramp(turns=_turns(visits.all_nm))),
         *(one for kind in kinds for one in kind.on_parts(offsets_nm)),
     ]
+
+
+STEPS = 3  # Gauss–Newton steps of what belongs to single frames, which is nearly linear
+FRAMES_AT_ONCE = 8  # bounds the memory of the derivatives
+
+
+def ramp_gap(
+    model: ImageModel,
+    data: RampData,
+    start_nm: torch.Tensor,
+    before_nm: np.ndarray,
+    after_nm: np.ndarray,
+    held_out: np.ndarray,
+) -> Gap:
+    """``Σ|measured − predicted| / Σ measured`` of the mean images per offset of the held-out frames.
+
+    Tip, tilt, flux and background of every frame are refitted. The defocus is `before_nm`, as commanded, and
+    `after_nm`, as corrected, (frames,); other modes are estimates, `start_nm`, (frames, modes). The `model`
+    has Noll 2, 3 and 4 among its modes and no free effects.
+    """
+    chosen = torch.as_tensor(held_out)
+    images, offsets = data.images_e.double()[chosen], data.introduced_nm[held_out]
+    good = data.good
+    predicted = []
+    for defocus_nm in (before_nm, after_nm):
+        modes_nm = start_nm.clone()
+        modes_nm[:, model.psf.nolls.index(4)] = torch.as_tensor(defocus_nm)
+        pieces = (one.split(FRAMES_AT_ONCE) for one in (images, modes_nm[chosen]))
+        predicted.append(torch.cat([_refitted(model, data, *piece) for piece in zip(*pieces, strict=True)]))
+    groups = [torch.as_tensor(offsets == value) for value in np.unique(offsets)]
+    total = sum(float(images[group].mean(0)[good].sum()) for group in groups)
+    before, after = (
+        sum(float((images[g].mean(0) - model_e[g].mean(0))[good].abs().sum()) for g in groups) / total
+        for model_e in predicted
+    )
+    noise = [
+        _noise_e(data, torch.as_tensor(data.introduced_nm == value), int((offsets == value).sum()))
+        for value in np.unique(offsets)
+    ]
+    return Gap(before, after, sum(noise) / total)
+
+
+def _refitted(
+    model: ImageModel, data: RampData, images: torch.Tensor, modes_nm: torch.Tensor
+) -> torch.Tensor:
+    """Gauss–Newton steps of tip, tilt, flux and background."""
+    root = torch.where(data.good, data.noise.variance_e2(images) ** -0.5, 0.0).flatten(1)
+    own = [model.psf.nolls.index(2), model.psf.nolls.index(3), -2, -1]
+    modes, light = modes_nm.clone(), torch.stack([images.sum((1, 2)), torch.zeros(len(images))], dim=1)
+    for _ in range(STEPS):
+        found = model.predict_and_jacobian(modes, light[:, 0], light[:, 1], held=True)
+        image, columns = (one.cpu() for one in found)
+        design = columns[:, own].double().flatten(2).mT * root[:, :, None]
+        misfit = (images.flatten(1) - image.flatten(1)) * root
+        step = torch.linalg.lstsq(design, misfit[:, :, None]).solution[..., 0]
+        modes[:, own[:2]] += step[:, :2]
+        light = light + step[:, 2:]
+    return model.predict(modes, light[:, 0], light[:, 1]).cpu()
+
+
+def _noise_e(data: RampData, at_offset: torch.Tensor, averaged: int) -> float:
+    """What noise leaves of a mean of `averaged` frames, from the scatter of all frames at the offset.
+
+    A normal deviate is √(2/π) σ away from zero on average.
+    """
+    images = data.images_e.double()[at_offset]
+    photons = data.noise.scatter_e2(images.mean(0))
+    scatter = images.var(0, correction=1) if len(images) > 1 else photons
+    sigma = (torch.maximum(photons, scatter) / averaged + data.noise.shared_e2).sqrt()
+    return float(np.sqrt(2 / np.pi) * sigma[data.good].sum())
+
+
+COMPLETE_CHI2_NU = 1.2  # of images that a model explains; simulated ones have 1.0 within 0.1
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two fits of a ramp on the frames held out."""
+
+    # Mean of the frames, with the model as it was and with the candidate.
+    chi2_nu: tuple[float, float]
+    better: float  # part of the frames that the candidate fits better
+    # Root of the fall of χ² per unit of the χ²/ν that the candidate leaves, which stands for the errors of
+    # both models.
+    significance: float
+    gap: tuple[float, float]  # ``Σ|measured − predicted| / Σ measured``
+
+    @property
+    def complete(self) -> bool:
+        """Return whether it leaves little but noise; else estimates of the focus share its errors."""
+        return self.chi2_nu[1] < COMPLETE_CHI2_NU
+
+    def favours(self, sure: float) -> bool:
+        """Return whether the candidate is `sure` σ better, and so in most of the frames."""
+        return self.significance > sure and self.better > 0.5
+
+
+@dataclass(frozen=True)
+class LightPathName:
+    """An effect on the light path that the images prefer."""
+
+    effect: Effect
+    values: Sequence[float]
+    comparison: Comparison
+
+    @property
+    def public(self) -> dict[str, float]:
+        """Its size under public names."""
+        return self.effect.describe(np.array(self.values))
+
+    @property
+    def phrase(self) -> str:
+        """The effect with its size, as a sentence names it."""
+        return self.effect.phrase(self.public)
+
+
+def compare(data: RampData, plain: RampFit, candidate: RampFit, held_out: np.ndarray) -> Comparison:
+    """Compare two fits of the ramp `data` on the frames `held_out`, (frames,) of bool."""
+    which = torch.as_tensor(held_out)
+    before, after = (fit.result.chi2_nu[which].double() for fit in (plain, candidate))
+    good = torch.isfinite(before) & torch.isfinite(after)
+    before, after = before[good], after[good]
+    pixels = int(data.good.sum())
+    fall = float((before - after).sum()) * pixels / max(float(after.mean()), 1.0)
+    gaps = [_gap(data, fit, which) for fit in (plain, candidate)]
+    return Comparison(
+        (float(before.mean()), float(after.mean())),
+        float((after < before).double().mean()),
+        float(np.sign(fall) * np.sqrt(abs(fall))),
+        (gaps[0], gaps[1]),
+    )
+
+
+def _gap(data: RampData, fit: RampFit, which: torch.Tensor) -> float:
+    images = data.images_e[which].double()[:, data.good]
+    model = fit.result.model_e[which].double().reshape(len(images), *data.good.shape)[:, data.good]
+    return float((images - model).abs().sum() / images.sum())

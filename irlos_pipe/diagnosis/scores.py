@@ -17,9 +17,8 @@ import torch
 from scipy.special import logsumexp
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.diagnosis.moments import Placement
-from irlos_pipe.diagnosis.null_model import FittedModel
-from irlos_pipe.diagnosis.significance import significance_of
+from irlos_pipe.diagnosis.null_model import FittedModel, significance_of
+from irlos_pipe.diagnosis.view import Placement
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
 from irlos_pipe.estimate.image_fit import ImageFit
@@ -84,12 +83,15 @@ class Score:
         """
         null = np.array(self.candidate.null_values)
         reach = within * np.array([p.prior_sigma for p in self.candidate.parameters])
-        return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
-
-    def _begun_at(self, sizes: Sequence[float] | np.ndarray) -> FixedEffect:
-        base, values = self.candidate.base, self.candidate.all_values(sizes)
+        base = self.candidate.base
+        values = self.candidate.all_values(np.clip(self.sizes, null - reach, null + reach))
         unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
         return FixedEffect(base, values, [p.name for p in base.parameters if p.name not in unseen])
+
+    def whole(self, within: float = LINEAR) -> FixedEffect:
+        """The effect to be fitted, which may have more parameters than the one that was searched for."""
+        start = self.start(within)
+        return start.base.whole(start, self.sizes).only_in(self.candidate.acts_in)
 
 
 def scores(optimum: FittedModel, families: Sequence[Family]) -> list[Score]:
@@ -114,7 +116,10 @@ def score_family(optimum: FittedModel, family: Family) -> Score:
     trials = len(tried) * family.positions * len(family.placements)
     if family.effect.copies_star:
         tried = [*brightest_copies(optimum, family.effect), *around(family.effect)]
-    pieces = ordered_map(partial(scored, optimum, trials, family.placements), _bundles(tried))
+    bundled = family.effect.plane in ("pupil", "otf") and not family.effect.copies_star
+    size = BUNDLED if bundled else 1  # candidates whose derivatives are computed in one go
+    bundles = [tried[i : i + size] for i in range(0, len(tried), size)]
+    pieces = ordered_map(partial(scored, optimum, trials, family.placements), bundles)
     found = [score for piece in pieces for score in piece]
     alike = ([one for one in found if one.candidate.acts_in == where] for where in family.placements)
     return _best_placed([_best_of(some) for some in alike])
@@ -183,18 +188,7 @@ def _of_recording(
     if not seen:
         parameters = sum(len(one.parameters) for one in candidates)
         return torch.zeros(parameters, part.images.shape[-1], dtype=torch.float64)
-    return derivatives(part, x, frozen, _combined(seen))
-
-
-def _combined(candidates: Sequence[Effect]) -> Effect:
-    return candidates[0] if len(candidates) == 1 else _Bundle(candidates)
-
-
-def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
-    """Candidates of one family whose derivatives are computed in one go."""
-    first = candidates[0]
-    size = BUNDLED if first.plane in ("pupil", "otf") and not first.copies_star else 1
-    return [candidates[i : i + size] for i in range(0, len(candidates), size)]
+    return derivatives(part, x, frozen, seen[0] if len(seen) == 1 else _Bundle(seen))
 
 
 def scored(
@@ -276,13 +270,11 @@ class _Bundle(Effect):
     def slopes(
         self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
-        every = [slope for one in self.bundled for slope in _slopes_at_null(one, light, grid)]
+        every: list[torch.Tensor] = []
+        for one in self.bundled:
+            null = torch.tensor(one.null_values, dtype=torch.float64)
+            every += one.slopes(null, light, grid, range(len(null)))
         return [every[index] for index in wanted]
-
-
-def _slopes_at_null(candidate: Effect, light: torch.Tensor, grid: Any) -> Sequence[torch.Tensor]:
-    null = torch.tensor(candidate.null_values, dtype=torch.float64)
-    return candidate.slopes(null, light, grid, range(len(null)))
 
 
 POSITIONS = 3  # candidates to look at more closely
@@ -299,8 +291,9 @@ def brightest_copies(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
     y, x = (axis * scale for axis in np.meshgrid(rows, columns, indexing="ij"))
     inside = (np.abs(y) < settings.window[0] / 2 * scale) & (np.abs(x) < settings.window[1] / 2 * scale)
     gain[~inside | (np.hypot(x, y) < INNER_MAS)] = 0
+    resolution_mas = settings.shortest_m / settings.geometry.diameter_m / MAS
     for x_mas, y_mas in _copies(optimum, effect):  # two that cannot be resolved are one that is no copy
-        gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * _resolution_mas(optimum)] = 0
+        gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * resolution_mas] = 0
     found = []
     for _ in range(POSITIONS):
         best = np.unravel_index(np.argmax(gain), gain.shape)
@@ -318,11 +311,6 @@ def _copies(optimum: FittedModel, wanted: Effect) -> list[tuple[float, float]]:
             _, x_mas, y_mas, *_ = fitted.values_of(label)
             found.append((x_mas, y_mas))
     return found
-
-
-def _resolution_mas(optimum: FittedModel) -> float:
-    settings = optimum.settings
-    return settings.shortest_m / settings.geometry.diameter_m / MAS
 
 
 def around(effect: Effect) -> list[FixedEffect]:

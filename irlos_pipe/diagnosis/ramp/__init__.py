@@ -1,1 +1,0 @@
-"""Diagnosis of a defocus ramp: what the focus stage really introduced."""

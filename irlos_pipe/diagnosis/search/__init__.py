@@ -1,1 +1,0 @@
-"""The search for missing effects: families of effects, score tests, candidates."""
