@@ -11,14 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 
 class LateModule:
-    """A module, `name` as in an import statement, that is imported when something of it is asked for."""
+    """A module, `name` as in an import statement, that is imported when something of it is asked for.
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    Where it is not installed, that raises the error `missing`, if there is one.
+    """
+
+    def __init__(self, name: str, missing: Exception | None = None) -> None:
+        self._name, self._missing = name, missing
 
     def __getattr__(self, attribute: str) -> Any:
         """Return what the module calls so, and keep it: the next look-up finds it at once."""
-        value = getattr(import_module(self._name), attribute)
+        try:
+            value = getattr(import_module(self._name), attribute)
+        except ImportError as error:
+            raise self._missing or error from None
         setattr(self, attribute, value)
         return value
 

@@ -16,30 +16,9 @@ from irlos_pipe.diagnosis.cube import Cube, Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import Excess, Optimum, gaussian_sigma, threshold
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import Alternative, Ranked
+from irlos_pipe.diagnosis.records import Alternative, Gap, Ranked
 from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 from irlos_pipe.diagnosis.scores import Score
-
-
-@dataclass(frozen=True)
-class Gap:
-    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels."""
-
-    before: float  # with the old model
-    after: float  # with the new model
-    floor: float  # with a perfect model, from noise alone
-
-    @property
-    def shrink(self) -> float:
-        """Part of the gap above the floor that the new model closes; NaN where there was none."""
-        open_ = self.before - self.floor
-        return (self.before - self.after) / open_ if open_ > 0 else float("nan")
-
-    @property
-    def closed(self) -> float:
-        """The same of the squares, in which noise and what a model misses add; NaN where there was none."""
-        open_ = self.before**2 - self.floor**2
-        return (self.before**2 - self.after**2) / open_ if open_ > 0 else float("nan")
 
 
 class HeldOutEvaluation:

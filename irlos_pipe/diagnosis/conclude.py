@@ -10,7 +10,6 @@ import torch
 from irlos_pipe.diagnosis.acceptance import Accepted, HeldOutEvaluation, Search, gap_between
 from irlos_pipe.diagnosis.checks.drift import motion_ratio
 from irlos_pipe.diagnosis.checks.fine_structure import fine_structure, flat_rms
-from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import Covariances, detectable, within_reach
@@ -18,7 +17,7 @@ from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.grade import judged, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import Ranked
+from irlos_pipe.diagnosis.records import NoiseVerdict, Ranked, Tried
 from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.diagnosis.second_recording import SecondRecordings
 from irlos_pipe.diagnosis.verdict import (
@@ -32,7 +31,6 @@ from irlos_pipe.diagnosis.verdict import (
     Outcome,
     Pictures,
     Step,
-    Tried,
     rest_of,
 )
 from irlos_pipe.diagnosis.view import Screened

@@ -6,12 +6,12 @@ from itertools import combinations
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Gap, Search
-from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
+from irlos_pipe.diagnosis.acceptance import Accepted, Search
+from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import FineStructure
+from irlos_pipe.diagnosis.records import FineStructure, Gap, NoiseVerdict
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
 from irlos_pipe.effects.pupil_places import PupilPlace

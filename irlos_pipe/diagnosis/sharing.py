@@ -18,6 +18,7 @@ from irlos_pipe.diagnosis.effect_sizes import Covariances, parameter_covariance
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Star
 from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma
@@ -59,21 +60,12 @@ class Sharing:
 
 
 @dataclass(frozen=True)
-class Change:
-    """How much the wavefront of a moment differs from the mean of those of all moments."""
-
-    moment: str
-    rms_nm: float  # root mean square over the modes [nm]
-    sigma_nm: float  # the same of the standard errors [nm]
-
-
-@dataclass(frozen=True)
 class Together:
     """What the moments of a multi-epoch diagnosis share."""
 
     moments: Moments
     sharing: Sequence[Sharing]  # of every effect that was named, in the order of the steps
-    changes: Sequence[Change]  # of the wavefront, for every moment
+    stars: Sequence[Star]  # how much the wavefront of every moment differs from the mean of all
 
 
 def sharing(
@@ -178,10 +170,10 @@ def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, optio
         effect = fitted.effect(one.label)
         groups.setdefault(one.label if effect.repeatable else effect.name, []).append(one.label)
     found = [sharing(labels, fitted, fitter, cube, moments, options.sure) for labels in groups.values()]
-    return Together(moments, found, _changes(search, moments))
+    return Together(moments, found, _stars(search, moments))
 
 
-def _changes(search: Search, moments: Moments) -> list[Change]:
+def _stars(search: Search, moments: Moments) -> list[Star]:
     """Changes from the mean of all moments, which images determine better than those from the common part."""
     final, drifts = search.final, search.final.fitted.problem.drifts
     columns = np.array([drifts[number] for number in moments.by_number])  # (moments, modes)
@@ -191,6 +183,8 @@ def _changes(search: Search, moments: Moments) -> list[Change]:
     of_modes = covariance[columns.T[:, :, None], columns.T[:, None, :]]  # (modes, moments, moments)
     variances = np.diagonal(from_mean @ of_modes @ from_mean.T, axis1=1, axis2=2).T
     return [
-        Change(moment.name, *(float(np.sqrt(np.mean(squares))) for squares in (change**2, variance)))
+        Star(
+            moment.name, moment.star, *(float(np.sqrt(np.mean(squares))) for squares in (change**2, variance))
+        )
         for moment, change, variance in zip(moments.by_number.values(), changes, variances, strict=True)
     ]

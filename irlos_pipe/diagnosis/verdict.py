@@ -1,17 +1,16 @@
 """What a diagnosis says, and what a model still misses, in numbers and in one or two sentences."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 import torch
 from scipy import ndimage
 
-from irlos_pipe.diagnosis.acceptance import Gap, HeldOutEvaluation
-from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
+from irlos_pipe.diagnosis import records
+from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation
 from irlos_pipe.diagnosis.cube import HeldOutKind
-from irlos_pipe.diagnosis.records import Advice, Alternative, FineStructure, OppositeSide, Ranked
 from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -23,47 +22,15 @@ HALF = 0.5  # part of the maximum down to which its strongest part reaches
 ALIKE = 0.5  # correlation from which two halves show the same
 CORE = 0.5  # part of the brightest pixel from which pixels belong to the star
 
-Symmetry = Literal["symmetric", "antisymmetric", "one-sided"]
-Time = Literal["static", "moving", "not seen"]
-
-
-@dataclass(frozen=True)
-class Rest:
-    """The residual between the held-out images and the final model."""
-
-    light_fraction: float  # part of the light that is misplaced beyond what noise alone shows
-    x_mas: float  # of its strongest part, from the star, to the right
-    y_mas: float  # the same, up
-    extent_mas: float  # diameter of a disc as large as the strongest part
-    excess: bool  # whether there is too much light in its strongest part, not too little
-    symmetry: Symmetry  # under a half turn about the star
-    time: Time  # whether the two halves of the frames leave the same
-    finer_than_diffraction: bool
-    # Relative error of the flat that would make what is finer; 0 where none is significant.
-    flat_rms: float = 0.0
-
-    @property
-    def text(self) -> str:
-        sign = "brighter" if self.excess else "fainter"
-        fine = ", partly finer than the diffraction limit" if self.finer_than_diffraction else ""
-        if fine and self.flat_rms:
-            fine += f" as an error of the flat of {self.flat_rms:.2%} RMS would make it"
-        when = "" if self.time == "not seen" else f", {self.time}"
-        return (
-            f"{self.light_fraction:.1%} of the light is misplaced beyond noise, most of it "
-            f"{self.x_mas:+.0f}, {self.y_mas:+.0f} mas from the star over {self.extent_mas:.0f} mas, where "
-            f"the data are {sign}; {self.symmetry}{when}{fine}"
-        )
-
 
 def rest_of(
     judge: HeldOutEvaluation,
     floor: float,
-    fine: FineStructure,
+    fine: records.FineStructure,
     sure: float,
     settings: PsfSettings,
     flat_rms: float = 0.0,
-) -> Rest:
+) -> records.Rest:
     """Describe what the final model leaves of the held-out frames of the first recording.
 
     Noise alone leaves a gap of `floor`; fine structure counts from `sure` σ; for `flat_rms` see there.
@@ -75,16 +42,30 @@ def rest_of(
     star_y, star_x = map(float, ndimage.center_of_mass(np.where(image > CORE * image.max(), image, 0.0)))
     row, column, area_px, sign = _strongest(left)
     scale = settings.pixel_scale_mas
-    return Rest(
+    rest = records.Rest(
         light_fraction=float(np.sqrt(max(judge.gap**2 - floor**2, 0.0))),
-        x_mas=(column - star_x) * scale,
-        y_mas=(row - star_y) * scale,
-        extent_mas=2 * float(np.sqrt(area_px / np.pi)) * scale,
+        where=records.Where(
+            (column - star_x) * scale, (row - star_y) * scale, 2 * float(np.sqrt(area_px / np.pi)) * scale
+        ),
         excess=sign > 0,
         symmetry=_symmetry(left, star_y, star_x),
         time=_time(judge),
         finer_than_diffraction=fine.significance > sure,
         flat_rms=flat_rms,
+    )
+    return replace(rest, text=_text(rest))
+
+
+def _text(rest: records.Rest) -> str:
+    sign, at = "brighter" if rest.excess else "fainter", rest.where
+    fine = ", partly finer than the diffraction limit" if rest.finer_than_diffraction else ""
+    if fine and rest.flat_rms:
+        fine += f" as an error of the flat of {rest.flat_rms:.2%} RMS would make it"
+    when = "" if rest.time == "not seen" else f", {rest.time}"
+    return (
+        f"{rest.light_fraction:.1%} of the light is misplaced beyond noise, most of it "
+        f"{at.x_mas:+.0f}, {at.y_mas:+.0f} mas from the star over {at.extent_mas:.0f} mas, where "
+        f"the data are {sign}; {rest.symmetry}{when}{fine}"
     )
 
 
@@ -107,7 +88,7 @@ def _strongest(left: np.ndarray) -> tuple[float, float, int, float]:
     return float(y), float(x), int(own.sum()), sign
 
 
-def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> Symmetry:
+def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> str:
     """How `left` changes under a half turn about the star."""
     rows, columns = (np.arange(size) for size in left.shape)
     y, x = np.meshgrid(2 * star_y - rows, 2 * star_x - columns, indexing="ij")
@@ -118,7 +99,7 @@ def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> Symmetry:
     return "symmetric" if likeness > 0 else "antisymmetric"
 
 
-def _time(judge: HeldOutEvaluation) -> Time:
+def _time(judge: HeldOutEvaluation) -> str:
     """Whether the two halves of the held-out frames of the first recording leave the same."""
     stack = judge.stack.parts[0]
     if not judge.stack.in_time or len(stack) < 4:
@@ -154,7 +135,8 @@ class Sized:
     # Size as a report states it, see `Effect.shown`.
     shown: dict[str, Any] = field(default_factory=dict, kw_only=True)
     shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)  # its standard errors
-    opposite: OppositeSide | None = field(default=None, kw_only=True)  # where these data do not exclude it
+    # Its opposite side, where these data do not exclude that.
+    opposite: records.OppositeSide | None = field(default=None, kw_only=True)
 
     @property
     def phrase(self) -> str:
@@ -172,9 +154,9 @@ class Step(Sized):
     significance: float  # in Gaussian σ
     explained: float  # part of the excess that was there before
     preference: float  # Vuong's statistic on the held-out frames, against the model before
-    gap: Gap  # on the held-out frames, of the models before and after it
-    alternatives: Sequence[Alternative] = ()
-    ranking: Sequence[Ranked] = ()  # families that were fitted, the best first
+    gap: records.Gap  # on the held-out frames, of the models before and after it
+    alternatives: Sequence[records.Alternative] = ()
+    ranking: Sequence[records.Ranked] = ()  # families that were fitted, the best first
     label: str = ""  # of the effect among those of the final model; by default its name
     share: float = float("nan")  # part of its own signal that the final model explains where that signal lies
 
@@ -193,20 +175,6 @@ class Step(Sized):
     def unusual(self) -> list[str]:
         """Parameters at a bound, or beyond what is usual for the effect."""
         return self.effect.base.unusual(self.effect.values)
-
-
-@dataclass(frozen=True)
-class Tried:
-    """One effect of the catalogue in a diagnosis."""
-
-    name: str
-    # ``named``; ``nearest``: what comes nearest where the verdict is unknown; ``modelled``: in the model from
-    # the start; ``adjusted``: in the final model without being named; ``fitted``: fitted and explains less;
-    # ``scored``: not significant in what was left; ``absorbed``: these data cannot show it; ``not tried``.
-    outcome: Outcome
-    # Of its score test at the last model for which a name was looked for, in Gaussian σ; NaN without one.
-    significance: float
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -249,12 +217,13 @@ class Diagnosis:
     nearest: Step | None  # what comes nearest, where the verdict is unknown
     unexplained: bool  # whether a significant part of the residual is left
     why_unknown: str
-    rest: Rest  # what the final model misses
-    gap: Gap
+    rest: records.Rest  # what the final model misses
+    gap: records.Gap
     mdb: dict[str, dict]  # smallest detectable size of every effect that was not seen
     untestable: Sequence[str]  # effects that the free parameters absorb
-    noise: NoiseVerdict
-    fine: FineStructure  # left by the model with the names: whether pixels hold what no light can have made
+    noise: records.NoiseVerdict
+    # Left by the model with the names: whether pixels hold what no light can have made.
+    fine: records.FineStructure
     chi2_nu: tuple[float, float]  # of the mean training image, before and after
     excess_sigma: tuple[float, float]
     motion_ratio: float
@@ -267,12 +236,12 @@ class Diagnosis:
     modes_sigma_nm: np.ndarray
     pictures: Pictures
     # For those untestable that a second recording would show.
-    advice: dict[str, Advice] = field(default_factory=dict)
+    advice: dict[str, records.Advice] = field(default_factory=dict)
     # Of the final model besides the steps: it fits better with them, but none is sure enough to be named.
     adjusted: Sequence[Adjusted] = ()
     # Further facts of the instrument that fits should leave free, see `open_facts`.
     open_facts: Sequence[FixedEffect] = ()
-    tried: Sequence[Tried] = ()  # search log: every effect of the catalogue, and what became of it
+    tried: Sequence[records.Tried] = ()  # search log: every effect of the catalogue, and what became of it
     together: Together | None = None  # what the recordings share; None of a single star and night
     seconds: float = 0.0
 

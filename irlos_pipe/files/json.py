@@ -50,14 +50,15 @@ def changed_values(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[tuple
 
     What is absent counts as None. They are in the order of `new`; what that lacks comes last.
     """
-    before, after = dict(_leaves(old)), dict(_leaves(new))
+    before, after = dict(flat(old)), dict(flat(new))
     both = {name: (before.get(name), after.get(name)) for name in after | before}
     return {name: values for name, values in both.items() if values[0] != values[1]}
 
 
-def _leaves(tree: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def flat(tree: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield what is no mapping, or an empty one, in nested mappings, with its key path, from `above` on."""
     for key, value in tree.items():
         if isinstance(value, Mapping) and value:
-            yield from _leaves(value, (*above, key))
+            yield from flat(value, (*above, key))
         else:
             yield (*above, key), value

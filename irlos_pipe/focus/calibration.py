@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import threading
@@ -18,11 +17,11 @@ from irlos_pipe.conventions.text import and_more
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.focus.unexplained import Structure, Unexplained
 from irlos_pipe.estimate.lift_errors import FrameErrors, spread_over
-from irlos_pipe.files.regular import read_regular
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.results import read_run_results, results_of
+from irlos_pipe.product.run_table import read_checks
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
 from irlos_pipe.readers.acquisition import resolve
@@ -33,8 +32,7 @@ from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.lift.fit import focus_sensor, light_path
 from irlos_pipe.stages.lift.input import ROLES, read_ramp
-from irlos_pipe.stages.lift.results import LiftResults
-from irlos_pipe.stages.lift.stage import Config
+from irlos_pipe.stages.lift.stage import Config, LiftResults
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # frames of a ramp that show how right exposures fit
@@ -274,9 +272,8 @@ class CalibrationRequest:
 def _failed_checks(folder: RunFolder) -> str:
     """Names of the checks that failed, as far as they can be read."""
     try:
-        checks = json.loads(read_regular(folder.quality))["checks"]
-        names = [f"'{one['name']}'" for one in checks if not one["passed"]]
-    except (OSError, ValueError, KeyError, TypeError):
+        names = [f"'{one['name']}'" for one in read_checks(folder) if not one["passed"]]
+    except InputDataError:
         names = []
     return f"{names[0]}{and_more(names)}" if names else f"see {folder.quality}"
 

@@ -13,13 +13,13 @@ import math
 import struct
 import time
 from collections.abc import Sequence
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.focus.live import SHORTEST_TOKEN
 from irlos_pipe.focus.source import Clock, Fault
 
@@ -51,7 +51,8 @@ class ZeroMqSource:
 
     def __init__(self, endpoint: str, token: str = "", window: tuple[int, int] = (512, 512)):
         _require_near(endpoint, token)
-        zmq = _pyzmq(endpoint)
+        needed = "needs the package pyzmq; install it with: pip install 'irlos_pipe[zeromq]'"
+        zmq = LateModule("zmq", ConfigurationError(f"--zeromq {endpoint}: {needed}"))
         self._endpoint, self._token, self._context = endpoint, token, zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.set(zmq.RCVHWM, KEPT)
@@ -134,13 +135,3 @@ def _require_near(endpoint: str, token: str) -> None:
             f"--zeromq {endpoint}: another machine, whose frames must be signed with a token of at least "
             f"{SHORTEST_TOKEN} characters in IRLOS_FOCUS_TOKEN"
         )
-
-
-def _pyzmq(endpoint: str) -> Any:
-    try:
-        import zmq
-    except ImportError:
-        raise ConfigurationError(
-            f"--zeromq {endpoint}: needs the package pyzmq; install it with: pip install 'irlos_pipe[zeromq]'"
-        ) from None
-    return zmq

@@ -12,9 +12,9 @@ from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import RunResults, read_run_results
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import read_product
-from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.diagnose.results import DiagnoseResults
-from irlos_pipe.stages.lift.results import LiftResults
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
+from irlos_pipe.stages.diagnose.stage import DiagnoseResults
+from irlos_pipe.stages.lift.stage import LiftResults
 
 
 @dataclass(frozen=True)

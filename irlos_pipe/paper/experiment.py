@@ -160,7 +160,6 @@ class Experiment:
     unit: str = "samples"
     arrays: Callable[[Frame, Context], Mapping[str, Quantity]] | None = None
     Results: type[ExperimentResults] = field(init=False)
-    READS: ClassVar[tuple[str, ...]] = ()
     DEPENDS_ON: ClassVar[tuple[str, ...]] = ("instrument", "seed")
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import is_intact, read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import Stage, depends_on, reads
+from irlos_pipe.stages.base import depends_on, reads
 
 UP_TO_DATE = "up to date"
 NO_PRODUCT = "no product yet"
@@ -68,7 +68,7 @@ def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selectio
     for index, name in enumerate(recipe.stages):
         known = {step.name: step.key for step in steps}
         upstream = {other: known[other] for other in reads(STAGES[name], recipe.stages[:index])}
-        parts = key_parts(STAGES[name], recipe, files, upstream)
+        parts = key_parts(name, recipe, files, upstream)
         path = RunFolder(folder).product(index + 1, name)
         if index < first:
             try:  # its product is used whether or not it is up to date
@@ -182,7 +182,7 @@ def checksum(content: bytes) -> str:
 
 
 def key_parts(
-    stage: Stage, recipe: Recipe, files: Iterable[InputFile], upstream: Mapping[str, str]
+    stage: str, recipe: Recipe, files: Iterable[InputFile], upstream: Mapping[str, str]
 ) -> dict[str, Any]:
     """Return all that the product of `stage` depends on, in JSON types."""
     parts = {
@@ -192,12 +192,12 @@ def key_parts(
         "inputs": {file.label: file.sha256 for file in files},
     }
     own = {
-        "stage": stage.NAME,
-        "version": stage.VERSION,
-        "config": recipe.configs[stage.NAME],
+        "stage": stage,
+        "version": STAGES[stage].VERSION,
+        "config": recipe.configs[stage],
         "upstream": dict(upstream),
     }
-    return jsonable(own | {name: parts[name] for name in sorted(depends_on(stage))})
+    return jsonable(own | {name: parts[name] for name in sorted(depends_on(STAGES[stage]))})
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:

@@ -33,7 +33,7 @@ from irlos_pipe.product.table import Origin, table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, arrays_only, depends_on, files_of, reads
-from irlos_pipe.stages.ingest.results import IngestResults
+from irlos_pipe.stages.ingest.stage import IngestResults
 
 
 @dataclass

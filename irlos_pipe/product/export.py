@@ -12,6 +12,7 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.files.atomic import write_bytes
@@ -20,6 +21,9 @@ from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import Recorded, provenance_of, recorded
 from irlos_pipe.product.table import Card, Origin, ascii_text, csv_content, fits_content, header_cards
 
+aotpy = LateModule(
+    "aotpy", ConfigurationError("AOT files need the package aotpy; install it with: pip install aotpy")
+)
 NOLL = "noll"
 MODAL = ("zernike_nm", "modes_nm", "offset_nm")  # arrays with one coefficient per Noll index
 
@@ -182,7 +186,6 @@ def _prefix(product: Product, name: str) -> str:
 
 
 def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
-    aotpy = _aotpy()
     values = {key: np.asarray(product.arrays[f"{prefix}/{key}"].value) for key in ARRAYS}
     acquisition = json.loads(str(product.arrays[f"{prefix}/acquisition"].value))
     start_s = float(values["start_unix_s"])
@@ -251,13 +254,3 @@ def _detector_keys(detector: dict[str, Any], exposure_s: float | None) -> dict[s
     if exposure_s and detector.get("background_e"):
         keys["dark_e_per_s"] = detector["background_e"] / exposure_s
     return keys
-
-
-def _aotpy() -> Any:
-    try:
-        import aotpy
-    except ImportError:
-        raise ConfigurationError(
-            "AOT files need the package aotpy; install it with: pip install aotpy"
-        ) from None
-    return aotpy

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -84,11 +84,19 @@ class Check:
     message: str
 
     @property
+    def beyond(self) -> bool:
+        """Whether the value lies outside of the limits."""
+        below = self.low is not None and self.value < self.low
+        return bool(below or (self.high is not None and self.value > self.high))
+
+    @property
     def passed(self) -> bool:
         """True inside the limits; a NaN never passes."""
-        above = self.low is None or self.value >= self.low
-        below = self.high is None or self.value <= self.high
-        return bool(above and below and not np.isnan(self.value))
+        return not (self.beyond or np.isnan(self.value))
+
+    def because(self, why: str) -> Check:
+        """Return the check with the reason `why` behind its message, where its value is beyond a limit."""
+        return replace(self, message=f"{self.message}: {why}") if self.beyond else self
 
     @property
     def limits(self) -> str:

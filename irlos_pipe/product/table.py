@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.text import printable
+from irlos_pipe.files.json import flat
 from irlos_pipe.files.regular import fits
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import Provenance, Recorded
@@ -143,18 +144,11 @@ def _beside(path: PurePosixPath) -> str:
 
 
 def _parameters(origin: Origin) -> Iterator[Card]:
-    flat = list(_flat(origin.config or {}, origin.stage))[:MAX_PARAMETERS]
-    for number, (name, value) in enumerate(flat, 1):
+    given = ((".".join(path), value) for path, value in flat({origin.stage: origin.config or {}}))
+    told = [(name, value) for name, value in given if value not in (None, "", [], {})]
+    for number, (name, value) in enumerate(told[:MAX_PARAMETERS], 1):
         yield Card(f"ESO PRO REC1 PARAM{number} NAME", name)
         yield Card(f"ESO PRO REC1 PARAM{number} VALUE", str(value))
-
-
-def _flat(config: Mapping[str, Any], above: str) -> Iterator[tuple[str, Any]]:
-    for key, value in config.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{above}.{key}")
-        elif value not in (None, "", []):
-            yield f"{above}.{key}", value
 
 
 def _irlos(recordings: Sequence[Recorded]) -> Iterator[Card]:

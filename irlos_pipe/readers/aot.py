@@ -9,6 +9,7 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.frames.recording import CalibrationMaps
 from irlos_pipe.instrument.instrument import Instrument
@@ -45,16 +46,12 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
 
 
 def _system(path: Path) -> Any:
-    try:
-        import aotpy
-    except ImportError:
-        raise InputDataError(
-            f"{path}: AOT files need the package aotpy; install it with: pip install aotpy"
-        ) from None
+    needed = f"{path}: AOT files need the package aotpy; install it with: pip install aotpy"
+    system = LateModule("aotpy", InputDataError(needed)).AOSystem
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # aotpy warns of every table that is empty
-            return aotpy.AOSystem.read_from_file(path)
+            return system.read_from_file(path)
     except Exception as error:  # aotpy has no error class of its own
         raise InputDataError(f"{path}: not a readable AOT file: {' '.join(str(error).split())}") from None
 

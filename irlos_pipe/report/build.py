@@ -38,8 +38,8 @@ from irlos_pipe.report.section_modes import modes_section
 from irlos_pipe.report.section_run import finished, ingest_section, origin_section, quality_section
 from irlos_pipe.report.section_sensitivity import sensitivity_section
 from irlos_pipe.stages import EXPERIMENTS, STAGES
-from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.diagnose.results import DiagnoseResults
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
+from irlos_pipe.stages.diagnose.stage import DiagnoseResults
 
 # Results first, in the order in which they build on one another; what went in comes behind.
 SECTIONS: dict[str, Callable[[RunData], Section]] = {

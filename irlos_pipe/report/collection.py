@@ -1,6 +1,6 @@
 """The report on several experiments: a chapter for each, in one file that needs nothing else."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import flat
 from irlos_pipe.product.results import Provenance, provenance_of
 from irlos_pipe.report.build import stage_sections
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views, rendered, shown
@@ -50,12 +51,13 @@ def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
     # Whole numbers among the settings of the last stage, without true and false.
     last = next(reversed(run.products.values()), None)
     sizes = [(key, value) for key, value in (last.config if last else {}).items() if type(value) is int]
-    settings = [row for stage, product in run.products.items() for row in _flat(product.config, stage)]
+    given = flat({stage: product.config for stage, product in run.products.items()})
+    settings = [(".".join(path), _shown(value)) for path, value in given if value != {}]
     made = [provenance_of(product) for product in run.products.values()]
     return Chapter(
         name,
         run.recipe.get("title") or name,
-        "failed" if problem else run.status,
+        "failed" if problem else run.outcome.status,
         [*([problem] if problem else []), *warnings(run)],
         [_own(section, name) for stage, section in stage_sections(run).items() if stage not in LEFT_OUT],
         Table(("setting", "value"), settings, "Settings", folded=True),
@@ -85,14 +87,6 @@ def _own_block(block: Block, name: str) -> Block:
     if isinstance(block, Figure):
         return replace(block, svg=renamed(block.svg, name), name=own)
     return replace(block, name=own) if isinstance(block, Table) else block
-
-
-def _flat(config: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:
-    for key, value in config.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{above}.{key}")
-        else:
-            yield f"{above}.{key}", _shown(value)
 
 
 def _shown(value: Any) -> str:

@@ -18,10 +18,10 @@ from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import verdict_numbers
 from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
 from irlos_pipe.report.text import MISSING, is_known, number, rounded_by_error, with_error
-from irlos_pipe.stages.calibrate.results import CalibrateResults, CauseRow
+from irlos_pipe.stages.calibrate.stage import CalibrateResults, CauseRow
 from irlos_pipe.stages.correct import CorrectResults, checks_behind
-from irlos_pipe.stages.diagnose.results import DiagnoseResults
-from irlos_pipe.stages.lift.results import LiftResults
+from irlos_pipe.stages.diagnose.stage import DiagnoseResults
+from irlos_pipe.stages.lift.stage import LiftResults
 from irlos_pipe.stages.sensitivity import SensitivityResults
 
 MISFIT = "chi2 of the mean image"

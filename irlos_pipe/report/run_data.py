@@ -34,15 +34,11 @@ class RunData:
 
     recipe: dict[str, Any]  # the resolved recipe; `recipe_text` is its file
     recipe_text: str
-    # status, error, notice: as in results.json.
-    status: str
-    error: str
-    notice: str
+    outcome: RunResults  # content of results.json: status, error, notice, instrument
     # By stage name, in the order of the recipe; their arrays are read when they are asked for.
     products: dict[str, Product]
     recordings: list[Overview]  # what ingest left, without frames; empty without ingest
-    instrument: str = ""  # as in results.json
-    names: Mapping[str, Sequence[str]] = field(default_factory=dict)  # of the files of the products, by stage
+    files: Mapping[str, str] = field(default_factory=dict)  # names of the files of the products, by stage
 
     def results(self, kind: type[Results]) -> Results:
         """Return the results of a stage as the model `kind`; all defaults without that stage."""
@@ -139,16 +135,13 @@ def read_run(folder: Path) -> RunData:
     """
     run = existing_run(folder)
     results = read_run_results(run.results)
-    products = {stage: _own_product(path, stage, results) for stage, path in run.products().items()}
-    recipe = load_yaml(run.recipe, InputDataError)[0]
+    paths = run.products()
+    products = {stage: _own_product(path, stage, results) for stage, path in paths.items()}
     return RunData(
-        recipe,
+        load_yaml(run.recipe, InputDataError)[0],
         read_regular(run.recipe),
-        results.status,
-        results.error,
-        results.notice,
+        results,
         products,
         overviews_from_product(products["ingest"]) if "ingest" in products else [],
-        results.instrument,
-        {stage: [path.name] for stage, path in run.products().items()},
+        {stage: path.name for stage, path in paths.items()},
     )

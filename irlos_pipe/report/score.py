@@ -16,9 +16,9 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import read_product
-from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
-from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
-from irlos_pipe.stages.lift.results import LiftResults, Point
+from irlos_pipe.stages.calibrate.stage import CalibrateResults, Estimate
+from irlos_pipe.stages.ingest.stage import IngestResults, RecordingRow
+from irlos_pipe.stages.lift.stage import LiftResults, Point
 
 
 class Truth(ResultsPart):

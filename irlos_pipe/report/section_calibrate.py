@@ -46,7 +46,7 @@ from irlos_pipe.report.images import (
 from irlos_pipe.report.run_data import RunData, StageData, frame_times
 from irlos_pipe.report.section_lift import effects_table, image_strip, residual_limit
 from irlos_pipe.report.text import MISSING, is_known, mode_label, mode_name, number, plural, with_error
-from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
+from irlos_pipe.stages.calibrate.stage import CalibrateResults, Estimate
 from irlos_pipe.stages.correct import CorrectResults
 
 MODES_IN_TIME = 5  # largest modes that are drawn against time

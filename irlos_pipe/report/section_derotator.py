@@ -9,7 +9,7 @@ from irlos_pipe.report.content import Figure, Section, Stack, Table, Width
 from irlos_pipe.report.images import common_limit_nm, wavefront_grid
 from irlos_pipe.report.run_data import RunData, StageData
 from irlos_pipe.report.text import number, plural, with_error
-from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.derotator import DerotatorResults
 
 FEW_COLUMNS = 3  # angles up to which a figure is narrow

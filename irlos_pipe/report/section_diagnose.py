@@ -51,7 +51,7 @@ from irlos_pipe.report.text import (
     sizes,
     with_error,
 )
-from irlos_pipe.stages.diagnose.results import DiagnoseResults, OwnValueRow, StepRow
+from irlos_pipe.stages.diagnose.stage import DiagnoseResults, OwnValueRow, StepRow
 
 Diagnosis = StageData[DiagnoseResults]
 Mark = Literal["good", "bad"]

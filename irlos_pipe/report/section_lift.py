@@ -25,7 +25,7 @@ from irlos_pipe.report.images import (
 )
 from irlos_pipe.report.run_data import RunData, StageData
 from irlos_pipe.report.text import MISSING, number, parameter_rows, plural, with_error
-from irlos_pipe.stages.lift.results import DECISIVE, LiftResults, Point, Twin, own_text
+from irlos_pipe.stages.lift.stage import DECISIVE, LiftResults, Point, Twin, own_text
 from irlos_pipe.stages.prior import PriorResults
 
 # Direction of travel: label, marker, colour.

@@ -17,7 +17,7 @@ from irlos_pipe.report.images import MANY_DIGITS, thumbnail
 from irlos_pipe.report.run_data import RunData, frame_times
 from irlos_pipe.report.text import number, plural
 from irlos_pipe.stages.correct import CorrectResults
-from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
+from irlos_pipe.stages.ingest.stage import IngestResults, RecordingRow
 
 MOST_THUMBNAILS = 60  # images of recordings that are shown
 CHECKSUM_DIGITS = 12  # of a checksum that are shown
@@ -58,11 +58,10 @@ def ingest_section(run: RunData) -> Section:
     assumed = Counter(key for row in rows for key, source in row.sources.items() if source == PROFILE)
     listed = ", ".join(f"{key} ({plural(count, 'recording')})" for key, count in sorted(assumed.items()))
     lead = f"{plural(len(rows), 'recording')}, {plural(sum(row.frames for row in rows), 'frame')}."
-    profile = f"profile {run.instrument}".strip()
-    stated = all("instrument" in row.sources for row in rows)
-    lead += f" Instrument {run.instrument}{'' if stated else ', which no side-car states'}." * bool(
-        run.instrument
-    )
+    instrument, stated = run.outcome.instrument, all("instrument" in row.sources for row in rows)
+    if instrument:
+        lead += f" Instrument {instrument}{'' if stated else ', which no side-car states'}."
+    profile = f"profile {instrument}".strip()
     owners = dict.fromkeys(one.input for one in run.recordings)
     blocks = shown(
         [_frames(run, owner) for owner in owners],
@@ -152,7 +151,7 @@ def _check_table(title: str, checks: list[tuple[str, Check]], folded: bool = Fal
 def origin_section(run: RunData) -> Section:
     """Build the section on where the products come from, and the recipe."""
     last = _latest(run)
-    facts = [f"instrument {run.instrument}"] if run.instrument else []
+    facts = [f"instrument {run.outcome.instrument}"] if run.outcome.instrument else []
     facts += [last.command, f"seed {'' if last.seed is None else last.seed}"]
     facts += [f"{last.machine.host} ({last.machine.platform})"]
     facts += [f"{name} {version}" for name, version in last.software.items()]
@@ -162,7 +161,7 @@ def origin_section(run: RunData) -> Section:
             "stage": lambda one: one[0],
             "files": lambda one: Markup(", ").join(
                 Markup('<a href="{0}">{0}</a>').format(name)
-                for name in (*run.names.get(one[0], ()), *one[1].files)
+                for name in filter(None, (run.files.get(one[0]), *one[1].files))
             ),
             "finished": lambda one: _moment(one[1].finished),
             "time [s]": lambda one: number(one[1].seconds),

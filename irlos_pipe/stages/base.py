@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -70,8 +71,8 @@ class Stage(Protocol):
 
     - ``ARRAYS`` and ``CHECKS``: the arrays of its product and its checks, see `product.product`;
     - ``NEEDS``: names of stages that must come before it in a recipe (default none);
-    - ``READS``: names of the earlier stages whose products it looks at (default all of them).
-      A change of any other stage does not redo it;
+    - ``READS``: names of further stages whose products it looks at if they come before it (default
+      none). A change of any other stage does not redo it;
     - ``files_of(root)``: the files of an input, given as a file or folder, that it reads (default all
       of them). Other files may change without its product being made again;
     - ``problems(inputs, config, instrument)``: a line for everything that is wrong with the files of the
@@ -83,15 +84,19 @@ class Stage(Protocol):
       where they are collected: they may be older than the checks.
     """
 
-    NAME: str
     VERSION: int  # raised where its products change
     Config: type[StageConfig]  # its section of a recipe
-    Results: type[StageResults]  # its section of results.json
+    Results: type[StageResults]  # its section of results.json, which has its name
 
     @staticmethod
     def run(ctx: StageContext[Any]) -> StageOutput:
         """Do the work of the stage."""
         ...
+
+
+def run_of(module: str) -> Callable[[StageContext[Any]], StageOutput]:
+    """Return the function `run` of a `module` that is imported when the stage runs, as for PyTorch."""
+    return lambda ctx: import_module(module).run(ctx)
 
 
 def needs(stage: Stage) -> tuple[str, ...]:
@@ -101,8 +106,8 @@ def needs(stage: Stage) -> tuple[str, ...]:
 
 def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
     """Return the names of those of the `earlier` stages whose products `stage` reads."""
-    wanted = getattr(stage, "READS", None)
-    return tuple(name for name in earlier if wanted is None or name in wanted or name in needs(stage))
+    wanted = (*needs(stage), *getattr(stage, "READS", ()))
+    return tuple(name for name in earlier if name in wanted)
 
 
 def arrays_only(stage: Stage) -> bool:

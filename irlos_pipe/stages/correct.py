@@ -24,16 +24,14 @@ from irlos_pipe.product.product import Check, Product, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.product.table import Card, Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
     from irlos_pipe.estimate.correction import Offsets, Prediction, StrehlPart
 
-NAME = "correct"
 VERSION = 6
 NEEDS = ("ingest", "calibrate")
-READS = ("ingest", "calibrate")
 MAP_SAMPLES = 160  # across the pupil in maps
 MIRROR_SIGN = (
     "offset: add it to the reference of the mode to cancel the aberration; in the unit of the table of "
@@ -197,7 +195,12 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 def checks_behind(products: Iterable[Product], used: str) -> list[Check]:
     """Return the checks of a correction by its `products`; of ingest those of the recipe input `used`."""
-    checks = [(one.stage, check) for one in products if one.stage in (*READS, NAME) for check in one.checks]
+    checks = [
+        (one.stage, check)
+        for one in products
+        if one.stage in (*NEEDS, CorrectResults.stage)
+        for check in one.checks
+    ]
     return [one for stage, one in checks if stage != "ingest" or one.name.startswith(f"ingest/{used}/")]
 
 

@@ -25,12 +25,10 @@ from irlos_pipe.optics.wavefront import clear_disc, opd_maps_nm
 from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.results import AngleRow, CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.stage import AngleRow, CubeEstimate, cube_estimates
 
-NAME = "derotator"
 VERSION = 1
 NEEDS = ("calibrate",)
-READS = ("calibrate",)
 DEPENDS_ON = frozenset({"instrument"})
 ARRAYS = {
     "noll": ("", "mode", "Noll index"),

@@ -14,7 +14,7 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
 from irlos_pipe.product.product import declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.stage import CalibrateResults, CubeEstimate, cube_estimates
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from irlos_pipe.estimate.mode_number import Choice, ModeLaw, ModeScan, ModeScatter
     from irlos_pipe.frames.recording import Recording
 
-NAME = "modes"
 VERSION = 4
 NEEDS = ("ingest", "calibrate")
-READS = ("ingest", "calibrate")
 ARRAYS = {
     "noll": ("", "mode", "Noll index"),
     "std_nm": ("nm ±", "mode", "RMS over the draws, about zero"),

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from irlos_pipe.estimate.elongation import ElongationLaw
     from irlos_pipe.frames.recording import Recording
 
-NAME = "prior"
 VERSION = 2
 NEEDS = ("ingest",)
-READS = ("ingest",)
 ARRAYS = {
     "defocus_nm": ("nm", "frame", "prior of the defocus, frames in order of time"),
     "introduced_nm": ("nm", "frame", "introduced defocus"),
@@ -54,7 +52,7 @@ class DefocusPrior(ResultsPart):
 class PriorResults(StageResults):
     """The law defocus = `A` (σ1/σ2 − 1) + `B` [nm], and what it gives for every frame."""
 
-    stage: ClassVar[str] = NAME
+    stage: ClassVar[str] = "prior"
     A: Number = item(
         nan, "Slope and constant of the law [nm]; σ1 and σ2 are the widths of the image along the two axes."
     )

@@ -26,10 +26,9 @@ if TYPE_CHECKING:
     from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.lift.input import Ramp
 
-NAME = "sensitivity"
 VERSION = 12
 NEEDS = ("ingest",)
-READS = ("ingest", "prior", "calibrate")
+READS = ("prior", "calibrate")
 CURVE = {
     "mag_j": ("mag", "magnitude", "J magnitude of the dimmed star"),
     "median_abs_error_nm": ("nm", "magnitude", "median of |estimated − introduced|"),

@@ -83,7 +83,7 @@ def test_the_ncpas_improve_and_the_held_out_gap_closes_with_the_name():
 
 
 def test_every_effect_of_the_catalogue_is_said_to_be_named_or_why_not():
-    found = {one.name: one for one in diagnosis_of("companion").tried}
+    found = {one.effect: one for one in diagnosis_of("companion").tried}
     assert [*found] == [*CATALOGUE]
     assert found["companion"].outcome == "named"
     assert found["ghost"].outcome == "fitted"

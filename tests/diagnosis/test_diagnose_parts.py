@@ -31,6 +31,7 @@ from irlos_pipe.diagnosis.cube import HeldOutFrames
 from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
 from irlos_pipe.diagnosis.null_model import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.records import Gap
 from irlos_pipe.diagnosis.scores import (
     Family,
     brightest_copies,

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from irlos_pipe.diagnosis.acceptance import Gap, Search
-from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
+from irlos_pipe.diagnosis.acceptance import Search
+from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES
 from irlos_pipe.diagnosis.grade import (
     copies_in_a_row,
     judged,
@@ -14,6 +14,7 @@ from irlos_pipe.diagnosis.grade import (
 )
 from irlos_pipe.diagnosis.null_model import Excess
 from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.records import Gap, NoiseVerdict
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot

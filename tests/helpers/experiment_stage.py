@@ -7,6 +7,7 @@ from helpers.stage_context import stage_context
 from irlos_pipe.paper import experiment
 from irlos_pipe.paper.experiment import Sample
 from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import RunResults
 from irlos_pipe.report.content import Section
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.stages.base import StageContext, StageOutput
@@ -43,7 +44,7 @@ def section_of(output: StageOutput, name: str, build: Callable[[RunData], Sectio
     """Build the section of a stage's output as it is read back from its product."""
     settings = config.model_dump() if config else {}
     product = Product(name, output.arrays, output.results.as_json(), config=settings)
-    return build(RunData({}, "", "ok", "", "", {name: product}, []))
+    return build(RunData({}, "", RunResults(), {name: product}, []))
 
 
 def drawn(output: StageOutput, module, **sizes) -> Section:

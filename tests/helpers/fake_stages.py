@@ -9,6 +9,7 @@ a stage misbehave: ``crash``, ``bad_data``, ``nothing``, ``fail_qc``, ``lose_exp
 import errno
 import sys
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import ClassVar, Literal
@@ -114,7 +115,9 @@ def _misbehave(name: str, folder: Path) -> None:
 
 
 def _module(name: str, config: type[StageConfig], work, **extra) -> ModuleType:
-    module = ModuleType(f"irlos_pipe.stages.{name}.stage")
+    real = import_module(f"irlos_pipe.stages.{name}.stage")
+    module = ModuleType(real.__name__)
+    module.__dict__.update({name: one for name, one in vars(real).items() if isinstance(one, type)})
 
     def run(ctx: StageContext) -> StageOutput:
         COUNTS[name] += 1
@@ -126,7 +129,7 @@ def _module(name: str, config: type[StageConfig], work, **extra) -> ModuleType:
         return output
 
     declared = {"Results": FreeResults} | extra
-    module.__dict__.update(NAME=name, VERSION=1, Config=config, run=run, **declared)
+    module.__dict__.update(VERSION=1, Config=config, run=run, **declared)
     return module
 
 
@@ -135,7 +138,7 @@ def modules() -> dict[str, ModuleType]:
     stages = [
         _module("ingest", IngestConfig, ingest, DEPENDS_ON={"inputs", "instrument"}),
         _module("calibrate", CalibrateConfig, calibrate, NEEDS=("ingest",), Results=MethodResults),
-        _module("lift", LiftConfig, lift, NEEDS=("ingest",), READS=("ingest",), DEPENDS_ON={"seed"}),
+        _module("lift", LiftConfig, lift, NEEDS=("ingest",), DEPENDS_ON={"seed"}),
     ]
     return {stage.__name__: stage for stage in stages} | {"irlos_pipe.report.build": report_module()}
 

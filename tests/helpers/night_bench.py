@@ -23,9 +23,9 @@ from irlos_pipe.night.settings import load_settings
 from irlos_pipe.night.state import RunState
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.ingest.results import IngestResults
-from irlos_pipe.stages.lift.results import LiftResults, Line, Point
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
+from irlos_pipe.stages.ingest.stage import IngestResults
+from irlos_pipe.stages.lift.stage import LiftResults, Line, Point
 
 CUBE = """\
 recipe: cube

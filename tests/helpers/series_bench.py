@@ -56,4 +56,5 @@ def run_stage(stage: Stage, products: Mapping[str, Product], **settings) -> tupl
     config = stage.Config(**settings)
     ctx = stage_context(config, model=ModelConfig(effects=()), products=dict(products))
     output = stage.run(ctx)
-    return output, Product(stage.NAME, output.arrays, output.results.as_json(), config=config.model_dump())
+    name, results = stage.Results.stage, output.results.as_json()
+    return output, Product(name, output.arrays, results, config=config.model_dump())

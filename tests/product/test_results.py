@@ -10,10 +10,10 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import read_run_results, results_of
-from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.diagnose.results import DiagnoseResults
-from irlos_pipe.stages.ingest.results import IngestResults
-from irlos_pipe.stages.lift.results import LiftResults, Line
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
+from irlos_pipe.stages.diagnose.stage import DiagnoseResults
+from irlos_pipe.stages.ingest.stage import IngestResults
+from irlos_pipe.stages.lift.stage import LiftResults, Line
 
 
 def test_json_has_the_keys_that_were_set_and_null_for_nan():

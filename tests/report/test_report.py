@@ -16,7 +16,7 @@ from irlos_pipe.product import storage
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.report.build import write_report
 from irlos_pipe.report.section_run import MOST_THUMBNAILS
-from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.model.untested import BY_RAMP, untested_by_cubes
 
 

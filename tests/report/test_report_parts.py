@@ -7,6 +7,7 @@ from matplotlib.colors import AsinhNorm
 
 from irlos_pipe.optics.zernike import zernike
 from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.results import RunResults
 from irlos_pipe.report.curves import Look, normal_quantiles, quantile_band, quantile_figure
 from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
@@ -112,7 +113,7 @@ def test_the_prior_of_ten_thousand_frames_takes_little_more_room_than_that_of_so
     def drawn(frames: int) -> int:
         values = np.random.default_rng(1).standard_normal(frames)
         arrays = {name: Quantity(values, "nm") for name in ("ratio", "defocus_nm", "introduced_nm")}
-        run = RunData({}, "", "ok", "", "", {"prior": Product("prior", arrays, {})}, [])
+        run = RunData({}, "", RunResults(), {"prior": Product("prior", arrays, {})}, [])
         return sum(len(block.svg) for block in prior_section(run).blocks)
 
     assert drawn(10_000) < 2 * drawn(300)

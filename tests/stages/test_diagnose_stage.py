@@ -21,8 +21,7 @@ from irlos_pipe.stages.diagnose.output import (
     model_yaml,
     recipe_entry,
 )
-from irlos_pipe.stages.diagnose.results import DiagnoseResults
-from irlos_pipe.stages.diagnose.stage import Config
+from irlos_pipe.stages.diagnose.stage import Config, DiagnoseResults
 from irlos_pipe.stages.diagnose.work import moments_of
 from irlos_pipe.stages.model.recording_settings import pooled_frames
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig

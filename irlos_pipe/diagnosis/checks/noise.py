@@ -6,43 +6,17 @@ follows the signal with the excess-noise factor; speckles of an AO residual exce
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.cube import Stack
+from irlos_pipe.diagnosis.records import NoiseVerdict
 
 FAINT, BRIGHT = 0.5, 0.02  # share of the pixels that are faint; of the peak, from which pixels are bright
 SPECKLE = 1.3  # measured over predicted variance of bright pixels from which speckles set the scatter
 TOLERANCE = 0.3  # relative deviation of a variance within which the noise model holds
 PHOTONS, SPECKLES, UNSEEN = "photon-limited", "speckle-limited", "unseen"
-
-
-@dataclass(frozen=True)
-class NoiseVerdict:
-    """What the frames say about the noise model: variances are measured over predicted ones."""
-
-    kind: str  # "photon-limited", "speckle-limited", or "unseen" of a single frame
-    bright_ratio: float  # of bright pixels
-    faint_ratio: float  # of faint pixels
-
-    @property
-    def holds(self) -> bool:
-        """Whether nothing is quieter than the noise model, nor louder without speckles to blame."""
-        if self.kind == UNSEEN:
-            return True
-        quietest = min(self.faint_ratio, self.bright_ratio)
-        return quietest > 1 - TOLERANCE and (self.kind != PHOTONS or self.faint_ratio < 1 + TOLERANCE)
-
-    @property
-    def text(self) -> str:
-        if self.kind == UNSEEN:
-            return "as declared: one frame shows no scatter"
-        ratios = f"{self.bright_ratio:.2f} in bright, {self.faint_ratio:.2f} in faint pixels"
-        return f"{self.kind}, variance over prediction {ratios}" + (
-            "" if self.holds else "; the noise model does not hold"
-        )
 
 
 def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
@@ -56,7 +30,7 @@ def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
 def judge_noise(stack: Stack) -> NoiseVerdict:
     """Compare variances with the noise model's."""
     if len(stack) < 2:
-        return NoiseVerdict(UNSEEN, float("nan"), float("nan"))
+        return NoiseVerdict(UNSEEN, text="as declared: one frame shows no scatter")
     images = stack.frames.images_e.double().numpy()
     good = stack.frames.good.numpy()
     mean = images.mean(0)
@@ -69,4 +43,15 @@ def judge_noise(stack: Stack) -> NoiseVerdict:
     bright = good & (mean > BRIGHT * mean.max())
     faint = good & (mean < np.quantile(mean[good], FAINT))
     ratios = [float(measured[where].sum() / predicted[where].sum()) for where in (bright, faint)]
-    return NoiseVerdict(SPECKLES if ratios[0] > SPECKLE else PHOTONS, *ratios)
+    return _verdict(SPECKLES if ratios[0] > SPECKLE else PHOTONS, *ratios)
+
+
+def _verdict(kind: str, in_bright: float, in_faint: float) -> NoiseVerdict:
+    """It holds if nothing is quieter than the noise model, nor louder without speckles to blame."""
+    quietest = min(in_faint, in_bright)
+    holds = quietest > 1 - TOLERANCE and (kind != PHOTONS or in_faint < 1 + TOLERANCE)
+    ratios = f"{in_bright:.2f} in bright, {in_faint:.2f} in faint pixels"
+    text = f"{kind}, variance over prediction {ratios}"
+    return NoiseVerdict(
+        kind, in_bright, in_faint, holds, text if holds else f"{text}; the noise model does not hold"
+    )

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.acceptance import Gap
 from irlos_pipe.diagnosis.null_model import FittedModel, Optimum, gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.records import Gap
 from irlos_pipe.diagnosis.scores import Family
 from irlos_pipe.diagnosis.verdict import Step
 from irlos_pipe.diagnosis.view import Screened

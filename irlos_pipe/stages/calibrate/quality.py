@@ -40,9 +40,8 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.calibrate.results import CauseRow
-from irlos_pipe.stages.calibrate.stage import Config, Limits
-from irlos_pipe.stages.ingest.results import IngestResults, NoiseRow, RecordingRow
+from irlos_pipe.stages.calibrate.stage import CauseRow, Config, Limits
+from irlos_pipe.stages.ingest.stage import IngestResults, NoiseRow, RecordingRow
 
 SPECKLED = {name for name, kind in CATALOGUE.items() if kind.speckles}
 # Effects that make frames scatter by more than noise.
@@ -59,7 +58,14 @@ OTHER_RESIDUAL = 2.0
 
 def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
     """Return the checks of a `result` against the `limits`; `prefix` begins their names."""
-    checks = [_converged(limits, result), _misfit(limits, result), _window(limits, result)]
+    converged = result.frame_status.count("converged") / len(result.frame_status)
+    message, size = f"{converged:.0%} of the fits converged", result.window_resolutions
+    window = Check("window", size, "", limits.min_window, None, f"the window is {size:.1f} λ/D wide")
+    checks = [
+        Check("converged fits", converged, "", limits.min_converged, None, message),
+        _misfit(limits, result),
+        window.because("too much of the light lies outside"),
+    ]
     if error_is_known(result):
         checks.append(_error(limits, result))
     if math.isfinite(result.noise_ratio):
@@ -77,12 +83,6 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
     return [replace(one, name=f"{prefix}{one.name}") for one in checks]
 
 
-def _converged(limits: Limits, result: Calibration) -> Check:
-    converged = result.frame_status.count("converged") / len(result.frame_status)
-    message = f"{converged:.0%} of the fits converged"
-    return Check("converged fits", converged, "", limits.min_converged, None, message)
-
-
 def error_is_known(result: Calibration) -> bool:
     """Whether errors are those of a fit behind an AO system whose frames show them."""
     behind_ao = not SPECKLED.isdisjoint(map(kind_of, result.effects))
@@ -93,9 +93,9 @@ def _error(limits: Limits, result: Calibration) -> Check:
     """The quoted error of what is delivered against what is of use."""
     delivered = (np.asarray(result.nolls) >= DEFOCUS) & (np.asarray(result.nolls) <= HIGHEST_REPORTED_NOLL)
     error_nm = float(np.linalg.norm(result.sigma_nm[delivered]))
-    why = ": too large to be of use" if error_nm > limits.max_error_nm else ""
-    message = f"Noll {DEFOCUS}–{HIGHEST_REPORTED_NOLL} are known to {error_nm:.1f} nm RMS{why}"
-    return Check(ERROR, error_nm, "nm", None, limits.max_error_nm, message)
+    message = f"Noll {DEFOCUS}–{HIGHEST_REPORTED_NOLL} are known to {error_nm:.1f} nm RMS"
+    check = Check(ERROR, error_nm, "nm", None, limits.max_error_nm, message)
+    return check.because("too large to be of use")
 
 
 def _misfit(limits: Limits, result: Calibration) -> Check:
@@ -127,11 +127,9 @@ def unexcused(check: Check, result: Calibration) -> Check:
 def _noise(result: Calibration) -> Check:
     """Declared noise against the scatter of the frames, which nothing lowers much."""
     ratio = result.noise_ratio
-    why = ": e_per_adu is too small, or the read noise too large" if ratio < LOWEST_NOISE_RATIO else ""
-    message = (
-        f"the frames scatter by {ratio:.2f} times the variance that the declared detector and star give{why}"
-    )
-    return Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
+    message = f"the frames scatter by {ratio:.2f} times the variance that the declared detector and star give"
+    check = Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
+    return check.because("e_per_adu is too small, or the read noise too large")
 
 
 def frame_checks(
@@ -145,28 +143,17 @@ def frame_checks(
     `kurtosis` of the frames (`estimate.residual`) is NaN where it means nothing, `motion` None without
     any. Of the `window`, rows and columns, the star may move over `max_motion` times the smaller side.
     """
-    checks = [_kinds(kurtosis)] if math.isfinite(kurtosis) else []
-    return checks if motion is None else [*checks, _moves(motion, window, max_motion)]
-
-
-def _kinds(kurtosis: float) -> Check:
-    """Frames of two kinds scatter, which excuses any misfit."""
-    why = ": they are of two kinds, as of two stars" if kurtosis < LOWEST_KURTOSIS else ""
-    message = f"the frames have a kurtosis of {kurtosis:.2f} where they differ most{why}"
-    return Check("frames of one kind", kurtosis, "", LOWEST_KURTOSIS, None, message)
-
-
-def _window(limits: Limits, result: Calibration) -> Check:
-    size = result.window_resolutions
-    why = ": too much of the light lies outside" if size < limits.min_window else ""
-    return Check("window", size, "", limits.min_window, None, f"the window is {size:.1f} λ/D wide{why}")
-
-
-def _moves(motion: Motion, window: tuple[int, ...], most: float) -> Check:
-    part = motion.largest_px / min(window)
-    why = ": too much of the light leaves the window" if part > most else ""
-    message = f"{motion_line(motion)}, by {part:.2f} of the window{why}"
-    return Check("motion of the star", part, "", None, most, message)
+    found = []
+    if math.isfinite(kurtosis):  # frames of two kinds scatter, which excuses any misfit
+        message = f"the frames have a kurtosis of {kurtosis:.2f} where they differ most"
+        check = Check("frames of one kind", kurtosis, "", LOWEST_KURTOSIS, None, message)
+        found.append(check.because("they are of two kinds, as of two stars"))
+    if motion is not None:
+        part = motion.largest_px / min(window)
+        message = f"{motion_line(motion)}, by {part:.2f} of the window"
+        check = Check("motion of the star", part, "", None, max_motion, message)
+        found.append(check.because("too much of the light leaves the window"))
+    return found
 
 
 def motion_line(motion: Motion) -> str:
@@ -176,20 +163,20 @@ def motion_line(motion: Motion) -> str:
 
 def _frames(limits: Limits, result: Calibration) -> Check:
     count = len(result.frames_nm)
-    why = ": too few to average the AO residual" if count < limits.min_frames else ""
     scatter = "which scatter by more than noise" if count > 1 else "whose scatter beyond noise is not known"
-    message = f"{count} frame{'s' * (count != 1)}, {scatter}{why}"
-    return Check("frames", float(count), "", float(limits.min_frames), None, message)
+    message = f"{count} frame{'s' * (count != 1)}, {scatter}"
+    check = Check("frames", float(count), "", float(limits.min_frames), None, message)
+    return check.because("too few to average the AO residual")
 
 
 def _orientation(found: Mirrored) -> Check:
     """The pupil of the profile against the mirrored one."""
-    why = ": the images are mirrored, or the pupil of the profile is" if found.seen else ""
     message = (
         f"the image shows {found.amplitude:.2f} ± {found.sigma:.2f} of the mirrored pupil; 0 is the pupil as "
-        f"declared, 1 the mirrored one{why}"
+        "declared, 1 the mirrored one"
     )
-    return Check("orientation", found.amplitude, "", None, found.limit, message)
+    check = Check("orientation", found.amplitude, "", None, found.limit, message)
+    return check.because("the images are mirrored, or the pupil of the profile is")
 
 
 def _planes(planes: Sequence[SetupFit]) -> Check:
@@ -199,12 +186,12 @@ def _planes(planes: Sequence[SetupFit]) -> Check:
     parts = np.abs(np.diff([one.focus_nm for one in ordered])) / np.where(steps_nm > 0, steps_nm, np.inf)
     at = int(parts.argmax())
     plane = max(ordered[at : at + 2], key=lambda one: abs(one.focus_nm))
-    why = ": its declared defocus is wrong, or its sign" if parts[at] > NEARER else ""
     message = (
         f"the plane declared at {plane.known_nm:+.0f} nm by itself wants {plane.focus_nm:+.1f} ± "
-        f"{plane.focus_sigma_nm:.1f} nm more; its distance to a neighbour is {parts[at]:.0%} off{why}"
+        f"{plane.focus_sigma_nm:.1f} nm more; its distance to a neighbour is {parts[at]:.0%} off"
     )
-    return Check("planes", float(parts[at]), "", None, NEARER, message)
+    check = Check("planes", float(parts[at]), "", None, NEARER, message)
+    return check.because("its declared defocus is wrong, or its sign")
 
 
 def _twin(result: Calibration) -> Check:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from dataclasses import dataclass
+from math import nan
+from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.calibration_options import (
@@ -19,19 +22,80 @@ from irlos_pipe.estimate.calibration_options import (
     OptimiserName,
 )
 from irlos_pipe.numerics.loss import LossName
-from irlos_pipe.product.results import item
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.results import ARRAYS, CHECKS
-from irlos_pipe.stages.calibrate.results import CalibrateResults as Results
+from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.results import (
+    DITTO,
+    ByNoll,
+    EffectValues,
+    Number,
+    ResultsPart,
+    StageResults,
+    item,
+    results_of,
+)
+from irlos_pipe.stages.base import StageConfig, run_of
 
-__all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
-
-NAME = "calibrate"
 VERSION = 28
 NEEDS = ("ingest",)
-READS = ("ingest",)
-WORK = LateModule("irlos_pipe.stages.calibrate.work")
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
+CUBES = "cubes"  # group of the arrays of every recording, with `each`
+ARRAYS = {
+    "noll": ("", "mode", "Noll index of every estimated mode"),
+    "zernike_nm": ("nm ±", "mode", "static wavefront without the diversity"),
+    "modes_nm": ("nm", "mode", "modes without the part of effects in the pupil"),
+    "covariance_nm2": ("nm2", "mode, mode", "covariance of the modes; `errors_from` says what it is from"),
+    "frames_nm": ("nm", "frame, mode", "coefficients of every frame; of several set-ups one after the other"),
+    "frame_status": ("", "fit", "outcome of every fit"),
+    "iterations": ("", "fit", "iterations of every fit"),
+    "mean_image_e": ("e- ±", "y, x", "mean of the used frames"),
+    "model_image_e": ("e-", "y, x", "model of the mean image"),
+    "correlation": ("", "mode, mode", "correlation of the reported modes"),
+    "left_frequency": ("D/λ", "frequency", "spatial frequency of the residual"),
+    "left_power": ("", "frequency", "power of the residual over its standard error"),
+    "left_nominal": ("", "frequency", "the same as a model that lacks nothing would leave it"),
+    "effects/<effect>": ("", "parameter", "parameters of the effect, as it declares them"),
+    "cubes/<name>/<array>": ("", "", "arrays of one recording, with calibrate.each"),
+    "setup_images_e": ("e- ±", "set-up, y, x", "mean image of each of several set-ups fitted together"),
+    "setup_models_e": ("e-", "set-up, y, x", "its model"),
+}
+CHECKS = {
+    "converged fits": ("part of the fits that converged", "min_converged"),
+    "chi2 of the mean image": (
+        "reduced χ² of the mean image against what the scatter of the frames lets expect; a larger one says "
+        "that the model lacks something",
+        "max_chi2_nu",
+    ),
+    "error of the wavefront": (
+        "quoted error of Noll 4–30, all together, behind an AO system whose speckles the frames show; it "
+        "counts what the model misfits",
+        "max_error_nm",
+    ),
+    "noise as told": ("scatter of the frames over the variance that the declared detector and star give", ""),
+    "window": ("smaller side of the window in λ/D", "min_window"),
+    "motion of the star": (
+        "how far the star moves from frame to frame, over the smaller side of the window; before they are "
+        "averaged, the frames are moved back",
+        "max_motion",
+    ),
+    "frames": ("number of frames, where they scatter by more than noise", "min_frames"),
+    "frames of one kind": (
+        "kurtosis of the frames along what they differ by most: small where two stars or pointings are mixed",
+        "",
+    ),
+    "orientation": (
+        "how much of the mirrored pupil the mean image shows: 0 as declared, 1 if the images are mirrored",
+        "",
+    ),
+    "twin solution": (
+        "whether the sign of the even modes is known: 1 if the twin, which has it reversed, is excluded",
+        "",
+    ),
+    "planes": (
+        "how much more or less two neighbouring planes are apart, by what each of them by itself wants, over "
+        "the declared distance: from a half on one is nearer to where another should be",
+        "",
+    ),
+}
 
 
 class Limits(StageConfig):
@@ -114,6 +178,209 @@ class Config(Limits):
         )
 
 
-def run(ctx: StageContext[Config]) -> StageOutput:
-    """Calibrate with the chosen method, and with the methods to compare."""
-    return WORK.run(ctx)
+class Tail(ResultsPart):
+    """Modes beyond the closed basis: law, see `estimate.open_fit.TailLaw`, and RMS as estimated."""
+
+    first_noll: int = item(0, "First of these modes.")
+    amplitude_nm: Number = item(
+        nan, "Standard deviation of a mode of the radial order n₁ of the first one [nm RMS]."
+    )
+    slope: Number = item(nan, "Exponent p of the law: the standard deviation falls as (n/n₁)^p.")
+    wfe_nm: Number = item(nan, "RMS of all these modes as estimated.")
+
+
+class Estimate(ResultsPart):
+    """The part of the results that every estimate has."""
+
+    method: str = item("", "How they were estimated, such as ``long_exposure`` or ``dip_global``.")
+    zernike_nm: ByNoll = item(
+        {}, "Reported modes of the static wavefront without the diversity, and their standard errors."
+    )
+    sigma_nm: ByNoll = item({}, DITTO)
+    wfe_nm: Number = item(nan, "RMS of the reported modes, and the total error expected of them.")
+    wfe_sigma_nm: Number = item(nan, DITTO)
+    higher_nm: Number = item(
+        nan,
+        "RMS of the reported modes from Noll 4 on, which leaves out tip and tilt, the position of the star; "
+        "and the total error expected of them.",
+    )
+    higher_sigma_nm: Number = item(nan, DITTO)
+    tip_tilt_nm: Number = item(nan, "RMS of tip and tilt together, and their total error.")
+    tip_tilt_sigma_nm: Number = item(nan, DITTO)
+    frames: int = item(0, "Used frames.")
+    errors_from: str = item(
+        "frames",
+        "``frames``: from their scatter; ``noise`` or ``few_frames``: see `estimate.calibration_errors`.",
+    )
+    seconds: Number = item(nan, "Time of the fit.")
+    chi2_nu: Number = item(
+        nan,
+        "Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much "
+        "that varies by chance, see `estimate.calibration_errors`. Behind an AO system a complete model "
+        "leaves less than 1: neighbouring pixels share the scatter of speckles, which the modes follow.",
+    )
+    nominal_chi2_nu: Number = item(nan, DITTO)
+    nominal_chi2_nu_sigma: Number = item(nan, DITTO)
+    loss: str = item("", "Function of the residuals that the fit minimises.")
+    optimiser: str = item("", "Algorithm that minimises it.")
+    modes_estimated: int | None = item(None, "Modes in the fit, more than are reported.")
+    all_zernike_nm: ByNoll = item({}, "All estimated modes of the static wavefront, by Noll index [nm RMS].")
+    tail: Tail | None = item(
+        None, "What was found of the modes beyond the closed basis; None for a closed one."
+    )
+    status: dict[str, int] = item({}, "Number of fits by their outcome.")
+
+
+class Twin(ResultsPart):
+    """Comparison with the twin solution, see `estimate.twin.TwinCheck`."""
+
+    delta_chi2: Number = item(nan, "χ² of the refitted twin minus that of the solution, prior included.")
+    rms_nm: Number = item(
+        nan, "RMS of the coefficients of the solution and of the twin, without tip and tilt."
+    )
+    twin_rms_nm: Number = item(nan, DITTO)
+    distance_nm: Number = item(
+        nan, "RMS difference between the two; near 0 where the twin fell back into the solution."
+    )
+    evidence: Number = item(
+        nan,
+        "-2 times the logarithm of the odds of the twin, by the data and the law of NCPAs; large: excluded.",
+    )
+    preferred: str = item("", "``solution``, ``twin``, or ``undecided`` where neither data nor law tell.")
+
+
+class Lenslets(ResultsPart):
+    """What the four images of a 2x2 mode determine, and what their centroids say."""
+
+    modes_tried: int = item(
+        0, "Modes from Noll 2 on, and how many combinations of them the images tell better than the prior."
+    )
+    combinations: int = item(0, DITTO)
+    information: list[Number] = item(
+        [], "Eigenvalues of the Fisher matrix in units of the prior, descending."
+    )
+    determined: list[int] = item([], "Modes whose error is at most half of the prior's.")
+    left: ByNoll = item({}, "Error of every mode over that of its prior.")
+    bound_nm: ByNoll = item(
+        {}, "Cramér–Rao bound of the estimated modes: noise alone, no prior of the modes."
+    )
+    centroids_nm: ByNoll = item(
+        {},
+        "Modes from the centroids of the images, as of a Shack–Hartmann sensor, and their errors by the "
+        "scatter of the frames.",
+    )
+    centroids_sigma_nm: ByNoll = item({}, DITTO)
+
+
+class SetupRow(ResultsPart):
+    """One of several set-ups, such as planes of known defocus, that were fitted together."""
+
+    name: str = item("", "Its recordings.")
+    introduced_nm: Number = item(nan, "Noll 4 of what is known of its wavefront.")
+    frames: int = item(0, "Used frames.")
+    chi2_nu: Number = item(nan, "Reduced χ² of its mean image.")
+    focus_nm: Number = item(
+        nan,
+        "Defocus beyond the known and the common one that its image by itself wants, and the standard error.",
+    )
+    focus_sigma_nm: Number = item(nan, DITTO)
+
+
+class CauseRow(ResultsPart):
+    """A fact or effect that would explain why a check failed, see `estimate.causes`."""
+
+    name: str = item("", "What it is: a short identifier, such as ``plate_scale`` or ``transposed``.")
+    says: str = item("", "The whole sentence for a person, key included.")
+    explains: Number = item(nan, "Part of the misfit that it explains, 0 to 1; NaN where it is no misfit.")
+    value: Number = item(
+        nan,
+        "Value that the data want, its standard error and the declared value; NaN where none is a number.",
+    )
+    sigma: Number = item(nan, DITTO)
+    declared: Number = item(nan, DITTO)
+    unit: str = item("", "Unit of the three.")
+    key: str = item("", "Key of the side-car or profile to change; empty where none is.")
+    figure: str = item("", "Figure of the report to look at, by its name there, such as ``cal-residual``.")
+
+
+class AngleRow(ResultsPart):
+    """A recording and its derotator angle."""
+
+    name: str = item("", "Name of the recording.")
+    derotator_angle_deg: Number = item(nan, "Angle of the derotator when it was taken.")
+
+
+class CubeRow(Estimate, AngleRow):
+    """Estimate of one recording that was reduced by itself."""
+
+    effects: dict[str, EffectValues] = item({}, "Estimated effects with the values of their parameters.")
+
+
+class CalibrateResults(Estimate, StageResults):
+    """One estimate from all recordings, or the mean over the `cubes` that were reduced one by one."""
+
+    stage: ClassVar[str] = "calibrate"
+    effects: dict[str, EffectValues] = item({}, "Estimated effects with the values of their parameters.")
+    effects_sigma: dict[str, EffectValues] = item(
+        {}, "Their standard errors, see `estimate.calibration_errors`; empty for the mean over `cubes`."
+    )
+    seeing_arcsec: Number = item(nan, "Seeing taken for the calibration.")
+    wavelength_nm: Number = item(nan, "Mean wavelength of its recordings, at which the NCPAs are stated.")
+    twin: Twin | None = item(None, "None without a twin solution, and for the mean over cubes.")
+    compare: list[Estimate] = item([], "Estimates with other methods.")
+    setups: list[SetupRow] = item([], "Set-ups that were fitted together; empty for one.")
+    introduced_accuracy: Number = item(
+        nan, "Part of itself by which an introduced defocus is off, one standard deviation by all planes."
+    )
+    cubes: list[CubeRow] = []
+    causes: list[CauseRow] = item(
+        [], "What would explain the checks that failed, most likely first; empty where none did."
+    )
+    no_causes: str = item("", "Why there are none though a check failed.")
+    lenslets: Lenslets | None = item(
+        None, "What the images of a 2x2 mode determine; None for other recordings."
+    )
+
+    def effect_number(self, effect: str, parameter: str) -> float:
+        """Return an estimated `parameter` of an `effect` as a number; NaN where there is none."""
+        value = self.effects.get(effect, {}).get(parameter)
+        return float(value) if isinstance(value, (int, float)) else math.nan
+
+
+Results = CalibrateResults
+run = run_of("irlos_pipe.stages.calibrate.work")
+
+
+@dataclass(frozen=True)
+class CubeEstimate:
+    """Estimate of one cube, as read from a product."""
+
+    name: str
+    derotator_angle_deg: float
+    nolls: tuple[int, ...]
+    zernike_nm: np.ndarray  # (modes,)
+    sigma_nm: np.ndarray  # (modes,)
+    covariance_nm2: np.ndarray  # (modes, modes)
+    frames_nm: np.ndarray  # (frames, modes)
+    mean_image_e: np.ndarray  # (rows, columns)
+
+
+def cube_estimates(product: Product) -> list[CubeEstimate]:
+    """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording."""
+    return [_estimate(product, row) for row in results_of(CalibrateResults, product).cubes]
+
+
+def _estimate(product: Product, row: CubeRow) -> CubeEstimate:
+    def own(name: str) -> Quantity:
+        return product.arrays[f"{CUBES}/{row.name}/{name}"]
+
+    return CubeEstimate(
+        row.name,
+        row.derotator_angle_deg,
+        tuple(int(noll) for noll in own("noll").value),
+        own("zernike_nm").value,
+        np.asarray(own("zernike_nm").error),
+        own("covariance_nm2").value,
+        own("frames_nm").value,
+        own("mean_image_e").value,
+    )

@@ -33,10 +33,11 @@ from irlos_pipe.stages.calibrate.input import (
     setups_of,
 )
 from irlos_pipe.stages.calibrate.quality import MISFIT, causes_of, checks_of, motion_line, unexcused
-from irlos_pipe.stages.calibrate.results import (
+from irlos_pipe.stages.calibrate.stage import (
     ARRAYS,
     CUBES,
     CalibrateResults,
+    Config,
     CubeRow,
     Estimate,
     Lenslets,
@@ -44,7 +45,6 @@ from irlos_pipe.stages.calibrate.results import (
     Tail,
     Twin,
 )
-from irlos_pipe.stages.calibrate.stage import Config
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.recording_settings import SETUP_KEYS, differences, seeing_arcsec
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes

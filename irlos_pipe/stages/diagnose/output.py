@@ -15,22 +15,16 @@ from irlos_pipe.optics.image_quality import power_spectrum, quality_curves
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.product import Check, Quantity, declared
-from irlos_pipe.stages.diagnose.results import (
+from irlos_pipe.stages.diagnose.stage import (
     ARRAYS,
     AdjustedRow,
     Change,
     DiagnoseResults,
     FrameCounts,
-    GapRow,
     ModesChange,
-    NoiseRow,
     OwnValueRow,
-    RestRow,
     SharingRow,
-    StarRow,
     StepRow,
-    TriedRow,
-    WhereRow,
 )
 from irlos_pipe.stages.model.section import ModelConfig
 from irlos_pipe.stages.model.untested import LOOKED_AT_ELSEWHERE, untested_by_cubes
@@ -47,19 +41,16 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         sentence=sentence(result),
         steps=[_step(step, result.together) for step in result.steps],
         nearest=None if result.nearest is None else _step(result.nearest, result.together),
-        gap=GapRow.filled_from(result.gap),
-        rest=RestRow.filled_from(result.rest, where=WhereRow.filled_from(result.rest)),
         open_facts={one.name: one.base.describe(one.values) for one in result.open_facts},
         adjusted=[
             AdjustedRow.filled_from(one, effect=one.label, parameters=one.public) for one in result.adjusted
         ],
-        tried=[TriedRow.filled_from(one, effect=one.name) for one in result.tried],
+        tried=list(result.tried),
         untestable=list(result.untestable),
-        recordings=_stars(result.together),
+        recordings=list(result.together.stars) if result.together else [],
         sharing=[_sharing(one) for one in result.together.sharing] if result.together else [],
         second_recording=dict(result.advice),
         model=MODEL_FILE,
-        noise=NoiseRow.filled_from(result.noise),
         fine_structure=result.fine,
         chi2_nu=Change.of(result.chi2_nu),
         excess_sigma=Change.of(result.excess_sigma),
@@ -79,16 +70,6 @@ def checks_of(results: DiagnoseResults) -> list[Check]:
     left = "" if explained else results.why_unknown or rest  # the whole sentence stands beside it
     message = f"{results.verdict}{grade}: {left or results.sentence}"
     return [Check("everything explained", float(explained), "", 1.0, None, message)]
-
-
-def _stars(together: Together | None) -> list[StarRow]:
-    if together is None:
-        return []
-    pairs = zip(together.moments.by_number.values(), together.changes, strict=True)
-    return [
-        StarRow(name=one.name, star=one.star, ncpa_change_nm=change.rms_nm, sigma_nm=change.sigma_nm)
-        for one, change in pairs
-    ]
 
 
 def _sharing(one: Sharing) -> SharingRow:

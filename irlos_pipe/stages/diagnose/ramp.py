@@ -8,9 +8,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnosis.acceptance import Gap
 from irlos_pipe.diagnosis.ramp import LightPathName, RampDiagnosis, RampName, compare, diagnose_ramp, ramp_gap
-from irlos_pipe.diagnosis.records import Alternative
+from irlos_pipe.diagnosis.records import Alternative, Gap
 from irlos_pipe.diagnosis.verdict import EFFECT
 from irlos_pipe.effects import CATALOGUE, EffectSet
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
@@ -19,7 +18,7 @@ from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.product.product import Product, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.output import MODEL_FILE, checks_of
-from irlos_pipe.stages.diagnose.results import ARRAYS, Change, DiagnoseResults, GapRow, StepRow
+from irlos_pipe.stages.diagnose.stage import ARRAYS, Change, DiagnoseResults, StepRow
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
 from irlos_pipe.stages.lift.stage import Config as LiftConfig
@@ -106,7 +105,7 @@ def _results(
         sentence=sentence(result, lens),
         steps=[*_lens_steps(lens), *(_step(one, gap) for one in result.names)],
         nearest=_step(result.nearest[0], gap) if result.nearest else None,
-        gap=GapRow.filled_from(gap),
+        gap=gap,
         unexplained=result.verdict == "unknown" or (lens is not None and not lens.comparison.complete),
         untestable=list(result.untestable),
         mdb=result.smallest,

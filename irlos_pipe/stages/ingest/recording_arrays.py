@@ -15,7 +15,7 @@ from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.frames.series import DECLARED, frame_series
 from irlos_pipe.product.product import Product, Quantity, declared
 from irlos_pipe.product.results import results_of
-from irlos_pipe.stages.ingest.results import RECORDING, ROOT, IngestResults
+from irlos_pipe.stages.ingest.stage import RECORDING, ROOT, IngestResults
 
 if TYPE_CHECKING:
     from irlos_pipe.frames.cleaning import Cleaned

@@ -3,31 +3,58 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields
+from math import nan
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, ClassVar, TypeVar
 
 from pydantic import Field
 
 from irlos_pipe.conventions.errors import NothingToDo
-from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.screening import Limits
+from irlos_pipe.frames.series import DECLARED
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.product.results import item
+from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, StageResults, item
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.ingest.results import ARRAYS, CHECKS
-from irlos_pipe.stages.ingest.results import IngestResults as Results
+from irlos_pipe.stages.base import StageConfig, run_of
 
-__all__ = ["ARRAYS", "CHECKS", "Config", "Results", "files_of", "problems", "run"]
-
-NAME = "ingest"
 VERSION = 13
 ARRAYS_ONLY = True
-READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
-WORK = LateModule("irlos_pipe.stages.ingest.work")
 Part = TypeVar("Part", Thresholds, Limits)
+ROOT = "recordings"
+# Arrays of a recording.
+RECORDING = {
+    "images_e": ("e-", "frame, y, x", "signal above background"),
+    "mean_e": ("e-", "y, x", "mean of the used frames"),
+    "raw_adu": ("ADU", "frame, y, x", "counts as recorded"),
+    "used": ("", "frame", "whether a frame is used"),
+    "reason": ("", "frame", "why a frame is not used"),
+    "pixel_mask": ("", "y, x", "whether a pixel is good"),
+    "time_s": ("s", "frame", "time since the first frame"),
+    "start_unix_s": ("s", "", "time of the first frame since 1970"),
+    "frame_counter": ("", "frame", "counter of the recorder"),
+    "frames_missing": ("", "", "frames that the recorder lost"),
+    "introduced_defocus_nm": ("nm", "frame", "introduced defocus, RMS"),
+    "background_adu": ("ADU", "y, x", "subtracted from the counts"),
+    "background_variance_e2": ("e-2", "", "variance per pixel beyond read noise and photons of the star"),
+    "dark_variance_e2": ("e-2", "", "variance per pixel of the dark image, the same in every frame"),
+    "flat": ("", "y, x", "relative response, divided out"),
+    "cosmic_hits": ("", "hit, 3", "replaced pixels: frame, row, column"),
+    "screened_e": ("e-", "pixel", "mean signal of the pixels in bad_pixels_found, as they were recorded"),
+    "acquisition": ("", "", "how it was taken, and where each key came from (JSON)"),
+    **DECLARED,
+}
+ARRAYS = {f"{ROOT}/<input>/<name>/{name}": what for name, what in RECORDING.items()}
+CHECKS = {
+    "rejected": ("part of the frames that cannot be used", "max_rejected_fraction"),
+    "saturated": ("part of the frames that are saturated", "max_saturated_fraction"),
+    "missing": ("part of the frames that the recorder lost", "max_missing_fraction"),
+    "bad_pixels": ("part of the window that is masked", "max_bad_pixel_fraction"),
+    "centring": ("distance of the star from the window's centre", "max_centre_offset_fraction"),
+    "flux": ("signal of the star above the level of the sky, or dark", ""),
+    "told": ("what was declared of the recording and its frames contradict beyond doubt", ""),
+}
 
 
 class Config(StageConfig):
@@ -79,6 +106,91 @@ class Config(StageConfig):
         return self.acquisition.updated(own)
 
 
+class NoiseRow(ResultsPart):
+    """A constant of the detector, of a frame; the read noise as measured includes that of dark and sky."""
+
+    used: Number = item(nan, "What the reduction goes on with.")
+    source: str = item(
+        "", "Where that comes from: side-car, recipe, header, instrument profile or ``measured``."
+    )
+    measured: Number = item(
+        nan, "From the frames, the others taken as they are used; NaN where the frames do not tell."
+    )
+    error: Number = item(nan, DITTO)
+
+
+class RecordingRow(ResultsPart):
+    """One recording; those of role ``dark`` have only the keys up to `mag_j`."""
+
+    name: str = item("", "Name of the recording, that of its folder or file.")
+    input: str = item("", "Recipe input that it belongs to.")
+    role: str = item(
+        "", "What it was taken for, as the side-car tells: ``ncpa_calibration``, ``defocus_ramp``, …"
+    )
+    layout: str = item(
+        "", "Kind of file that it was read from, ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``."
+    )
+    mode: str = item("", "Read-out mode, empty where the layout has none.")
+    frames: int = item(
+        0, "All frames recorded, those of them that are not used, and those that the recorder lost."
+    )
+    window: tuple[int, ...] = item((), "Rows and columns.")
+    frames_rejected: int = item(
+        0, "All frames recorded, those of them that are not used, and those that the recorder lost."
+    )
+    frames_missing: int = item(0, DITTO)
+    flux_e: Number = item(nan, "Median over the used frames of the sum over the window [e-].")
+    mag_j: Number = item(nan, "J magnitude of the star, as declared.")
+    reasons: dict[str, int] = item({}, "Rejected frames by reason.")
+    saturated_frames: int = item(0, "Frames that are rejected for pixels at the saturation level.")
+    bad_pixels: list[tuple[int, int]] = item(
+        [], "All masked pixels, and those of them that no map of dead pixels lists."
+    )
+    bad_pixels_found: list[tuple[int, int]] = item([], DITTO)
+    clipped_pixels: list[tuple[int, int]] = item(
+        [], "Those of the masked pixels that stop at a level of their own in many frames."
+    )
+    cosmic_hits: int | None = item(None, "Replaced pixels, over all frames.")
+    centre_offset_px: tuple[Number, ...] = item(
+        (), "Position (x, y) of the star from the centre of the window."
+    )
+    pedestal_adu: Number = item(
+        nan,
+        "Level without light that was estimated from the frames themselves, and its standard error; NaN "
+        "where dark images give it.",
+    )
+    pedestal_error_adu: Number = item(nan, DITTO)
+    noise_floor_e2: Number = item(nan, "Noise as measured from the frames; NaN where it cannot be.")
+    excess_noise_measured: Number = item(nan, DITTO)
+    background_variance_e2: Number = item(
+        nan, "Variance per pixel beyond read noise and star, and of the dark image."
+    )
+    dark_variance_e2: Number = item(nan, DITTO)
+    noise: dict[str, NoiseRow] = item({}, "Gain, read noise and excess noise by their side-car key.")
+    corner_scatter_e: Number = item(
+        nan, "RMS over time of the darkest pixels, stripes and a changing halo included."
+    )
+    sources: dict[str, str] = item({}, "Where each key of the acquisition came from.")
+    observed: Observed = item(Observed(), "What products hand on of it.")
+    doubts: list[str] = item([], "What was declared and the frames, or plain sense, put in doubt.")
+
+    @property
+    def frames_used(self) -> int:
+        """Frames that are not rejected."""
+        return self.frames - self.frames_rejected
+
+
+class IngestResults(StageResults):
+    """One row per recording, darks behind."""
+
+    stage: ClassVar[str] = "ingest"
+    inputs: list[RecordingRow] = []
+
+
+Results = IngestResults
+run = run_of("irlos_pipe.stages.ingest.work")
+
+
 def files_of(root: Path) -> list[Path]:
     """Return every file that ingest reads of an input, given as a file or folder `root`."""
     from irlos_pipe.readers.find import files_of as recording_parts
@@ -94,8 +206,3 @@ def problems(inputs: Mapping[str, Sequence[Path]], config: Config, instrument: I
     from irlos_pipe.stages.ingest.sources import source_problems
 
     return source_problems(inputs, config.keys_for, instrument, config.exposure_of)
-
-
-def run(ctx: StageContext[Config]) -> StageOutput:
-    """Read, calibrate and screen every recording of every input."""
-    return WORK.run(ctx)

@@ -24,9 +24,8 @@ from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.ingest.recording_arrays import arrays_of, found_bad
-from irlos_pipe.stages.ingest.results import IngestResults, NoiseRow, RecordingRow
 from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone, read_sources, with_darks
-from irlos_pipe.stages.ingest.stage import Config
+from irlos_pipe.stages.ingest.stage import Config, IngestResults, NoiseRow, RecordingRow
 
 BYTES_PER_PIXEL = 1600  # memory for a pixel of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
 BYTES_PER_VALUE = 8  # memory for a pixel of every frame

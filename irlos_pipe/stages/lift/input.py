@@ -19,10 +19,9 @@ from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.ingest.results import IngestResults
-from irlos_pipe.stages.lift.results import OWN, size_nm_of
-from irlos_pipe.stages.lift.stage import Config
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
+from irlos_pipe.stages.ingest.stage import IngestResults
+from irlos_pipe.stages.lift.stage import OWN, Config, size_nm_of
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
     conditions_of,

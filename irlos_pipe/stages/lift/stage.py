@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from math import hypot, nan
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
+from irlos_pipe.effects.wavefront import ChromaticNcpa, FilterNcpa
 from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
 from irlos_pipe.numerics.loss import LossName
-from irlos_pipe.product.results import item
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.lift.results import ARRAYS, CHECKS
-from irlos_pipe.stages.lift.results import LiftResults as Results
+from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
+from irlos_pipe.stages.base import StageConfig, run_of
 
-__all__ = ["ARRAYS", "CHECKS", "Config", "Results", "run"]
-
-NAME = "lift"
 VERSION = 18
 NEEDS = ("ingest",)
-READS = ("ingest", "prior", "calibrate")
-WORK = LateModule("irlos_pipe.stages.lift.work")
+READS = ("prior", "calibrate")
 Mode = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 # "told" is the former spelling of "commanded".
 Start = Annotated[
@@ -29,6 +25,37 @@ Start = Annotated[
     BeforeValidator(lambda value: "commanded" if value == "told" else value),
 ]
 ObjectSigma = Literal["calibrated", "fit"] | Annotated[float, Field(ge=0, le=200)]
+ARRAYS = {
+    "noll": ("", "mode", "estimated modes"),
+    "zernike_nm": ("nm ±", "frame, mode", "estimates, errors of photon noise"),
+    "covariance_nm2": ("nm2", "frame, mode, mode", "covariance of the estimates"),
+    "defocus_nm": ("nm ±", "frame", "estimated introduced defocus"),
+    "introduced_nm": ("nm", "frame", "introduced defocus, frames in order of time"),
+    "start_nm": ("nm", "frame, mode", "start of every frame"),
+    "chi2_nu": ("", "frame", "χ²/ν of every frame"),
+    "model_e": ("e-", "frame, y, x", "model of every frame"),
+    "offsets_nm": ("nm", "offset", "the offsets of the ramp"),
+    "measured_per_offset_e": ("e-", "offset, y, x", "mean frame of every offset"),
+    "model_per_offset_e": ("e-", "offset, y, x", "mean model of every offset"),
+    "curve_defocus_nm": ("nm", "value", "defocus at which one frame was held"),
+    "curve_chi2_nu": ("", "value", "χ²/ν of the best fit of that frame with this defocus"),
+}
+CHECKS = {
+    "converged frames": ("part of the frames whose fit converged", "min_converged"),
+    "scatter about the line": ("RMS of the estimates about a straight line", "max_residual_nm"),
+    "slope": ("slope of the estimated against the introduced defocus", "max_slope_error"),
+    "chi2 of the frames": (
+        "median reduced χ² of the frames against what their scatter lets expect",
+        "max_chi2_ratio",
+    ),
+    "error": ("RMS of estimated minus introduced defocus", "max_error_nm"),
+    "gain by the NCPAs": (
+        "error with the NCPAs, which may not be worse than without them by more than their errors excuse",
+        "",
+    ),
+}
+OWN = (ChromaticNcpa, FilterNcpa)  # wavefronts that the light of a ramp has for itself
+DECISIVE = 10.0  # evidence from which the twin counts as excluded: odds of 150 to 1
 
 
 class Config(StageConfig):
@@ -119,6 +146,114 @@ class Config(StageConfig):
         return self
 
 
-def run(ctx: StageContext[Config]) -> StageOutput:
-    """Estimate the ramp, and repeat it with parts of the model left out to show what each contributes."""
-    return WORK.run(ctx)
+class Point(ResultsPart):
+    """Estimate of one frame."""
+
+    name: str = item("", "Recording, in which the frame has the number `frame`.")
+    frame: int = item(0, "Number of the frame in its recording, from 0.")
+    introduced_nm: Number = item(nan, "Introduced defocus as the model has it, and as commanded.")
+    commanded_nm: Number = item(nan, DITTO)
+    defocus_nm: Number = item(nan, "Estimate with its standard error; NaN where the fit is invalid.")
+    sigma_nm: Number = item(nan, DITTO)
+    sigma_photon_nm: Number = item(
+        nan,
+        "The parts of `sigma_nm`: by photon and read-out noise, which grows by the misfit of the model; of "
+        "the instant, by which errors differ from frame to frame, above all by the AO residual's own "
+        "defocus in the exposure; of the optics, by the covariance of the NCPAs, which all frames share.",
+    )
+    sigma_instant_nm: Number = item(nan, DITTO)
+    sigma_optics_nm: Number = item(nan, DITTO)
+    sigma_offset_nm: Number = item(
+        0.0,
+        "A fourth part, which all frames share as well: the offset of the ramp, where its error does not "
+        "excuse it; else 0.",
+    )
+    converged: bool = item(True, "Whether the fit ended at a minimum.")
+    status: str = item("", "How the fit of the frame ended.")
+    chi2_nu: Number = item(nan, "Reduced χ² of the frame.")
+    zernike_nm: ByNoll = item({}, "All estimated modes.")
+
+
+class Line(ResultsPart):
+    """The straight line of a ramp, see `estimate.ramp.RampSummary`."""
+
+    slope: Number = item(nan, "Estimated over introduced defocus, 1 is right, and its standard error.")
+    slope_sigma: Number = item(nan, DITTO)
+    offset_nm: Number = item(nan, "Estimated defocus where none is introduced, by the line.")
+    offset_sigma_nm: Number = item(
+        nan, "Its standard error, by the scatter about the line and, with NCPAs, by theirs."
+    )
+    rms_nm: Number = item(nan, "RMS of estimated minus introduced defocus.")
+    residual_rms_nm: Number = item(nan, "RMS of the estimates about the line.")
+    saw_tooth_nm: Number = item(
+        nan,
+        "Difference between offsets reached upwards and downwards, by hysteresis of the focus stage, and "
+        "its standard error; NaN where only one direction occurs.",
+    )
+    saw_tooth_sigma_nm: Number = item(nan, DITTO)
+
+
+class Offset(ResultsPart):
+    """Median and 1σ scatter of the estimates at one introduced defocus."""
+
+    introduced_nm: Number = item(nan, "Introduced defocus.")
+    median_nm: Number = item(nan, "Median of the estimates there.")
+    scatter_nm: Number = item(nan, "Their 1σ scatter, from the 16th and 84th percentile.")
+
+
+class Twin(ResultsPart):
+    """Whether the other sign of defocus is excluded, by a frame of median χ²/ν (`estimate.tabulated`)."""
+
+    name: str = item("", "Recording, in which the frame has the number `frame`.")
+    frame: int = item(0, "Number of the frame in its recording, from 0.")
+    defocus_nm: Number = item(nan, "Best fit of the frame.")
+    chi2_nu: Number = item(nan, DITTO)
+    twin_nm: Number = item(nan, "Defocus and χ²/ν of the best of the other minima; NaN where there is none.")
+    twin_chi2_nu: Number = item(nan, DITTO)
+    delta_chi2: Number = item(
+        nan,
+        "χ² of that minus χ² of the best fit; the same divided by the χ²/ν of the best fit where that is "
+        "more than 1. From 10 on the twin is excluded.",
+    )
+    evidence: Number = item(nan, DITTO)
+
+
+class LiftResults(StageResults):
+    """A ramp."""
+
+    stage: ClassVar[str] = "lift"
+    modes: list[int] = item([], "Estimated modes (Noll).")
+    calibrated: bool = item(False, "Whether the NCPAs are part of the known wavefront.")
+    points: list[Point] = []
+    summary: Line = Line()
+    offsets: list[Offset] = []
+    effects: dict[str, EffectValues] = item(
+        {}, "Effects that the fit used or found, and standard errors of those that were fitted to the ramp."
+    )
+    effects_sigma: dict[str, EffectValues] = item({}, DITTO)
+    effects_fitted_jointly: bool = item(False, "Whether effects were fitted to all frames together.")
+    compare: dict[str, Line] = item({}, "The same ramp with parts of the model left out.")
+    twin: Twin = item(
+        Twin(),
+        "Whether the other sign of defocus is excluded, by one frame; without name where it was not looked "
+        "for.",
+    )
+    ao_defocus_nm: Number = item(nan, "Scatter of the estimates at one offset beyond photon noise.")
+    chi2_nu: Number = item(nan, "Median of the frames, and what their scatter lets expect of a right model.")
+    nominal_chi2_nu: Number = item(nan, DITTO)
+
+
+Results = LiftResults
+run = run_of("irlos_pipe.stages.lift.work")
+
+
+def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return in words how large a wavefront of the ramp's own light is among `effects`; empty without one."""
+    sizes = {kind.name: size_nm_of(effects[kind.name][kind.table]) for kind in OWN if kind.name in effects}
+    units = {ChromaticNcpa.name: "nm RMS per µm of wavelength", FilterNcpa.name: "nm RMS of filter or lens"}
+    texts = [f"{size:.0f} {units[name]}" for name, size in sizes.items()]
+    return f"its own light adds {' and '.join(texts)}" if texts else ""
+
+
+def size_nm_of(table: Any) -> float:
+    return hypot(*table.values())

@@ -21,11 +21,10 @@ from irlos_pipe.estimate.tabulated import FocusCurve, focus_curve
 from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp
-from irlos_pipe.stages.lift.results import ARRAYS, LiftResults, Line, Offset, Point, Twin, own_text
-from irlos_pipe.stages.lift.stage import Config
+from irlos_pipe.stages.lift.stage import ARRAYS, Config, LiftResults, Line, Offset, Point, Twin, own_text
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
 
@@ -33,6 +32,7 @@ OFFSET_SIGMA = 3.0  # standard errors from which an offset is not taken for chan
 SIGMA = 5.0  # standard errors that a slope may be off, and an RMS may rise, by chance
 WITHOUT_NCPAS = "without NCPAs"
 TURNED = "the sign of the diversity or of the offsets, or the orientation of the images, is wrong"
+CONSTANT = "a constant offset, as of a calibration of another time or instrument, or of the focus stage"
 SCALED = (
     "the size of the diversity or of the offsets, the seeing or the spectrum is wrong, or a second star is "
     "in the window"
@@ -211,23 +211,11 @@ def checks_of(
     the ramp with parts of the model left out; `calibration_nm` is the total error expected of the NCPAs, 0
     without.
     """
+    scatter_nm, fits = summary.residual_rms_nm, f"{converged:.0%} of the frames converged"
+    message = f"{scatter_nm:.1f} nm RMS about the straight line"
     checks = [
-        Check(
-            "converged frames",
-            converged,
-            "",
-            config.min_converged,
-            None,
-            f"{converged:.0%} of the frames converged",
-        ),
-        Check(
-            "scatter about the line",
-            summary.residual_rms_nm,
-            "nm",
-            None,
-            config.max_residual_nm,
-            f"{summary.residual_rms_nm:.1f} nm RMS about the straight line",
-        ),
+        Check("converged frames", converged, "", config.min_converged, None, fits),
+        Check("scatter about the line", scatter_nm, "nm", None, config.max_residual_nm, message),
         _misfit(config, errors),
     ]
     if not math.isfinite(summary.slope):  # one focus, and no ramp
@@ -266,16 +254,11 @@ def _slope(config: Config, summary: RampSummary) -> Check:
 
 def _error(config: Config, summary: RampSummary) -> Check:
     """Estimated against introduced defocus, a constant offset included."""
-    why = ""
-    if summary.rms_nm > config.max_error_nm:
-        constant = abs(summary.offset_nm) > 0.7 * summary.rms_nm
-        why = (
-            ": a constant offset, as of a calibration of another time or instrument, or of the focus stage"
-            if constant
-            else f": {TURNED if summary.slope < 0 else SCALED}"
-        )
-    message = f"estimated minus introduced defocus is {summary.rms_nm:.1f} nm RMS{why}"
-    return Check("error", summary.rms_nm, "nm", None, config.max_error_nm, message)
+    message = f"estimated minus introduced defocus is {summary.rms_nm:.1f} nm RMS"
+    check = Check("error", summary.rms_nm, "nm", None, config.max_error_nm, message)
+    if abs(summary.offset_nm) > 0.7 * summary.rms_nm:
+        return check.because(CONSTANT)
+    return check.because(TURNED if summary.slope < 0 else SCALED)
 
 
 def misfits(config: Config, errors: FrameErrors) -> bool:
@@ -287,24 +270,20 @@ def _misfit(config: Config, errors: FrameErrors) -> Check:
     """χ²/ν of the frames, over its nominal value where that is known."""
     known = math.isfinite(errors.nominal_chi2_nu)
     nominal = errors.nominal_chi2_nu if known else config.unknown_nominal_chi2_nu
-    limit = config.max_chi2_ratio * nominal
-    why = (
-        ": the model lacks something, or orientation, spectrum, scale or seeing are not as declared"
-        if errors.chi2_nu > limit
-        else ""
-    )
     source = "their scatter lets expect" if known else "is taken as nominal, for no offset has two frames"
-    message = f"median χ²/ν of the frames {errors.chi2_nu:.2f}, where {nominal:.2f} {source}{why}"
-    return Check("chi2 of the frames", errors.chi2_nu, "", None, limit, message)
+    message = f"median χ²/ν of the frames {errors.chi2_nu:.2f}, where {nominal:.2f} {source}"
+    check = Check("chi2 of the frames", errors.chi2_nu, "", None, config.max_chi2_ratio * nominal, message)
+    return check.because(
+        "the model lacks something, or orientation, spectrum, scale or seeing are not as declared"
+    )
 
 
 def _gain(with_ncpas: RampSummary, without: RampSummary, calibration_nm: float, frames: int) -> Check:
     """A calibration has to make its ramp better, or at least not worse than its errors excuse."""
     excused = float(np.hypot(without.rms_nm, calibration_nm)) * (1 + SIGMA / np.sqrt(2 * frames))
-    worse = with_ncpas.rms_nm > excused
-    why = ": the calibration is of another instrument, time or diversity" if worse else ""
-    message = f"error {with_ncpas.rms_nm:.1f} nm RMS with NCPAs, {without.rms_nm:.1f} without{why}"
-    return Check("gain by the NCPAs", with_ncpas.rms_nm, "nm", None, excused, message)
+    message = f"error {with_ncpas.rms_nm:.1f} nm RMS with NCPAs, {without.rms_nm:.1f} without"
+    check = Check("gain by the NCPAs", with_ncpas.rms_nm, "nm", None, excused, message)
+    return check.because("the calibration is of another instrument, time or diversity")
 
 
 # -- what is reported --------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import results_of
-from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import suggestion
@@ -56,61 +57,40 @@ def _keys(publics: tuple[Public, ...]) -> str:
     return "{" + ", ".join(p.name if p.required else f"[{p.name}]" for p in publics) + "}"
 
 
+Real = Annotated[float, Field(strict=True)]
+Whole = Annotated[int, Field(strict=True, ge=0)]
+Noll = Annotated[int, Field(strict=True, ge=1)]
+SOME = Field(min_length=1)
+# What a value of each kind is, and how that is said.
+SHAPES: Mapping[str, tuple[Any, str]] = {
+    "number": (Real, "a number"),
+    "word": (Annotated[str, Field(strict=True)], "a word"),
+    "zernike": (Annotated[dict[Noll, Real], SOME], "a table {Noll index: value}"),
+    "parts": (Annotated[Sequence[Real], SOME], "a list of numbers"),
+    "pixels": (Annotated[Sequence[tuple[Whole, Whole]], SOME], "a list of [row, column]"),
+    "nolls": (Annotated[Sequence[Noll], SOME], "a list of Noll indices"),
+}
+
+
 def _check(label: str, public: Public, value: Any) -> None:
     """Raise ValueError unless `value` is of the kind and within the limits of `public`."""
-    shapes = {
-        "number": (lambda v: _is_number(v), "a number"),
-        "word": (lambda v: isinstance(v, str), "a word"),
-        "zernike": (_is_table, "a table {Noll index: value}"),
-        "parts": (lambda v: _is_list(v, _is_number), "a list of numbers"),
-        "pixels": (lambda v: _is_list(v, _is_pixel), "a list of [row, column]"),
-        "nolls": (lambda v: _is_list(v, _is_noll), "a list of Noll indices"),
-    }
-    fits, text = shapes[public.kind]
-    if not fits(value):
-        raise ValueError(f"{label} must be {text}, not {value!r}")
+    try:
+        _shape(public.kind).validate_python(value)
+    except ValidationError:
+        raise ValueError(f"{label} must be {SHAPES[public.kind][1]}, not {value!r}") from None
     if public.choices and value not in public.choices:
         raise ValueError(f"{label} must be {' or '.join(public.choices)}, not {value!r}")
-    if not all(public.lower <= number <= public.upper for number in _numbers(public, value)):
-        raise ValueError(f"{label} must {_limits(public)}, not {value!r}")
+    inner = {"number": lambda: [value], "zernike": lambda: value.values(), "parts": lambda: value}
+    numbers = inner[public.kind]() if public.kind in inner else ()
+    if not all(public.lower <= number <= public.upper for number in numbers):
+        between = f"lie between {public.lower:g} and {public.upper:g}"
+        not_negative = public.lower == 0 and public.upper == float("inf")
+        raise ValueError(f"{label} must {'not be negative' if not_negative else between}, not {value!r}")
 
 
-def _limits(public: Public) -> str:
-    if public.lower == 0 and public.upper == float("inf"):
-        return "not be negative"
-    return f"lie between {public.lower:g} and {public.upper:g}"
-
-
-def _numbers(public: Public, value: Any) -> list[float]:
-    if public.kind == "number":
-        return [value]
-    if public.kind == "zernike":
-        return list(value.values())
-    return list(value) if public.kind == "parts" else []
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _is_noll(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
-
-
-def _is_list(value: Any, fits: Callable[[Any], bool]) -> bool:
-    return isinstance(value, (list, tuple)) and len(value) > 0 and all(fits(one) for one in value)
-
-
-def _is_pixel(value: Any) -> bool:
-    return _is_list(value, lambda n: isinstance(n, int) and n >= 0) and len(value) == 2
-
-
-def _is_table(value: Any) -> bool:
-    return (
-        isinstance(value, dict)
-        and len(value) > 0
-        and all(_is_noll(key) and _is_number(one) for key, one in value.items())
-    )
+@cache
+def _shape(kind: str) -> TypeAdapter[Any]:
+    return TypeAdapter(SHAPES[kind][0])
 
 
 class ModelConfig(BaseModel):
