@@ -23,7 +23,7 @@ from helpers.diagnose_frames import (
 from helpers.optics_cases import READ_NOISE
 from scipy import stats
 
-from irlos_pipe.diagnosis.acceptance import Gap, HeldOutEvaluation, preference
+from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.checks.drift import measure_drift, motion_ratio
 from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
