@@ -294,7 +294,9 @@ class HeldOutPixels:
 
     def split(self, frames: Frames, share: float = 0.25) -> Cube:
         """Of squares of similar brightness the same share, at random."""
-        squares = _squares(tuple(frames.good.shape), self.side_px)
+        # number of the square that each pixel belongs to, (rows, columns)
+        rows, columns = (np.arange(size) // self.side_px for size in frames.good.shape)
+        squares = rows[:, None] * (columns[-1] + 1) + columns
         held = torch.as_tensor(_drawn(squares, (frames.mean_e * frames.good).numpy(), share))
         labels = torch.as_tensor(squares).flatten()
         whole = Stack.of(frames, np.linspace(0, 1, len(frames.images_e)))
@@ -336,12 +338,6 @@ def averaged(frames: Frames, most: int) -> Frames:
         noise, excess_noise_factor=noise.excess_noise_factor / each, floor_e2=noise.floor_e2 / each
     )
     return replace(frames, images_e=torch.as_tensor(np.array(means, np.float32)), noise=quieter)
-
-
-def _squares(window: tuple[int, ...], side_px: int) -> np.ndarray:
-    """Number of the square that each pixel of a `window` belongs to, (rows, columns)."""
-    rows, columns = (np.arange(size) // side_px for size in window)
-    return rows[:, None] * (columns[-1] + 1) + columns
 
 
 def _drawn(squares: np.ndarray, image_e: np.ndarray, share: float) -> np.ndarray:

@@ -94,7 +94,8 @@ def detectable(score: Score) -> dict[str, Any]:
     sizes = _surely_seen(score)
     sizes = np.where(np.isfinite(sizes), sizes, 0.0)
     effect, absent = score.candidate, score.candidate.describe(null)
-    alone = np.diag(sizes) if not _is_table(absent) else [sizes]
+    is_table = any(isinstance(value, (Mapping, Sequence)) for value in absent.values())
+    alone = [sizes] if is_table else np.diag(sizes)
     changes = [public_difference(effect, null + one, null) for one in alone]
     largest = {key: max((one[key] for one in changes), key=_size) for key in absent}
     roles = {key: effect.role_of(key) for key in absent}
@@ -121,10 +122,6 @@ def _surely_seen(score: Score) -> np.ndarray:
     tested = int(np.isfinite(score.smallest).sum())
     gain = surely_exceeding(threshold(tested, score.trials), tested) if tested else 1.0
     return score.smallest * np.sqrt(gain)
-
-
-def _is_table(public: Mapping) -> bool:
-    return any(isinstance(value, (Mapping, Sequence)) for value in public.values())
 
 
 def _flat(value: Any) -> list[float]:

@@ -177,12 +177,12 @@ class EvidenceTask(Task):
         shape = whitened_shapes(laplace, [score.candidate])[0] @ torch.as_tensor(sizes)
 
         def begun(fitted: Fitted) -> tuple[Posterior, torch.Tensor]:
-            posterior = laplace.posterior.with_effects([*fitted.continued(), start])
+            posterior = replace(laplace.posterior, effects=[*fitted.continued(), start])
             return posterior, posterior.start(fitted)
 
         starts = map(begun, (laplace.fitted, laplace.fitted.moved(laplace.making_room(shape))))
         try:
-            posterior, x = min(starts, key=lambda one: one[0].half_chi2(one[1]))
+            posterior, x = min(starts, key=lambda one: one[0].left(one[1])[1])
             return posterior.minimised(x, JOINTLY, roughly=True)
         except (ValueError, torch.linalg.LinAlgError):
             return None
@@ -200,12 +200,12 @@ class EvidenceTask(Task):
         judge = laplace.posterior.sharp if wider else laplace.posterior
         best = judged = judge.minimised(laplace.x, AGAIN, roughly=True, slopes=laplace.columns)
         for form in (side for one in forms for side in _sides(one, len(found.base.parameters))):
-            posterior = judge.with_effects([*others.values(), form.only_in(found.acts_in)])
+            posterior = replace(judge, effects=[*others.values(), form.only_in(found.acts_in)])
             other = posterior.minimised(posterior.start(fitted), AGAIN, roughly=True)
             if other.log_evidence > best.log_evidence + (PROMISING if wider else -PROMISING):
                 best = other
         if best is not judged:
-            posterior = laplace.posterior.with_effects(best.fitted.continued())
+            posterior = replace(laplace.posterior, effects=best.fitted.continued())
             return posterior.minimised(best.x, JOINTLY, roughly=True)
         return laplace
 

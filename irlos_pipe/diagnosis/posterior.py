@@ -87,11 +87,6 @@ class WavefrontLaw:
         tail = replace(self.tail, amplitude_nm=math.exp(x[1]), slope=float(x[2]))
         return replace(self, scale=math.exp(x[0]), tail=tail)
 
-    @property
-    def numbers(self) -> np.ndarray:
-        """ln k, ln A and p."""
-        return np.array([math.log(self.scale), math.log(self.tail.amplitude_nm), self.tail.slope])
-
 
 @dataclass(frozen=True)
 class _Scatter:
@@ -294,19 +289,12 @@ class Posterior:
         """The same without an error of the model, which grows by what is missing and hides it."""
         return replace(self, covariance=self.covariance.with_errors(0.0, self.covariance.flat_rms))
 
-    def with_effects(self, effects: Sequence[Effect]) -> Posterior:
-        return replace(self, effects=effects)
-
     def penalty(self, x: torch.Tensor) -> float:
         """What the priors add to χ² at `x`, (1, parameters)."""
         return float((self.prior_precision * (x[0] - self.prior_mean) ** 2).sum())
 
-    def half_chi2(self, x: torch.Tensor) -> float:
-        """Half of χ² and priors; infinite where nothing can be computed."""
-        return self._left(x)[1]
-
-    def _left(self, x: torch.Tensor) -> tuple[torch.Tensor, float]:
-        """What is left of the images, whitened, and half of χ² and priors."""
+    def left(self, x: torch.Tensor) -> tuple[torch.Tensor, float]:
+        """What is left of the images, whitened, and half of χ² and priors, infinite where it is not known."""
         try:
             left = self.covariance.whiten((self.images.stack.mean_e - self.exact.predict(x))[:, None])[:, 0]
         except ValueError:  # a wavelength out of the grid
@@ -340,7 +328,7 @@ class Posterior:
         iteration they are `slopes`, where those are known from near by. Parameters that push against a bound
         stay there, those `held` where they are.
         """
-        (left, value), damping, coarse = self._left(x), 1e-3, True
+        (left, value), damping, coarse = self.left(x), 1e-3, True
         lower, upper = self.exact.lower.clone(), self.exact.upper.clone()
         lower[..., held] = upper[..., held] = x[0, held]
         for _ in range(iterations):
@@ -357,7 +345,7 @@ class Posterior:
                 for _ in range(0 if ahead < enough else TRIALS):
                     step = step_of(damping)
                     trial = torch.minimum(torch.maximum(x + step, lower), upper)
-                    left_then, new = self._left(trial)
+                    left_then, new = self.left(trial)
                     if new < value:
                         predicted = float(-gradient @ step - 0.5 * step @ hessian @ step)
                         fall, x, left, value = value - new, trial, left_then, new
@@ -517,9 +505,10 @@ class Laplace(FittedModel):
             expected = (((x - LAW_EXPECTED) / LAW_WIDTH) ** 2).sum()
             return float(spread - (np.linalg.solve(factor, pull) ** 2).sum() + expected)
 
-        start = posterior.law.numbers
+        law = posterior.law
+        start = np.array([math.log(law.scale), math.log(law.tail.amplitude_nm), law.tail.slope])
         options = {**LAW_TOLERANCES, "initial_simplex": start + LAW_SIMPLEX}
-        return posterior.law.changed(minimize(deviance, start, method="Nelder-Mead", options=options).x)
+        return law.changed(minimize(deviance, start, method="Nelder-Mead", options=options).x)
 
     def with_best_errors(self) -> Covariance:
         """The covariance with the errors of model and flat by evidence, all parameters following linearly.

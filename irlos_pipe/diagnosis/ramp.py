@@ -105,7 +105,13 @@ def diagnose_ramp(
     visits = Visits.of(commanded_nm, estimated_nm, used)
     data = (visits.mean_nm - visits.commanded_nm) / visits.sigma_nm
     shapes = {one: visits.course(one) for one in candidates(visits)}
-    fits = _all_fits(data, shapes, min(most, len(data) - 2))
+    # Every choice of errors of different kinds, the best first: joint biases of several parts of a ramp could
+    # follow any curve, and would explain everything.
+    counts = range(min(most, len(data) - 2) + 1)
+    choices = chain.from_iterable(combinations(shapes, count) for count in counts)
+    different = (choice for choice in choices if len({one.name for one in choice}) == len(choice))
+    every = (_Fit.of(data, shapes, choice) for choice in different)
+    fits = sorted((fit for fit in every if fit is not None), key=lambda fit: fit.price)
     chosen = next(fit for fit in fits if all(_significance(fit, one, shapes) > sure for one in fit.effects))
     return _verdict(data, shapes, chosen, [_named(one, chosen, fits, data, shapes) for one in chosen.effects])
 
@@ -134,17 +140,6 @@ class _Fit:
     def price(self) -> float:
         """χ² after a price per size and per edge of a part of the ramp."""
         return self.chi2 + PER_PARAMETER * (len(self.effects) + sum(len(one.part) for one in self.effects))
-
-
-def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
-    """Every choice of up to `most` errors of different kinds, the best first.
-
-    Joint biases of several parts of a ramp could follow any curve, and would explain everything.
-    """
-    choices = chain.from_iterable(combinations(shapes, count) for count in range(most + 1))
-    different = (choice for choice in choices if len({one.name for one in choice}) == len(choice))
-    fits = (_Fit.of(data, shapes, choice) for choice in different)
-    return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.price)
 
 
 def _significance(fit: _Fit, effect: RampEffect, shapes: Shapes) -> float:

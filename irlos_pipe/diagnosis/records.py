@@ -139,7 +139,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Rest:
-    """What the model still misses, see `diagnosis.rest`."""
+    """What the model still misses, see `diagnosis.verdict`."""
 
     light_fraction: Number = key(nan, "Part of the light that is misplaced beyond what noise alone shows.")
     where: Where = Where()

@@ -48,11 +48,6 @@ class Refit:
         return self.origin.fitted.chi2 - self.fitted.chi2
 
     @property
-    def explains_all(self) -> bool:
-        """Whether nothing significant is left of the excess, although there was some."""
-        return self.origin.excess.significance > NOTHING_LEFT > self.excess.significance
-
-    @property
     def parameters(self) -> int:
         """Number of free parameters it adds."""
         return len(self.fitted.effect_values) - len(self.origin.fitted.effect_values)
@@ -95,11 +90,6 @@ class Refit:
     def values(self) -> np.ndarray:
         return self.fitted.values_of(self.label)
 
-    @property
-    def public(self) -> dict:
-        """Its parameters under public names."""
-        return self.base.describe(self.values)
-
     def wider_forms(self, conditions: Conditions) -> list[FixedEffect]:
         """Wider forms of the effect, where it is; what acts in some moments alone has none."""
         if self.base.acts_in is not None:
@@ -133,9 +123,11 @@ def refits(
     found: list[Refit] = []
     for begin in (0, *range(1, len(promising), SIDE_BY_SIDE)):
         some = promising[begin : begin + (SIDE_BY_SIDE if begin else 1)]
-        if len(found) >= ENOUGH and _best(found).excess.chi2_nu > FAR_OFF:
+        best = _best(found) if found else None
+        if best and len(found) >= ENOUGH and best.excess.chi2_nu > FAR_OFF:
             break  # no single name will do
-        enough = HOPELESS * _best(found).gain if found and _best(found).explains_all else -np.inf
+        explains_all = best and origin.excess.significance > NOTHING_LEFT > best.excess.significance
+        enough = HOPELESS * best.gain if best and explains_all else -np.inf
         found = _joined(fitter, found, ordered_map(fitted, [one for one in some if not one.gain < enough]))
         report(len(some))
     # wider forms from where the effect is: a second image may be out of focus

@@ -251,18 +251,12 @@ OFF = 5.0  # standard errors from which a fact is said to differ from the declar
 
 def sentence(diagnosis: Diagnosis) -> str:
     """The verdict of a diagnosis in one or two sentences."""
-    return f"{_found(diagnosis)}{_advised(diagnosis)}{_weaker(diagnosis)}"
-
-
-def _weaker(diagnosis: Diagnosis) -> str:
-    """What held-out pixels cannot say."""
-    if diagnosis.held_out == "frames":
-        return ""
-    return (
+    weaker = (
         f" Too few frames to hold some out ({diagnosis.frames[0]}): pixels that no fit has seen judge, "
         "errors come from the declared noise, scaled by the misfit, and neither speckles that did not "
         "average out nor changes with time can be distinguished from what the model lacks."
     )
+    return f"{_found(diagnosis)}{_advised(diagnosis)}{'' if diagnosis.held_out == 'frames' else weaker}"
 
 
 def _found(diagnosis: Diagnosis) -> str:

@@ -25,9 +25,9 @@ from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_va
 from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
+from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
 from irlos_pipe.estimate.score_test import best_start
-from irlos_pipe.estimate.starts import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
@@ -72,7 +72,7 @@ class Calibration:
     nominal: NominalChi2  # what it would be about a model that lacks nothing
     noise_ratio: float  # see `Frames.noise_ratio`
     window_resolutions: float  # smaller side of the window in λ/D
-    kurtosis: float  # of the frames, see `frame_kinds`
+    kurtosis: float  # of the frames, see `kurtosis_of_frames`
     twin: TwinCheck | None  # of the closed basis
     tail: TailLaw | None  # law of the modes beyond it; None where there are none
     seconds: float

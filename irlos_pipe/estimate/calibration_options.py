@@ -81,7 +81,7 @@ class CalibrationOptions:
     highest_noll: HighestNoll | None = None
     prior: NcpaPrior | None = None
     max_iterations: int = 100
-    # by which the sign of the even modes is judged, see `twin`; None: by the data alone
+    # by which the sign of the even modes is judged, see `check_twin`; None: by the data alone
     law: NcpaLaw | None = None
 
     @property

@@ -35,6 +35,7 @@ from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.estimate.calibration_options import NcpaPrior
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.records import Cause
 from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, derivatives, frozen_effects, null_model
 from irlos_pipe.frames.told import SMALLEST_NM
 from irlos_pipe.numerics.levenberg_marquardt import solve
@@ -71,21 +72,6 @@ ORIENTATIONS = {
     "transposed about the other diagonal": Placement(-90.0, True),
 }
 NAN = float("nan")
-
-
-@dataclass(frozen=True)
-class Cause:
-    """See `CauseRow` of the results."""
-
-    name: str
-    says: str
-    explains: float = NAN
-    value: float = NAN
-    sigma: float = NAN
-    declared: float = NAN
-    unit: str = ""
-    key: str = ""
-    figure: str = RESIDUAL
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import torch
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.effects import Effect, fixed_optics
+from irlos_pipe.estimate.records import StrehlPart
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.optics.lenslets import light_path
@@ -114,14 +115,6 @@ def predict_correction(
 ALL = "all together"
 
 
-@dataclass(frozen=True)
-class StrehlPart:
-    name: str  # of the modes or the effect; `ALL` for the whole model
-    alone: float  # Strehl ratio with nothing else in the model
-    without: float  # and with all else but this
-    wfe_nm: float = math.nan  # RMS of its modes; NaN of an effect
-
-
 def strehl_budget(
     settings: PsfSettings,
     nolls: Sequence[int],
@@ -145,11 +138,11 @@ def strehl_budget(
         return _peak(model, wavefront, [effects[name] for name in names if name in effects]) / peak
 
     every = [*modes_nm, *effects]
-    parts = [StrehlPart(ALL, strehl(every), 1.0, float(np.linalg.norm(sum(modes_nm.values(), nothing))))]
+    parts = [StrehlPart(ALL, float(np.linalg.norm(sum(modes_nm.values(), nothing))), strehl(every), 1.0)]
     for name in every:
         wfe_nm = float(np.linalg.norm(modes_nm[name])) if name in modes_nm else math.nan
         others = [other for other in every if other != name]
-        parts.append(StrehlPart(name, strehl([name]), strehl(others), wfe_nm))
+        parts.append(StrehlPart(name, wfe_nm, strehl([name]), strehl(others)))
     return parts
 
 

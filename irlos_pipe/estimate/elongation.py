@@ -83,24 +83,19 @@ class GaussianFit(Problem):
         width = torch.log((area / np.pi).sqrt())
         return torch.stack([x, y, width, width, torch.full_like(x, 0.8), torch.zeros_like(x)], dim=1)
 
-    def _shape(self, p: torch.Tensor):
-        dx, dy = self.x - p[:, :1], self.y - p[:, 1:2]
-        first = (dx * self.cos + dy * self.sin) * torch.exp(-p[:, 2:3])
-        second = (dy * self.cos - dx * self.sin) * torch.exp(-p[:, 3:4])
-        return first, second, torch.exp(-0.5 * (first**2 + second**2))
-
     def objective(self, p: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """See `Problem.objective`: half the sum of squared residuals."""
-        _, _, gauss = self._shape(p)
-        residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
-        return 0.5 * (self.weight * residual**2).sum(1)
+        return self.normal_equations(p, which)[0]
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
         """Return a millionth of the sum of squares, which may vanish: there is no noise model here."""
         return 1e-6 * value.clamp_min(1e-6)
 
     def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
-        first, second, gauss = self._shape(p)
+        dx, dy = self.x - p[:, :1], self.y - p[:, 1:2]
+        first = (dx * self.cos + dy * self.sin) * torch.exp(-p[:, 2:3])
+        second = (dy * self.cos - dx * self.sin) * torch.exp(-p[:, 3:4])
+        gauss = torch.exp(-0.5 * (first**2 + second**2))
         residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
         body = p[:, 4:5] * gauss
         u, v = first * torch.exp(-p[:, 2:3]), second * torch.exp(-p[:, 3:4])

@@ -20,9 +20,9 @@ from irlos_pipe.estimate.calibration_errors import nominal_of
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance, whole_wavefront
+from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.starts import (
     START_HIGHEST_NOLL,
-    TwinCheck,
     a_wave_off,
     better,
     check_twin,
@@ -149,20 +149,14 @@ def start_at_centroids(
     parameters).
     """
     x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
+    settings = problem.model.psf.settings
     for block in blocks(len(x)):
-        x[block] = _centred(problem.images[block], frames.good, problem)
+        images = problem.images[block].double().mean(1).cpu()
+        x[block] = problem.layout.start(images)
+        x[block, :2] = start_tilts_nm(images.reshape(-1, *settings.window) * frames.good, settings)
     if start_nm is not None:
         common = min(len(start_nm), len(problem.layout.nolls))
         x[:, :common] = torch.as_tensor(start_nm[:common])
-    return x
-
-
-def _centred(images: torch.Tensor, good: torch.Tensor, problem: ImageFit) -> torch.Tensor:
-    """Start of members from images (b, repeats, pixels): flux, and tip and tilt of the centroid."""
-    settings, first = problem.model.psf.settings, images.double().mean(1).cpu()
-    x = problem.layout.start(first)
-    masked = first.reshape(-1, *settings.window) * good
-    x[:, :2] = start_tilts_nm(masked, settings)
     return x
 
 

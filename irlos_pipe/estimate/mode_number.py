@@ -86,14 +86,13 @@ def scan_mode_numbers(
     highest_nolls: Sequence[int],
     effects: Sequence[Effect] = (),
     *,
-    nolls: Sequence[int] = REPORTED_NOLLS,
     device: str = "cpu",
     report: Callable[[int], None] | None = None,
 ) -> ModeScan:
     """Calibrate either half of a cube with different numbers of modes.
 
-    The numbers compared are `nolls`, from 2 on, in place of `highest_noll` of the `options`; `report` gets a
-    1 after every fit. Other arguments are those of `calibrate`.
+    These are `highest_nolls`, in place of that of the `options`; `report` gets a 1 after every fit. Other
+    arguments are those of `calibrate`.
     """
     one, other = halves(len(frames.images_e))
     fits = [
@@ -112,8 +111,8 @@ def scan_mode_numbers(
     ]
     return ModeScan(
         tuple(highest_nolls),
-        tuple(nolls),
-        np.array([[[one.get(noll, 0.0) for noll in nolls] for one in pair] for pair in given_nm]),
+        REPORTED_NOLLS,
+        np.array([[[one.get(noll, 0.0) for noll in REPORTED_NOLLS] for one in pair] for pair in given_nm]),
         np.array(misfit),
         np.mean([[fit.chi2_nu for fit in half] for half in fits], axis=0),
     )

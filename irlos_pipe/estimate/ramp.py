@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 
+from irlos_pipe.conventions.keys import DITTO, Number, key
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
@@ -15,26 +17,35 @@ from irlos_pipe.effects.focus_stage import travel_direction
 MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not explain, at least
 
 
-@dataclass(frozen=True, kw_only=True)
-class RampSummary:
-    """Straight line and scatter of a ramp; NaN is what the ramp does not determine."""
+@dataclass(frozen=True)
+class Line:
+    """The straight line of a ramp, as results.json has it; NaN is what the ramp does not determine."""
 
-    slope: float = np.nan
-    slope_sigma: float = np.nan
-    # Where nothing is introduced. Errors of frames at one introduced defocus may be common to them: for the
-    # standard error each offset counts once.
-    offset_nm: float
-    offset_sigma_nm: float = np.nan
-    rms_nm: float = np.nan  # of estimated minus introduced defocus
-    residual_rms_nm: float  # about the straight line
-    # Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
-    # together with a line, which would else take a part of it; NaN when only one direction occurs.
-    saw_tooth_nm: float = np.nan
-    saw_tooth_sigma_nm: float = np.nan
+    slope: Number = key(nan, "Estimated over introduced defocus, 1 is right, and its standard error.")
+    slope_sigma: Number = key(nan, DITTO)
+    offset_nm: Number = key(nan, "Estimated defocus where none is introduced, by the line.")
+    # Errors of frames at one introduced defocus may be common to them: each offset counts once.
+    offset_sigma_nm: Number = key(
+        nan, "Its standard error, by the scatter about the line and, with NCPAs, by theirs."
+    )
+    rms_nm: Number = key(nan, "RMS of estimated minus introduced defocus.")
+    residual_rms_nm: Number = key(nan, "RMS of the estimates about the line.")
+    saw_tooth_nm: Number = key(  # fitted together with a line, which would else take a part of it
+        nan,
+        "Difference between offsets reached upwards and downwards, by hysteresis of the focus stage, and "
+        "its standard error; NaN where only one direction occurs.",
+    )
+    saw_tooth_sigma_nm: Number = key(nan, DITTO)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RampSummary(Line):
+    """Straight line and scatter of a ramp."""
+
     # Constant bias of the second part of the ramp against the first (the reference of the focus stage lost
     # between two runs), fitted in the same way; NaN when the ramp is declared as one part.
-    part_bias_nm: float = np.nan
-    part_bias_sigma_nm: float = np.nan
+    part_bias_nm: float = nan
+    part_bias_sigma_nm: float = nan
     offsets_nm: np.ndarray  # (offsets,), introduced defocus
     median_nm: np.ndarray  # (offsets,), of the estimates
     scatter_nm: np.ndarray  # (offsets,), 1σ of them, from the 16th and 84th percentile

@@ -161,27 +161,17 @@ def ramp_effects(
     """
     labelled = dict(zip(labels_of(available), available, strict=True))
     best = {label: known.get(label) or effect.expected() for label, effect in labelled.items()}
-    residual = _halo(best.pop(SeeingHalo.name, None), halo)
-    kernel = _kernel(best.pop(TipTiltJitter.name, None), object_sigma_mas)
+    residual, kernel = best.pop(SeeingHalo.name, None), best.pop(TipTiltJitter.name, None)
+    if halo == "off":
+        residual = None
+    elif halo == "fit" and residual is not None:
+        residual = FixedEffect(residual.base, residual.all_values(()).tolist(), free=("variance_nm2",))
+    if object_sigma_mas != "calibrated":
+        jitter = TipTiltJitter()
+        fitted = object_sigma_mas == "fit"
+        kernel = jitter if fitted else FixedEffect(jitter, jitter.values_of(float(object_sigma_mas)))
     rest = [known.get(label, effect) for label, effect in labelled.items() if label in best]
     return [effect for effect in (residual, kernel, *rest) if effect is not None]
-
-
-def _halo(best: Effect | None, halo: str) -> Effect | None:
-    if halo == "off" or best is None:
-        return None
-    if halo != "fit":
-        return best
-    return FixedEffect(best.base, best.all_values(()).tolist(), free=("variance_nm2",))
-
-
-def _kernel(best: Effect | None, object_sigma_mas: str | float) -> Effect | None:
-    if object_sigma_mas == "calibrated":
-        return best
-    jitter = TipTiltJitter()
-    if object_sigma_mas == "fit":
-        return jitter
-    return FixedEffect(jitter, jitter.values_of(float(object_sigma_mas)))
 
 
 OUTER_ITERATIONS = 12

@@ -42,8 +42,9 @@ from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront
 from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
+from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.residual import kurtosis_of_frames
-from irlos_pipe.estimate.starts import TwinCheck, check_twin
+from irlos_pipe.estimate.starts import check_twin
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.image_quality import power_spectrum

@@ -15,7 +15,6 @@ separates them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -30,6 +29,7 @@ from irlos_pipe.estimate.calibration_options import NcpaPrior
 from irlos_pipe.estimate.image_fit import ImageFit, ModesFit
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
+from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
@@ -191,31 +191,6 @@ def better(first: Solution, second: Solution) -> Solution:
     if second.status[0] == INVALID or first.status[0] == INVALID:
         return first if second.status[0] == INVALID else second
     return second if second.objective[0] < first.objective[0] else first
-
-
-DECISIVE = 10.0  # evidence from which a sign counts as known: odds of 150 to 1
-
-
-@dataclass(frozen=True)
-class TwinCheck:
-    """Comparison of a solution with its twin."""
-
-    delta_chi2: float  # χ² (prior included) of the refitted twin minus that of the solution
-    rms_nm: float  # of the coefficients, tip and tilt left out
-    twin_rms_nm: float
-    distance_nm: float  # RMS difference between the two; near 0 when the twin fell back into the solution
-    # χ² of the data, and of the coefficients under the instrument's law of NCPAs as it is, of the twin minus
-    # that of the solution: -2 times the logarithm of the odds. The prior of the fit is wider than the law, so
-    # that it does not bend the estimates; it would understate what the law says of a twin, which needs twice
-    # the diversity as an aberration.
-    evidence: float
-
-    @property
-    def preferred(self) -> str:
-        """`solution`, `twin`, or `undecided` where neither data nor law decide."""
-        if self.distance_nm < 1.0 or self.evidence > DECISIVE:
-            return "solution"
-        return "twin" if self.evidence < -DECISIVE else "undecided"
 
 
 def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]) -> torch.Tensor:

@@ -1,7 +1,7 @@
 """Image models with their images in a table, for many fits of tip, tilt and focus with one light path.
 
 The focus curve says how well an image is explained at every defocus, and by the twin of the best fit.
-A centro-symmetric pupil without known diversity gives +d and −d the same image, see `twin`. The curve shows
+A centro-symmetric pupil without known diversity gives +d and −d the same image, see `starts`. The curve shows
 whether the diversity has told the two apart.
 """
 

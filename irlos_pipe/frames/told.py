@@ -8,11 +8,13 @@ gives way to the frames where these contradict it.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from math import nan
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.keys import DITTO, Number, key
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM, cutoff_per_px
 from irlos_pipe.frames.blocks import frame_flux
@@ -200,13 +202,16 @@ def cutoff_ratio(
 
 @dataclass(frozen=True)
 class Constant:
-    """One constant of the detector, as used and as measured."""
+    """A constant of the detector, of a frame; the read noise as measured includes that of dark and sky."""
 
-    name: str  # side-car key
-    used: float  # what the reduction goes on with
-    source: str  # where that comes from
-    measured: float  # from the frames; NaN where they do not determine it
-    error: float  # of that, 1 sigma
+    used: Number = key(nan, "What the reduction goes on with.")
+    source: str = key(
+        "", "Where that comes from: side-car, recipe, header, instrument profile or ``measured``."
+    )
+    measured: Number = key(
+        nan, "From the frames, the others taken as they are used; NaN where the frames do not tell."
+    )
+    error: Number = key(nan, DITTO)
 
     @property
     def contradicted(self) -> bool:
@@ -215,8 +220,8 @@ class Constant:
         return bool(apart > SIGNIFICANT * self.error and apart > NOTABLE * self.used)
 
 
-def constants(detector: Detector, sources: Mapping[str, str], noise: MeasuredNoise) -> list[Constant]:
-    """Return gain, read noise and excess noise of a `detector`, with what the frames say of each.
+def constants(detector: Detector, sources: Mapping[str, str], noise: MeasuredNoise) -> dict[str, Constant]:
+    """Return gain, read noise and excess noise of a `detector` by side-car key, with what frames say of each.
 
     Frames determine only the ratio of excess noise and gain: each is measured as if the other were right. The
     read noise includes the photon noise of dark current and sky. The `noise` is that of frames converted to
@@ -230,10 +235,10 @@ def constants(detector: Detector, sources: Mapping[str, str], noise: MeasuredNoi
         READ_NOISE: (detector.read_noise_e, read_noise, noise.floor_error_e2 / (2 * read_noise)),
         EXCESS: (detector.excess_noise_factor, slope, slope_error),
     }
-    return [
-        Constant(name, used, sources.get(name, PROFILE), float(value), float(error))
+    return {
+        name: Constant(used, sources.get(name, PROFILE), float(value), float(error))
         for name, (used, value, error) in measured.items()
-    ]
+    }
 
 
 def believed(
@@ -244,8 +249,7 @@ def believed(
     An undeclared gain gives way, else an undeclared excess noise does. `sources` and `noise`: see
     `constants`.
     """
-    found = {one.name: one for one in constants(detector, sources, noise)}
-    new, origin = detector, dict(sources)
+    found, new, origin = constants(detector, sources, noise), detector, dict(sources)
     slope = found[EXCESS]
     if slope.contradicted and slope.error < MAX_SLOPE_ERROR * slope.measured:
         if found[GAIN].source == PROFILE:

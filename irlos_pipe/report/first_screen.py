@@ -11,6 +11,7 @@ from markupsafe import Markup
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
+from irlos_pipe.estimate.records import Cause
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import StageResults, meaning_of, provenance_of
 from irlos_pipe.report.content import Block, KeyNumber, Section, Table, Views, walked
@@ -18,7 +19,7 @@ from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import verdict_numbers
 from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
 from irlos_pipe.report.text import MISSING, is_known, number, rounded_by_error, with_error
-from irlos_pipe.stages.calibrate.stage import CalibrateResults, CauseRow
+from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.correct import CorrectResults, checks_behind
 from irlos_pipe.stages.diagnose.stage import DiagnoseResults
 from irlos_pipe.stages.lift.stage import LiftResults
@@ -99,11 +100,11 @@ def failures(run: RunData, places: Mapping[str, str]) -> list[Reason]:
 
 def causes(run: RunData, places: Mapping[str, str]) -> list[Reason]:
     """Return what would explain the failed checks of a calibration, most likely first."""
-    rows: list[CauseRow] = run.results(CalibrateResults).causes
+    rows = run.results(CalibrateResults).causes
     return [Reason(one.says, _explained(one), _link(places, one.figure, "calibrate")) for one in rows]
 
 
-def _explained(row: CauseRow) -> str:
+def _explained(row: Cause) -> str:
     new = is_known(row.explains) and "of the misfit" not in row.says
     known = [f"explains {number(row.explains, '.0%')} of the misfit"] if new else []
     return "; ".join([*known, *([f"key {row.key}"] if row.key and row.key not in row.says else [])])

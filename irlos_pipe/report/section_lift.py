@@ -9,6 +9,7 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.wavefront import HighOrderNcpa
+from irlos_pipe.estimate.records import DECISIVE
 from irlos_pipe.product.results import EffectValues
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown
 from irlos_pipe.report.curves import chi2_figure
@@ -25,7 +26,7 @@ from irlos_pipe.report.images import (
 )
 from irlos_pipe.report.run_data import RunData, StageData
 from irlos_pipe.report.text import MISSING, number, parameter_rows, plural, with_error
-from irlos_pipe.stages.lift.stage import DECISIVE, LiftResults, Point, Twin, own_text
+from irlos_pipe.stages.lift.stage import LiftResults, Point, Twin, own_text
 from irlos_pipe.stages.prior import PriorResults
 
 # Direction of travel: label, marker, colour.

@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TIP_TILT
 from irlos_pipe.estimate.correction import MirrorOffsets, mirror_offsets
+from irlos_pipe.estimate.records import StrehlPart
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.image_quality import CURVES, quality_curves
@@ -28,7 +29,7 @@ from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.correction import Offsets, Prediction, StrehlPart
+    from irlos_pipe.estimate.correction import Offsets, Prediction
 
 VERSION = 6
 NEEDS = ("ingest", "calibrate")
@@ -93,15 +94,6 @@ class Config(StageConfig):
     )
 
 
-class StrehlRow(ResultsPart):
-    """What one part of the model does to the Strehl ratio, see `estimate.correction.StrehlPart`."""
-
-    name: str = item("", "Part of the model: all of it, its modes, or an effect.")
-    wfe_nm: Number = item(nan, "RMS of its modes; NaN of an effect.")
-    alone: Number = item(nan, "Strehl ratio with nothing else in the model, and with all else but this part.")
-    without: Number = item(nan, DITTO)
-
-
 class MirrorRow(ResultsPart):
     """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`."""
 
@@ -130,7 +122,7 @@ class CorrectResults(StageResults):
         "Strehl ratio of the mean image, its diversity included: brightest pixel over the sum of the window, "
         "divided by the same of the image without aberrations.",
     )
-    strehl_budget: list[StrehlRow] = item(
+    strehl_budget: list[StrehlPart] = item(
         [], "What each part of the model costs the image before the correction; the whole model first."
     )
     wavefront_before: MapSize = item(
@@ -175,7 +167,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             prediction,
             offset_nm=dict(zip(offsets.nolls.tolist(), offsets.value_nm.tolist(), strict=True)),
             sign=SIGN,
-            strehl_budget=[StrehlRow.filled_from(one) for one in budget],
+            strehl_budget=budget,
             wavefront_before=MapSize.of(before_nm),
             wavefront_after=MapSize.of(after_nm),
             resolution_mas=prediction.resolution_px * scale_mas,

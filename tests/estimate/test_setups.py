@@ -121,7 +121,7 @@ def test_gradients_are_those_of_finite_differences(setups):
     parts = [_part(one, OPTIONS, "cpu") for one in setups]
     problem = SetupsFit(setups, parts)
     starts = [part.layout.start(part.images.flatten(1)) for part in parts]
-    x, first = problem.whole(starts), torch.tensor([0])
+    x, first = problem.whole([start[0] for start in starts])[None], torch.tensor([0])
     x[:, 2:14] += 20.0
     gradient = problem.normal_equations(x, first)[1]
     some = (0, 4, 14, 20, problem.size - 4, problem.size - 1)

@@ -259,7 +259,7 @@ def test_what_is_told_stands_and_what_is_only_assumed_gives_way():
     assert sources == {GAIN: FRAMES, READ_NOISE: FRAMES}
     told = {GAIN: SIDECAR, READ_NOISE: SIDECAR, EXCESS: SIDECAR}
     assert believed(detector, told, noise) == (detector, told)
-    assert all(one.contradicted for one in constants(detector, told, noise))
+    assert all(one.contradicted for one in constants(detector, told, noise).values())
 
 
 @pytest.mark.parametrize(("measured", "excess"), [(1.6, 1.6), (0.98, 1.0), (0.8, 1.25)])

@@ -17,6 +17,7 @@ from helpers.fake_stages import COUNTS
 from helpers.patience import within
 from helpers.sparta_files import counts, star, write_recorder
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.night import trend_plots
 from irlos_pipe.night.run import Request, run_night
 from irlos_pipe.night.settings import load_settings
@@ -25,7 +26,7 @@ from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import IngestResults
-from irlos_pipe.stages.lift.stage import LiftResults, Line, Point
+from irlos_pipe.stages.lift.stage import LiftResults, Point
 
 CUBE = """\
 recipe: cube

@@ -13,12 +13,12 @@ from irlos_pipe.product.results import read_run_results, results_of
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.diagnose.stage import DiagnoseResults
 from irlos_pipe.stages.ingest.stage import IngestResults
-from irlos_pipe.stages.lift.stage import LiftResults, Line
+from irlos_pipe.stages.lift.stage import LiftResults, Twin
 
 
 def test_json_has_the_keys_that_were_set_and_null_for_nan():
-    results = LiftResults(modes=[2, 4], summary=Line(slope=1.0, offset_nm=math.nan))
-    assert results.as_json() == {"modes": [2, 4], "summary": {"slope": 1.0, "offset_nm": None}}
+    results = LiftResults(modes=[2, 4], twin=Twin(name="a", twin_nm=math.nan))
+    assert results.as_json() == {"modes": [2, 4], "twin": {"name": "a", "twin_nm": None}}
 
 
 def test_null_and_an_absent_key_are_nan_when_read():

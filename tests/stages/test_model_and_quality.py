@@ -15,8 +15,8 @@ from irlos_pipe.effects.declaration import Refraction
 from irlos_pipe.estimate.calibration import SetupFit
 from irlos_pipe.estimate.calibration_errors import NominalChi2
 from irlos_pipe.estimate.cube import Motion
+from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.residual import Mirrored
-from irlos_pipe.estimate.starts import TwinCheck
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand

@@ -18,13 +18,13 @@ from irlos_pipe.estimate.causes import (
     EXPLAINED,
     NAN,
     Asked,
-    Cause,
     causes_of_misfit,
     dark_left_in,
     improbable_diversity,
 )
 from irlos_pipe.estimate.cube import Motion
 from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.records import Cause
 from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.frames.measured_noise import SIGNIFICANT
 from irlos_pipe.frames.told import (
@@ -34,14 +34,15 @@ from irlos_pipe.frames.told import (
     OVERFLOWED,
     READ_NOISE,
     SMALLEST_NM,
+    Constant,
     cutoff_ratio,
 )
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.calibrate.stage import CauseRow, Config, Limits
-from irlos_pipe.stages.ingest.stage import IngestResults, NoiseRow, RecordingRow
+from irlos_pipe.stages.calibrate.stage import Config, Limits
+from irlos_pipe.stages.ingest.stage import IngestResults, RecordingRow
 
 SPECKLED = {name for name, kind in CATALOGUE.items() if kind.speckles}
 # Effects that make frames scatter by more than noise.
@@ -231,7 +232,7 @@ def causes_of(
     result: Calibration,
     checks: Sequence[Check],
     name: str = "",
-) -> list[CauseRow]:
+) -> list[Cause]:
     """Return the causes of the failed ones of `checks` and of those of the recordings, or the one `name`.
 
     Where none failed, they are wrong facts, which fail the check of χ²/ν.
@@ -269,9 +270,9 @@ def causes_of(
     return _of_name([one for one in found if first[one.name] is one], name)
 
 
-def _of_name(found: Sequence[Cause], name: str) -> list[CauseRow]:
+def _of_name(found: Sequence[Cause], name: str) -> list[Cause]:
     says = f"{name}: " if name else ""
-    return [CauseRow.filled_from(one, says=f"{says}{one.says}") for one in found]
+    return [replace(one, says=f"{says}{one.says}") for one in found]
 
 
 def _wrong_facts(
@@ -312,18 +313,18 @@ def _of_frames(row: RecordingRow) -> Iterator[Cause]:
     if overflowed:
         yield Cause("overflow", overflowed[0], figure="cal-images")
         return
-    gain, noise = (row.noise.get(key, NoiseRow()) for key in (GAIN, READ_NOISE))
+    gain, noise = (row.noise.get(key, Constant()) for key in (GAIN, READ_NOISE))
     if _apart(gain) and not 1 / WRONG < gain.used / gain.measured < WRONG:
         yield _constant("gain", "a gain", gain, "e-/ADU", GAIN)
     elif _apart(noise) and noise.used > WRONG * noise.measured:  # dark and sky add to the read noise
         yield _constant("read_noise", "a read noise", noise, "e-", READ_NOISE)
 
 
-def _apart(row: NoiseRow) -> bool:
+def _apart(row: Constant) -> bool:
     return row.measured > 0 and abs(row.measured - row.used) > SIGNIFICANT * row.error
 
 
-def _constant(name: str, words: str, row: NoiseRow, unit: str, key: str) -> Cause:
+def _constant(name: str, words: str, row: Constant, unit: str, key: str) -> Cause:
     says = (
         f"{words} of {row.measured:.3g} ± {row.error:.2g} {unit} instead of {row.used:.3g} {unit} would "
         f"explain how the frames scatter: {key}"

@@ -21,6 +21,7 @@ from irlos_pipe.estimate.calibration_options import (
     NcpaPrior,
     OptimiserName,
 )
+from irlos_pipe.estimate.records import Cause, TwinCheck
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import (
@@ -231,24 +232,6 @@ class Estimate(ResultsPart):
     status: dict[str, int] = item({}, "Number of fits by their outcome.")
 
 
-class Twin(ResultsPart):
-    """Comparison with the twin solution, see `estimate.twin.TwinCheck`."""
-
-    delta_chi2: Number = item(nan, "χ² of the refitted twin minus that of the solution, prior included.")
-    rms_nm: Number = item(
-        nan, "RMS of the coefficients of the solution and of the twin, without tip and tilt."
-    )
-    twin_rms_nm: Number = item(nan, DITTO)
-    distance_nm: Number = item(
-        nan, "RMS difference between the two; near 0 where the twin fell back into the solution."
-    )
-    evidence: Number = item(
-        nan,
-        "-2 times the logarithm of the odds of the twin, by the data and the law of NCPAs; large: excluded.",
-    )
-    preferred: str = item("", "``solution``, ``twin``, or ``undecided`` where neither data nor law tell.")
-
-
 class Lenslets(ResultsPart):
     """What the four images of a 2x2 mode determine, and what their centroids say."""
 
@@ -286,23 +269,6 @@ class SetupRow(ResultsPart):
     focus_sigma_nm: Number = item(nan, DITTO)
 
 
-class CauseRow(ResultsPart):
-    """A fact or effect that would explain why a check failed, see `estimate.causes`."""
-
-    name: str = item("", "What it is: a short identifier, such as ``plate_scale`` or ``transposed``.")
-    says: str = item("", "The whole sentence for a person, key included.")
-    explains: Number = item(nan, "Part of the misfit that it explains, 0 to 1; NaN where it is no misfit.")
-    value: Number = item(
-        nan,
-        "Value that the data want, its standard error and the declared value; NaN where none is a number.",
-    )
-    sigma: Number = item(nan, DITTO)
-    declared: Number = item(nan, DITTO)
-    unit: str = item("", "Unit of the three.")
-    key: str = item("", "Key of the side-car or profile to change; empty where none is.")
-    figure: str = item("", "Figure of the report to look at, by its name there, such as ``cal-residual``.")
-
-
 class AngleRow(ResultsPart):
     """A recording and its derotator angle."""
 
@@ -326,14 +292,14 @@ class CalibrateResults(Estimate, StageResults):
     )
     seeing_arcsec: Number = item(nan, "Seeing taken for the calibration.")
     wavelength_nm: Number = item(nan, "Mean wavelength of its recordings, at which the NCPAs are stated.")
-    twin: Twin | None = item(None, "None without a twin solution, and for the mean over cubes.")
+    twin: TwinCheck | None = item(None, "None without a twin solution, and for the mean over cubes.")
     compare: list[Estimate] = item([], "Estimates with other methods.")
     setups: list[SetupRow] = item([], "Set-ups that were fitted together; empty for one.")
     introduced_accuracy: Number = item(
         nan, "Part of itself by which an introduced defocus is off, one standard deviation by all planes."
     )
     cubes: list[CubeRow] = []
-    causes: list[CauseRow] = item(
+    causes: list[Cause] = item(
         [], "What would explain the checks that failed, most likely first; empty where none did."
     )
     no_causes: str = item("", "Why there are none though a check failed.")

@@ -43,7 +43,6 @@ from irlos_pipe.stages.calibrate.stage import (
     Lenslets,
     SetupRow,
     Tail,
-    Twin,
 )
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.recording_settings import SETUP_KEYS, differences, seeing_arcsec
@@ -199,7 +198,7 @@ def _joint_output(
         effects_sigma=result.effects_sigma,
         seeing_arcsec=seeing_arcsec(ctx.instrument, acquisition),
         wavelength_nm=acquisition.wavelength_nm,
-        twin=None if result.twin is None else Twin.filled_from(result.twin),
+        twin=result.twin,
         untested=untested_by_cubes(acquisition.diversity, _undetermined(result)),
         compare=[Estimate(**_estimate(other)) for other in others],
         setups=[SetupRow.filled_from(one, introduced_nm=one.known_nm) for one in result.setups],

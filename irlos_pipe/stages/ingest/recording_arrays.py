@@ -8,10 +8,11 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.blocks import mean_frame, picked
-from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.frames.series import DECLARED, frame_series
 from irlos_pipe.product.product import Product, Quantity, declared
 from irlos_pipe.product.results import results_of
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 # Attributes of a recording that are arrays of the product. Those with a default are single numbers, of which
 # a product of an earlier version may lack some.
 STORED = [one for one in fields(Recording) if one.name not in ("name", "input", "acquisition")]
+ACQUISITION = TypeAdapter(Acquisition)  # as it is stored, JSON
 CALLED = {one.name: one.name for one in STORED} | {"good": "pixel_mask"}
 
 
@@ -161,13 +163,4 @@ def _overview(product: Product, owner: str, name: str) -> Overview:
 
 
 def _acquisition(product: Product, prefix: str) -> Acquisition:
-    content = json.loads(str(product.arrays[f"{prefix}/acquisition"].value))
-    content.pop("subaperture", None)  # of earlier versions
-    return Acquisition(
-        **content
-        | {
-            "detector": Detector(**content["detector"]),
-            "spectrum": tuple((wavelength, weight) for wavelength, weight in content["spectrum"]),
-            "diversity": {int(noll): nm for noll, nm in content["diversity"].items()},
-        }
-    )
+    return ACQUISITION.validate_json(str(product.arrays[f"{prefix}/acquisition"].value))

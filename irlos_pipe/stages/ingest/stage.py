@@ -13,6 +13,7 @@ from irlos_pipe.conventions.errors import NothingToDo
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.screening import Limits
 from irlos_pipe.frames.series import DECLARED
+from irlos_pipe.frames.told import Constant
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, StageResults, item
 from irlos_pipe.readers.sidecar import AcquisitionKeys
@@ -106,19 +107,6 @@ class Config(StageConfig):
         return self.acquisition.updated(own)
 
 
-class NoiseRow(ResultsPart):
-    """A constant of the detector, of a frame; the read noise as measured includes that of dark and sky."""
-
-    used: Number = item(nan, "What the reduction goes on with.")
-    source: str = item(
-        "", "Where that comes from: side-car, recipe, header, instrument profile or ``measured``."
-    )
-    measured: Number = item(
-        nan, "From the frames, the others taken as they are used; NaN where the frames do not tell."
-    )
-    error: Number = item(nan, DITTO)
-
-
 class RecordingRow(ResultsPart):
     """One recording; those of role ``dark`` have only the keys up to `mag_j`."""
 
@@ -166,7 +154,7 @@ class RecordingRow(ResultsPart):
         nan, "Variance per pixel beyond read noise and star, and of the dark image."
     )
     dark_variance_e2: Number = item(nan, DITTO)
-    noise: dict[str, NoiseRow] = item({}, "Gain, read noise and excess noise by their side-car key.")
+    noise: dict[str, Constant] = item({}, "Gain, read noise and excess noise by their side-car key.")
     corner_scatter_e: Number = item(
         nan, "RMS over time of the darkest pixels, stripes and a changing halo included."
     )

@@ -25,7 +25,7 @@ from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, rel
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.ingest.recording_arrays import arrays_of, found_bad
 from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone, read_sources, with_darks
-from irlos_pipe.stages.ingest.stage import Config, IngestResults, NoiseRow, RecordingRow
+from irlos_pipe.stages.ingest.stage import Config, IngestResults, RecordingRow
 
 BYTES_PER_PIXEL = 1600  # memory for a pixel of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
 BYTES_PER_VALUE = 8  # memory for a pixel of every frame
@@ -203,7 +203,6 @@ def _row(
 ) -> RecordingRow:
     """Return the entry of a `recording` in the results."""
     acquisition, background, noise = recording.acquisition, cleaned.background, cleaned.noise
-    constants_used = constants(acquisition.detector, acquisition.sources, noise)
     return RecordingRow.filled_from(
         recording,
         role=acquisition.role,
@@ -225,7 +224,7 @@ def _row(
         pedestal_error_adu=background.pedestal_error_adu,
         noise_floor_e2=noise.floor_e2,
         excess_noise_measured=noise.excess_noise_factor,
-        noise={one.name: NoiseRow.filled_from(one) for one in constants_used},
+        noise=constants(acquisition.detector, acquisition.sources, noise),
         corner_scatter_e=noise.corner_scatter_e,
         sources=acquisition.sources,
         observed=Observed.filled_from(
@@ -260,10 +259,10 @@ def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
     """
     acquisition = recording.acquisition
     return [
-        f"{recording.name}: {one.name} = {one.used:.4g} by the {one.source}, "
+        f"{recording.name}: {name} = {one.used:.4g} by the {one.source}, "
         f"{one.measured:.4g} +- {one.error:.2g} by its frames"
-        for one in constants(acquisition.detector, acquisition.sources, cleaned.noise)
-        if one.contradicted and not (one.name == READ_NOISE and one.measured > one.used)
+        for name, one in constants(acquisition.detector, acquisition.sources, cleaned.noise).items()
+        if one.contradicted and not (name == READ_NOISE and one.measured > one.used)
     ]
 
 

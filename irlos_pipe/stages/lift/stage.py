@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.effects.wavefront import ChromaticNcpa, FilterNcpa
 from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
+from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, run_of
@@ -55,7 +56,6 @@ CHECKS = {
     ),
 }
 OWN = (ChromaticNcpa, FilterNcpa)  # wavefronts that the light of a ramp has for itself
-DECISIVE = 10.0  # evidence from which the twin counts as excluded: odds of 150 to 1
 
 
 class Config(StageConfig):
@@ -172,25 +172,6 @@ class Point(ResultsPart):
     status: str = item("", "How the fit of the frame ended.")
     chi2_nu: Number = item(nan, "Reduced χ² of the frame.")
     zernike_nm: ByNoll = item({}, "All estimated modes.")
-
-
-class Line(ResultsPart):
-    """The straight line of a ramp, see `estimate.ramp.RampSummary`."""
-
-    slope: Number = item(nan, "Estimated over introduced defocus, 1 is right, and its standard error.")
-    slope_sigma: Number = item(nan, DITTO)
-    offset_nm: Number = item(nan, "Estimated defocus where none is introduced, by the line.")
-    offset_sigma_nm: Number = item(
-        nan, "Its standard error, by the scatter about the line and, with NCPAs, by theirs."
-    )
-    rms_nm: Number = item(nan, "RMS of estimated minus introduced defocus.")
-    residual_rms_nm: Number = item(nan, "RMS of the estimates about the line.")
-    saw_tooth_nm: Number = item(
-        nan,
-        "Difference between offsets reached upwards and downwards, by hysteresis of the focus stage, and "
-        "its standard error; NaN where only one direction occurs.",
-    )
-    saw_tooth_sigma_nm: Number = item(nan, DITTO)
 
 
 class Offset(ResultsPart):

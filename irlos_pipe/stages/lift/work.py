@@ -24,7 +24,7 @@ from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp
-from irlos_pipe.stages.lift.stage import ARRAYS, Config, LiftResults, Line, Offset, Point, Twin, own_text
+from irlos_pipe.stages.lift.stage import ARRAYS, Config, LiftResults, Offset, Point, Twin, own_text
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
 
@@ -71,12 +71,12 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
         points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
-        summary=Line.filled_from(summary),
+        summary=summary,
         offsets=[Offset(introduced_nm=o, median_nm=m, scatter_nm=s) for o, m, s in rows],
         effects=fit.effects | focus.effects,
         effects_sigma=fit.sigma | focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
-        compare={name: Line.filled_from(other) for name, other in others.items()},
+        compare=others,
         twin=_twin(ramp, typical, curve),
         ao_defocus_nm=excess_scatter_nm(ramp.data.introduced_nm, fit.defocus_nm, photon_nm),
         chi2_nu=errors.chi2_nu,
