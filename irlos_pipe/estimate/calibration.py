@@ -22,7 +22,7 @@ from irlos_pipe.estimate.calibration_errors import (
 )
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of
+from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of, silent
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
 from irlos_pipe.estimate.records import TwinCheck
@@ -103,7 +103,7 @@ def calibrate(
     *,
     start_nm: np.ndarray | None = None,
     device: str = "cpu",
-    report: Report | None = None,
+    report: Report = silent,
     note: Callable[[str], None] = lambda line: None,
 ) -> Calibration:
     """Estimate the static aberrations of a cube, or of a single image.

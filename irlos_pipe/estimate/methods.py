@@ -9,6 +9,7 @@ of their own.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -39,7 +40,11 @@ from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 ROUGH_ITERATIONS = 6  # iterations of the few frames whose median is the start of all others
-Report = Callable[[int], None]
+Report = Callable[[int], Any]
+
+
+def silent(count: int) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +75,7 @@ class Scheme(ABC):
         """Return the start of the `problem` of these `frames` when nothing is known, (batch, parameters)."""
         return start_at_centroids(frames, problem)
 
-    def solve(
-        self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report | None
-    ) -> Solution:
+    def solve(self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report) -> Solution:
         """Minimise the `problem` from a `start` in `max_iterations`; see `solve` for `report`."""
         return solve(problem, start, max_iterations=max_iterations, report=report)
 
@@ -118,9 +121,7 @@ class EveryFrame(Scheme):
         x[:, 2 : len(median_nm)] = median_nm[2:]
         return x
 
-    def solve(
-        self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report | None
-    ) -> Solution:
+    def solve(self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report) -> Solution:
         return fit_frames(problem, start, max_iterations=max_iterations, report=report)
 
     def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
@@ -195,7 +196,7 @@ def fit_frames(
     start: torch.Tensor,
     *,
     max_iterations: int,
-    report: Callable[[int], None] | None = None,
+    report: Report,
 ) -> Solution:
     """Minimise a batch of fits of single frames from `start` (frames, parameters), without bounds.
 
@@ -211,14 +212,12 @@ def fit_frames(
     for spent in range(0, max_iterations, EVALUATIONS):
         # those that can be improved, those that are stuck included
         left = torch.tensor([i for i, s in enumerate(found.status) if s not in (CONVERGED, INVALID)]).long()
-        if report is not None:
-            report(open_before - len(left))
+        report(open_before - len(left))
         if len(left) == 0:
             return found
         more = min(EVALUATIONS, max_iterations - spent)
         found, open_before = _by_themselves(problem, found, left, more), len(left)
-    if report is not None:
-        report(open_before)
+    report(open_before)
     return found
 
 
@@ -256,7 +255,7 @@ class CubeFit:
     # (modes,), where every fit begins, from Noll 2 on; else each begins from none, and from elsewhere if it
     # ends in a wrong minimum
     start_nm: np.ndarray | None = None
-    report: Report | None = None  # called with the number of finished frames
+    report: Report = silent  # called with the number of finished frames
 
     def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
         """Fit with these effects, from scratch or from the modes of another fit, `near`."""
@@ -329,7 +328,7 @@ class CubeFit:
         median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
         return start_at_centroids(cube, problem, median_nm)
 
-    def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report | None = None) -> Solution:
+    def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report = silent) -> Solution:
         limit = self.options.max_iterations
         if self.options.optimiser == "lbfgs":
             return solve_lbfgs(problem, start, max_iterations=3 * limit)

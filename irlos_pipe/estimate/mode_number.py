@@ -14,7 +14,7 @@ of squares over ν, s², is all that counts, and the deviance is ``ν (s²/v −
 The law is that of the paper's appendix A, there fitted to the plain standard deviations.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.methods import Report, silent
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 BLOCKS_PER_HALF = 8
@@ -87,7 +88,7 @@ def scan_mode_numbers(
     effects: Sequence[Effect] = (),
     *,
     device: str = "cpu",
-    report: Callable[[int], None] | None = None,
+    report: Report = silent,
 ) -> ModeScan:
     """Calibrate either half of a cube with different numbers of modes.
 
@@ -126,7 +127,7 @@ def fit_mode_numbers(
     effects: Sequence[Effect] = (),
     *,
     device: str = "cpu",
-    report: Callable[[int], None] | None = None,
+    report: Report = silent,
 ) -> list[Calibration]:
     """Return calibrations with different numbers of modes, in the order of `highest_nolls`.
 
@@ -137,8 +138,7 @@ def fit_mode_numbers(
     for highest in reversed(highest_nolls):
         own, start_nm = replace(options, highest_noll=highest), fits[-1].zernike_nm if fits else None
         fits.append(calibrate(frames, settings, own, effects, start_nm=start_nm, device=device))
-        if report:
-            report(1)
+        report(1)
     return fits[::-1]
 
 

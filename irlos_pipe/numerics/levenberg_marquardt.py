@@ -12,6 +12,7 @@ Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covarianc
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -35,7 +36,7 @@ def solve(
     start: torch.Tensor,
     *,
     max_iterations: int = 50,
-    report: Callable[[int], None] | None = None,
+    report: Callable[[int], Any] = lambda count: None,
 ) -> Solution:
     """Minimise a batch of problems from `start`, (batch, parameters).
 
@@ -47,9 +48,7 @@ def solve(
         active = state.active()
         if len(active) == 0:
             break
-        finished = state.iterate(active)
-        if report is not None:
-            report(finished)
+        report(state.iterate(active))
     state.close_slow()
     return state.solution()
 

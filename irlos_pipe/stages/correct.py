@@ -95,7 +95,7 @@ class Config(StageConfig):
 
 
 class MirrorRow(ResultsPart):
-    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`."""
+    """The correction in the modes of a mirror, see `estimate.correction.MirrorOffsets`."""
 
     modes: int = item(0, "Number of modes of its table.")
     offset: list[Number] = item([], "Offset of each, in the unit of the table.")

@@ -68,7 +68,7 @@ class Config(StageConfig):
 
 
 class LawRow(ResultsPart):
-    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`."""
+    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_number.ModeLaw`."""
 
     A_nm: Number = item(nan, "Amplitude A of the law, and its standard error [nm RMS].")
     B: Number = item(nan, "Decay B per mode, and its standard error.")

@@ -85,7 +85,7 @@ def test_two_hot_pixels_are_one_effect_of_both():
     (found,) = scores(at_rest, bad_pixel_family(at_rest))
     assert (found.name, found.trials) == ("bad_pixels", WINDOW**2)
     (fit,) = refits(fitter_of(at_rest.stack), at_rest, [found])
-    assert fit.public == {"pixels": [[25, 8], [5, 22]]}
+    assert fit.base.describe(fit.values) == {"pixels": [[25, 8], [5, 22]]}
     assert fit.values == pytest.approx([90.0, 60.0], abs=6.0)
     assert abs(fit.excess.significance) < 4
 
@@ -135,5 +135,5 @@ def test_a_vibration_beside_a_faint_companion_is_no_double_star_that_nobody_reso
     options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
     vibration, companion = diagnose([Exposures(both, CONDITIONS)], [], options).steps
     assert (vibration.name, companion.name) == ("vibration", "companion")
-    assert vibration.public["sigma_mas"] == pytest.approx(6.0, rel=0.02)
-    assert companion.public["flux_ratio"] == pytest.approx(0.006, rel=0.05)
+    assert vibration.base.describe(vibration.values)["sigma_mas"] == pytest.approx(6.0, rel=0.02)
+    assert companion.base.describe(companion.values)["flux_ratio"] == pytest.approx(0.006, rel=0.05)

@@ -268,7 +268,7 @@ def opened_from(direction_rad: float) -> Opened:
     made = ImageModel(psf, [FixedEffect(STOP, [DISTANCE_M, DIRECTION_RAD, 0.0])])
     images = cases.draw_frames(psf.images(modes_nm, made.optics)[0].double().numpy() * 3e6, 4, seed=5)
     frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
-    task = CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR), None, None)
+    task = CubeFit(frames, psf, CalibrationOptions(highest_noll=11, prior=cases.PRIOR))
     closed = task.fit([FixedEffect(STOP, [DISTANCE_M, direction_rad, 0.0], FREE)])
     opened = open_basis(*closed[:1], closed[1].values, max_iterations=30)
     assert opened is not None

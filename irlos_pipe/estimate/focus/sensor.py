@@ -260,7 +260,7 @@ PARAMETERS = 5
 
 
 def lift_singly(
-    focus: Focus, images_e: np.ndarray, report: Callable[[int], object] | None = None
+    focus: Focus, images_e: np.ndarray, report: Callable[[int], object] = lambda count: None
 ) -> LiftResult:
     """Measure each of `images_e` (images, rows, columns) by itself; `report` gets a 1 after every image."""
     count = len(images_e)
@@ -278,8 +278,7 @@ def lift_singly(
             objective[index], chi2_nu[index] = found.objective, found.chi2_nu
             iterations[index], status[index] = found.iterations, CONVERGED if found.converged else STALLED
             model_e[index] = focus.model_e(found)
-        if report is not None:
-            report(1)
+        report(1)
     x, errors, counts, least = map(torch.from_numpy, (values, covariance, iterations, objective))
     solution = Solution(x, errors, status, counts, least)
     modes = slice(0, len(NOLLS))
