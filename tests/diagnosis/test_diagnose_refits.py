@@ -135,5 +135,5 @@ def test_a_vibration_beside_a_faint_companion_is_no_double_star_that_nobody_reso
     options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
     vibration, companion = diagnose([Exposures(both, CONDITIONS)], [], options).steps
     assert (vibration.name, companion.name) == ("vibration", "companion")
-    assert vibration.base.describe(vibration.values)["sigma_mas"] == pytest.approx(6.0, rel=0.02)
-    assert companion.base.describe(companion.values)["flux_ratio"] == pytest.approx(0.006, rel=0.05)
+    assert vibration.public["sigma_mas"] == pytest.approx(6.0, rel=0.02)
+    assert companion.public["flux_ratio"] == pytest.approx(0.006, rel=0.05)
