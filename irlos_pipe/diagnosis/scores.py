@@ -21,7 +21,6 @@ from irlos_pipe.diagnosis.null_model import FittedModel, significance_of
 from irlos_pipe.diagnosis.view import Placement
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
-from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -168,27 +167,14 @@ def whitened_shapes(optimum: FittedModel, candidates: Sequence[Effect]) -> list[
 
     Several candidates must be of one plane, pupil or OTF.
     """
-    fitted = optimum.fitted
-    columns = [
-        _of_recording(view.seen(candidates, fitted.views), part, x, frozen, candidates)
-        for view, (part, x), frozen in zip(fitted.views, fitted.recordings, optimum.frozen, strict=True)
-    ]
-    shapes = optimum.whiten(torch.cat(columns, dim=1).mT)
-    return list(shapes.split([len(one.parameters) for one in candidates], dim=1))
-
-
-def _of_recording(
-    seen: Sequence[Effect],
-    part: ImageFit,
-    x: torch.Tensor,
-    frozen: Sequence[Effect],
-    candidates: Sequence[Effect],
-) -> torch.Tensor:
-    """Derivatives of one recording's image, (m, pixels); none where the candidates do not act."""
-    if not seen:
-        parameters = sum(len(one.parameters) for one in candidates)
-        return torch.zeros(parameters, part.images.shape[-1], dtype=torch.float64)
-    return derivatives(part, x, frozen, seen[0] if len(seen) == 1 else _Bundle(seen))
+    fitted, columns, sizes = optimum.fitted, [], [len(one.parameters) for one in candidates]
+    for view, (part, x), frozen in zip(fitted.views, fitted.recordings, optimum.frozen, strict=True):
+        seen = view.seen(candidates, fitted.views)
+        if seen:
+            columns.append(derivatives(part, x, frozen, seen[0] if len(seen) == 1 else _Bundle(seen)))
+        else:  # the candidates do not act there
+            columns.append(torch.zeros(sum(sizes), part.images.shape[-1], dtype=torch.float64))
+    return list(optimum.whiten(torch.cat(columns, dim=1).mT).split(sizes, dim=1))
 
 
 def scored(

@@ -83,7 +83,24 @@ def sharing(
         chosen[0].base.only_in(None), _values_of(chosen[0]), [p.name for p in chosen[0].parameters]
     )
     together = fitter.finished(fitter.explored([*others.values(), one_for_all], fitted))
-    return _judged(labels, chosen[0].name, together, apart, cube, moments, sure)
+    stack = cube.training
+    misfit = max(1.0, Optimum(stack, apart).excess.chi2_nu)  # what both models miss is no difference
+    more = len(apart.effect_values) - len(together.effect_values)
+    significance = Optimum(stack, together).significance_of_change(apart, more, misfit=misfit)
+    covariances = Covariances(stack, apart, misfit)
+    pairs = [*zip(apart.problem.effects.labels, apart.effects, strict=True)]
+    values = []
+    for number, moment in moments.by_number.items():
+        # the effect of this name that was put into the moment last
+        label = [
+            one for one, effect in pairs if effect.name == chosen[0].name and effect.acts_in == {number}
+        ][-1]
+        values.append(_value(number, moment.name, apart, label, covariances.of(label), stack))
+    z = preference(cube.held_out, apart, together)
+    seen = sum(one.significance > SEEN for one in values)
+    differs = significance > sure and z > PREFERRED
+    finding: Finding = "differs" if differs else "common" if seen > 1 else "open"
+    return Sharing(labels, finding, significance, together.chi2 - apart.chi2, more, z, values)
 
 
 def parted(comparison: Sharing, fitted: Fitted, label: str) -> list[Effect]:
@@ -108,33 +125,6 @@ def _own_of(number: int, chosen: Sequence[Effect]) -> FixedEffect:
         absent = [p.null for p in effect.base.parameters]
         values = np.array([v if null is None else null for v, null in zip(values, absent, strict=True)])
     return FixedEffect(effect.base.only_in(frozenset({number})), values, [p.name for p in free])
-
-
-def _judged(
-    labels: Sequence[str],
-    name: str,
-    together: Fitted,
-    apart: Fitted,
-    cube: Cube,
-    moments: Moments,
-    sure: float,
-) -> Sharing:
-    stack = cube.training
-    misfit = max(1.0, Optimum(stack, apart).excess.chi2_nu)  # what both models miss is no difference
-    more = len(apart.effect_values) - len(together.effect_values)
-    significance = Optimum(stack, together).significance_of_change(apart, more, misfit=misfit)
-    covariances = Covariances(stack, apart, misfit)
-    pairs = [*zip(apart.problem.effects.labels, apart.effects, strict=True)]
-    values = []
-    for number, moment in moments.by_number.items():
-        # the effect of this name that was put into the moment last
-        label = [one for one, effect in pairs if effect.name == name and effect.acts_in == {number}][-1]
-        values.append(_value(number, moment.name, apart, label, covariances.of(label), stack))
-    z = preference(cube.held_out, apart, together)
-    seen = sum(one.significance > SEEN for one in values)
-    differs = significance > sure and z > PREFERRED
-    finding: Finding = "differs" if differs else "common" if seen > 1 else "open"
-    return Sharing(labels, finding, significance, together.chi2 - apart.chi2, more, z, values)
 
 
 def _value(
