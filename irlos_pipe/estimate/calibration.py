@@ -25,7 +25,7 @@ from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_va
 from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of, silent
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
-from irlos_pipe.estimate.records import TwinCheck
+from irlos_pipe.estimate.records import OneSetup, TwinCheck
 from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
@@ -34,16 +34,10 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighted by the misfit, and how often at most
 
 
-@dataclass(frozen=True)
-class SetupFit:
-    """One of several set-ups that were fitted together, see `setups`; images are (rows, columns)."""
+@dataclass(frozen=True, kw_only=True)
+class SetupFit(OneSetup):
+    """The same with its images, (rows, columns) each."""
 
-    name: str  # of its recordings
-    frames: int
-    known_nm: float  # Noll 4 of what was introduced
-    chi2_nu: float  # of its mean image
-    focus_nm: float  # defocus beyond the known and the common one that its image by itself wants
-    focus_sigma_nm: float
     mean_e: np.ndarray
     model_e: np.ndarray
     sigma_e: np.ndarray

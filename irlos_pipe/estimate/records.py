@@ -62,3 +62,18 @@ class StrehlPart:
     wfe_nm: Number = item(nan, "RMS of its modes; NaN of an effect.")
     alone: Number = item(nan, "Strehl ratio with nothing else in the model, and with all else but this part.")
     without: Number = item(nan, DITTO)
+
+
+@dataclass(frozen=True)
+class OneSetup:
+    """One of several set-ups, such as planes of known defocus, that were fitted together."""
+
+    name: str = item("", "Its recordings.")
+    introduced_nm: Number = item(nan, "Noll 4 of what is known of its wavefront.")
+    frames: int = item(0, "Used frames.")
+    chi2_nu: Number = item(nan, "Reduced χ² of its mean image.")
+    focus_nm: Number = item(
+        nan,
+        "Defocus beyond the known and the common one that its image by itself wants, and the standard error.",
+    )
+    focus_sigma_nm: Number = item(nan, DITTO)

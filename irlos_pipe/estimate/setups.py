@@ -271,15 +271,15 @@ def _found(setup: Setup, part: ImageFit, x: torch.Tensor, common_nm: float, devi
     variance = mean_variance_e2(frames)
     mean, model = frames.mean_e, part.predict(x)[0].reshape(settings.window).cpu()
     return SetupFit(
-        ", ".join(setup.names),
-        len(frames.images_e),
-        settings.known.total_nm.get(DEFOCUS, 0.0),
-        float(((mean - model).square() / variance)[frames.good].sum()) / part.freedom,
-        float(best.values[0, FOCUSED - 1]) - common_nm,
-        float(best.sigma[0, FOCUSED - 1]) * grown,
-        mean.numpy(),
-        model.numpy(),
-        variance.sqrt().numpy(),
+        name=", ".join(setup.names),
+        introduced_nm=settings.known.total_nm.get(DEFOCUS, 0.0),
+        frames=len(frames.images_e),
+        chi2_nu=float(((mean - model).square() / variance)[frames.good].sum()) / part.freedom,
+        focus_nm=float(best.values[0, FOCUSED - 1]) - common_nm,
+        focus_sigma_nm=float(best.sigma[0, FOCUSED - 1]) * grown,
+        mean_e=mean.numpy(),
+        model_e=model.numpy(),
+        sigma_e=variance.sqrt().numpy(),
     )
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -30,10 +29,10 @@ from irlos_pipe.paper.common.observation import (
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, calibrated, narrow_ramp, observe, offsets_nm
 from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
-from irlos_pipe.report.section_sensitivity import Curve, Look, sensitivity_plot
+from irlos_pipe.report.section_sensitivity import Look, sensitivity_plot
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.stages.sensitivity import CriterionRow
+from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow
 
 LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
 COMPARED = tuple(f"{kind}_{modes}" for kind in LABELS for modes in (3, 9))
@@ -219,10 +218,10 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
         curves, looks = [], []
         for row in group.itertuples():
             own = magnitudes[(magnitudes.exposure_s == exposure_s) & (magnitudes.key == row.key)]
-            columns = own.drop(columns=["exposure_s", "key", "failures"]).to_numpy(float).T
-            kind, failed = row.key.rpartition("_")[0], own.failures.to_numpy(float) / row.trials
-            parts: tuple[Any, ...] = (*columns, failed, row.limit_mag)
-            curves.append(Curve(f"{LABELS[kind]}, {row.modes} modes", *parts))
+            columns = own.drop(columns=["exposure_s", "key"]).to_dict("list")
+            kind = row.key.rpartition("_")[0]
+            curve = CurveRow(**columns, trials=int(row.trials), limit_mag=row.limit_mag)
+            curves.append((f"{LABELS[kind]}, {row.modes} modes", curve))
             looks.append(Look(COLOURS[kind], "o" if row.modes == 3 else "s", main=row.modes == 3))
         level = CriterionRow(median_abs_error_nm=row.limit_nm, failures=row.limit_failures)
         name = f"faint-{exposure_s:g}".replace(".", "-")

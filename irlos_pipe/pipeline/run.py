@@ -173,13 +173,10 @@ def recordings_of(
         return []
     wanted = config.get("input")
     return [
-        Recorded(
-            name=row.name, input=row.input, role=row.role, window=row.window, frames=row.frames,
-            frames_rejected=row.frames_rejected, **dict(row.observed),
-        )
+        Recorded.filled_from(row, **dict(row.observed))
         for row in rows
         if row.role != "dark" and wanted in (None, row.input)
-    ]  # fmt: skip
+    ]
 
 
 def _checks_of(recordings: Sequence[Recorded], product: Product) -> Iterator[Check]:

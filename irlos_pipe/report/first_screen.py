@@ -13,12 +13,13 @@ from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
 from irlos_pipe.estimate.records import Cause
 from irlos_pipe.product.product import Check
-from irlos_pipe.product.results import StageResults, meaning_of, provenance_of
+from irlos_pipe.product.results import meaning_of, provenance_of
 from irlos_pipe.report.content import Block, KeyNumber, Section, Table, Views, walked
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import verdict_numbers
 from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
 from irlos_pipe.report.text import MISSING, is_known, number, rounded_by_error, with_error
+from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.correct import CorrectResults, checks_behind
 from irlos_pipe.stages.diagnose.stage import DiagnoseResults
@@ -36,10 +37,6 @@ LOOK_AT = {
     "scatter about the line": "ramp", "chi2 of the frames": "ramp-chi2",
     **dict.fromkeys(("rejected", "saturated", "missing", "centring", "flux"), "frames-{input}"),
 }  # fmt: skip
-MODELS: Mapping[str, type[StageResults]] = {
-    kind.stage: kind
-    for kind in (CalibrateResults, CorrectResults, DiagnoseResults, LiftResults, SensitivityResults)
-}
 MEANING = "meaning-"  # begins the names of the rows that explain a number or an effect
 
 
@@ -267,7 +264,7 @@ def _meaning(key: str) -> str:
         values = (f"{one.name}: {one.unit}" for one in (*kind.public, *kind.derived) if one.unit)
         return f"{effect_text(kind).partition(chr(10))[0]} Values: {'; '.join(values)}."
     stage, _, rest = key.partition(".")
-    return meaning_of(MODELS[stage], rest) if rest and stage in MODELS else ""
+    return meaning_of(STAGES[stage].Results, rest) if rest and stage in STAGES else ""
 
 
 # -- what is said beside -----------------------------------------------------------------------------

@@ -40,7 +40,7 @@ def sensitivity_section(run: RunData) -> Section:
 
 
 def _curves(of: Sensitivity) -> Figure:
-    curves = [Curve.of(row, curve_label(row)) for row in of.results.curves]
+    curves = [(curve_label(row), row) for row in of.results.curves]
     drawing = sensitivity_plot("sensitivity", curves, of.results.criterion)
     return Figure(drawing, "Defocus error against magnitude", CAPTION)
 
@@ -119,56 +119,30 @@ class Look:
 LOOKS = tuple(map(Look, CYCLE, ("o", "s", "^", "D", "v", "P")))
 
 
-@dataclass(frozen=True)
-class Curve:
-    """One curve as arrays over magnitude; NaN where a value is missing."""
-
-    label: str
-    mag_j: np.ndarray
-    median_nm: np.ndarray
-    p16_nm: np.ndarray
-    p84_nm: np.ndarray
-    crb_nm: np.ndarray
-    one_read_crb_nm: np.ndarray
-    failed: np.ndarray
-    limit_mag: float
-
-    @classmethod
-    def of(cls, row: CurveRow, label: str) -> Curve:
-        """Return the curve of a `row` of the results, to be shown as `label`."""
-        errors = (row.median_abs_error_nm, row.p16_nm, row.p84_nm, row.crb_nm, row.one_read_crb_nm)
-        values = (
-            np.array(one, float) if one else np.full(len(row.mag_j), np.nan)
-            for one in (row.mag_j, *errors, row.failures)
-        )
-        mag_j, median, p16, p84, crb, one_read, failures = values
-        failed = failures / (row.trials or np.nan)
-        return cls(label, mag_j, median, p16, p84, crb, one_read, failed, row.limit_mag)
-
-
 def sensitivity_plot(
     name: str,
-    curves: Sequence[Curve],
+    curves: Sequence[tuple[str, CurveRow]],
     criterion: CriterionRow,
     looks: Sequence[Look] = LOOKS,
     floor_nm: float | None = None,
 ) -> Markup:
-    """Draw median errors above and failures below, with the `criterion` as levels.
+    """Draw median errors above and failures below, with the `criterion` as levels, of labelled `curves`.
 
     Fewer `looks` than curves are repeated; `floor_nm` is the median error of a perfect sensor.
     """
 
     def draw(canvas: Canvas) -> None:
         top, bottom = canvas.subplots(2, sharex=True, height_ratios=(3, 1))
-        for place, curve in enumerate(curves):
+        for place, (label, row) in enumerate(curves):
             look = looks[place % len(looks)]
-            _draw_errors(top, curve, look)
-            bottom.plot(curve.mag_j, 100 * curve.failed, f"{look.marker}-", color=look.colour, markersize=3.5)
+            _draw_errors(top, label, row, look)
+            failed = row.values("failures") / (row.trials or np.nan)
+            bottom.plot(row.mag_j, 100 * failed, f"{look.marker}-", color=look.colour, markersize=3.5)
         _draw_level(top, floor_nm, 1, ":", "AO residual's own defocus")
         _draw_level(top, criterion.median_abs_error_nm, 1, "-.")
         _draw_level(bottom, criterion.failures, 100, "-.")
         top.set_ylabel("median |error| [nm RMS]")
-        log_y(top, *(curve.median_nm for curve in curves))
+        log_y(top, *(row.values("median_abs_error_nm") for _, row in curves))
         canvas.legend(loc="outside upper center", ncols=2)
         bottom.set(xlabel="J magnitude", ylabel="failures [%]")
         bottom.set_ylim(bottom=-2)
@@ -176,16 +150,17 @@ def sensitivity_plot(
     return svg(name, (5.2, 4.8), draw)
 
 
-def _draw_errors(axes: Axes, curve: Curve, look: Look) -> None:
-    colour, mag_j, width = look.colour, curve.mag_j, 1.4 if look.main else 0.8
-    points: dict[str, Any] = {"markersize": 3.5, "linewidth": width, "label": curve.label}
-    axes.plot(mag_j, curve.median_nm, f"{look.marker}-", color=colour, **points)
+def _draw_errors(axes: Axes, label: str, row: CurveRow, look: Look) -> None:
+    colour, mag_j, width = look.colour, row.mag_j, 1.4 if look.main else 0.8
+    points: dict[str, Any] = {"markersize": 3.5, "linewidth": width, "label": label}
+    axes.plot(mag_j, row.values("median_abs_error_nm"), f"{look.marker}-", color=colour, **points)
     if look.main:
-        axes.fill_between(mag_j, curve.p16_nm, curve.p84_nm, color=colour, alpha=0.15, linewidth=0)
-        for bound_nm, style in ((curve.crb_nm, "--"), (curve.one_read_crb_nm, ":")):
-            axes.plot(mag_j, MEDIAN_OF_NORMAL * bound_nm, style, color=colour, linewidth=0.9)
-        if np.isfinite(curve.limit_mag):
-            axes.axvline(curve.limit_mag, color=colour, linewidth=0.8, linestyle=":")
+        ends = row.values("p16_nm"), row.values("p84_nm")
+        axes.fill_between(mag_j, *ends, color=colour, alpha=0.15, linewidth=0)
+        for bound, style in (("crb_nm", "--"), ("one_read_crb_nm", ":")):
+            axes.plot(mag_j, MEDIAN_OF_NORMAL * row.values(bound), style, color=colour, linewidth=0.9)
+        if np.isfinite(row.limit_mag):
+            axes.axvline(row.limit_mag, color=colour, linewidth=0.8, linestyle=":")
 
 
 def _draw_level(axes: Axes, level: float | None, factor: float, style: str, label: str | None = None) -> None:

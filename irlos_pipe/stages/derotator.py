@@ -80,9 +80,10 @@ class PartRow(ResultsPart):
     sigma_nm: ByNoll = item({}, DITTO)
 
 
-class SplitRow(ResultsPart):
-    """A series of derotator angles split into parts."""
+class DerotatorResults(StageResults):
+    """The split of the estimates of all `cubes` into parts."""
 
+    stage: ClassVar[str] = "derotator"
     modes: list[int] = item([], "Noll indices of the modes that were split.")
     reason: str | None = item(None, "Why nothing could be split.")
     sense: str = item("", "``clockwise`` or ``anticlockwise``: how the rotating part turns with the angle.")
@@ -97,12 +98,6 @@ class SplitRow(ResultsPart):
     consistency: Consistency = Consistency()
     measured_nm: list[Number] = item([], "RMS of every estimate, and of what the parts leave of it.")
     residual_nm: list[Number] = item([], DITTO)
-
-
-class DerotatorResults(SplitRow, StageResults):
-    """The split of the estimates of all `cubes`."""
-
-    stage: ClassVar[str] = "derotator"
     cubes: list[AngleRow] = []
 
 
@@ -205,7 +200,7 @@ class SplitOutput:
         return consistency(self.series, self.split)
 
     def results(self) -> dict[str, Any]:
-        """Return the keys of `SplitRow`."""
+        """Return the keys of the results, but the cubes."""
         residual_nm = self.series.zernike_nm - self.split.predicted_nm
         return {
             "modes": list(self.split.nolls),

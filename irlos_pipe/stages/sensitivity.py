@@ -110,6 +110,11 @@ class CurveRow(ResultsPart):
         """Whether the magnitudes end before the criterion is missed."""
         return bool(self.mag_j) and self.limit_mag == self.mag_j[-1]
 
+    def values(self, name: str) -> np.ndarray:
+        """Return one of the lists, (magnitudes,); NaN where a product of an earlier version lacks it."""
+        found = getattr(self, name)
+        return np.array(found, float) if found else np.full(len(self.mag_j), nan)
+
 
 class CriterionRow(ResultsPart):
     """What a limiting magnitude keeps: largest median error, and largest part of failures."""

@@ -12,10 +12,9 @@ from helpers.recordings import recording as made
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.declaration import Refraction
-from irlos_pipe.estimate.calibration import SetupFit
 from irlos_pipe.estimate.calibration_errors import NominalChi2
 from irlos_pipe.estimate.cube import Motion
-from irlos_pipe.estimate.records import TwinCheck
+from irlos_pipe.estimate.records import OneSetup, TwinCheck
 from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
@@ -60,13 +59,9 @@ def moved(most_px: float) -> Motion:
     return Motion(most_px * np.linspace(-1, 1, 20)[:, None] * [1.0, 0.5], 0.01)
 
 
-def planes(wrong_nm: float) -> list[SetupFit]:
+def planes(wrong_nm: float) -> list[OneSetup]:
     """Planes 100 nm apart, of which one by itself wants another defocus."""
-    none = np.zeros((2, 2))
-    return [
-        SetupFit("a", 1, nm, 1.0, wrong_nm if nm == 100.0 else 3.0, 2.0, none, none, none)
-        for nm in (-100.0, 0.0, 100.0)
-    ]
+    return [OneSetup("a", nm, 1, 1.0, wrong_nm if nm == 100.0 else 3.0, 2.0) for nm in (-100.0, 0.0, 100.0)]
 
 
 CHI2, TWIN, ERROR = "chi2 of the mean image", "twin solution", "error of the wavefront"

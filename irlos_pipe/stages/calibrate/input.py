@@ -128,7 +128,17 @@ def setups_of(
     """Return what `calibrate_setups` needs with `options` of `groups`, see `by_setup`; `ctx` as above."""
     highest_noll = options.last_noll
     reference_nm = groups[0][0].acquisition.wavelength_nm
-    conditions = [_conditions(ctx, group[0], highest_noll, reference_nm) for group in groups]
+    conditions = [
+        conditions_of(
+            ctx.instrument,
+            ctx.model,
+            one,
+            highest_noll,
+            introduced_nm={DEFOCUS: float(one.introduced_defocus_nm[0])} if one.frames else {},
+            ncpa_wavelength_nm=reference_nm,
+        )
+        for one, *_ in groups
+    ]
     first = model_effects(
         ctx.instrument, ctx.model, groups[0][0], highest_noll, ncpa_wavelength_nm=reference_nm
     )
@@ -142,21 +152,6 @@ def setups_of(
         _setup(ctx, group, under, [effect.seen_in(under, conditions[0]) for effect in common], highest_noll)
         for group, under in zip(groups, conditions, strict=True)
     ]
-
-
-def _conditions(
-    ctx: StageContext, recording: Recording, highest_noll: int, reference_nm: float
-) -> Conditions:
-    """Conditions of a recording with its introduced defocus."""
-    focus = {4: float(recording.introduced_defocus_nm[0])} if recording.frames else {}
-    return conditions_of(
-        ctx.instrument,
-        ctx.model,
-        recording,
-        highest_noll,
-        introduced_nm=focus,
-        ncpa_wavelength_nm=reference_nm,
-    )
 
 
 def _setup(

@@ -11,7 +11,7 @@ from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL
 from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.effects import CATALOGUE, Conditions
 from irlos_pipe.effects.base import kind_of
-from irlos_pipe.estimate.calibration import Calibration, SetupFit
+from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.calibration_errors import BY_CHANCE, LEAST_FRAMES
 from irlos_pipe.estimate.causes import (
     ENOUGH,
@@ -24,7 +24,7 @@ from irlos_pipe.estimate.causes import (
 )
 from irlos_pipe.estimate.cube import Motion
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.records import Cause
+from irlos_pipe.estimate.records import Cause, OneSetup
 from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.frames.measured_noise import SIGNIFICANT
 from irlos_pipe.frames.told import (
@@ -77,7 +77,7 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
         checks.append(_frames(limits, result))
     if result.twin is not None:
         checks.append(_twin(result))
-    if len({one.known_nm for one in result.setups}) > 1:
+    if len({one.introduced_nm for one in result.setups}) > 1:
         checks.append(_planes(result.setups))
     if result.mirrored is not None and result.mirrored.tells:
         checks.append(_orientation(result.mirrored))
@@ -180,15 +180,15 @@ def _orientation(found: Mirrored) -> Check:
     return check.because("the images are mirrored, or the pupil of the profile is")
 
 
-def _planes(planes: Sequence[SetupFit]) -> Check:
+def _planes(planes: Sequence[OneSetup]) -> Check:
     """Whether neighbouring planes are as far apart as was declared, so that none is in its own twin."""
-    ordered = sorted(planes, key=lambda one: one.known_nm)
-    steps_nm = np.diff([one.known_nm for one in ordered])
+    ordered = sorted(planes, key=lambda one: one.introduced_nm)
+    steps_nm = np.diff([one.introduced_nm for one in ordered])
     parts = np.abs(np.diff([one.focus_nm for one in ordered])) / np.where(steps_nm > 0, steps_nm, np.inf)
     at = int(parts.argmax())
     plane = max(ordered[at : at + 2], key=lambda one: abs(one.focus_nm))
     message = (
-        f"the plane declared at {plane.known_nm:+.0f} nm by itself wants {plane.focus_nm:+.1f} ± "
+        f"the plane declared at {plane.introduced_nm:+.0f} nm by itself wants {plane.focus_nm:+.1f} ± "
         f"{plane.focus_sigma_nm:.1f} nm more; its distance to a neighbour is {parts[at]:.0%} off"
     )
     check = Check("planes", float(parts[at]), "", None, NEARER, message)

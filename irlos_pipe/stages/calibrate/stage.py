@@ -21,7 +21,7 @@ from irlos_pipe.estimate.calibration_options import (
     NcpaPrior,
     OptimiserName,
 )
-from irlos_pipe.estimate.records import Cause, TwinCheck
+from irlos_pipe.estimate.records import Cause, OneSetup, TwinCheck
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import (
@@ -255,20 +255,6 @@ class Lenslets(ResultsPart):
     centroids_sigma_nm: ByNoll = item({}, DITTO)
 
 
-class SetupRow(ResultsPart):
-    """One of several set-ups, such as planes of known defocus, that were fitted together."""
-
-    name: str = item("", "Its recordings.")
-    introduced_nm: Number = item(nan, "Noll 4 of what is known of its wavefront.")
-    frames: int = item(0, "Used frames.")
-    chi2_nu: Number = item(nan, "Reduced χ² of its mean image.")
-    focus_nm: Number = item(
-        nan,
-        "Defocus beyond the known and the common one that its image by itself wants, and the standard error.",
-    )
-    focus_sigma_nm: Number = item(nan, DITTO)
-
-
 class AngleRow(ResultsPart):
     """A recording and its derotator angle."""
 
@@ -294,7 +280,7 @@ class CalibrateResults(Estimate, StageResults):
     wavelength_nm: Number = item(nan, "Mean wavelength of its recordings, at which the NCPAs are stated.")
     twin: TwinCheck | None = item(None, "None without a twin solution, and for the mean over cubes.")
     compare: list[Estimate] = item([], "Estimates with other methods.")
-    setups: list[SetupRow] = item([], "Set-ups that were fitted together; empty for one.")
+    setups: list[OneSetup] = item([], "Set-ups that were fitted together; empty for one.")
     introduced_accuracy: Number = item(
         nan, "Part of itself by which an introduced defocus is off, one standard deviation by all planes."
     )

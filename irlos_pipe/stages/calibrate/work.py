@@ -41,7 +41,6 @@ from irlos_pipe.stages.calibrate.stage import (
     CubeRow,
     Estimate,
     Lenslets,
-    SetupRow,
     Tail,
 )
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
@@ -201,7 +200,7 @@ def _joint_output(
         twin=result.twin,
         untested=untested_by_cubes(acquisition.diversity, _undetermined(result)),
         compare=[Estimate(**_estimate(other)) for other in others],
-        setups=[SetupRow.filled_from(one, introduced_nm=one.known_nm) for one in result.setups],
+        setups=list(result.setups),
         introduced_accuracy=result.introduced_accuracy,
     )
     if result.introduced_accuracy > INACCURATE:
