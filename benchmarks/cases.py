@@ -41,12 +41,12 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
-from irlos_pipe.estimate.sensitivity import Criterion, dim, scan
+from irlos_pipe.estimate.sensitivity import Configuration, Criterion, dim, scan
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.files.processes import forked_map
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.parallel import workers
+from irlos_pipe.numerics.parallel import process_map, workers
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.pipeline import Selection, run_recipe
@@ -302,30 +302,26 @@ def sensitivity_scan(inputs: Inputs, count: int) -> dict:
             context, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated
         )
 
-    def curve(calibrated: bool, nolls: tuple[int, ...]) -> float:
+    def fitted(configuration: tuple[bool, tuple[int, ...]]) -> Configuration:
+        calibrated, nolls = configuration
         model = ramp_model(context, ramp, nolls, ncpa_nm if calibrated else {})
         start_nm = start_from_defocus(model, data, PRIOR * introduced_nm)
-        bright = fit_ramp(model, data, start_nm, LiftOptions(), effects(calibrated))
-        found = scan(
-            bright.model,
-            data,
-            bright.result.model_e,
-            ramp.acquisition.mag_j,
-            mags_j,
-            realisations,
-            start_nm,
-            Criterion(np.inf, 1.0),
-            SCAN_SEED,
-            near_nm=bright.result.zernike_nm,
-        )
-        return float(found.median_abs_error_nm[0])
+        return Configuration.of(fit_ramp(model, data, start_nm, LiftOptions(), effects(calibrated)))
 
     image_model = ImageModel(ramp_model(context, ramp, MODES[0], ncpa_nm), effects(calibrated=True))
     data = _bright_frames(image_model, ramp.data, introduced_nm)
     with stopwatch() as watch:
-        bright_nm = [curve(*configuration) for configuration in CONFIGURATIONS]
+        curves = scan(
+            process_map(fitted, CONFIGURATIONS),
+            data,
+            ramp.acquisition.mag_j,
+            mags_j,
+            realisations,
+            Criterion(np.inf, 1.0),
+            SCAN_SEED,
+        )
     fits = len(introduced_nm) * realisations * MAGNITUDES * len(CONFIGURATIONS)
-    return watch.over(fits) | {"bright_nm": bright_nm}
+    return watch.over(fits) | {"bright_nm": [float(curve.median_abs_error_nm[0]) for curve in curves]}
 
 
 def _bright_frames(model: ImageModel, real: RampData, introduced_nm: np.ndarray) -> RampData:

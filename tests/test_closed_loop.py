@@ -8,6 +8,7 @@ from simulator import closed_loop
 from simulator.closed_loop import LOOP_S, SUBAPERTURE_M, ClosedLoop
 from simulator.telescope import build_telescope
 
+pytestmark = pytest.mark.slow
 HEIGHT_M = 11_000.0  # of a layer
 
 
@@ -21,7 +22,6 @@ def telescope():
     return build_telescope(240, 2)
 
 
-@pytest.mark.slow
 def test_the_cone_of_the_laser_star_magnifies_high_layers(hardware):
     # The laser star sees the layer at r (1 - h / H) in r: slopes are smaller by that factor.
     y_m = closed_loop.centres(len(hardware.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
@@ -31,7 +31,6 @@ def test_the_cone_of_the_laser_star_magnifies_high_layers(hardware):
     assert np.allclose(along_x, 0)
 
 
-@pytest.mark.slow
 def test_the_loop_follows_a_wavefront_that_stands_still(monkeypatch, telescope):
     # An integrator leaves nothing of a shape that its mirror can make, but for its leak.
     static_nm = closed_loop.build_hardware().mirror_nm(
@@ -50,7 +49,6 @@ def test_the_loop_follows_a_wavefront_that_stands_still(monkeypatch, telescope):
     assert np.std(left_nm) < 0.15 * np.std(before_nm)
 
 
-@pytest.mark.slow
 def test_turbulence_is_corrected_and_drawn_from_the_seed(monkeypatch, telescope):
     monkeypatch.setattr(closed_loop, "WARM_UP_S", 0.05)
     first, again, other = (

@@ -24,8 +24,8 @@ from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.forward import Task, families
-from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, FAR_OFF, copies_in_a_row, share_at_its_place
-from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
+from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, copies_in_a_row, share_at_its_place
+from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.posterior import (
     Covariance,
     Images,

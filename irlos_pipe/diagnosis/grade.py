@@ -9,7 +9,7 @@ import numpy as np
 from irlos_pipe.diagnosis.acceptance import Accepted, Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN
 from irlos_pipe.diagnosis.fitting import Fitted
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.records import FineStructure, Gap, NoiseVerdict
 from irlos_pipe.diagnosis.refit import Refit
@@ -21,7 +21,6 @@ from irlos_pipe.effects.pupil_places import PupilPlace
 # leave up to 1.14 on the bench, by errors of the discretisation, and on sky.
 LEFT = {PHOTONS: 0.003, SPECKLES: 0.05, UNSEEN: 0.05}
 LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
-FAR_OFF = 3.0  # χ² over its expectation that no complete model leaves, however much was missing before
 
 # Facts and modes follow the speckles of the frames that they see, which χ² does not show. In tuning runs
 # right names closed 0.7 of the squared gap of held-out frames or came near its floor, but one of 14.

@@ -20,6 +20,8 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, frozen_effects
 from irlos_pipe.optics.psf_settings import PsfSettings
 
+FAR_OFF = 3.0  # χ² over its expectation that no complete model leaves, however much was missing before
+
 
 @dataclass(frozen=True)
 class Excess:

@@ -20,8 +20,8 @@ from itertools import chain, combinations
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.acceptance import Gap
 from irlos_pipe.diagnosis.null_model import gaussian_sigma, surely_exceeding
+from irlos_pipe.diagnosis.records import Gap
 from irlos_pipe.diagnosis.verdict import EFFECT, NONE, UNKNOWN
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import Effect

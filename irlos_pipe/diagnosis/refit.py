@@ -9,7 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
-from irlos_pipe.diagnosis.null_model import Excess, Optimum
+from irlos_pipe.diagnosis.null_model import FAR_OFF, Excess, Optimum
 from irlos_pipe.diagnosis.scores import Score
 from irlos_pipe.effects import Conditions, Effect, FixedEffect, in_other_forms
 from irlos_pipe.effects.base import label_of
@@ -18,6 +18,7 @@ from irlos_pipe.numerics.parallel import ordered_map
 PROPOSALS = 8  # families that are fitted at most
 HOPELESS = 0.1  # part of the fall of χ² by a name that leaves nothing; what promises less needs no fit
 NOTHING_LEFT = 5.0  # significance of the excess below which nothing is left to explain
+ENOUGH = 3  # fits of the most promising, whose best shows whether a single name may explain it
 SIDE_BY_SIDE = 2  # fits at once, after which others may prove hopeless
 PER_PARAMETER = 8.0  # fall of χ² that a parameter has to earn
 EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ² from which another family is its rival
@@ -123,6 +124,8 @@ def refits(
     for begin in (0, *range(1, len(promising), SIDE_BY_SIDE)):
         some = promising[begin : begin + (SIDE_BY_SIDE if begin else 1)]
         best = _best(found) if found else None
+        if best and len(found) >= ENOUGH and best.excess.chi2_nu > FAR_OFF:
+            break  # no single name will do
         explains_all = best and origin.excess.significance > NOTHING_LEFT > best.excess.significance
         enough = HOPELESS * best.gain if best and explains_all else -np.inf
         found = _joined(fitter, found, ordered_map(fitted, [one for one in some if not one.gain < enough]))

@@ -11,7 +11,6 @@ from scipy import ndimage
 from irlos_pipe.diagnosis import records
 from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation
 from irlos_pipe.diagnosis.cube import HeldOutKind
-from irlos_pipe.diagnosis.records import FineStructure, Rest, Where
 from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -23,18 +22,15 @@ HALF = 0.5  # part of the maximum down to which its strongest part reaches
 ALIKE = 0.5  # correlation from which two halves show the same
 CORE = 0.5  # part of the brightest pixel from which pixels belong to the star
 
-Symmetry = Literal["symmetric", "antisymmetric", "one-sided"]
-Time = Literal["static", "moving", "not seen"]
-
 
 def rest_of(
     judge: HeldOutEvaluation,
     floor: float,
-    fine: FineStructure,
+    fine: records.FineStructure,
     sure: float,
     settings: PsfSettings,
     flat_rms: float = 0.0,
-) -> Rest:
+) -> records.Rest:
     """Describe what the final model leaves of the held-out frames of the first recording.
 
     Noise alone leaves a gap of `floor`; fine structure counts from `sure` σ; for `flat_rms` see there.
@@ -46,9 +42,9 @@ def rest_of(
     star_y, star_x = map(float, ndimage.center_of_mass(np.where(image > CORE * image.max(), image, 0.0)))
     row, column, area_px, sign = _strongest(left)
     scale = settings.pixel_scale_mas
-    rest = Rest(
+    rest = records.Rest(
         light_fraction=float(np.sqrt(max(judge.gap**2 - floor**2, 0.0))),
-        where=Where(
+        where=records.Where(
             (column - star_x) * scale, (row - star_y) * scale, 2 * float(np.sqrt(area_px / np.pi)) * scale
         ),
         excess=sign > 0,
@@ -60,7 +56,7 @@ def rest_of(
     return replace(rest, text=_text(rest))
 
 
-def _text(rest: Rest) -> str:
+def _text(rest: records.Rest) -> str:
     sign, at = "brighter" if rest.excess else "fainter", rest.where
     fine = ", partly finer than the diffraction limit" if rest.finer_than_diffraction else ""
     if fine and rest.flat_rms:
@@ -92,7 +88,7 @@ def _strongest(left: np.ndarray) -> tuple[float, float, int, float]:
     return float(y), float(x), int(own.sum()), sign
 
 
-def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> Symmetry:
+def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> str:
     """How `left` changes under a half turn about the star."""
     rows, columns = (np.arange(size) for size in left.shape)
     y, x = np.meshgrid(2 * star_y - rows, 2 * star_x - columns, indexing="ij")
@@ -103,7 +99,7 @@ def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> Symmetry:
     return "symmetric" if likeness > 0 else "antisymmetric"
 
 
-def _time(judge: HeldOutEvaluation) -> Time:
+def _time(judge: HeldOutEvaluation) -> str:
     """Whether the two halves of the held-out frames of the first recording leave the same."""
     stack = judge.stack.parts[0]
     if not judge.stack.in_time or len(stack) < 4:

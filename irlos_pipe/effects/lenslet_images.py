@@ -39,17 +39,11 @@ class LensletImages(OtfEffect):
     look_alike = "the static wavefront: defocus moves all four images outwards"
     reference = "Hardy 1998, Adaptive Optics for Astronomical Telescopes, section 5.3.1"
 
-    def __init__(self) -> None:
-        def four(name: str, unit: str, sigma: float, limit: float) -> list[Parameter]:
-            names = [f"{name}_{number}" for number in range(1, LENSLETS + 1)]
-            lower = max(-limit, -0.9) if unit == "" else -limit
-            return [Parameter(one, unit, 0.0, 0.0, sigma, lower, limit) for one in names]
-
-        self.parameters = (
-            *four("x_mas", "mas", SIGMA_MAS, 1000.0),
-            *four("y_mas", "mas", SIGMA_MAS, 1000.0),
-            *four("flux", "", SIGMA_FLUX, 9.0),
-        )
+    parameters = tuple(
+        Parameter(f"{one.name}_{number}", unit, 0.0, 0.0, sigma, one.lower, one.upper)
+        for one, (unit, sigma) in zip(public, 2 * [("mas", SIGMA_MAS)] + [("", SIGMA_FLUX)], strict=True)
+        for number in range(1, LENSLETS + 1)
+    )
 
     @classmethod
     def under(cls, conditions: Conditions) -> LensletImages:

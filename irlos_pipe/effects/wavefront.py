@@ -27,6 +27,7 @@ SEARCHED = 21  # last mode by which a diagnosis distinguishes it from other effe
 BROAD_NM = 100.0  # from the shortest wavelength to the longest, from which a slope shows
 OF_LAW = 1.0  # prior: a slope per µm, and a filter, of as much as the law of the NCPAs gives
 WITHOUT_LAW_NM = 30.0
+NOLLS = Public("nolls", "Noll indices to estimate", kind="nolls")
 
 
 class ZernikeTable(Effect):
@@ -34,6 +35,7 @@ class ZernikeTable(Effect):
 
     table: ClassVar[str]  # name of the public table
     coefficient: ClassVar[Parameter]  # of one mode, except its name
+    options: tuple[Public, ...] = (NOLLS,)
 
     def __init__(self, nolls: Sequence[int]):
         self.nolls = tuple(int(noll) for noll in nolls)
@@ -174,7 +176,6 @@ class HighOrderNcpa(ZernikeOpd):
     formula = "Φ → Φ + Σ c_k Z_k, k beyond the modes of the model"
     aberration = True
     public = (Public(table, "Noll index: nm RMS", -1000.0, 1000.0, kind="zernike"),)
-    options = (Public("nolls", "Noll indices to estimate", kind="nolls"),)
     coefficient = Parameter("", "nm", 0.0, 0.0, HIGH_ORDER_SIGMA_NM, plausible=(-200.0, 200.0))
     sentence = "{size:.0f} nm RMS of modes beyond those of the model"
     look_alike = "phase_bump and low_wind_effect, of which each mode takes a part"
@@ -197,7 +198,6 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     formula = "P(u) → P(u) · (1 + Σ c_k Z_k(u))"
     mild = True
     public = (Public(table, "Noll index: relative amplitude", -1.0, 1.0, kind="zernike"),)
-    options = (Public("nolls", "Noll indices to estimate", kind="nolls"),)
     coefficient = Parameter("", "", 0.0, 0.0, 0.1, -0.5, 0.5, plausible=(-0.3, 0.3))
     sentence = "a pupil whose amplitude is uneven by {size:.1%} RMS"
     look_alike = "pupil_misregistration, which has sharp edges; the halo, which is not static"
@@ -231,7 +231,6 @@ class NcpaDrift(ZernikeTable, TimeEffect):
     public = (
         Public(table, "Noll index: nm RMS from the first frame to the last", -1e4, 1e4, kind="zernike"),
     )
-    options = (Public("nolls", "Noll indices to estimate", kind="nolls"),)
     coefficient = Parameter("", "nm", 0.0, 0.0, 50.0, plausible=(-300.0, 300.0))
     sentence = "a drift of the wavefront of {size:.0f} nm RMS from the first frame to the last"
     look_alike = "tip_tilt_jitter and seeing_halo in the mean image; none in the frames"
@@ -287,7 +286,7 @@ class ChromaticNcpa(_Table):
     aberration = True
     public = (Public(table, "Noll index: nm RMS per µm", -2000.0, 2000.0, kind="zernike"),)
     options = (
-        Public("nolls", "Noll indices to estimate", kind="nolls"),
+        NOLLS,
         Public("reference_nm", "nm, where it vanishes; that of the NCPAs if left out", 300.0, 5000.0),
     )
     coefficient = Parameter("", "nm/µm", 0.0, 0.0, WITHOUT_LAW_NM, plausible=(-1000.0, 1000.0))
@@ -330,7 +329,7 @@ class FilterNcpa(_Table):
     repeatable = True
     public = (Public(table, "Noll index: nm RMS", -2000.0, 2000.0, kind="zernike"),)
     options = (
-        Public("nolls", "Noll indices to estimate", kind="nolls"),
+        NOLLS,
         Public("of", "filter or source of diversity; both of the recording if left out", kind="word"),
     )
     coefficient = Parameter("", "nm", 0.0, 0.0, WITHOUT_LAW_NM, plausible=(-300.0, 300.0))

@@ -196,7 +196,7 @@ def fit_frames(
     start: torch.Tensor,
     *,
     max_iterations: int,
-    report: Report,
+    report: Report = silent,
 ) -> Solution:
     """Minimise a batch of fits of single frames from `start` (frames, parameters), without bounds.
 

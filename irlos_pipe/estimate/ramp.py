@@ -12,6 +12,7 @@ from irlos_pipe.conventions.keys import DITTO, Number, key
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
+from irlos_pipe.effects.focus_stage import travel_direction
 
 MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not explain, at least
 
@@ -49,16 +50,6 @@ class RampSummary(Line):
     offsets_nm: np.ndarray  # (offsets,), introduced defocus
     median_nm: np.ndarray  # (offsets,), of the estimates
     scatter_nm: np.ndarray  # (offsets,), 1σ of them, from the 16th and 84th percentile
-
-
-def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
-    """Return +1 or -1 for values reached by a rise or fall of the introduced defocus, in order of recording.
-
-    Frames at an unchanged offset keep the direction in which it was reached; 0 before the first move.
-    """
-    moves = np.sign(np.diff(introduced_nm, prepend=introduced_nm[:1]))
-    last_move = np.maximum.accumulate(np.where(moves != 0, np.arange(len(moves)), 0))
-    return moves[last_move]
 
 
 def summarise(

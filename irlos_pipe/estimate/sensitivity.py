@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +11,9 @@ import torch
 
 from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import in_pieces, lift, near
+from irlos_pipe.estimate.lift import NearModel, in_pieces, lift, near
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.ramp_fit import RampData
+from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.parallel import process_map
@@ -43,6 +43,26 @@ class Curve:
         """Return the limiting magnitude of an efficient estimate from exposures of one read without sky."""
         never = np.zeros(len(self.mag_j))
         return limiting_magnitude(self.mag_j, MEDIAN_OF_NORMAL * self.one_read_crb_nm, never, criterion)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """How frames are estimated for one curve."""
+
+    model: ImageModel
+    signal_e: torch.Tensor  # (frames, rows, columns): the frames without noise
+    start_nm: torch.Tensor  # (frames, modes)
+    # (frames, modes): estimates from the frames as they are, which make a scan quicker. Estimates stay the
+    # same, except that a fit for which several minima compete may end in another.
+    near_nm: torch.Tensor | None = None
+
+    @classmethod
+    def of(cls, fit: RampFit) -> Configuration:
+        """Return that of the `fit` of the frames as they are."""
+        return cls(fit.model, fit.result.model_e, fit.start_nm, fit.result.zernike_nm)
+
+    def near(self, frame: int) -> NearModel | None:
+        return None if self.near_nm is None else near(self.model, self.near_nm[frame])
 
 
 @dataclass(frozen=True)
@@ -99,61 +119,56 @@ def dim(
 
 
 def scan(
-    model: ImageModel,
+    configurations: Sequence[Configuration],
     data: RampData,
-    signal_e: torch.Tensor,
     mag_j: float,
     magnitudes: np.ndarray,
     realisations: int,
-    start_nm: torch.Tensor,
     criterion: Criterion,
     seed: int,
     *,
     faint: NoiseModel | None = None,
     one_read: NoiseModel | None = None,
-    near_nm: torch.Tensor | None = None,
     report: Callable[[int], Any] = lambda count: None,
-) -> Curve:
-    """Estimate the error of defocus over a range of magnitudes.
+) -> list[Curve]:
+    """Estimate the error of defocus over a range of magnitudes, for every one of some configurations.
 
     Parameters
     ----------
     data : RampData
         Measured frames, of a star of magnitude `mag_j`.
-    signal_e : tensor, (frames, rows, columns)
-        Their noise-free models.
     magnitudes : ndarray
         Not brighter than `mag_j`.
     realisations : int
         Of every frame at every magnitude.
-    start_nm : tensor, (frames, modes)
     faint : NoiseModel, optional
         Of the dimmed frames; that of the measured ones if left out.
     one_read : NoiseModel, optional
         Of exposures of one read without sky, for comparison; that of the measured frames if left out.
-    near_nm : tensor, (frames, modes), optional
-        Estimates from the frames as they are, which make the scan quicker. Estimates stay the same, except
-        that a fit for which several minima compete may end in another.
     report : callable
         Gets the number of estimates that were finished, for a progress bar.
     """
-    focus, true = model.psf.nolls.index(4), start_nm.clone()
-    true[:, focus] = torch.as_tensor(data.introduced_nm)
     faint, one_read = faint or data.noise, one_read or data.noise
     factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
+    frames = range(len(data.images_e))
+    close_to = [[one.near(frame) for frame in frames] for one in configurations]
 
-    def dimmed(index: int) -> torch.Tensor:
+    def dimmed(signal_e: torch.Tensor, index: int) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed + 7919 * int(index))
         arguments = signal_e, factors[index], data.noise, generator, faint
         return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1)
 
-    frames = range(len(start_nm))
-    close_to = [None if near_nm is None else near(model, near_nm[frame]) for frame in frames]
+    def pieces(number: int, group: np.ndarray) -> list[tuple[int, int, torch.Tensor]]:
+        """Images of a frame at some magnitudes, in pieces, with the numbers of configuration and frame."""
+        signal_e = configurations[number].signal_e
+        images_e = torch.stack([dimmed(signal_e, index) for index in group], dim=1).to(data.images_e.dtype)
+        by_frame = zip(frames, images_e.flatten(1, 2), close_to[number], strict=True)
+        return [(number, frame, some) for frame, own, close in by_frame for some in in_pieces(own, close)]
 
-    def errors_of(piece: tuple[int, torch.Tensor]) -> np.ndarray:
-        """Errors of some images of a frame."""
-        frame, images_e = piece
-        close, start = close_to[frame], start_nm[frame].expand(len(images_e), -1)
+    def errors_of(piece: tuple[int, int, torch.Tensor]) -> np.ndarray:
+        number, frame, images_e = piece
+        model, close = configurations[number].model, close_to[number][frame]
+        start = configurations[number].start_nm[frame].expand(len(images_e), -1)
         options = LiftOptions("model")
         result = lift(model, images_e, data.good, faint, start, options, near=close, beyond=False)
         error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame])
@@ -162,18 +177,24 @@ def scan(
         return np.where(failed, np.nan, error)
 
     def errors_nm(group: np.ndarray) -> np.ndarray:
-        """Errors (magnitudes, trials) of some magnitudes."""
-        images_e = torch.stack([dimmed(index) for index in group], dim=1).to(data.images_e.dtype)
-        by_frame = images_e.flatten(1, 2)
-        pieces = [(frame, some) for frame in frames for some in in_pieces(by_frame[frame], close_to[frame])]
-        errors = np.concatenate(process_map(errors_of, pieces, lambda piece: report(len(piece[1]))))
-        return errors.reshape(len(start_nm), len(group), -1).swapaxes(0, 1).reshape(len(group), -1)
+        """Errors (configurations, magnitudes, trials) of some magnitudes."""
+        every = [piece for number in range(len(configurations)) for piece in pieces(number, group)]
+        errors = np.concatenate(process_map(errors_of, every, lambda piece: report(len(piece[2]))))
+        by_frame = errors.reshape(len(configurations), len(frames), len(group), realisations)
+        return by_frame.swapaxes(1, 2).reshape(len(configurations), len(group), -1)
 
-    groups = min(len(factors), -(-len(factors) * len(start_nm) * realisations // IMAGES_AT_ONCE))
-    errors = np.concatenate([errors_nm(one) for one in np.array_split(np.arange(len(factors)), groups)])
-    bounds = _bounds_nm(model, true, signal_e, factors, (faint, one_read))[..., focus]
-    crb_nm, one_read_nm = bounds.median(-1).values.numpy()
-    return curve_of(model.psf.nolls, magnitudes, errors, crb_nm, one_read_nm, criterion)
+    groups = min(len(factors), -(-len(factors) * len(frames) * realisations // IMAGES_AT_ONCE))
+    split = np.array_split(np.arange(len(factors)), groups)
+    errors = np.concatenate([errors_nm(group) for group in split], axis=1)
+
+    def curve(one: Configuration, abs_error_nm: np.ndarray) -> Curve:
+        focus, true = one.model.psf.nolls.index(4), one.start_nm.clone()
+        true[:, focus] = torch.as_tensor(data.introduced_nm)
+        bounds = _bounds_nm(one.model, true, one.signal_e, factors, (faint, one_read))[..., focus]
+        crb_nm, one_read_nm = bounds.median(-1).values.numpy()
+        return curve_of(one.model.psf.nolls, magnitudes, abs_error_nm, crb_nm, one_read_nm, criterion)
+
+    return [curve(*pair) for pair in zip(configurations, errors, strict=True)]
 
 
 def _bounds_nm(model, modes_nm, signal_e, factors, noises) -> torch.Tensor:

@@ -76,13 +76,12 @@ class PsfSettings:
     @property
     def shortest_m(self) -> float:
         """Shortest wavelength of the spectrum [m]."""
-        return min(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM
+        return min(self.spectrum)[0] * NM
 
     @property
     def mean_nm(self) -> float:
         """Mean wavelength of the photons [nm]."""
-        total = sum(weight for _, weight in self.spectrum)
-        return sum(wavelength_nm * weight for wavelength_nm, weight in self.spectrum) / total
+        return _joined(self.spectrum)[0]
 
     @property
     def resolution_px(self) -> float:
@@ -92,8 +91,7 @@ class PsfSettings:
     @property
     def span_nm(self) -> float:
         """From the shortest wavelength of the spectrum to the longest [nm]."""
-        wavelengths_nm = [wavelength_nm for wavelength_nm, _ in self.spectrum]
-        return max(wavelengths_nm) - min(wavelengths_nm)
+        return max(self.spectrum)[0] - min(self.spectrum)[0]
 
     def with_fewer_colours(self, apart: float) -> PsfSettings:
         """Return the same with neighbouring wavelengths joined, for derivatives that may be rough.
@@ -114,8 +112,7 @@ class PsfSettings:
     @property
     def breadth(self) -> float:
         """How much larger λ/D is than in the images that the margins were tuned on, at least 1."""
-        longest_m = max(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM
-        return max(1.0, longest_m / self.aperture_m / TUNED_RAD)
+        return max(1.0, max(self.spectrum)[0] * NM / self.aperture_m / TUNED_RAD)
 
     def for_broad_images(self) -> PsfSettings:
         """Return the settings with the usual margins, wider where λ/D is: light rings that much farther."""

@@ -32,6 +32,7 @@ import scipy
 
 from irlos_pipe.conventions.late import torch
 
+SEEING_NM = 500.0  # wavelength at which seeing and Fried parameters are given
 VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3), e.g. Roddier 1981
 SPARE_NODES, SPARE_ORDERS = 14, 40  # beyond what the fringes of the longest baseline need
 HARMONICS = 24  # of the angular part of the PSD; those beyond are below 1e-6 for any it can have
@@ -50,20 +51,15 @@ class ResidualBand:
     outer_scale_m: float  # L0 of the uncorrected turbulence [m]
 
 
-def seeing_to_r0_m(seeing_arcsec: float, wavelength_nm: float = 500.0) -> float:
-    """Return the Fried parameter of `seeing_arcsec` given at `wavelength_nm`: r0 = 0.976 λ / seeing."""
-    return 0.976 * wavelength_nm * 1e-9 / np.deg2rad(seeing_arcsec / 3600)
+def seeing_to_r0_m(seeing_arcsec: float) -> float:
+    """Return the Fried parameter of `seeing_arcsec`, both at `SEEING_NM`: r0 = 0.976 λ / seeing."""
+    return 0.976 * SEEING_NM * 1e-9 / np.deg2rad(seeing_arcsec / 3600)
 
 
-def von_karman_nm2(
-    f_per_m: np.ndarray, r0_m: float, outer_scale_m: float, wavelength_nm: float = 500.0
-) -> np.ndarray:
-    """Return the Von Kármán power spectral density of the OPD [nm² m²] at spatial frequencies `f_per_m`.
-
-    The Fried parameter `r0_m` is that at `wavelength_nm`.
-    """
+def von_karman_nm2(f_per_m: np.ndarray, r0_m: float, outer_scale_m: float) -> np.ndarray:
+    """Return the Von Kármán power spectral density of the OPD [nm² m²] at spatial frequencies `f_per_m`."""
     radians = VON_KARMAN * r0_m ** (-5 / 3) * (f_per_m**2 + outer_scale_m**-2) ** (-11 / 6)
-    return radians * (wavelength_nm / (2 * np.pi)) ** 2
+    return radians * (SEEING_NM / (2 * np.pi)) ** 2
 
 
 def fitting_variance_nm2(band: ResidualBand, r0_m: float) -> float:

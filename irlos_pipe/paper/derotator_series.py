@@ -59,9 +59,7 @@ class Sizes(ex.StageConfig):
         (0, 23, 46, 69, 92, 115, 138, 161, 180), min_length=2, description="derotator angles"
     )
     frames: int = Field(600, ge=10, le=10000, description="frames of a cube")
-    published_frames: int = Field(
-        100, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
-    )
+    published_frames: calibrations.PublishedFrames = 100
     seeing_arcsec: float = Field(1.2, gt=0, le=5, description="seeing by MASS-DIMM, as the paper has it")
     mag_j: float = Field(8.0, ge=0, le=20, description="J magnitude of the star")
     rotating_nm: float = Field(50.0, ge=0, description="random NCPAs before the derotator, beside the bump")

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import AfterValidator
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.text import aligned
@@ -44,7 +45,8 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 __all__ = [
     "Blocks", "Check", "Context", "Drawn", "Experiment", "ExperimentResults", "Figure", "Frame", "Listing",
     "Quantity", "Rows", "Sample", "Samples", "StageConfig", "Tables", "check", "checked", "each", "frame",
-    "grouped", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "stacked", "strips",
+    "grouped", "known", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "stacked",
+    "strips",
 ]  # fmt: skip
 Context = StageContext[Any]
 Rows = Iterator[dict[str, Any]]
@@ -82,6 +84,18 @@ def each(ctx: Context, count: int, name: str, **of: Any) -> Samples:
     """Yield samples with their ``index`` as seed; `name` is a pattern for it and for what they have."""
     for index in range(count):
         yield sample(ctx, name.format(index=index, **of), index, **of)
+
+
+def known(names: Iterable[str], what: str) -> AfterValidator:
+    """Return the check of a setting that it lists `names` only; `what` says in messages what they are."""
+
+    def checked(given: tuple[str, ...]) -> tuple[str, ...]:
+        for name in given:
+            if name not in names:
+                raise ValueError(f"no {what} '{name}'; known: {', '.join(names)}")
+        return given
+
+    return AfterValidator(checked)
 
 
 class ExperimentResults(StageResults):

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.sensitivity import Criterion, curve_of, scan
+from irlos_pipe.estimate.sensitivity import Configuration, Criterion, curve_of, scan
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.observation import (
     NoiseOf,
@@ -26,7 +26,7 @@ from irlos_pipe.paper.common.observation import (
     noise_of,
     on_spartas_scale,
 )
-from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, RAMP_STREAM, calibrated, observe, offsets_nm
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, calibrated, narrow_ramp, observe, offsets_nm
 from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
 from irlos_pipe.report.section_sensitivity import Look, sensitivity_plot
@@ -85,26 +85,31 @@ def rows(star: ex.Sample) -> ex.Rows:
     cube = cube_of(star)
     knowledge = calibrated(cube, [LIFT_VARIANTS[key].ncpa for key in COMPARED])
     for index, (exposure_s, faintest) in enumerate(zip(sizes.exposures_s, sizes.faintest_mag_j, strict=True)):
-        ramp = ramp_of(star, cube, index, exposure_s)
+        ramp = narrow_ramp(cube, exposure_s, offsets_nm(sizes.reach_nm, sizes.offsets), index)
         exposed = expose(ramp)
         observed = observe(ramp, exposed, knowledge)
         data, signal_e = observed.data, observed.estimate(LIFT_VARIANTS[SIGNAL_VARIANT]).result.model_e
         magnitudes = faintest - np.arange(sizes.magnitudes)[::-1] * sizes.mag_step
         faint = None if read is None else exposure_noise(as_read(ramp, read)).beyond(noise_of(ramp))
-        for key in COMPARED:
-            variant = LIFT_VARIANTS[key]
-            curve = scan(
+        configurations = [
+            Configuration(
                 ImageModel(observed.model(variant), observed.effects(variant)),
-                data,
                 signal_e,
-                sizes.mag_j,
-                magnitudes,
-                sizes.realisations,
                 torch.zeros(len(data.images_e), len(variant.modes), dtype=torch.float64),
-                Criterion(np.inf, 1.0),  # the limit is that of all samples together
-                star.seed[-1],
-                faint=faint,
             )
+            for variant in (LIFT_VARIANTS[key] for key in COMPARED)
+        ]
+        curves = scan(
+            configurations,
+            data,
+            sizes.mag_j,
+            magnitudes,
+            sizes.realisations,
+            Criterion(np.inf, 1.0),  # the limit is that of all samples together
+            star.seed[-1],
+            faint=faint,
+        )
+        for key, curve in zip(COMPARED, curves, strict=True):
             yield {
                 "exposure_s": exposure_s,
                 "key": key,
@@ -125,20 +130,6 @@ def cube_of(star: ex.Sample) -> Scene:
     cube = star.cube(star["sparta_arcsec"], star.sizes.cube_frames, star.sizes.mag_j)
     ncpa_nm = {noll: value_nm for noll, value_nm in cube.ncpa_nm.items() if noll != DEFOCUS}
     return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE, **BY_MIRROR)
-
-
-def ramp_of(star: ex.Sample, cube: Scene, index: int, exposure_s: float) -> Scene:
-    """Return the ramp of the length of exposure number `index`, with one frame per offset."""
-    introduced_nm = offsets_nm(star.sizes.reach_nm, star.sizes.offsets)
-    return replace(
-        cube,
-        role="defocus_ramp",
-        seed=(*star.seed, RAMP_STREAM, index),
-        frames=len(introduced_nm),
-        exposure_s=exposure_s,
-        frame_rate_hz=1 / exposure_s,
-        introduced_nm=introduced_nm,
-    )
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:

@@ -5,22 +5,22 @@ has the same NCPAs and other residuals. Every variant of LIFT sees the same fram
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.ramps import (
     LIFT_VARIANTS,
+    RampSizes,
     calibrated,
     observe,
-    offsets_nm,
     ramp_scene,
     true_modes_nm,
 )
@@ -41,24 +41,11 @@ DRAWN = {
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW, INK)
 
 
-class Sizes(ex.StageConfig):
+class Sizes(RampSizes):
     samples: int = Field(8, ge=1, le=1000, description="sets of NCPAs; the ramp of the first is drawn")
-    reach_nm: float = Field(300.0, gt=0, le=600, description="the ramp goes from minus to plus this [nm RMS]")
-    offsets: int = Field(13, ge=3, le=200, description="positions of the ramp")
-    frames_per_offset: int = Field(2, ge=1, le=1000, description="frames at every position")
-    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
-    ways: tuple[str, ...] = Field(tuple(LIFT_VARIANTS), min_length=1, description="variants of LIFT")
-    seeing_arcsec: float = Field(0.35, gt=0, le=3, description="seeing on SPARTA's scale")
-    cube_mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude in the calibration cube")
-    ramp_mag_j: float = Field(12.0, ge=0, le=20, description="J magnitude in the ramp")
-
-    @field_validator("ways")
-    @classmethod
-    def _known(cls, ways: tuple[str, ...]) -> tuple[str, ...]:
-        for key in ways:
-            if key not in LIFT_VARIANTS:
-                raise ValueError(f"no variant '{key}'; known: {', '.join(LIFT_VARIANTS)}")
-        return ways
+    ways: Annotated[tuple[str, ...], ex.known(LIFT_VARIANTS, "variant")] = Field(
+        tuple(LIFT_VARIANTS), min_length=1, description="variants of LIFT"
+    )
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
@@ -68,9 +55,8 @@ def samples(ctx: ex.Context) -> ex.Samples:
 def rows(star: ex.Sample) -> ex.Rows:
     """Simulate cube and ramp, and estimate the ramp by every variant of LIFT."""
     sizes = star.sizes
-    cube = replace(star.cube(sizes.seeing_arcsec, sizes.cube_frames, sizes.cube_mag_j), sampling=FINE)
-    offsets = offsets_nm(sizes.reach_nm, sizes.offsets, sizes.frames_per_offset)
-    ramp = ramp_scene(cube, sizes.ramp_mag_j, offsets)
+    cube = replace(star.cube(*sizes.of_cube), sampling=FINE)
+    ramp = ramp_scene(cube, sizes.ramp_mag_j, sizes.introduced_nm)
     exposed, variants = expose(ramp), {key: LIFT_VARIANTS[key] for key in sizes.ways}
     observed = observe(ramp, exposed, calibrated(cube, [variant.ncpa for variant in variants.values()]))
     introduced_nm, true_nm = ramp.introduced_per_frame_nm, true_modes_nm(ramp, exposed)

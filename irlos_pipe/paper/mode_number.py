@@ -14,6 +14,7 @@ from irlos_pipe.paper.common.calibrations import (
     METHOD_NAMES,
     PAPER_CHOICE,
     ObservedCube,
+    PublishedFrames,
     Variant,
     frames_per_method,
 )
@@ -33,9 +34,7 @@ METHODS = {
 class Sizes(ex.StageConfig):
     cubes: int = Field(4, ge=1, le=1000, description="cubes, each with its own NCPAs of 50 modes")
     frames: int = Field(200, ge=32, le=10000, description="frames of a cube")
-    published_frames: int = Field(
-        20, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
-    )
+    published_frames: PublishedFrames = 20
     numbers: tuple[int, ...] = Field(
         (16, 21, 31, 41, 51, 61, 81, 101), min_length=2, description="highest Noll modes estimated"
     )

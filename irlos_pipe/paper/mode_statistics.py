@@ -15,6 +15,7 @@ from irlos_pipe.paper.common.calibrations import (
     METHOD_NAMES,
     PAPER_CHOICE,
     ObservedCube,
+    PublishedFrames,
     Variant,
     frames_per_method,
 )
@@ -30,9 +31,7 @@ NAMES = {TRUTH: TRUTH} | {method: METHOD_NAMES[method] for method in (DEFAULT, P
 class Sizes(ex.StageConfig):
     cubes: int = Field(20, ge=2, le=1000, description="cubes, each with its own NCPAs of 50 modes")
     frames: int = Field(100, ge=10, le=10000, description="frames of a cube")
-    published_frames: int = Field(
-        20, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
-    )
+    published_frames: PublishedFrames = 20
     highest_noll: int = Field(
         101, ge=INTRODUCED + 10, le=HIGHEST_NOLL, description="modes Noll 2 to this are estimated"
     )

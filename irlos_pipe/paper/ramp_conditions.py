@@ -6,12 +6,11 @@ J and H through the lens. All ramps of a sample have the same NCPAs, AO residual
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from irlos_pipe.conventions import bands
 from irlos_pipe.conventions.facility import Facility
@@ -175,26 +174,11 @@ def _of_light(scene: Scene, way: Way) -> list[Effect]:
     return [*colour, ChromaticNcpa.under(conditions, chromatic), FilterNcpa.under(conditions, lens)]
 
 
-class Sizes(ex.StageConfig):
+class Sizes(ramps.RampSizes):
     samples: int = Field(3, ge=1, le=1000, description="sets of NCPAs")
-    conditions: tuple[str, ...] = Field(
+    conditions: Annotated[tuple[str, ...], ex.known(CONDITIONS, "condition")] = Field(
         tuple(CONDITIONS), min_length=1, description="what the light of the ramps has"
     )
-    reach_nm: float = Field(300.0, gt=0, le=600, description="a ramp goes from minus to plus this [nm RMS]")
-    offsets: int = Field(13, ge=3, le=200, description="positions of a ramp")
-    frames_per_offset: int = Field(2, ge=1, le=1000, description="frames at every position")
-    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
-    seeing_arcsec: float = Field(0.35, gt=0, le=3, description="seeing on SPARTA's scale")
-    cube_mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude in the calibration cube")
-    ramp_mag_j: float = Field(12.0, ge=0, le=20, description="J magnitude in the ramps in J and H")
-
-    @field_validator("conditions")
-    @classmethod
-    def _known(cls, conditions: tuple[str, ...]) -> tuple[str, ...]:
-        for key in conditions:
-            if key not in CONDITIONS:
-                raise ValueError(f"no condition '{key}'; known: {', '.join(CONDITIONS)}")
-        return conditions
 
 
 def samples(ctx: ex.Context) -> ex.Samples:
@@ -208,7 +192,7 @@ def rows(star: ex.Sample) -> ex.Rows:
     knowledge = ramps.calibrated(cube, [DEFAULT])
     for key in star.sizes.conditions:
         condition = CONDITIONS[key]
-        ramp = ramp_of(star, cube, condition)
+        ramp = ramp_of(cube, condition, star.sizes)
         exposed = expose(ramp)
         observed = ramps.observe(ramp, exposed, knowledge)
         true_nm, introduced_nm = ramps.true_modes_nm(ramp, exposed), ramp.introduced_per_frame_nm
@@ -228,27 +212,15 @@ def rows(star: ex.Sample) -> ex.Rows:
 
 def cube_of(star: ex.Sample) -> Scene:
     """Return the calibration cube, through the narrow filter by the mirror."""
-    sizes = star.sizes
-    cube = star.cube(sizes.seeing_arcsec, sizes.cube_frames, sizes.cube_mag_j)
-    return replace(cube, sampling=FINE, **BY_MIRROR)
+    return replace(star.cube(*star.sizes.of_cube), sampling=FINE, **BY_MIRROR)
 
 
-def ramp_of(star: ex.Sample, cube: Scene, condition: Condition) -> Scene:
+def ramp_of(cube: Scene, condition: Condition, sizes: Sizes) -> Scene:
     """Return the ramp under a condition, through the lens with frames of a second, or through the filter."""
-    sizes = star.sizes
-    introduced_nm = ramps.offsets_nm(sizes.reach_nm, sizes.offsets, sizes.frames_per_offset)
     if condition.bands == "J+H":
-        ramp = ramps.ramp_scene(cube, sizes.ramp_mag_j, introduced_nm)
-        return replace(ramp, effects=effects_of(condition, star.seed, star.facility))
-    return replace(
-        cube,
-        role="defocus_ramp",
-        seed=(*star.seed, ramps.RAMP_STREAM),
-        frames=len(introduced_nm),
-        exposure_s=NARROW_EXPOSURE_S,
-        mag_j=NARROW_MAG_J,
-        introduced_nm=introduced_nm,
-    )
+        ramp = ramps.ramp_scene(cube, sizes.ramp_mag_j, sizes.introduced_nm)
+        return replace(ramp, effects=effects_of(condition, cube.seed, cube.facility))
+    return replace(ramps.narrow_ramp(cube, NARROW_EXPOSURE_S, sizes.introduced_nm), mag_j=NARROW_MAG_J)
 
 
 def mode_errors(
@@ -294,29 +266,26 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     """RMS over the ramps of every way under every condition, and of all modes."""
 
     def summary(group, key, way):
-        condition, ranges = (
-            CONDITIONS[key],
-            [ex.rms_in_range(name, group[name]) for name in ("rms_nm", "true_rms_nm", "bias_nm")],
-        )
-        return {
+        condition = CONDITIONS[key]
+        found = {
             "condition_label": condition.label,
             "label": WAYS[way].name,
             "samples": len(group),
             "converged": group.converged.min(),
             "asked_nm": condition.asked_nm if way == condition.ways[0] else None,
-        } | dict(chain.from_iterable(one.items() for one in ranges))
+        }
+        for name in ("rms_nm", "true_rms_nm", "bias_nm"):
+            found |= ex.rms_in_range(name, group[name])
+        return found
 
     def modes(group, key, way):
         for place, noll in enumerate(WAYS[way].modes):
             error_nm = ex.rms_in_range("error_nm", [one[place] for one in group.mode_nm])
-            yield (
-                {"noll": noll}
-                | error_nm
-                | {
-                    name: float(np.sqrt(np.mean([one[place] ** 2 for one in group[name]])))
-                    for name in ("sigma_nm", "scatter_nm", "true_scatter_nm", "leak")
-                }
-            )
+            others = {
+                name: float(np.sqrt(np.mean([one[place] ** 2 for one in group[name]])))
+                for name in ("sigma_nm", "scatter_nm", "true_scatter_nm", "leak")
+            }
+            yield {"noll": noll} | error_nm | others
 
     by = ["condition", "way"]
     return {"ways": ex.grouped(rows, by, summary), "modes": ex.grouped(rows, by, modes)}
@@ -364,11 +333,8 @@ LISTINGS = [
 
 def figures(drawn: ex.Drawn) -> ex.Blocks:
     rows = drawn.rows()
-    rows["named"] = (
-        rows.condition.map(lambda key: CONDITIONS[key].label)
-        + "; "
-        + rows.way.map(lambda key: WAYS[key].name)
-    )
+    pairs = zip(rows.condition, rows.way, strict=True)
+    rows["named"] = [f"{CONDITIONS[key].label}; {WAYS[way].name}" for key, way in pairs]
     return [ex.strips(
         "ramp-conditions-errors", "Error of the defocus of every ramp",
         "Every point is a ramp; bars: medians; dotted: what is asked of the first estimate.",

@@ -7,8 +7,8 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.ramp import travel_direction
 from irlos_pipe.estimate.records import DECISIVE
 from irlos_pipe.product.results import EffectValues
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown

@@ -22,8 +22,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.stage import Mode
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.ramp_fit import RampFit
-    from irlos_pipe.estimate.sensitivity import Curve
+    from irlos_pipe.estimate.sensitivity import Configuration, Curve
     from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.lift.input import Ramp
 
@@ -140,7 +139,7 @@ Results = SensitivityResults
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Scan every combination of modes and calibration."""
     from irlos_pipe.estimate.sensitivity import Criterion, scan
-    from irlos_pipe.numerics.parallel import ordered_map
+    from irlos_pipe.numerics.parallel import process_map
     from irlos_pipe.stages.lift.input import read_ramp
 
     ramp = read_ramp(ctx, ctx.config.input)
@@ -162,26 +161,20 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     window = ramp.recordings[0].window
     announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     estimates = len(combinations) * len(magnitudes) * len(chosen) * ctx.config.realisations
-    fits = ordered_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
+    configurations = process_map(lambda one: _bright(ctx, ramp, chosen, *one), combinations)
     with ctx.progress(total=estimates, desc="sensitivity") as bar:
-        curves = [
-            scan(
-                fit.model,
-                ramp.data.of(chosen),
-                fit.result.model_e,
-                bright,
-                magnitudes,
-                ctx.config.realisations,
-                fit.start_nm,
-                Criterion(ctx.config.limit_nm, ctx.config.limit_failures),
-                ctx.seed,
-                faint=faint,
-                one_read=one_read,
-                near_nm=fit.result.zernike_nm,
-                report=bar.update,
-            )
-            for fit in fits
-        ]
+        curves = scan(
+            configurations,
+            ramp.data.of(chosen),
+            bright,
+            magnitudes,
+            ctx.config.realisations,
+            Criterion(ctx.config.limit_nm, ctx.config.limit_failures),
+            ctx.seed,
+            faint=faint,
+            one_read=one_read,
+            report=bar.update,
+        )
     return _output(ctx.config, combinations, curves, noise)
 
 
@@ -203,17 +196,18 @@ def _choose(ramp: Ramp, config: Config) -> np.ndarray:
 
 def _bright(
     ctx: StageContext[Config], ramp: Ramp, chosen: torch.Tensor, calibrated: bool, nolls: tuple[int, ...]
-) -> RampFit:
+) -> Configuration:
     """The frames as they are, whose model gives the noise-free signal and the start."""
     from irlos_pipe.estimate.lift_options import LiftOptions
     from irlos_pipe.estimate.ramp_fit import fit_ramp
+    from irlos_pipe.estimate.sensitivity import Configuration
     from irlos_pipe.stages.lift.input import calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
 
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, nolls, ncpa_nm)
     start_nm = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
     effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
-    return fit_ramp(model, ramp.data.of(chosen), start_nm, LiftOptions(), effects)
+    return Configuration.of(fit_ramp(model, ramp.data.of(chosen), start_nm, LiftOptions(), effects))
 
 
 def _output(

@@ -183,18 +183,6 @@ def test_a_folder_without_a_run_is_reported(tmp_path, command):
     assert result.exit_code == 3 and "not the folder of a run" in result.stderr
 
 
-def test_show_tells_a_wrong_file_in_one_line(bench):
-    result = invoke("show", str(bench.recipe))
-    assert result.exit_code == 3 and len(result.stderr.splitlines()) == 1
-
-
-def test_the_report_can_be_built_again(bench):
-    bench.run()
-    report = bench.output / "report.html"
-    report.unlink()
-    assert invoke("report", str(bench.output)).stdout.strip() == str(report) and report.is_file()
-
-
 def completed(typed: list[str]) -> list[str]:
     variables = {"COMP_WORDS": " ".join(["irlos", *typed]), "COMP_CWORD": str(len(typed))}
     result = CliRunner().invoke(cli, prog_name="irlos", env={"_IRLOS_COMPLETE": "bash_complete", **variables})

@@ -4,19 +4,16 @@ import json
 
 import pytest
 from conftest import invoke
-from helpers import night_bench
+from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.night import engines
-from irlos_pipe.product.runfolder import owned_folder
 
 MORNING = "2024-02-11T03:00:00"
 
 
-@pytest.fixture
-def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
-    night_bench.without_drawings(monkeypatch)
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch):
     monkeypatch.setattr(engines, "local_runner", lambda jobs: map)
-    return night_bench.make(tmp_path, monkeypatch)
 
 
 def night(bench, *options: str):
@@ -57,13 +54,6 @@ def test_an_empty_night_is_exit_code_64_silent_for_cron_and_reported_with_v(benc
         assert result.exit_code == content["exit_code"] == 64
         assert content["nights"] == [] and "no recordings" in content["nothing"]
     assert night(bench, "-v").stderr == f"irlos: error: {bench.archive}: no recordings\n"
-
-
-def test_a_tree_in_use_is_exit_code_75(bench):
-    bench.record(MORNING)
-    with owned_folder(bench.tree):
-        result = night(bench)
-    assert result.exit_code == 75 and "in use by another run" in result.stderr
 
 
 def test_what_was_done_is_listed_as_text_and_as_json(bench):

@@ -1,5 +1,7 @@
 """The controller of the focus loop. Truth: the difference equation written out, and linear theory."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,16 +44,19 @@ def test_a_constant_defocus_is_found_and_taken_off_in_limited_jumps(start_nm, de
     assert np.abs(np.diff(offsets)).max() <= 300.0
 
 
-def test_within_its_range_it_is_the_integrator_of_linear_theory():
-    drift, gain = Drift(2.0, 5.0), 0.4
+@pytest.mark.parametrize(("gain", "frame_s", "delay"), [(0.4, 1.0, 1), (0.15, 2.0, 1), (0.6, 1.0, 0)])
+def test_within_its_range_it_is_the_integrator_of_linear_theory(gain, frame_s, delay):
+    drift, settings = Drift(2.0, 5.0), replace(SETTINGS, gain=gain, delay=delay)
     rng = np.random.default_rng(1)
     squares = []
     for seed in range(40):
-        steps = drift.draw_nm(rng, 4000, 0.1).reshape(400, 10)
-        residuals, _ = closed(steps.mean(1), noise_nm=6.0, seed=seed, state=ControllerState(0.0, TRACKING))
+        steps = drift.draw_nm(rng, 4000, frame_s / 10).reshape(400, 10)
+        residuals, _ = closed(
+            steps.mean(1), settings, noise_nm=6.0, seed=seed, state=ControllerState(0.0, TRACKING)
+        )
         squares.append(np.mean(residuals[30:] ** 2))
-    found = np.sqrt(np.mean(squares) + drift.wander_within_nm2(1.0))
-    assert found == pytest.approx(Integrator(gain, 1.0, 1).residual_nm(drift, 6.0), rel=0.03)
+    found = np.sqrt(np.mean(squares) + drift.wander_within_nm2(frame_s))
+    assert found == pytest.approx(Integrator(gain, frame_s, delay).residual_nm(drift, 6.0), rel=0.03)
 
 
 def test_without_a_valid_measurement_the_offset_is_held_whatever_the_mode():
@@ -89,6 +94,8 @@ def test_one_measurement_far_outside_is_not_believed_and_three_start_the_loop_ag
     [
         ({"gain": 1.0, "delay": 1}, "stable between 0 and 1.000"),
         ({"gain": 0.7, "delay": 2}, "0.618"),
+        ({"gain": 2.0, "delay": 0}, "stable between 0 and 2.000"),
+        ({"gain": 0.4, "delay": 4}, "0.347"),
         ({"gain": 0.0}, "stable"),
         ({"leak": 1.0}, "leak"),
         ({"capture_nm": 300.0}, "capture"),

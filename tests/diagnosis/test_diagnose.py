@@ -9,6 +9,8 @@ from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, SPOT_M, TRU
 from irlos_pipe.diagnosis.verdict import sentence
 from irlos_pipe.effects import CATALOGUE
 
+pytestmark = pytest.mark.slow
+
 
 def error_nm(diagnosis, which: int) -> float:
     """Error of the NCPAs before (0) or after (1)."""
@@ -24,7 +26,6 @@ def assert_sized(step, second: dict[str, float]) -> None:
         assert step.public[key] == pytest.approx(value, abs=4 * step.sigma[key] + 1e-3 * value), key
 
 
-@pytest.mark.slow
 def test_a_clean_cube_has_nothing_missing():
     diagnosis = diagnosis_of("plain")
     assert diagnosis.verdict == "none"
@@ -32,7 +33,6 @@ def test_a_clean_cube_has_nothing_missing():
     assert diagnosis.gap.before < 1.2 * diagnosis.gap.floor
 
 
-@pytest.mark.slow
 def test_what_the_free_modes_absorb_is_called_untestable_not_absent():
     diagnosis = diagnosis_of("plain")
     assert "diversity_error" in diagnosis.untestable  # Noll 6 is estimated
@@ -40,21 +40,18 @@ def test_what_the_free_modes_absorb_is_called_untestable_not_absent():
     assert not set(diagnosis.mdb) & set(diagnosis.untestable)
 
 
-@pytest.mark.slow
 def test_a_second_source_is_named_with_its_size():
     (step,) = diagnosis_of("companion").steps
     assert step.name == "companion"
     assert_sized(step, COMPANION)
 
 
-@pytest.mark.slow
 def test_a_second_image_as_sharp_as_the_star_may_as_well_be_a_ghost_of_the_optics():
     (step,) = diagnosis_of("companion").steps
     assert [one.name for one in step.alternatives] == ["ghost"]
     assert "companion: ghost" in sentence(diagnosis_of("companion"))
 
 
-@pytest.mark.slow
 def test_one_that_is_out_of_focus_is_a_ghost():
     (step,) = diagnosis_of("ghost").steps
     assert (step.name, step.alternatives) == ("ghost", [])
@@ -62,7 +59,6 @@ def test_one_that_is_out_of_focus_is_a_ghost():
     assert step.public["defocus_nm"] == pytest.approx(80.0, abs=4 * step.sigma["defocus_nm"])
 
 
-@pytest.mark.slow
 def test_facts_of_the_pupil_that_were_told_wrong_are_named_with_what_the_data_want():
     diagnosis = diagnosis_of("pupil")
     found = {key: (value, s.sigma[key]) for s in diagnosis.steps for key, value in s.public.items()}
@@ -73,7 +69,6 @@ def test_facts_of_the_pupil_that_were_told_wrong_are_named_with_what_the_data_wa
     assert re.search(r"vanes turned by \+\d\.\d+ ± 0\.\d+° against the profile", sentence(diagnosis))
 
 
-@pytest.mark.slow
 def test_a_third_source_is_a_second_companion():
     first, second = diagnosis_of("two").steps
     assert (first.label, second.label) == ("companion", "companion_2")
@@ -81,14 +76,12 @@ def test_a_third_source_is_a_second_companion():
     assert_sized(second, FURTHER)
 
 
-@pytest.mark.slow
 def test_the_ncpas_improve_and_the_held_out_gap_closes_with_the_name():
     diagnosis = diagnosis_of("companion")
     assert error_nm(diagnosis, 1) < error_nm(diagnosis, 0) / 5
     assert diagnosis.gap.shrink > 0.95
 
 
-@pytest.mark.slow
 def test_every_effect_of_the_catalogue_is_said_to_be_named_or_why_not():
     found = {one.effect: one for one in diagnosis_of("companion").tried}
     assert [*found] == [*CATALOGUE]
@@ -99,14 +92,12 @@ def test_every_effect_of_the_catalogue_is_said_to_be_named_or_why_not():
     assert all(one.reason for one in found.values() if one.outcome != "named")
 
 
-@pytest.mark.slow
 def test_a_name_that_lost_says_what_data_that_no_fit_has_seen_say_of_it():
     first, *others = diagnosis_of("ghost").steps[0].ranking
     assert (first.name, first.held_out_z) == ("ghost", 0)
     assert others and all(one.held_out_z > 3 for one in others)
 
 
-@pytest.mark.slow
 def test_an_opaque_disc_is_a_spot_where_it_is():
     diagnosis = diagnosis_of("spot")
     found = diagnosis.steps[0]
@@ -117,7 +108,6 @@ def test_an_opaque_disc_is_a_spot_where_it_is():
     assert np.mean(np.abs(added) > 1e-6) < 0.1  # the edges of the pupil are where they were
 
 
-@pytest.mark.slow
 def test_a_scratch_which_the_catalogue_lacks_gets_no_name():
     diagnosis = diagnosis_of("scratch")
     assert diagnosis.verdict == "unknown"

@@ -16,6 +16,7 @@ from helpers.diagnose_cases import (
     WAVELENGTH_NM,
     options,
 )
+from helpers.light_path_derivatives import assert_gradient
 from helpers.optics_cases import READ_NOISE, draw_frames, everything
 from helpers.reference_psf import reference
 
@@ -28,9 +29,11 @@ from irlos_pipe.effects import TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import KnownWavefront
 
+pytestmark = pytest.mark.slow
 NOLLS = tuple(range(2, HIGHEST_NOLL + 1))
 STATED = ({6: -170.0}, {})  # diversities of the two recordings
 REALLY_NM = -130.0  # what the first has
+FIRST = torch.arange(1)
 
 
 def recording(diversity: dict[int, float], real: dict[int, float], seed: int) -> Exposures:
@@ -66,13 +69,11 @@ def alone() -> Diagnosis:
     return diagnose(wrong_lens()[:1], [], options())
 
 
-@pytest.mark.slow
 def test_an_error_of_the_diversity_cannot_be_seen_in_one_recording():
     assert alone().verdict == "none"
     assert "diversity_error" in alone().untestable
 
 
-@pytest.mark.slow
 def test_with_a_second_diversity_its_error_is_named_with_its_size():
     (step,) = together().steps
     assert step.name == "diversity_error"
@@ -81,7 +82,6 @@ def test_with_a_second_diversity_its_error_is_named_with_its_size():
     assert step.public["nm"] == pytest.approx(stated_more_nm, abs=4 * step.sigma["nm"])
 
 
-@pytest.mark.slow
 def test_the_ncpa_that_it_was_taken_for_is_right_then():
     column = alone().nolls.index(6)
     wrong, right = (d.modes_nm[1][column] - TRUE_NM[6] for d in (alone(), together()))
@@ -89,7 +89,6 @@ def test_the_ncpa_that_it_was_taken_for_is_right_then():
     assert abs(right) < 3
 
 
-@pytest.mark.slow
 def test_one_recording_in_two_halves_is_fitted_as_the_whole():
     """Same frames, same settings: the joint fit must give the estimate of the pooled frames."""
     whole = recording({6: -170.0}, {6: -170.0}, 3)
@@ -105,23 +104,17 @@ def test_one_recording_in_two_halves_is_fitted_as_the_whole():
     assert estimates[1][1] == pytest.approx(estimates[0][1], rel=0.1)
 
 
-@pytest.mark.slow
 def test_gradients_of_the_joint_fit_are_those_of_finite_differences():
     taken = wrong_lens()
     problem = Fitter([one.view(range(2, 8), "cpu") for one in taken], means(taken)).fit([]).problem
     x = torch.zeros(1, problem.size, dtype=torch.float64)
     x[0, :6] = torch.tensor([5.0, -8.0, 30.0, 12.0, -20.0, 6.0])
     x[0, 6:8], x[0, 8], x[0, -2] = torch.tensor([3.0, 9.0]), 0.9 * FLUX_E, 1.1 * FLUX_E
-    which = torch.arange(1)
-    gradient = problem.normal_equations(x, which)[1][0]
-    for column, step in ((0, 1e-3), (2, 1e-3), (6, 1e-3), (8, 1.0), (problem.size - 2, 1.0)):
-        change = torch.zeros_like(x)
-        change[0, column] = step
-        slope = (problem.objective(x + change, which) - problem.objective(x - change, which)) / (2 * step)
-        assert float(gradient[column]) == pytest.approx(float(slope), rel=1e-4)
+    gradient = problem.normal_equations(x, FIRST)[1]
+    steps = {0: 1e-3, 2: 1e-3, 6: 1e-3, 8: 1.0, problem.size - 2: 1.0}
+    assert_gradient(lambda at: problem.objective(at, FIRST), gradient, x, steps, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_the_second_recording_that_shows_an_error_of_the_diversity_is_the_one_without_it():
     """Out of focus by a stage, the same lens hides the same error; without the lens Noll 6 stands alone."""
     advice = alone().advice["diversity_error"]
@@ -129,6 +122,5 @@ def test_the_second_recording_that_shows_an_error_of_the_diversity_is_the_one_wi
     assert advice.smallest["nm"] < 5
 
 
-@pytest.mark.slow
 def test_two_recordings_of_other_diversity_need_no_further_one_for_it():
     assert "diversity_error" not in together().advice

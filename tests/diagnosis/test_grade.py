@@ -51,6 +51,16 @@ def gap(closed: float, before: float = 0.06) -> Gap:
     return Gap(before, (FLOOR**2 + (1 - closed) * missed) ** 0.5, FLOOR)
 
 
+@pytest.fixture
+def graded(monkeypatch):
+    """Judge a search by the noise of its frames and the gap, where no name is in the place of another."""
+    for what, answer in (("share_at_its_place", 1.0), ("copies_in_a_row", 0), ("one_place_twice", "")):
+        monkeypatch.setattr(f"irlos_pipe.diagnosis.grade.{what}", lambda *_, answer=answer: answer)
+    options = Options(30, held_out=0.25, most_names=4, sure=SURE)
+    fine = SimpleNamespace(significance=0.0, ratio=1.0)
+    return lambda found, kind, gap: judged(found, NoiseVerdict(kind, 1.0, 1.0), fine, gap, options)
+
+
 @pytest.mark.parametrize("closed", [0.0, 0.4, 1.0])
 def test_of_squares_noise_and_what_is_missing_add(closed):
     assert gap(closed).closed == pytest.approx(closed)
@@ -71,14 +81,9 @@ def test_what_any_instrument_has_is_adjusted_and_not_named_where_something_is_le
         (SPECKLES, gap(0.3), "unknown"),
     ],
 )
-def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown(monkeypatch, kind, found, grade):
-    monkeypatch.setattr("irlos_pipe.diagnosis.grade.share_at_its_place", lambda refit, final: 1.0)
-    monkeypatch.setattr("irlos_pipe.diagnosis.grade.copies_in_a_row", lambda fitted: 0)
-    monkeypatch.setattr("irlos_pipe.diagnosis.grade.one_place_twice", lambda fitted: "")
-    options = Options(30, held_out=0.25, most_names=4, sure=SURE)
-    fine = SimpleNamespace(significance=0.0, ratio=1.0)
+def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown(graded, kind, found, grade):
     one = name("plate_scale", True)
-    judgement = judged(search(900.0, one), NoiseVerdict(kind, 1.0, 1.0), fine, found, options)
+    judgement = graded(search(900.0, one), kind, found)
     assert judgement.grade == grade
     if grade == "unknown":
         assert judgement.search.nearest is one
@@ -94,15 +99,10 @@ def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown(mon
     ],
 )
 def test_on_sky_a_name_that_closes_little_by_itself_is_adjusted_where_much_is_left(
-    monkeypatch, kind, left, believed
+    graded, kind, left, believed
 ):
-    monkeypatch.setattr("irlos_pipe.diagnosis.grade.share_at_its_place", lambda refit, final: 1.0)
-    monkeypatch.setattr("irlos_pipe.diagnosis.grade.copies_in_a_row", lambda fitted: 0)
-    monkeypatch.setattr("irlos_pipe.diagnosis.grade.one_place_twice", lambda fitted: "")
-    options = Options(30, held_out=0.25, most_names=4, sure=SURE)
-    fine = SimpleNamespace(significance=0.0, ratio=1.0)
     names = [name("vibration", False), name("companion", False, 0.1), name("seeing_halo", False, 0.3)]
-    found = judged(search(left, *names), NoiseVerdict(kind, 1.0, 1.0), fine, gap(0.9), options).search
+    found = graded(search(left, *names), kind, gap(0.9)).search
     assert [one.name for one in found.accepted] == believed
     assert [*found.adjusted] == [one.name for one in names if one.name not in believed]
 

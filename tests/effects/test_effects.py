@@ -21,15 +21,13 @@ from helpers.optics_cases import (
     PRIOR,
     RESIDUAL_LAW,
     SCALE_MAS,
-    draw_frames,
-    everything,
     halo_and_jitter,
     ncpa_nm,
     settings,
     shift_nm,
     vector,
 )
-from helpers.simulated_scenes import FINE, NARROW_H, NCPA_NM, UT4, scene
+from helpers.simulated_scenes import NARROW_H, NCPA_NM, UT4, sky_frames
 
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
@@ -57,7 +55,6 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand, seeing_to_r0_m, von_karman_nm2
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.effects.wavefront import HighAperture as Simulated
-from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.telescope import Telescope
 
 NOLLS = tuple(range(2, 16))
@@ -323,24 +320,13 @@ def test_the_factor_is_that_of_the_structure_function_between_the_cut_offs(per_m
 def recorded() -> tuple[Frames, Conditions]:
     """Frames behind an AO that ends at 0.6 cycles per metre, and what is told of them: 0.5."""
     ncpa_nm = {noll: value for noll, value in NCPA_NM.items() if noll <= HIGHEST_NOLL}
-    made = scene(
-        window=WINDOW,
-        frames=FRAMES,
-        seed=(11, 3),
-        ncpa_nm=ncpa_nm,
-        throughput=0.05,
-        sky=Sky(SEEING_ARCSEC),
-        sampling=replace(FINE, step_s=0.02),
-        facility=replace(FACILITY, cutoff_per_m=TRUE_PER_M, residual_law=LAW),
-    )
-    exposed = expose(made)
-    images = torch.as_tensor(
-        np.stack([draw_frames(mean, 1, seed, NOISE)[0] for seed, mean in enumerate(exposed.mean_e)])
-    )
+    taken = {"window": WINDOW, "frames": FRAMES, "seed": (11, 3), "ncpa_nm": ncpa_nm, "throughput": 0.05}
+    facility = replace(FACILITY, cutoff_per_m=TRUE_PER_M, residual_law=LAW)
+    frames, _ = sky_frames(Sky(SEEING_ARCSEC), facility=facility, **taken)
     spectrum = tuple((band.centre_nm, 1.0) for band in NARROW_H)
     told = PsfSettings(UT4, WINDOW, 9.7, spectrum, KnownWavefront(DIVERSITY))
     conditions = Conditions(told, LOW, LAW, SEEING_ARCSEC, HIGHEST_NOLL, ncpa_law=NCPA_LAW)
-    return Frames(images, everything(images), NOISE), conditions
+    return frames, conditions
 
 
 @pytest.mark.slow

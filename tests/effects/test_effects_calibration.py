@@ -32,6 +32,7 @@ from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf import PsfModel
 
+pytestmark = pytest.mark.slow
 WINDOW, LAST, FLUX_E, COUNT = (40, 40), 21, 1e6, 12
 SAMPLES = 512  # of HCIPy's pupil; noise is more than what more would change
 NCPA_NM = ncpa_nm(11, LAST, 80.0)
@@ -70,7 +71,6 @@ def modes_of(opd_nm: np.ndarray) -> dict[int, float]:
     return dict(zip(range(2, LAST + 1), solution[1:], strict=True))
 
 
-@pytest.mark.slow
 def test_two_companions_are_found_by_name_and_no_longer_spoil_the_ncpas():
     imager = reference(SAMPLES)
     true = [
@@ -90,7 +90,6 @@ def test_two_companions_are_found_by_name_and_no_longer_spoil_the_ncpas():
     assert result.chi2_nu < 1.3 < 10 < without.chi2_nu
 
 
-@pytest.mark.slow
 def test_with_petals_in_the_model_the_modes_are_those_of_the_whole_wavefront():
     (x, y), effect = xy_m(SAMPLES), STRONG["low_wind_effect"]
     piston, tip, tilt = (0.5 * np.array(effect[key])[petal_of(x, y)] for key in effect)
@@ -104,7 +103,6 @@ def test_with_petals_in_the_model_the_modes_are_those_of_the_whole_wavefront():
     assert np.linalg.norm(result.fitted_modes_nm - result.zernike_nm) > 20
 
 
-@pytest.mark.slow
 def test_a_drift_is_measured_in_the_frames_with_its_sign():
     drift_nm = {4: -60.0, 7: 40.0}
     change = reference(SAMPLES).opd_nm(drift_nm)
@@ -115,7 +113,6 @@ def test_a_drift_is_measured_in_the_frames_with_its_sign():
     assert error_nm(result, NCPA_NM) < 1.5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["companion", "phase_bump", "vibration"])
 def test_what_is_not_there_is_not_found(name):
     result = calibrated(hcipy_image(), name)
@@ -125,7 +122,6 @@ def test_what_is_not_there_is_not_found(name):
     assert error_nm(result, NCPA_NM) < 1.5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("darker_than", [1.0, 0.6])
 def test_a_bent_response_is_found_without_the_brightest_pixels(darker_than):
     """The loss is stated at the brightest pixel of the model, which these frames may not show."""
@@ -171,7 +167,6 @@ def test_the_example_takes_away_the_light_of_the_spot(dark_spot, psf):
     assert lost == pytest.approx(area / clear, rel=0.05)
 
 
-@pytest.mark.slow
 def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     true_nm = ncpa_nm(3, 11, 60.0)
     mean = ImageModel(psf, [dark_spot]).predict(vector(true_nm, NOLLS), 3e6 * ONE, NONE, SPOT)[0].numpy()

@@ -18,6 +18,7 @@ from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.structure_function import ResidualBand
 
+pytestmark = pytest.mark.slow
 NOLLS, WINDOW, FLUX_E = tuple(range(2, 16)), 40, 1e6
 SETTINGS = cases.settings(WINDOW)
 PLACE = torch.tensor([[*np.linspace(30, -20, len(NOLLS)), FLUX_E, 5.0]], dtype=torch.float64)
@@ -46,7 +47,6 @@ def found(settings, beside=0.0, nolls=NOLLS, cutoff=np.nan, facts_only=False):
     return causes, float(problem.reduced_chi2(x)[0])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.96, 1.02])
 def test_the_scale_of_the_pixels_is_named_first_within_its_error(factor):
     causes, chi2_nu = found(replace(SETTINGS, pixel_scale_mas=SETTINGS.pixel_scale_mas * factor))
@@ -57,14 +57,12 @@ def test_the_scale_of_the_pixels_is_named_first_within_its_error(factor):
     assert first.sigma < 0.002 * first.declared and first.key in first.says
 
 
-@pytest.mark.slow
 def test_many_modes_that_imitate_a_wrong_scale_do_not_hide_it():
     changed = replace(SETTINGS, pixel_scale_mas=SETTINGS.pixel_scale_mas * 0.98)
     first = found(changed, nolls=tuple(range(2, 92)))[0][0]
     assert first.name == "plate_scale" and first.value == pytest.approx(changed.pixel_scale_mas, rel=0.003)
 
 
-@pytest.mark.slow
 def test_a_turned_pupil_and_a_glow_are_told_apart():
     causes, _ = found(replace(SETTINGS, geometry=turned(SETTINGS.geometry, 20.0)))
     assert causes[0].name == "pupil_rotation" and causes[0].value == pytest.approx(20.0, abs=1.0)
@@ -74,7 +72,6 @@ def test_a_turned_pupil_and_a_glow_are_told_apart():
     assert all(one.explains < 0.5 for one in found(SETTINGS, glow, facts_only=True)[0])
 
 
-@pytest.mark.slow
 def test_pixels_too_large_for_the_field_are_no_cause():
     y, x = np.indices((WINDOW, WINDOW)) - (WINDOW - 1) / 2
     disc = torch.as_tensor(5 * FLUX_E * np.exp(-(x**2 + y**2) / 162) / (162 * np.pi))

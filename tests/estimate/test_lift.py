@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
+from helpers.light_path_derivatives import assert_gradient
 from helpers.optics_cases import J_AND_H, halo_and_jitter, ncpa_nm, settings, vector
 from scipy.optimize import minimize
 
@@ -139,14 +140,10 @@ def test_the_slope_with_variances_that_follow_is_that_of_the_objective():
     at = random_modes(1, seed=3)
     problem = photon_fit(precise, drawn(precise, at, 2e4, seed=4).double())
     x = torch.cat([at + 15.0, torch.tensor([[2.1e4, 0.3]])], dim=1).double()
-    which = torch.arange(1)
-    _, gradient, hessian = problem.normal_equations(x, which)
-    steps = 1e-3 * torch.diagonal(hessian, dim1=1, dim2=2)[0] ** -0.5
-    for i, step in enumerate(steps):
-        move = torch.zeros_like(x)
-        move[0, i] = step
-        rise = problem.objective(x + move, which) - problem.objective(x - move, which)
-        assert float(rise / (2 * step)) == pytest.approx(float(gradient[0, i]), rel=1e-4, abs=1e-6)
+    first = torch.arange(1)
+    _, gradient, hessian = problem.normal_equations(x, first)
+    steps = dict(enumerate((1e-3 * hessian[0].diagonal() ** -0.5).tolist()))
+    assert_gradient(lambda at: problem.objective(at, first), gradient, x, steps, rel=1e-4, abs=1e-6)
 
 
 def test_the_scan_finds_defocus_and_position_of_any_image():
@@ -229,11 +226,8 @@ def test_a_near_model_is_exact_there_and_its_derivatives_are_those_of_its_images
     x[:, :-2] += 15.0
     gradient, equations = fit.gradient(x, which)[1], fit.normal_equations(x, which)[1]
     assert torch.allclose(gradient, equations, rtol=1e-4, atol=1e-4 * float(gradient.abs().max()))
-    for column, step in ((0, 1.0), (2, 1.0), (5, 1.0), (-2, 100.0)):
-        move = torch.zeros_like(x)
-        move[:, column] = step
-        change = (fit.gradient(x + move, which)[0] - fit.gradient(x - move, which)[0]) / (2 * step)
-        assert torch.allclose(gradient[:, column], change, atol=0.01 * float(change.abs().max()))
+    steps, size = {0: 1.0, 2: 1.0, 5: 1.0, -2: 100.0}, float(gradient.abs().max())
+    assert_gradient(lambda at: fit.gradient(at, which)[0], gradient, x, steps, abs=0.01 * size)
 
 
 @pytest.mark.slow
@@ -387,13 +381,5 @@ def test_the_gradient_is_that_of_finite_differences():
     x, both = start(fit, true), torch.arange(2)
     value, gradient = fit.gradient(x, both)
     assert value.numpy() == pytest.approx(fit.objective(x, both).numpy(), rel=1e-12)
-    for column, step in [
-        (0, 1e-3),
-        (5, 1e-3),
-        (len(FRAME_FITS_NOLLS), 1.0),
-        (len(FRAME_FITS_NOLLS) + 1, 1e-3),
-    ]:
-        move = torch.zeros_like(x)
-        move[:, column] = step
-        numeric = (fit.objective(x + move, both) - fit.objective(x - move, both)) / (2 * step)
-        assert gradient[:, column].numpy() == pytest.approx(numeric.numpy(), rel=1e-4)
+    steps = {0: 1e-3, 5: 1e-3, len(FRAME_FITS_NOLLS): 1.0, len(FRAME_FITS_NOLLS) + 1: 1e-3}
+    assert_gradient(lambda at: fit.objective(at, both), gradient, x, steps, rel=1e-4)

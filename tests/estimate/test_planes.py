@@ -21,6 +21,7 @@ from irlos_pipe.optics.psf_settings import KnownWavefront
 from irlos_pipe.stages.calibrate.quality import checks_of
 from irlos_pipe.stages.calibrate.stage import Limits
 
+pytestmark = pytest.mark.slow
 PLANES_NM = (0.0, -150.0, 150.0, -300.0, 300.0)
 WINDOW = (36, 36)
 MODES = 15  # those that are drawn by the law; others follow, as in an instrument
@@ -56,7 +57,6 @@ def failed(found) -> dict[str, str]:
     return {one.name: one.message for one in checks_of(Limits(), found) if not one.passed}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("off", [0.0, 0.05])  # part by which the declared defoci are wrong, RMS
 @pytest.mark.parametrize(
     ("flux_e", "frames", "beyond_nm", "largest_nm"),
@@ -78,7 +78,6 @@ def test_ncpas_from_planes_are_within_their_errors(flux_e, frames, beyond_nm, la
     assert np.median(accuracies) == pytest.approx(off, rel=0.5, abs=0.003)
 
 
-@pytest.mark.slow
 def test_a_plane_of_the_wrong_sign_does_not_pass_unnoticed():
     declared_nm = (0.0, -150.0, 150.0, -300.0, -320.0)
     found = calibrate_setups(planes(3, 1e6, declared_nm=declared_nm), OPTIONS)
@@ -86,7 +85,6 @@ def test_a_plane_of_the_wrong_sign_does_not_pass_unnoticed():
     assert found.setups[4].focus_nm == pytest.approx(620.0, abs=60.0)
 
 
-@pytest.mark.slow
 def test_planes_of_one_recording_share_star_and_sky_and_nothing_of_their_frames():
     own = (TipTiltJitter(),)
     some = [replace(one, own=own) for one in planes(0, 1e5)]
@@ -100,7 +98,6 @@ def test_planes_of_one_recording_share_star_and_sky_and_nothing_of_their_frames(
     assert sizes[()] == sizes[("bench",)] + count - 1
 
 
-@pytest.mark.slow
 def test_common_modes_of_a_ramp_are_within_the_errors_that_are_quoted():
     modes, pulls = tuple(range(5, MODES + 1)), []
     for seed in range(4):

@@ -15,7 +15,12 @@ from helpers.optics_cases import (
 )
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
-from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from irlos_pipe.effects.focus_stage import (
+    FocusStageHysteresis,
+    FocusStageOffset,
+    FocusStageScale,
+    travel_direction,
+)
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import Layout
 from irlos_pipe.estimate.lift import image_problem, smooth
@@ -25,7 +30,7 @@ from irlos_pipe.estimate.lift_errors import (
     instant_error_nm,
     nominal_frame_chi2,
 )
-from irlos_pipe.estimate.ramp import fit_focus_stage, summarise, travel_direction
+from irlos_pipe.estimate.ramp import fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import SharedFit, fit_shared, ramp_effects
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.grids import Grids

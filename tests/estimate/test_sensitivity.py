@@ -9,6 +9,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.estimate.sensitivity import (
     MEDIAN_OF_NORMAL,
+    Configuration,
     Criterion,
     dim,
     limiting_magnitude,
@@ -17,6 +18,7 @@ from irlos_pipe.estimate.sensitivity import (
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
+pytestmark = pytest.mark.slow
 NOISE = NoiseModel(1.4, 9.0)
 FRAMES = 4000
 
@@ -27,7 +29,6 @@ def bright_image() -> np.ndarray:
     return model.images(torch.zeros(1, 1))[0].double().numpy() * 2e5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.6, 0.05])
 def test_dimmed_frames_have_mean_and_variance_of_a_faint_star(bright_image, factor):
     frames = cases.draw_frames(bright_image, FRAMES, seed=1, noise=NOISE)
@@ -39,7 +40,6 @@ def test_dimmed_frames_have_mean_and_variance_of_a_faint_star(bright_image, fact
     assert abs(np.mean(dimmed.var(0) / expected) - 1) < 0.01
 
 
-@pytest.mark.slow
 def test_dimmed_frames_can_have_the_noise_of_many_reads(bright_image):
     frames = cases.draw_frames(bright_image, FRAMES, seed=1, noise=NOISE)
     signal, many = torch.as_tensor(bright_image).expand(FRAMES, -1, -1), NoiseModel(1.5, 200.0)
@@ -67,7 +67,6 @@ def test_the_limit_is_where_errors_or_failures_exceed_the_criterion(median_nm, f
     assert found == pytest.approx(limit, nan_ok=True)
 
 
-@pytest.mark.slow
 def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
     """Monte Carlo: noisy frames of the model itself, so that the error is that of an efficient estimate."""
     model = PsfModel(cases.settings(24), [2, 3, 4])
@@ -76,14 +75,12 @@ def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
     true[:, 2] = torch.as_tensor(introduced)
     signal = model.images(true).double() * 2e6
     frames = torch.cat([cases.draw_frames(mean.numpy(), 1, seed) for seed, mean in enumerate(signal)])
-    curve = scan(
-        ImageModel(model),
+    (curve,) = scan(
+        [Configuration(ImageModel(model), signal, true)],
         RampData(frames, cases.everything(frames), cases.READ_NOISE, introduced),
-        signal,
         10.0,
         np.array([12.5, 15.0]),
         20,
-        true,
         Criterion(30.0, 0.1),
         seed=5,
     )

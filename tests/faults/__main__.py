@@ -11,7 +11,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from helpers.journal import Journal
 
 from faults.harness import Harness, after_harm
 from faults.runs import End, signalled
@@ -20,21 +19,19 @@ SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 KILL, DISK, SIGNAL, WRITER = "kill -9", "full disk", "signal", "beside a writer"
 SMALLEST_BYTES = 100
 Harm = tuple[str, int, float]  # name, number, where within its range: 0 to 1
+Suffered = tuple[str, int, list[str]]  # name, how the run ended, all that was wrong
 
 
 def main() -> int:
     """Return 1 if anything was left that must not be."""
     options = _options()
-    journal, harms = Journal(options.output), _harms(options)
+    harms, found = _harms(options), []
     with tempfile.TemporaryDirectory(prefix="irlos-faults-") as place:
         # After a writer the recordings have other times: the others come first, in other processes.
         for late in (False, True):
-            todo = [one for one in harms if (one[0] == WRITER) == late and _key(one) not in journal.entries]
-            if todo:
-                _suffer(todo, Path(place), options.jobs, journal)
-    found = [journal.entries[_key(one)] for one in harms]
+            found += _suffer([one for one in harms if (one[0] == WRITER) == late], Path(place), options.jobs)
     print(_table(found))
-    return int(any(one["problems"] for one in found))
+    return int(any(problems for _, _, problems in found))
 
 
 def _options() -> argparse.Namespace:
@@ -47,9 +44,6 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument(
-        "--output", type=Path, help="file that keeps what was tried; given again, the search goes on from it"
-    )
     return parser.parse_args()
 
 
@@ -62,18 +56,15 @@ def _harms(options: argparse.Namespace) -> list[Harm]:
     return [(name, number, float(at)) for name, some in drawn.items() for number, at in enumerate(some)]
 
 
-def _key(harm: Harm) -> str:
-    name, number, at = harm
-    return f"{name} {number} at {at:.9f}"
-
-
-def _suffer(harms: list[Harm], place: Path, jobs: int, journal: Journal) -> None:
+def _suffer(harms: list[Harm], place: Path, jobs: int) -> list[Suffered]:
     """Bring all harms about, printing problems at once."""
+    found = []
     with multiprocessing.get_context("fork").Pool(max(1, min(jobs, len(harms))), _begin, (place,)) as pool:
-        for harm, code, problems in pool.imap_unordered(_suffered, harms):
-            journal.add(_key(harm), name=harm[0], code=code, problems=problems)
+        for (name, number, at), code, problems in pool.imap_unordered(_suffered, harms):
+            found.append((name, code, problems))
             for problem in problems:
-                print(f"{_key(harm)}: {problem}", flush=True)
+                print(f"{name} {number} at {at:.9f}: {problem}", flush=True)
+    return found
 
 
 def _begin(place: Path) -> None:
@@ -110,13 +101,15 @@ def _harmed(harness: Harness, tree: Path, harm: Harm) -> End:
     return harness.filled(tree, round(SMALLEST_BYTES * (harness.largest / SMALLEST_BYTES) ** at))
 
 
-def _table(found: list[dict]) -> str:
+def _table(found: list[Suffered]) -> str:
     lines = []
     for name in (KILL, DISK, SIGNAL, WRITER):
-        own = [one for one in found if one["name"] == name]
-        ends = dict(sorted(Counter(one["code"] for one in own).items()))
-        problems = sum(len(one["problems"]) for one in own)
-        lines.append(f"{name}: {len(own)} times, ends {ends}, {problems} problems")
+        codes, problems = Counter(), 0
+        for _, code, own in (one for one in found if one[0] == name):
+            codes[code] += 1
+            problems += len(own)
+        ends = dict(sorted(codes.items()))
+        lines.append(f"{name}: {codes.total()} times, ends {ends}, {problems} problems")
     return "\n".join(lines)
 
 

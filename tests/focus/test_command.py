@@ -22,6 +22,8 @@ from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.recordings import Replay
 from irlos_pipe.focus.ring import RingWriter
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
@@ -45,7 +47,6 @@ def records(folder) -> list[dict]:
     return [one for one in content if "sequence" in one]
 
 
-@pytest.mark.slow
 def test_a_replay_gives_what_lift_gives_to_the_last_bit(run, tmp_path):
     result = invoke("focus", str(run), "--replay", str(run), "--output", str(tmp_path / "again"))
     assert result.exit_code == 0
@@ -61,7 +62,6 @@ def test_a_replay_gives_what_lift_gives_to_the_last_bit(run, tmp_path):
     assert abs(found[0]["defocus_nm"] - points[0]["introduced_nm"]) < 10.0
 
 
-@pytest.mark.slow
 def test_what_cannot_be_is_said_in_one_line_with_its_exit_code(run, tmp_path):
     (tmp_path / "text").write_text("no frames at all")
     RingWriter(tmp_path / "ring", (20, 24)).close()
@@ -80,7 +80,6 @@ def test_what_cannot_be_is_said_in_one_line_with_its_exit_code(run, tmp_path):
         assert found == code and words in line
 
 
-@pytest.mark.slow
 def test_frames_may_be_described_by_a_side_car(run, tmp_path):
     described = SAMPLES / "ramp" / "offset_00" / "acquisition.yaml"
     options = ["--acquisition", str(described), "--output", str(tmp_path / "loop"), "-q"]
@@ -113,7 +112,6 @@ def doubtful(run, tmp_path):
     return folder
 
 
-@pytest.mark.slow
 def test_a_calibration_whose_qc_has_failed_is_taken_only_when_asked_for(run, doubtful, tmp_path):
     replay = ("--replay", str(run), "--output", str(tmp_path / "loop"))
     code, line = failure(doubtful, *replay)
@@ -122,7 +120,6 @@ def test_a_calibration_whose_qc_has_failed_is_taken_only_when_asked_for(run, dou
     assert invoke("focus", str(doubtful), *replay, "--despite-qc", "-q").exit_code == 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("turn", [np.flipud, np.fliplr, np.transpose, np.rot90])
 def test_samples_read_out_in_another_orientation_are_not_valid(run, turn):
     sensor = CalibrationRequest(run, despite_qc=True).load().sensor
@@ -131,7 +128,6 @@ def test_samples_read_out_in_another_orientation_are_not_valid(run, turn):
     assert all("mirrored" in sensor.measurement(turn(frame)).reasons for frame in frames)
 
 
-@pytest.mark.slow
 def test_a_calibration_with_frames_of_a_2x2_mode_asks_for_those_of_the_full_pupil(run, monkeypatch):
     real = CalibrationRequest._frames
 
@@ -182,7 +178,6 @@ def waited_for(output, count: int) -> list[dict]:
     raise AssertionError(f"no {count} records")
 
 
-@pytest.mark.slow
 def test_killed_at_any_moment_the_loop_goes_on_where_it_was_and_nothing_is_lost(run, tmp_path):
     source = Replay(run, "ramp")
     frames = [read.image_e for _ in range(40) for read in source.poll(0.0)]
@@ -210,7 +205,6 @@ def test_killed_at_any_moment_the_loop_goes_on_where_it_was_and_nothing_is_lost(
     assert not any(one["reads_missing"] for one in found[:10])
 
 
-@pytest.mark.slow
 def test_the_loop_outlives_its_ring_and_an_interrupt_ends_it_as_the_contract_says(run, tmp_path):
     frames = [read.image_e for read in Replay(run, "ramp").poll(0.0)]
     ring, output = tmp_path / "ring", tmp_path / "loop"

@@ -5,3 +5,5 @@ one spoiled input and a command line; `judge` says what no input may ever bring 
 an undocumented exit code, a hang, more than 2 GB, a file outside the output folder, or a result that
 differs from that of the unspoiled input without a word.
 """
+
+from fuzz import fits_kinds, name_kinds, product_kinds, transport_kinds, tree_kinds, yaml_kinds  # noqa: F401

@@ -9,13 +9,10 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from helpers.journal import Journal
-
-from fuzz import fits_kinds, name_kinds, pristine, product_kinds, transport_kinds, tree_kinds, yaml_kinds  # noqa: F401 (they enter their kinds)
+from fuzz import pristine
 from fuzz.case import KINDS, draw
 from fuzz.judge import TIME_S, Verdict, judged
 
-KEPT = ("kind", "seed", "summary", "exit_code", "finding", "compared")  # in the journal
 NO_ANSWER_S = 30 * TIME_S  # a process that was killed, or hangs where no signal reaches it
 
 
@@ -31,8 +28,7 @@ def main() -> int:
         pristine.reference(name)
     pristine.run_files()
     start = time.perf_counter()
-    journal = Journal(options.output)
-    verdicts = list(_all_judged(cases, options.jobs, journal))
+    verdicts = list(_all_judged(cases, options.jobs))
     print(_table(verdicts, kinds))
     findings = [verdict for verdict in verdicts if verdict.finding]
     print(
@@ -51,21 +47,15 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
-        "--output", type=Path, help="file that keeps what was tried; given again, the search goes on from it"
-    )
-    parser.add_argument(
         "--show", nargs=2, metavar=("KIND", "SEED"), help="make one case in ./fuzz-case and run it"
     )
     return parser.parse_args()
 
 
-def _all_judged(cases: list[tuple[str, int]], jobs: int, journal: Journal) -> Iterator[Verdict]:
-    """Yield a verdict per case, those of the journal first, printing findings at once."""
-    known = dict(map(_remembered, journal.entries.values()))
-    todo = [case for case in cases if case not in known]
-    yield from (known[case] for case in cases if case in known)
+def _all_judged(cases: list[tuple[str, int]], jobs: int) -> Iterator[Verdict]:
+    """Yield a verdict per case, printing findings at once."""
     with multiprocessing.get_context("fork").Pool(jobs, maxtasksperchild=100) as pool:
-        waiting = [(kind, seed, pool.apply_async(judged, (kind, seed))) for kind, seed in todo]
+        waiting = [(kind, seed, pool.apply_async(judged, (kind, seed))) for kind, seed in cases]
         for kind, seed, answer in waiting:
             try:
                 verdict = answer.get(NO_ANSWER_S)
@@ -73,15 +63,7 @@ def _all_judged(cases: list[tuple[str, int]], jobs: int, journal: Journal) -> It
                 verdict = Verdict(kind, seed, "", -1, "no answer: the process died or hangs")
             if verdict.finding:
                 print(f"{kind} {seed} ({verdict.summary}): {verdict.finding}", flush=True)
-            kept = {name: getattr(verdict, name) for name in KEPT}
-            journal.add(f"{kind} {seed}", **(kept if verdict.finding else kept | {"summary": ""}))
             yield verdict
-
-
-def _remembered(entry: dict) -> tuple[tuple[str, int], Verdict]:
-    """The verdict of an entry of the journal, by its case."""
-    verdict = Verdict(**{name: entry[name] for name in KEPT})
-    return (verdict.kind, verdict.seed), verdict
 
 
 def _show(kind: str, seed: str) -> int:

@@ -3,12 +3,11 @@
 They take the place of the modules ``irlos_pipe.stages.ingest``, ``calibrate`` and ``lift``.
 `COUNTS` says how often each ran; files named ``<stage>.<behaviour>`` in the input folder make
 a stage misbehave: ``crash``, ``bad_data``, ``nothing``, ``fail_qc``, ``lose_exposure``,
-``missing_file``, ``interrupt``, ``disk_full``, ``slow``.
+``missing_file``, ``interrupt``, ``disk_full``.
 """
 
 import errno
 import sys
-import time
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
@@ -103,9 +102,6 @@ def _lose_exposure(output: StageOutput) -> StageOutput:
 
 def _misbehave(name: str, folder: Path) -> None:
     wanted = {path.suffix[1:] for path in folder.glob(f"{name}.*")}
-    if "slow" in wanted:
-        print(f"{name} is running", flush=True)
-        time.sleep(60)
     errors = {
         "crash": ZeroDivisionError("a bug"),
         "bad_data": InputDataError("cube.fits: HDU 1 is truncated"),
@@ -162,7 +158,7 @@ def report_module() -> ModuleType:
 
 
 if __name__ == "__main__":
-    # The command line with the stand-ins, for tests that kill a process.
+    # The command line with the stand-ins, for tests at a terminal.
     sys.modules |= modules()
     from irlos_pipe.commands.main import cli
 

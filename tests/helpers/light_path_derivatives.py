@@ -1,6 +1,6 @@
-"""Derivatives of a light path against finite differences."""
+"""Derivatives of a light path and of a fit against finite differences."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import pytest
 import torch
@@ -22,6 +22,19 @@ def difference(images, at: torch.Tensor, index: int, step: float) -> torch.Tenso
     move = torch.zeros(at.shape[-1], dtype=torch.float64)
     move[index] = step
     return (images(at + move) - images(at - move)) / (2 * step)
+
+
+def assert_gradient(
+    objective: Callable[[torch.Tensor], torch.Tensor],
+    gradient: torch.Tensor,
+    x: torch.Tensor,
+    steps: Mapping[int, float],
+    **tolerance: float,
+) -> None:
+    """The gradient (fits, parameters) of an objective (fits,) is its slope, a step per parameter."""
+    for index, step in steps.items():
+        slope = difference(objective, x, index, step).numpy()
+        assert gradient[:, index].numpy() == pytest.approx(slope, **tolerance), index
 
 
 def assert_jacobian(

@@ -8,11 +8,13 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+import pytest
 from markupsafe import Markup
 
 import irlos_pipe.report.build  # noqa: F401 - before a stand-in takes the place of what it imports
 from helpers import fake_stages
 from helpers.fake_stages import COUNTS
+from helpers.patience import within
 from helpers.sparta_files import counts, star, write_recorder
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.ramp import Line
@@ -128,10 +130,13 @@ class NightBench:
         return (self.tree / f"night_{night}.html").read_text()
 
 
-def without_drawings(monkeypatch) -> None:
-    """Drawing takes most of the time of a small night."""
+@pytest.fixture(name="bench")
+def night_bench(tmp_path, monkeypatch) -> NightBench:
+    """An empty archive; nothing is drawn, which takes most of the time of a small night, or hangs."""
     for name in ("series_drawing", "structure_drawing"):
         monkeypatch.setattr(trend_plots, name, lambda name, _: Markup("<svg></svg>"))
+    with within(60):
+        yield make(tmp_path, monkeypatch)
 
 
 def make(folder: Path, monkeypatch) -> NightBench:

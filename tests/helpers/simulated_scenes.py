@@ -3,9 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import torch
 
+from helpers.optics_cases import READ_NOISE, draw_frames, everything
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.scene import Sampling, Scene, draw_ncpa_nm
@@ -38,6 +42,13 @@ def scene(*, geometry: PupilGeometry = UT4, **changes) -> Scene:
 def image(**changes) -> np.ndarray:
     """Mean image of the frames of `scene`, in parts of the star's light, (rows, columns) float64."""
     return of_light(expose(scene(**changes)), scene(**changes))
+
+
+def sky_frames(sky: Sky, **changes) -> tuple[Frames, Exposed]:
+    """Frames of 0.1 s on the sky with photon noise and read noise of 1 e-, and what was exposed."""
+    exposed = expose(scene(sky=sky, sampling=replace(FINE, step_s=0.02), **changes))
+    images = torch.cat([draw_frames(mean, 1, seed) for seed, mean in enumerate(exposed.mean_e)])
+    return Frames(images, everything(images), READ_NOISE), exposed
 
 
 def of_light(exposed: Exposed, exposed_scene: Scene) -> np.ndarray:

@@ -4,8 +4,7 @@ import os
 import sqlite3
 
 import pytest
-from helpers import night_bench
-from helpers.patience import within
+from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
 from irlos_pipe.night import database
@@ -14,13 +13,6 @@ from irlos_pipe.night.reduce import Task, failure
 from irlos_pipe.night.settings import load_settings
 
 MORNING = "2024-02-11T03:00:00"
-
-
-@pytest.fixture
-def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
-    night_bench.without_drawings(monkeypatch)
-    with within(60):
-        yield night_bench.make(tmp_path, monkeypatch)
 
 
 # -- names --------------------------------------------------------------------------------------

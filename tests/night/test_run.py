@@ -10,20 +10,14 @@ import time
 from dataclasses import replace
 
 import pytest
-from helpers import night_bench
 from helpers.fake_stages import COUNTS
+from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.run import plan_night, run_night
 
 MORNING = "2024-02-11T03:00:00"
-
-
-@pytest.fixture
-def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
-    night_bench.without_drawings(monkeypatch)
-    return night_bench.make(tmp_path, monkeypatch)
 
 
 def contents(folder) -> dict[str, bytes]:
@@ -216,23 +210,6 @@ def test_old_products_stay_complete_when_a_later_stage_of_the_new_ones_fails(ben
     assert bench.run().exit_code == 0
     after = contents(bench.run_folder())
     assert after["02_calibrate.h5"] != before["02_calibrate.h5"] and not list(folder.glob(".*.part"))
-
-
-@pytest.mark.slow
-def test_an_interrupted_reprocessing_continues_where_it_stopped(bench, monkeypatch):
-    folder = bench.record(MORNING)
-    bench.run()
-    before = contents(bench.run_folder())
-    change_model(monkeypatch, "ingest")
-    (folder / "numbers.json").touch()  # same content
-    with monkeypatch.context() as patch:
-        patch.setattr(sys.modules["irlos_pipe.stages.lift.stage"], "run", _interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            bench.run()
-    assert contents(bench.run_folder()) == before
-    bench.run()
-    assert (COUNTS["ingest"], COUNTS["calibrate"]) == (2, 2)
-    assert len(list(bench.run_folder().parent.iterdir())) == 1
 
 
 def _interrupted(_):

@@ -24,6 +24,7 @@ from irlos_pipe.optics.pupil import (
     segments_of,
 )
 
+pytestmark = pytest.mark.slow
 MAS_RAD = np.deg2rad(1 / 3.6e6)
 NODES = 6  # per pixel and axis
 
@@ -103,7 +104,6 @@ def disagreement(image: np.ndarray, truth: np.ndarray) -> float:
     return float(np.abs(image - truth).max() / truth.max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("geometry", "aperture", "wavelength_nm"),
     [(SEGMENTED, segmented_aperture, 1250.0), (THREE_VANES, three_vane_aperture, 2150.0)],
@@ -116,7 +116,6 @@ def test_images_agree_with_hcipy_to_1e_4_of_the_peak(geometry, aperture, wavelen
         assert disagreement(image_of(here, wavefront_nm, wavelength_nm), truth) <= 1e-4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("flip", ["none", "x", "y"])
 def test_a_map_gives_the_image_of_its_samples(flip):
     samples, step_m = 160, 8.4 / 160
@@ -151,7 +150,6 @@ def test_parts_have_their_area_as_apertures_and_as_obstructions(part, area):
     assert whole - dark == pytest.approx(area, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_pistons_of_segments_agree_with_analysis():
     segments = KECK_LIKE.aperture[0]
     polygons = [hexagon(segments.flat_to_flat_m, centre) for centre in segments.centres_m[1:]]
@@ -170,7 +168,6 @@ def test_pistons_of_segments_agree_with_analysis():
     assert disagreement(image, truth) <= 3e-5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "geometry",
     [SEGMENTED, PupilGeometry(8.0, 1.1, VANES, obstructions=(Circle(0.7).placed(ASIDE),))],

@@ -20,6 +20,7 @@ from irlos_pipe.paper.derotator_series import (
 )
 from irlos_pipe.simulate.exposure import expose
 
+pytestmark = pytest.mark.slow
 FACILITY = load_instrument("irlos").facility
 TRUTH = draw_truth((5,), FACILITY.ncpa_law, 30.0, 60.0)
 SIZES = {"frames": 24, "published_frames": 3}
@@ -33,7 +34,6 @@ def random_points(count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
     return radius * np.cos(azimuth), radius * np.sin(azimuth)
 
 
-@pytest.mark.slow
 def test_the_bump_is_the_ridge_but_for_piston_tip_and_tilt():
     x, y = random_points()
     bump = phase_bump_nm()
@@ -46,7 +46,6 @@ def test_the_bump_is_the_ridge_but_for_piston_tip_and_tilt():
     assert rms_beyond_tilt_nm(beyond) == pytest.approx(62, abs=1)
 
 
-@pytest.mark.slow
 def test_the_truth_at_an_angle_is_what_the_simulator_makes():
     scene = replace(derotator_series.scene_of(STAR, 1), sky=None, motion=None)
     exposed = expose(scene)
@@ -74,7 +73,6 @@ def test_a_perfect_series_leaves_only_what_was_not_estimated(perfect):
     assert errors["rotating_all_error_nm"] == pytest.approx(rms_beyond_tilt_nm(missed))
 
 
-@pytest.mark.slow
 def test_both_methods_estimate_the_cube_and_the_default_errs_less():
     default, published = derotator_series.rows(STAR)
     assert usable_modes(tuple(published["nolls"]))[2:].all()
@@ -101,7 +99,6 @@ def angle_estimates(star):
         }
 
 
-@pytest.mark.slow
 def test_parts_of_a_series_err_as_their_estimates_do_and_are_drawn(monkeypatch):
     output = run_on(monkeypatch, derotator_series, angle_estimates)
     for row in tables_of(output)["methods"].itertuples():

@@ -52,7 +52,7 @@ def test_dispersion_is_found_by_the_default_and_misleads_a_model_without_it():
 
 @pytest.mark.slow
 def test_held_tip_and_tilt_stay_where_they_are_held():
-    ramp = ramp_of(STAR, CUBE, CONDITIONS["clean"])
+    ramp = ramp_of(CUBE, CONDITIONS["clean"], STAR.sizes)
     observed = observe(ramp, expose(ramp), calibrated(CUBE, [DEFAULT]))
     free, held = (
         fit_way(observed, replace(WAYS[key], colour=False)) for key in ("default", "tilt_calibrated")

@@ -63,36 +63,6 @@ def test_drifts_have_the_structure_function_at_every_lag():
 # -- linear theory -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("delay", [0, 1, 4])
-def test_the_stability_limit_is_where_a_pole_reaches_the_unit_circle(delay):
-    limit = Integrator(1.0, 1.0, delay).largest_stable_gain
-    for gain, stable in ((0.999 * limit, True), (1.001 * limit, False)):
-        polynomial = np.zeros(delay + 2)
-        polynomial[0], polynomial[1] = 1, -1
-        polynomial[-1] += gain
-        assert (np.abs(np.roots(polynomial)).max() < 1) == stable
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "loop", [Integrator(0.5), Integrator(0.15), Integrator(0.4, 2.0), Integrator(0.6, 1.0, 0)]
-)
-def test_the_residual_is_that_of_the_difference_equation(loop):
-    runs, frames, noise, sub = 300, 300, 12.0, 10
-    rng = np.random.default_rng(3)
-    drift = np.array([DRIFT.draw_nm(rng, frames * sub, loop.frame_s / sub) for _ in range(runs)])
-    drift = drift.reshape(runs, frames, sub)
-    command = np.zeros((frames + 1 + loop.delay, runs))
-    squares = []
-    for k in range(frames):
-        residual = drift[:, k] - command[k][:, None]
-        command[k + 1 + loop.delay] = command[k + loop.delay] + loop.gain * (
-            residual.mean(1) + noise * rng.standard_normal(runs)
-        )
-        squares.append(np.mean(residual**2))
-    assert np.sqrt(np.mean(squares[60:])) == pytest.approx(loop.residual_nm(DRIFT, noise), rel=0.02)
-
-
 @pytest.mark.parametrize("noise", [1.0, 20.0])
 def test_the_best_gain_is_a_minimum(noise):
     best = best_gain(DRIFT, noise)

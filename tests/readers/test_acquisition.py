@@ -95,15 +95,6 @@ def test_what_has_no_safe_default_and_what_does_not_fit_is_named(tmp_path, witho
         resolve(recording(tmp_path), NOTHING, IRLOS)
 
 
-def test_without_a_side_car_all_missing_keys_are_named_at_once(tmp_path):
-    with pytest.raises(
-        InputDataError,
-        match=r"rec\.fits: no side-car acquisition\.yaml; "
-        "keys 'role', 'spectrum', 'diversity' missing",
-    ):
-        resolve(recording(tmp_path), NOTHING, IRLOS)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -1,15 +1,23 @@
-"""Schema of results.json and list of arrays against small runs of every stage of the light path."""
+"""Small runs of every stage of the light path: their schema, their arrays, and that they repeat to the bit.
+
+Truth of the bits: the same recipe run with one job, and another process. Numbers of modes, frames and draws
+are small, the code is that of a full reduction.
+"""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import jsonschema
 import pytest
 from helpers import sparta_files
 from helpers.result_schema import schema_problems
+from threadpoolctl import threadpool_limits
 
-from irlos_pipe.pipeline import run_recipe
-from irlos_pipe.product.product import name_in
+from irlos_pipe.pipeline import Resources, run_recipe
+from irlos_pipe.product.product import Product, name_in
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.reference import COMMANDS, RESULTS
@@ -22,6 +30,7 @@ RAMP = """\
 recipe: ramp
 inputs: {calibration: data/cube_0, ramp: data/ramp}
 stages: [ingest, prior, calibrate, lift, sensitivity, correct]
+seed: 5
 model: {pupil_samples: 48}
 calibrate: {method: long_exposure, highest_noll: 6, max_iterations: 3, compare: [dip_avg]}
 lift: {start: zero, max_iterations: 3}
@@ -91,3 +100,42 @@ def test_every_array_of_every_product_has_the_axes_that_are_declared(runs):
             assert known is not None, f"{product.stage}.{name}: say in ARRAYS of the stage what it is"
             axes = declared[known][1].split(",") if declared[known][1] else []
             assert len(axes) == array.value.ndim or "<array>" in known, known
+
+
+def content(product: Product) -> tuple:
+    """All of a product but when, where and how fast it was made."""
+    arrays = {
+        name: (one.value.tobytes(), None if one.error is None else one.error.tobytes())
+        for name, one in product.arrays.items()
+        if "seconds" not in name
+    }
+    return arrays, without_times(product.results), product.checks, product.config
+
+
+def without_times(content):
+    if isinstance(content, dict):
+        return {key: without_times(value) for key, value in content.items() if "seconds" not in key}
+    return [without_times(value) for value in content] if isinstance(content, list) else content
+
+
+def test_a_second_run_with_eight_jobs_and_more_threads_of_numpy_gives_the_same_bits(runs):
+    again = runs[0].with_name("again")
+    with threadpool_limits(8, user_api="blas"):
+        run_recipe(load_recipe(runs[0].with_name("ramp.yaml")), again, resources=Resources(jobs=8))
+    names = sorted(path.name for path in runs[0].glob("*.h5"))
+    assert len(names) == 6
+    for name in names:
+        assert content(read_product(again / name)) == content(read_product(runs[0] / name)), name
+
+
+def test_a_process_with_another_seed_of_the_hashes_writes_the_same_bits(runs, tmp_path):
+    """Sets and dictionaries of text come in another order where code relies on it."""
+    command = [sys.executable, "-m", "irlos_pipe", "run", runs[0].with_name("ramp.yaml"), "--to", "ingest"]
+    environment = os.environ | {"PYTHONHASHSEED": "1"}
+    done = subprocess.run([*command, "--output", tmp_path], env=environment, capture_output=True, text=True)
+    assert done.returncode in (0, 4), done.stderr
+    assert (tmp_path / "recipe.resolved.yaml").read_bytes() == (runs[0] / "recipe.resolved.yaml").read_bytes()
+    there, here = (
+        json.loads((folder / "results.json").read_text())["stages"] for folder in (tmp_path, runs[0])
+    )
+    assert json.dumps(without_times(there["ingest"])) == json.dumps(without_times(here["ingest"]))

@@ -36,18 +36,17 @@ from irlos_pipe.simulate.recordings.spec import load_spec, plan_recordings
 from irlos_pipe.simulate.scene import Sampling
 from irlos_pipe.simulate.telescope import zernike
 
+pytestmark = pytest.mark.slow
 SAMPLES = 768  # of HCIPy's pupil; those of the simulator are 256 and 128
 TOTAL_NM = {**NCPA_NM, 6: NCPA_NM[6] - 170.0}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("wavelength_nm", "window"), [(1200.0, (64, 64)), (1600.0, (33, 48))])
 def test_static_images_agree_with_hcipy(wavelength_nm, window):
     found = image(bands=(Band(wavelength_nm, 1e-6),), window=window)
     assert worst(found, reference(SAMPLES).image(TOTAL_NM, wavelength_nm, window, 9.7)) < 1e-4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("wavelength_nm", "window"), [(1200.0, (64, 64)), (1600.0, (33, 48))])
 def test_the_coarser_sampling_of_sky_scenes_is_as_good(wavelength_nm, window):
     calm = {"sky": Sky(1e-4, wfe_nm=0.1), "motion": Motion(rms_mas=0.0), "window": window}
@@ -56,7 +55,6 @@ def test_the_coarser_sampling_of_sky_scenes_is_as_good(wavelength_nm, window):
     assert worst(found, reference(SAMPLES).image(TOTAL_NM, wavelength_nm, window, 9.7)) < 1e-4
 
 
-@pytest.mark.slow
 def test_a_band_is_the_weighted_sum_of_its_wavelengths():
     bands = (Band(1215.0, 58.0, 0.5), Band(1625.0, 84.0, 0.5))
     nodes, weights = np.polynomial.legendre.leggauss(3)
@@ -69,7 +67,6 @@ def test_a_band_is_the_weighted_sum_of_its_wavelengths():
     assert worst(image(bands=bands, sampling=Sampling(points_per_band=3)), expected) < 1e-4
 
 
-@pytest.mark.slow
 def test_photons_follow_magnitude_exposure_and_throughput():
     faint = scene(mag_j=12.0, exposure_s=2.0, throughput=0.3, frame_rate_hz=0.5)
     assert np.isclose(faint.photons, 150_000 * 10**1.2 * 2 * 0.3)
@@ -128,7 +125,6 @@ def spec(tmp_path, **changes):
     return load_spec(path)
 
 
-@pytest.mark.slow
 def test_simulated_images_are_those_of_the_model(tmp_path):
     tilts = {"x_mas": [3.0, 0.0, 0.0, 0.0], "y_mas": [0.0, -2.0, 0.0, 0.0], "flux": [0.2, 0.0, 0.0, 0.0]}
     scene = plan_recordings(spec(tmp_path, lenslet_images=tilts))[0].scene
@@ -153,7 +149,6 @@ def _light(geometry) -> float:
     return clear[:400, :400].sum() / clear.sum()
 
 
-@pytest.mark.slow
 def test_a_raw_file_has_quadrants_with_borders_and_perhaps_no_side_car(tmp_path):
     simulate(spec(tmp_path, side_car=False), tmp_path / "out")
     (path,) = (tmp_path / "out" / "data" / "one").iterdir()
@@ -208,7 +203,6 @@ STATIC = {name: STRONG[name] for name in (
 )} | {"spectrum": {"wavelength_nm": 1680.0, "slope": 0.5}}  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", STATIC)
 def test_an_effect_is_simulated_as_it_is_modelled(name):
     """In two colours; light of further images adds to that of the star."""
@@ -219,7 +213,6 @@ def test_an_effect_is_simulated_as_it_is_modelled(name):
     assert worst(image(bands=bands, effects={name: STATIC[name]}), truth) < 5e-5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "geometry",
     [
@@ -233,7 +226,6 @@ def test_simulated_images_are_those_of_the_model_of_pupil_shapes(geometry):
     assert np.abs(image(geometry=geometry) - truth).max() < 1e-4 * truth.max()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "public"),
     [
@@ -252,7 +244,6 @@ def test_effects_of_pupil_parts_are_those_of_the_model(effect, public):
     assert np.abs(found - truth).max() < 2e-4 * truth.max()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pharo", pytest.param("nirc2_narrow", marks=pytest.mark.long), "bench"])
 def test_the_pupils_of_profiles_are_simulated_as_they_are_modelled(name):
     instrument = load_instrument(name)

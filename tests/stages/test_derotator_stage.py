@@ -21,6 +21,7 @@ from irlos_pipe.stages import modes as modes
 from irlos_pipe.stages.calibrate import stage as calibrate
 from irlos_pipe.stages.derotator import PartRow
 
+pytestmark = pytest.mark.slow
 ANGLES = (0.0, 40.0, 110.0, 160.0)
 EACH = {"input": "cube", "each": True, "highest_noll": 15, "prior_scale": None}
 
@@ -46,7 +47,6 @@ def error_nm(part: PartRow, true_nm: dict[int, float]) -> float:
     return float(np.linalg.norm([value - true_nm[noll] for noll, value in part.zernike_nm.items()]))
 
 
-@pytest.mark.slow
 def test_every_cube_gets_the_estimate_it_would_get_alone(recordings, calibrated):
     alone, _ = bench.run_stage(
         calibrate, {"ingest": bench.ingest_product(recordings[1:2])}, **EACH | {"each": False}
@@ -59,7 +59,6 @@ def test_every_cube_gets_the_estimate_it_would_get_alone(recordings, calibrated)
     )
 
 
-@pytest.mark.slow
 def test_the_cause_is_that_of_the_cube_that_does_not_fit(recordings):
     """One of two cubes has other pixels than declared; a method by frames says that there are none."""
     good, bad = recordings[:2]
@@ -74,7 +73,6 @@ def test_the_cause_is_that_of_the_cube_that_does_not_fit(recordings):
     assert not per_frame.results.causes and "mean image" in per_frame.results.no_causes
 
 
-@pytest.mark.slow
 def test_few_frames_blame_what_many_blame():
     """Few frames are weighted by what the model misfits; a false cause would explain any misfit then."""
     few = bench.recording("few", 0.0, 5, frames=12)
@@ -85,7 +83,6 @@ def test_few_frames_blame_what_many_blame():
     assert all(one.name == "plate_scale" or one.explains < 0.8 for one in causes)
 
 
-@pytest.mark.slow
 def test_the_contracts_keys_hold_the_mean_over_the_cubes(calibrated):
     results = calibrated[0].results
     for noll, value in results.zernike_nm.items():
@@ -101,7 +98,6 @@ def test_the_contracts_keys_hold_the_mean_over_the_cubes(calibrated):
     assert {f"at_{angle:.0f}: converged fits" for angle in ANGLES} <= names
 
 
-@pytest.mark.slow
 def test_a_cube_without_a_used_frame_is_left_out_and_reported(recordings):
     poor = bench.recording("poor", 70.0, seed=9, used=0)
     products = {"ingest": bench.ingest_product([recordings[0], poor])}
@@ -112,7 +108,6 @@ def test_a_cube_without_a_used_frame_is_left_out_and_reported(recordings):
         bench.run_stage(calibrate, {"ingest": bench.ingest_product([poor])}, **EACH)
 
 
-@pytest.mark.slow
 def test_both_parts_are_found_within_their_errors(split):
     parts = split.results.parts
     for name, true_nm in (("rotating", bench.ROTATING_NM), ("fixed", bench.FIXED_NM)):
@@ -124,14 +119,12 @@ def test_both_parts_are_found_within_their_errors(split):
     assert all(check.passed for check in split.checks)
 
 
-@pytest.mark.slow
 def test_a_wrong_sense_fails_the_quality_control(calibrated):
     output, _ = bench.run_stage(derotator, calibrated[1], sense="anticlockwise")
     assert [check.passed for check in output.checks] == [False]
     assert output.results.delta_chi2 < -1000
 
 
-@pytest.mark.slow
 def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     halved = [
         replace(one, acquisition=replace(one.acquisition, derotator_angle_deg=angle / 2))
@@ -166,7 +159,6 @@ def output(products):
     return bench.run_stage(modes, products, numbers=NUMBERS, cubes=2)[0]
 
 
-@pytest.mark.slow
 def test_the_scatter_is_the_rms_over_the_cubes(output):
     noll, std = (output.arrays[name].value for name in ("noll", "std_nm"))
     for mode in bench.NOLLS:
@@ -175,14 +167,12 @@ def test_the_scatter_is_the_rms_over_the_cubes(output):
     assert output.results.draws == 3
 
 
-@pytest.mark.slow
 def test_modes_that_were_not_put_in_are_noise(output):
     noll, std, noise = (output.arrays[name].value for name in ("noll", "std_nm", "noise_nm"))
     absent = noll > 15
     assert np.sqrt(np.mean((std / noise)[absent] ** 2)) == pytest.approx(1, abs=0.5)
 
 
-@pytest.mark.slow
 def test_unseen_frames_recommend_the_number_put_in(output):
     numbers = output.results.numbers
     assert numbers.recommended == 15
@@ -238,7 +228,6 @@ def run(folder, stages: str, *settings: str) -> dict:
     return json.loads((folder / "out" / "results.json").read_text())["stages"]
 
 
-@pytest.mark.slow
 def test_a_raw_file_gives_its_low_orders_what_it_determines_and_the_focus_of_every_frame(tmp_path):
     stages = run(tmp_path, "ingest, calibrate, lift")
     calibrate, lift = stages["calibrate"], stages["lift"]

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS
@@ -28,6 +30,12 @@ METHOD_NAMES = {
     DEFAULT: "this pipeline's default", PAPER_CHOICE: "DIP global", "lift_slices": "LIFT slices",
     "dip_joint": "DIP joint", "lift_avg": "LIFT avg.", "dip_avg": "DIP avg.",
 }  # fmt: skip
+
+
+PublishedFrames = Annotated[
+    int,
+    Field(ge=2, le=10000, description="the first frames, for the published method, which fits one by one"),
+]
 
 
 def frames_per_method(frames: int, published_frames: int) -> dict[str, int]:

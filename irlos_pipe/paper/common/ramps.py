@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import torch
+from pydantic import Field
 
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
@@ -38,6 +39,7 @@ from irlos_pipe.paper.common.observation import (
 from irlos_pipe.paper.common.scenes import FINE, star_scene
 from irlos_pipe.simulate.exposure import Exposed
 from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.stages.base import StageConfig
 
 TTF = (2, 3, 4)
 NINE = (2, 3, 4, 5, 7, 8, 9, 10, 11)  # the paper's nine modes: without the astigmatism of the diversity
@@ -108,6 +110,27 @@ def calibrated(scene: Scene, methods: Iterable[str]) -> dict[str, Knowledge]:
 # -- the ramp ----------------------------------------------------------------------------------------
 
 
+class RampSizes(StageConfig):
+    """Sizes of ramps in J and H and of the cubes that they are calibrated with."""
+
+    reach_nm: float = Field(300.0, gt=0, le=600, description="a ramp goes from minus to plus this [nm RMS]")
+    offsets: int = Field(13, ge=3, le=200, description="positions of a ramp")
+    frames_per_offset: int = Field(2, ge=1, le=1000, description="frames at every position")
+    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
+    seeing_arcsec: float = Field(0.35, gt=0, le=3, description="seeing on SPARTA's scale")
+    cube_mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude in the calibration cube")
+    ramp_mag_j: float = Field(12.0, ge=0, le=20, description="J magnitude in the ramps in J and H")
+
+    @property
+    def introduced_nm(self) -> tuple[float, ...]:
+        return offsets_nm(self.reach_nm, self.offsets, self.frames_per_offset)
+
+    @property
+    def of_cube(self) -> tuple[float, int, float]:
+        """Seeing, frames and magnitude of the calibration cube."""
+        return self.seeing_arcsec, self.cube_frames, self.cube_mag_j
+
+
 def offsets_nm(reach_nm: float, offsets: int, frames: int = 1) -> tuple[float, ...]:
     """Return the defocus of every frame of a ramp from minus to plus `reach_nm`, `frames` at each offset."""
     return tuple(np.repeat(np.linspace(-reach_nm, reach_nm, offsets), frames).tolist())
@@ -122,6 +145,17 @@ def ramp_scene(cube: Scene, mag_j: float, introduced_nm: Sequence[float]) -> Sce
     of_frames = len(introduced_nm), mag_j, cube.ncpa_nm, tuple(introduced_nm)
     ramp = star_scene(cube.name, cube.facility, seed, *of_frames, seeing_arcsec=seeing)
     return replace(ramp, sampling=FINE)
+
+
+def narrow_ramp(cube: Scene, exposure_s: float, introduced_nm: tuple[float, ...], *stream: int) -> Scene:
+    """Return a ramp of the star of a `cube` in its light, in frames of `exposure_s` without a gap.
+
+    `introduced_nm` is as of `ramp_scene`; one `stream` gives other residuals than another.
+    """
+    return replace(
+        cube, role="defocus_ramp", seed=(*cube.seed, RAMP_STREAM, *stream), frames=len(introduced_nm),
+        exposure_s=exposure_s, frame_rate_hz=1 / exposure_s, introduced_nm=introduced_nm,
+    )  # fmt: skip
 
 
 def true_modes_nm(ramp: Scene, exposed: Exposed) -> np.ndarray:

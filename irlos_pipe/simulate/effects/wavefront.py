@@ -15,21 +15,20 @@ from irlos_pipe.simulate.telescope import Telescope
 REST_NM = 0.0  # where the focus stage stands before the first move
 
 
-class StaticModes(SimulatedEffect):
-    """Static modes `zernike_nm`, Noll: nm RMS."""
-
-    zernike_nm: Mapping[int, float]
-
-    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
-        return self.zernike_nm
-
-
 @dataclass(frozen=True)
-class HighOrderNcpa(StaticModes):
+class Modes(SimulatedEffect):
+    """Some modes `zernike_nm`, Noll: nm RMS."""
+
+    zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
+
+
+class HighOrderNcpa(Modes):
     """Further static modes `zernike_nm`, Noll: nm RMS."""
 
     name = "high_order_ncpa"
-    zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
+
+    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
+        return self.zernike_nm
 
 
 @dataclass(frozen=True)
@@ -66,12 +65,10 @@ class PhaseBump(SimulatedEffect):
         return self.nm * np.exp(-(x2[None, :] + y2[:, None]) / (2 * self.width_m**2))
 
 
-@dataclass(frozen=True)
-class NcpaDrift(SimulatedEffect):
+class NcpaDrift(Modes):
     """Modes that grow linearly from nothing to `zernike_nm`, Noll: nm RMS, over the recording."""
 
     name = "ncpa_drift"
-    zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
 
     def drift_zernike_nm(self) -> Mapping[int, float]:
         return self.zernike_nm
@@ -93,12 +90,10 @@ class ChromaticNcpa(SimulatedEffect):
         return {noll: slope * distance_um for noll, slope in self.zernike_nm_per_um.items()}
 
 
-@dataclass(frozen=True)
-class FilterNcpa(StaticModes):
+class FilterNcpa(HighOrderNcpa):
     """The wavefront `zernike_nm` of the filter or lens of this recording, Noll: nm RMS."""
 
     name = "filter_ncpa"
-    zernike_nm: Mapping[int, float] = key(ge=-1e4, le=1e4)
 
 
 @dataclass(frozen=True)

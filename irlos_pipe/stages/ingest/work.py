@@ -4,11 +4,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.optimize  # noqa: F401  once, not in every process that cleans
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
-from irlos_pipe.files.processes import require_memory
+from irlos_pipe.files.processes import available_bytes, forked_map, require_memory
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned, clean
@@ -41,13 +42,18 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     arrays: dict[str, Quantity] = {}
     rows: list[RecordingRow] = []
     quality: list[Check] = []
-    for source in ctx.progress(stars, desc="ingest"):
-        with failing_alone(failures, source.input, source.raw.path, ctx.log):
-            notes = source.raw.notes
-            source = accumulated(source, ctx.config.exposure_of(source.input))
-            for note in source.raw.notes[len(notes) :]:
+    whole: list[Source] = []
+    for star in stars:
+        with failing_alone(failures, star.input, star.raw.path, ctx.log):
+            whole.append(accumulated(star, ctx.config.exposure_of(star.input)))
+            for note in whole[-1].raw.notes[len(star.raw.notes) :]:
                 ctx.log.info(note)
-            recording, cleaned = ingest(source, ctx.config, ctx.instrument)
+    for source, found in zip(whole, _side_by_side(ctx, whole), strict=True):
+        if isinstance(found, list):
+            failures += found
+            continue
+        with failing_alone(failures, source.input, source.raw.path, ctx.log):
+            recording, cleaned = found
             told = told_of(recording, cleaned.noise, ctx.instrument.facility, _step_s(source.raw))
             told += of_counts(source.raw.adu)
             doubts = [f"{recording.name}: {one.text}" for one in told if one.warned]
@@ -60,6 +66,23 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     lines = [text for _, text in failures]
     results = IngestResults(inputs=[*rows, *map(_dark_row, darks)])
     return StageOutput(arrays, results, quality, summary=[_line(one) for one in rows], failures=lines)
+
+
+def _side_by_side(
+    ctx: StageContext[Config], sources: Sequence[Source]
+) -> list[tuple[Recording, Cleaned] | list[tuple[str, str]]]:
+    """Clean all recordings, or note what goes wrong; one by one where memory may not hold all at once."""
+
+    def attempt(source: Source) -> tuple[Recording, Cleaned] | list[tuple[str, str]]:
+        failures: list[tuple[str, str]] = []
+        with failing_alone(failures, source.input, source.raw.path, ctx.log):
+            return ingest(source, ctx.config, ctx.instrument)
+        return failures
+
+    # What a process returns is there twice for a while.
+    roomy = 2 * sum(map(_needed_bytes, sources)) < available_bytes()
+    with ctx.progress(total=len(sources), desc="ingest") as bar:
+        return forked_map(ctx.jobs if roomy else 1, attempt, sources, lambda source: bar.update())
 
 
 def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
@@ -89,9 +112,14 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
 
 def _require_room(source: Source) -> None:
     frames, rows, columns = source.raw.adu.shape
-    needed_bytes = BYTES_PER_PIXEL * rows * columns + BYTES_PER_VALUE * source.raw.adu.size
     where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
-    require_memory(needed_bytes, where, InputDataError, "cut the window, or the recording into parts")
+    advice = "cut the window, or the recording into parts"
+    require_memory(_needed_bytes(source), where, InputDataError, advice)
+
+
+def _needed_bytes(source: Source) -> float:
+    _, rows, columns = source.raw.adu.shape
+    return BYTES_PER_PIXEL * rows * columns + BYTES_PER_VALUE * source.raw.adu.size
 
 
 def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:

@@ -1,24 +1,8 @@
-"""The hidden-effect suite: its cases, its judgement, and two recordings from beginning to end.
-
-Truth: outcomes written down by hand; the sizes that were hidden.
-"""
-
-from __future__ import annotations
-
-from dataclasses import replace
+"""How the suites judge what a user is told. Truth: outcomes written down by hand."""
 
 import pytest
 
-from benchmarks.diagnose_suite.cases import (
-    CLEAN,
-    OUTSIDE,
-    PAIR,
-    RAMP_SINGLE,
-    SINGLE,
-    Case,
-    Setting,
-    all_cases,
-)
+from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, SINGLE
 from benchmarks.diagnose_suite.judging import (
     extra_names,
     first_is_wrong,
@@ -29,13 +13,9 @@ from benchmarks.diagnose_suite.judging import (
     is_right,
     is_untestable,
 )
-from benchmarks.diagnose_suite.making import plan_case
-from benchmarks.diagnose_suite.working import SUITE
-from benchmarks.harness import worked
-from irlos_pipe.simulate.effects import effects_of
-from irlos_pipe.simulate.recordings.files import side_car
+from benchmarks.misled.cases import CALIBRATION, DIAGNOSIS, NIGHT
+from benchmarks.misled.suite import verdict
 
-CASES = all_cases()
 GHOST = {"flux_ratio": 0.003, "sep_mas": 100.0, "pa_deg": 30.0, "defocus_nm": 100.0}
 AT_GHOST = {"flux_ratio": 0.003, "sep_mas": 110.0, "pa_deg": 31.0}
 APART = {"flux_ratio": 0.01, "sep_mas": 200.0, "pa_deg": 210.0}
@@ -64,24 +44,6 @@ def outcome(hidden, *names, kind=SINGLE, verdict=None, found=None, untestable=()
 def dirty(hidden, *names, **more) -> dict:
     """The same where scale and ghost are a little wrong."""
     return outcome(hidden, *names, **{"mild": {"plate_scale": {"fraction": 0.005}, "ghost": GHOST}} | more)
-
-
-# -- the cases ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "case", [c for c in CASES if c.kind in (SINGLE, PAIR, RAMP_SINGLE)][::23], ids=lambda c: c.name
-)
-def test_every_hidden_effect_is_a_valid_simulation_and_its_side_car_that_of_none(case, tmp_path):
-    plan = plan_case(case, tmp_path / "spec.yaml")
-    assert [one.effect for one in plan.hidden] == list(case.effects)
-    effects_of({one.effect: one.parameters for one in plan.hidden})
-    told = side_car(plan.recordings[-1])
-    assert told["pixel_scale_mas"] == 9.7 and told["diversity"]["zernike"] == {6: -170.0}
-    assert "effects" not in told
-
-
-# -- judging -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -120,25 +82,35 @@ def test_a_diagnosis_is_judged_by_what_it_names_and_where(one, true, false):
     assert not any(judge(one) for judge in false)
 
 
-# -- from beginning to end ---------------------------------------------------------------------
+# Plausible but wrong inputs.
 
 
-@pytest.mark.long
-def test_a_companion_and_an_offset_of_the_focus_stage_are_found_with_their_sizes(tmp_path):
-    small = Setting("bench", "narrow_h", 8.0, frames=32, window=40)
-    cases = [
-        Case(SINGLE, small, ("companion",), "strong"),
-        Case(RAMP_SINGLE, small, ("focus_stage_offset",), "strong"),
-    ]
-    outcomes, failed = worked(SUITE, cases, tmp_path, jobs=1)
-    assert failed == {} and all(is_right(one) for one in outcomes)
-    companion = outcomes[0]
-    truth, (step,) = companion["truth"]["sizes"]["companion"], companion["diagnosis"]["steps"]
-    assert step["parameters"]["flux_ratio"] == pytest.approx(truth["flux_ratio"], rel=0.03)
-    assert companion["ncpa_error_nm"]["after"] < 0.5 * companion["ncpa_error_nm"]["before"]
-    assert companion["ncpa_bias_nm"]["after"] < 0.2 * companion["ncpa_bias_nm"]["before"]
-    given = [path.read_bytes() for path in (tmp_path / "data").rglob("*") if path.is_file()]
-    assert given
-    assert not any(b"flux_ratio" in content or b"focus_stage" in content for content in given)
-    with pytest.raises(ValueError, match="another seed"):
-        SUITE.work(replace(cases[0], suite_seed=5), tmp_path)
+PASSED = {"kind": CALIBRATION, "family": "x", "right": False, "cause": "", "accused": [], "warned": []}
+PASSED |= {"sigmas": 1.0, "untested": []}
+WRONG = {"sigmas": 9.0}
+FOUND = {"steps": [], "mdb": {}, "untestable": [], "grade": "none", "verdict": "none"}
+FOUND |= {"zernike_nm": {"after": {"4": 10.0}}, "sigma_nm": {"4": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("change", "column"),
+    [
+        ({}, "passed"),
+        (WRONG, "misled"),
+        ({"accused": ["slope"]} | WRONG, "accused"),
+        ({"warned": ["spectrum taken from the profile"]} | WRONG, "misled"),
+        ({"warned": ["exposure_s is odd"]} | WRONG, "warned only"),
+        ({"cause": "transposed", "untested": ["images transposed"]} | WRONG, "said before"),
+        ({"cause": "transposed"} | WRONG, "misled"),
+        ({"kind": NIGHT, "accused": ["night"]} | WRONG, "misled"),
+        ({"kind": NIGHT, "accused": ["night"]}, "accused"),
+        ({"kind": DIAGNOSIS, "finding": "named"}, "accused"),
+        ({"kind": DIAGNOSIS, "finding": "misnamed"}, "misled"),
+        ({"kind": DIAGNOSIS, "finding": "misnamed", "right": True}, "accused"),
+        ({"kind": DIAGNOSIS, "finding": "none"}, "misled"),
+        ({"kind": DIAGNOSIS, "finding": "none", "right": True}, "passed"),
+        ({"kind": DIAGNOSIS, "finding": "too small"}, "passed"),
+    ],
+)
+def test_an_outcome_is_counted_once_as_what_a_user_is_told(change, column):
+    assert verdict(PASSED | change) == column
