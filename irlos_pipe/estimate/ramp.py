@@ -21,7 +21,6 @@ MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not expl
 class Line:
     """The straight line of a ramp."""
 
-    # As results.json has it; NaN is what the ramp does not determine.
     slope: Number = key(nan, "Estimated over introduced defocus, 1 is right, and its standard error.")
     slope_sigma: Number = key(nan, DITTO)
     offset_nm: Number = key(nan, "Estimated defocus where none is introduced, by the line.")
@@ -41,7 +40,7 @@ class Line:
 
 @dataclass(frozen=True, kw_only=True)
 class RampSummary(Line):
-    """Straight line and scatter of a ramp."""
+    """Straight line and scatter of a ramp; NaN is what the ramp does not determine."""
 
     # Constant bias of the second part of the ramp against the first (the reference of the focus stage lost
     # between two runs), fitted in the same way; NaN when the ramp is declared as one part.
