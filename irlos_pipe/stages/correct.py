@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TIP_TILT
-from irlos_pipe.estimate.correction import MirrorOffsets, mirror_offsets
+from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
 from irlos_pipe.estimate.records import StrehlPart
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
@@ -95,7 +95,7 @@ class Config(StageConfig):
 
 
 class MirrorRow(ResultsPart):
-    """The correction in the modes of a mirror, see `estimate.correction.MirrorOffsets`."""
+    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`."""
 
     modes: int = item(0, "Number of modes of its table.")
     offset: list[Number] = item([], "Offset of each, in the unit of the table.")
