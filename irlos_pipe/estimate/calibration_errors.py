@@ -3,6 +3,9 @@
 A closed loop leaves less of slow changes than of fast ones, tomography more: where the slowest changes of
 Noll 4–30 together have another power than the mean one beyond chance, variances change by as much.
 
+The noise of a dark is the same in all frames, which therefore do not show it: with its variance v and the
+gain ``G = C Jᵀ W`` of the fit, ``v G Gᵀ`` is added.
+
 Of a mean image the misfit beyond the nominal χ² and chance is an error m of the model in proportion to the
 light, with a correlation S over `CORRELATED` λ/D and a size s that leaves just this misfit:
 
@@ -78,6 +81,7 @@ def errors_of(
         return max(1.0, chi2_nu / nominal.value) * covariance_of_mean(used), "frames"
     if frames.show_scatter:
         scatter = slow_part(used[:, FIRST : len(REPORTED_NOLLS)]) * covariance_of_mean(used)
+        scatter += _of_shared_nm2(frames, problem, solution)
         return scatter + nominal.excess(chi2_nu) * _of_model_nm2(frames, problem, solution), "frames"
     covariance = covariance_from_noise(problem, solution)
     if not _scatter_beyond(used, covariance):
@@ -99,6 +103,15 @@ def slow_part(series: np.ndarray) -> float:
     slow = float(power[1 : SLOWEST + 1].sum() / (SLOWEST * variance.sum()))
     by_chance = np.sqrt(np.square(variance).sum() / SLOWEST) / variance.sum()
     return slow if slow > 0 and abs(np.log(slow)) > DISTINCT * by_chance else 1.0
+
+
+def _of_shared_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
+    """Covariance of the modes [nm²] by the noise of the dark, which is the same in all frames."""
+    x = solution.values[:1]
+    _, jacobian = problem.predict_and_jacobian(x)
+    weight = problem.root_weight[0].double().mean(0).cpu() ** 2
+    gain = whole_wavefront(problem, x[0])[1] @ solution.covariance[0] @ (jacobian[0].double().cpu() * weight)
+    return frames.noise.shared_e2 * (gain @ gain.mT).numpy()
 
 
 def _of_model_nm2(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:

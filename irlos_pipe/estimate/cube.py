@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import scipy.fft
 import torch
+from scipy.special import chdtri
 
 from irlos_pipe.frames.blocks import blocks, frame_flux, frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.noise import NoiseModel
@@ -51,12 +52,13 @@ class Frames:
         """Scatter between the frames over the noise as declared, median of the pixels; NaN of a single frame.
 
         Speckles and image motion add to the noise, nothing takes from it: a ratio well below 1 contradicts
-        gain or read noise.
+        gain or read noise. The median of a sample variance is less than its mean, by half of two frames.
         """
-        if len(self.images_e) < 2:
+        freedom = len(self.images_e) - 1
+        if freedom < 1:
             return float("nan")
         ratio = self.scatter_e2 / self.noise.scatter_e2(self.mean_e)
-        return float(ratio[self.good].nanmedian())
+        return float(ratio[self.good].nanmedian()) * freedom / float(chdtri(freedom, 0.5))
 
     @property
     def show_scatter(self) -> bool:

@@ -124,7 +124,8 @@ def _not_negative(design: np.ndarray, target: np.ndarray) -> tuple[float, float]
     both = np.linalg.lstsq(design, target, rcond=None)[0]
     if len(target) > 1 and np.all(both >= 0):
         return float(both[0]), float(both[1])
-    alone = np.maximum(design.T @ target / np.sum(design**2, axis=0), 0.0)
+    power = np.sum(design**2, axis=0)  # none where all calibrations are of one time
+    alone = np.maximum(np.divide(design.T @ target, power, out=np.zeros(2), where=power > 0), 0.0)
     missed = np.sum((target[:, None] - design * alone) ** 2, axis=0)
     return (float(alone[0]), 0.0) if missed[0] <= missed[1] else (0.0, float(alone[1]))
 

@@ -3,6 +3,7 @@ model error every method must find the truth within its errors), the scatter of 
 theory, and the twin solution against the symmetry of the pupil. Errors of what the model misfits: behind an
 uneven residual against the truth, and errors of the model drawn by Monte Carlo."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -88,6 +89,28 @@ def test_errors_of_one_frame_or_a_few_are_those_of_independent_repetitions(cube,
         pulls.append((result.zernike_nm - true) / result.sigma_nm)
     # 14 modes of each are nearly independent: the RMS of so many pulls is uncertain by 4 to 7 %.
     assert 0.8 < np.sqrt(np.mean(np.square(pulls))) < 1.2
+
+
+def test_errors_hold_the_noise_of_the_dark_that_all_frames_share():
+    """Monte Carlo: frames enough for their scatter, each cube with a dark of its own."""
+    true = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
+    image = PsfModel(cases.settings(), NOLLS).images(true)[0].double().numpy() * 2e5
+    rng, noise, pulls = np.random.default_rng(7), replace(cases.READ_NOISE, shared_e2=25.0), []
+    for seed in range(8):
+        images = cases.draw_frames(image, 20, seed=seed) + torch.from_numpy(rng.normal(0, 5.0, image.shape))
+        frames = Frames(images.float(), cases.everything(images), noise)
+        result = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15, prior=cases.PRIOR))
+        assert (result.errors_from, 0.8 < result.chi2_nu < 1.2) == ("frames", True)
+        pulls.append((result.zernike_nm - true[0].numpy()) / result.sigma_nm)
+    assert 0.8 < np.sqrt(np.mean(np.square(pulls))) < 1.2
+
+
+@pytest.mark.parametrize("count", [2, 3, 30])
+def test_frames_that_scatter_as_declared_have_a_noise_ratio_of_one_however_few(count):
+    images = torch.from_numpy(np.random.default_rng(count).normal(100.0, 2.0, (count, 80, 80)))
+    assert Frames(images, cases.everything(images), NoiseModel(0.0, 4.0)).noise_ratio == pytest.approx(
+        1, abs=0.04
+    )
 
 
 def test_tip_and_tilt_of_a_star_that_moves_are_those_of_its_mean_place():

@@ -67,3 +67,10 @@ def test_nights_that_change_more_at_once_are_not_valid_at_all():
     nights = drifting(np.random.default_rng(3), 25, 27, 900.0, 0.0, 0.7)
     _, validity = with_confidence(structure_function(*nights), *nights, change_nm=20.0)
     assert validity.days == 0.0
+
+
+def test_calibrations_of_one_time_show_what_scatters_and_no_drift():
+    nights = np.zeros(3), *drifting(np.random.default_rng(5), 3, 27, 50.0, 0.0, 0.7)[1:]
+    found, validity = with_confidence(structure_function(*nights), *nights, change_nm=20.0)
+    assert found.lag_s == [0.0] and np.isfinite([found.change_nm, found.low_nm, found.high_nm]).all()
+    assert (validity.seen_days, validity.high_days) == (0.0, np.inf)
