@@ -81,7 +81,7 @@ def _numbers(results: RunResults, kind: Kind) -> Iterator[tuple[str, float, floa
         }
         if kind == "calibration":
             yield from ((f"noll_{noll}_nm", *mode) for noll, mode in modes.items())
-            yield "ncpa_nm", found.wfe_nm, found.wfe_sigma_nm
+            yield "ncpa_nm", found.higher_nm, found.higher_sigma_nm  # tip and tilt are pointing
             yield "chi2_nu", found.chi2_nu, math.nan
         else:  # the focus of the moment is no NCPA
             yield ("focus_2x2_nm", *modes.get(DEFOCUS, (math.nan, math.nan)))
@@ -89,10 +89,8 @@ def _numbers(results: RunResults, kind: Kind) -> Iterator[tuple[str, float, floa
         yield "ao_residual_nm", found.effect_number("seeing_halo", "wfe_nm"), math.nan
         yield "jitter_mas", found.effect_number("tip_tilt_jitter", "sigma_mas"), math.nan
     if kind == "ramp":
-        ramp = results.of(LiftResults)
-        line, frames = ramp.summary, len(ramp.points)
-        error_nm = line.residual_rms_nm / math.sqrt(frames) if frames else math.nan
-        yield "defocus_bias_nm", line.offset_nm, error_nm
+        line = results.of(LiftResults).summary
+        yield "defocus_bias_nm", line.offset_nm, line.offset_sigma_nm
         yield "ramp_slope", line.slope, line.slope_sigma
         yield "ramp_error_nm", line.rms_nm, math.nan
     gap = results.of(DiagnoseResults).gap
