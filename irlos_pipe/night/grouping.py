@@ -47,8 +47,8 @@ def group_recordings(
 
     A calibration cube is a group of its own. Recordings of a ramp are of one night, share configuration,
     spectrum, target and folder, and follow one another without a long pause. A ramp uses a calibration of
-    its configuration that has not failed: of the same night, else of an earlier one, else of a later one, the
-    nearest in time.
+    its configuration that has not failed: of the same night, else of an earlier one, else of a later one; of
+    one night that of its spectrum, and the nearest in time.
     Cubes of a derotator series share the same properties as those of a ramp. Darks of the same night, mode
     and window are added to every input.
 
@@ -152,11 +152,12 @@ def _choice(cube: Description, ramp: Description, nearer: Sequence[str]) -> str:
     return f"{cube.name}, {distance}, the nearest that has not failed{instead}"
 
 
-def _preference(cube: Description, ramp: Description) -> tuple[bool, bool, int, float, int, str]:
-    """Sort key; the smallest is preferred."""
+def _preference(cube: Description, ramp: Description) -> tuple[bool, bool, int, bool, float, int, str]:
+    """Sort key; the smallest is preferred. Filters have wavefronts of their own."""
     apart = _nights_apart(cube, ramp)
     depth = common_depth(cube.path, ramp.path)
-    return apart != 0, apart > 0, abs(apart), _apart_s(cube, ramp), -depth, str(cube.path)
+    other_band = cube.spectrum != ramp.spectrum
+    return apart != 0, apart > 0, abs(apart), other_band, _apart_s(cube, ramp), -depth, str(cube.path)
 
 
 def _nights_apart(one: Description, other: Description) -> int:

@@ -74,6 +74,12 @@ def test_ramps_use_the_calibration_of_their_configuration_nearest_in_time():
     assert calibrations_used(*cubes, offset("o", 0, configuration=MIRROR)) == {"o": "nearer-but-mirror"}
 
 
+def test_of_one_night_the_calibration_in_the_band_of_the_ramp_comes_first():
+    cubes = [cube("H", 0, spectrum="1600 nm (1)"), cube("J", 30, spectrum="1250 nm (1)")]
+    assert calibrations_used(*cubes, offset("o", 40, spectrum="1600 nm (1)")) == {"o": "H"}
+    assert calibrations_used(*cubes, offset("o", 40, spectrum="1600 nm (1), 1250 nm (1)")) == {"o": "J"}
+
+
 def test_without_times_the_folders_decide():
     cubes = [cube("a", None, folder="first"), cube("b", None, folder="second")]
     assert calibrations_used(*cubes, offset("o", None, "second")) == {"o": "b"}
