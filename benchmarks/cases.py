@@ -329,8 +329,10 @@ def _bright_frames(model: ImageModel, real: RampData, introduced_nm: np.ndarray)
     modes_nm = torch.zeros(len(introduced_nm), 3, dtype=torch.float64)
     modes_nm[:, 2] = torch.as_tensor(introduced_nm)
     flux_e = real.images_e.double().sum((1, 2)).median().expand(len(modes_nm))
-    mean_e = model.predict(modes_nm, flux_e, torch.zeros_like(flux_e), model.effects.starts).clamp_min(0)
-    images_e = torch.poisson(mean_e, generator=torch.Generator().manual_seed(SCAN_SEED)).float()
+    mean_e = model.predict(modes_nm, flux_e, torch.zeros_like(flux_e), model.effects.starts)
+    images_e = torch.poisson(
+        mean_e.cpu().clamp_min(0), generator=torch.Generator().manual_seed(SCAN_SEED)
+    ).float()
     return RampData(images_e, real.good, real.noise, introduced_nm)
 
 

@@ -54,6 +54,7 @@ from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean
 from irlos_pipe.estimate.image_fit import ImageFit, whole_wavefront
 from irlos_pipe.frames.blocks import blocks
+from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.image_quality import power_spectrum
 
@@ -230,13 +231,22 @@ class Part:
         """
         images, mean = self.frames.images_e.flatten(1), self.frames.mean_e.flatten()
         runs = torch.arange(len(images)).tensor_split(min(len(images), LONGEST))
-        whitened = torch.empty(len(runs), len(self.root), dtype=torch.float64)
-        for block in blocks(len(runs)):
+        root, there, columns = self.root, self.jacobian.device, [*self.columns]
+
+        def deviations(block: slice) -> tuple[torch.Tensor]:
             some = torch.stack([images[run].mean(0, dtype=torch.float64) for run in runs[block]])
-            whitened[block] = torch.where(self.root > 0, (some - mean) * self.root, 0.0)
-        felt, columns = whitened @ self.whitened, [*self.columns]
+            return (torch.where(root > 0, (some - mean) * root, 0.0),)
+
+        (whitened,) = joined_map(deviations, blocks(len(runs)), len(runs))
+        whitened, own, gain, data = (one.to(there) for one in (whitened, self.whitened, gain, data))
+        felt = whitened @ own
         moved = felt @ gain[columns]
-        return whitened @ whitened.mT - 2 * moved[:, columns] @ felt.mT + moved @ data @ moved.mT
+
+        def rows(block: slice) -> tuple[torch.Tensor]:
+            rest = whitened[block] @ whitened.mT - 2 * moved[block][:, columns] @ felt.mT
+            return (rest + moved[block] @ data @ moved.mT,)
+
+        return joined_map(rows, blocks(len(runs)), len(runs))[0].cpu()
 
 
 def nominal_chi2(parts: Sequence[Part], precision: torch.Tensor) -> NominalChi2:

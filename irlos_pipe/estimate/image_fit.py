@@ -23,7 +23,7 @@ from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss
 from irlos_pipe.numerics.normal_equations import normal_equations, robust_equations
-from irlos_pipe.numerics.parallel import joined_map
+from irlos_pipe.numerics.parallel import at_once, joined_map
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
@@ -158,22 +158,36 @@ class ImageFit(ModesFit):
     def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Descent.gradient`; without free effects, at the cost of two images."""
         value, gradient = self._map(self._gradient, x, which, FRAMES_PER_GRADIENT)
-        offset = x - self.prior_mean[which]
-        return value + self._prior_value(x, which), gradient + self.prior_precision[which] * offset
+        if self.has_prior:
+            precision, offset = self._prior(x, which)
+            gradient += precision * offset
+        return value + self._prior_value(x, which), gradient
 
     def _map(
         self, function: Piece, x: torch.Tensor, which: torch.Tensor, size: int = FRAMES_PER_CHUNK
     ) -> tuple[torch.Tensor, ...]:
-        """What `function` makes of pieces of a few members, small enough for the processor's cache."""
+        """What `function` makes of pieces of a few members, small enough for the processor's cache.
+
+        It may work on another device than that of `x`, where the results are.
+        """
+        size = at_once(size, self.device)
         if len(x) <= size:
-            return function(x, which)
-        pieces = zip(x.split(size), which.split(size), strict=True)
-        return joined_map(lambda piece: function(*piece), pieces, len(x))
+            found = function(x, which)
+        else:
+            pieces = zip(x.split(size), which.split(size), strict=True)
+            found = joined_map(lambda piece: function(*piece), pieces, len(x))
+        return tuple(one.to(x.device) for one in found)
 
     def _prior_value(self, x, which):
         if not self.has_prior:
             return 0.0
-        return 0.5 * (self.prior_precision[which] * (x - self.prior_mean[which]) ** 2).sum(1)
+        precision, offset = self._prior(x, which)
+        return 0.5 * (precision * offset**2).sum(1)
+
+    def _prior(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Precision of the prior and offset from its mean, where `x` is."""
+        which = which.to(self.prior_mean.device)
+        return self.prior_precision[which].to(x.device), x - self.prior_mean[which].to(x.device)
 
     # -- images ------------------------------------------------------------------------------
 
@@ -226,7 +240,7 @@ class ImageFit(ModesFit):
 
     def _value(self, residual: torch.Tensor, model_e: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Objective without the prior, (b,)."""
-        return self.loss.value(residual).sum((1, 2)).cpu()
+        return self.loss.value(residual).sum((1, 2))
 
     def _gradient(self, x, which):
         """Without the prior; pixels in the precision of the images."""
@@ -237,20 +251,20 @@ class ImageFit(ModesFit):
         residual = (self.images[which] - image.flatten(1)[:, None]) * root
         force = (self.loss.weight(residual) * residual * root).sum(1)
         value = self.loss.value(residual).sum((1, 2), dtype=torch.float64)
-        return value.cpu(), -pullback(force.view_as(image)).cpu()
+        return value, -pullback(force.view_as(image))
 
     def _normal(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)
         residual, root = self._whitened(model_e, which)
-        precision, offset = self.prior_precision[which], x - self.prior_mean[which]
+        precision, offset = (one.to(columns.device) for one in self._prior(x, which))
         if self.loss.quadratic:
             gradient, hessian = normal_equations(columns, residual, root)
             if self.has_prior:
-                gradient += (precision * offset).to(gradient.device)
-                hessian += torch.diag_embed(precision).to(hessian.device)
+                gradient += precision * offset
+                hessian += torch.diag_embed(precision)
         else:
             gradient, hessian = robust_equations(columns, residual, root, self.loss, precision, offset)
-        return self._value(residual, model_e, which), gradient.cpu(), hessian.cpu()
+        return self._value(residual, model_e, which), gradient, hessian
 
     @torch.no_grad()
     def robust_covariance(self, x: torch.Tensor) -> torch.Tensor:
@@ -291,14 +305,14 @@ class ImageFit(ModesFit):
 
         def reduced(part: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
             residual, _ = self._whitened(part.to(self.device), which)
-            return (residual.square().sum((1, 2), dtype=torch.float64).cpu() / self.freedom,)
+            return (residual.square().sum((1, 2), dtype=torch.float64) / self.freedom,)
 
         return self._map(reduced, predicted_e, torch.arange(len(predicted_e)))[0]
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
-        return self._map(lambda part, _: (self.predict(part).cpu(),), x, torch.arange(len(x)))[0]
+        """Return the model images of the whole batch [e-], (batch, pixels), float64 where `x` is."""
+        return self._map(lambda part, _: (self.predict(part),), x, torch.arange(len(x)))[0]
 
 
 class JoinedFit(ModesFit):

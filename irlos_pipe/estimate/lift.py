@@ -27,7 +27,7 @@ from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.parallel import process_map
+from irlos_pipe.numerics.parallel import at_once, process_map
 from irlos_pipe.numerics.problem import CheapGradientProblem
 from irlos_pipe.numerics.solution import Solution, joined, mixed
 from irlos_pipe.optics.psf import PsfModel
@@ -54,6 +54,8 @@ class LiftResult:
 
     @classmethod
     def joined(cls, parts: Sequence[LiftResult]) -> LiftResult:
+        if len(parts) == 1:
+            return parts[0]
         solution = Solution.joined([part.solution for part in parts])
         return joined(parts, solution=solution)
 
@@ -97,11 +99,14 @@ def lift(
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
 
-    def piece(some: torch.Tensor) -> LiftResult:
-        return _lift(model, near, images_e[some], good, noise, start_nm[some], options.of(some))
+    def piece(own: tuple[torch.Tensor, torch.Tensor]) -> LiftResult:
+        some, images_e = own[0], own[1].to(model.psf.device)
+        return _lift(model, near, images_e, good.to(images_e.device), noise, start_nm[some], options.of(some))
 
-    pieces = in_pieces(torch.arange(len(images_e)), near)
-    result = LiftResult.joined(process_map(piece, pieces, lambda some: report(len(some))))
+    pieces = zip(
+        *(in_pieces(one, model, near) for one in (torch.arange(len(images_e)), images_e)), strict=True
+    )
+    result = LiftResult.joined(process_map(piece, pieces, lambda own: report(len(own[0]))))
     stuck = model.at_limit(result.zernike_nm)
     if not (beyond and stuck.any()):
         return result
@@ -109,9 +114,9 @@ def lift(
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def in_pieces(images: torch.Tensor, near: NearModel | None) -> tuple[torch.Tensor, ...]:
-    """Split `images`, or their numbers, into those that are estimated at once, with or without `near`."""
-    size = IMAGES_AT_ONCE if near is None else NEAR_AT_ONCE
+def in_pieces(images: torch.Tensor, model: ImageModel, near: NearModel | None) -> tuple[torch.Tensor, ...]:
+    """Split `images`, or their numbers, into those that a `model` estimates at once, and one `near` them."""
+    size = at_once(IMAGES_AT_ONCE if near is None else NEAR_AT_ONCE, model.psf.device)
     return images.tensor_split(max(1, math.ceil(len(images) / size)))
 
 
@@ -133,15 +138,15 @@ def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options) -> 
         posed = NearlySolved(posed, model).with_tolerance(CLOSE_TOLERANCE)
     solution = solve(posed, x, max_iterations=options.max_iterations)
     ended, modes = _finite(solution, x), layout.modes
-    model_e = problem.predict_all(ended)
+    model_e = problem.predict_all(ended.to(images_e.device))
     covariance = solution.covariance if quadratic else posed.robust_covariance(ended)
     return LiftResult(
         nolls,
         solution.values[:, modes],
         covariance[:, modes, modes],
         solution,
-        model_e.reshape(images_e.shape),
-        problem.reduced_chi2_of(model_e),
+        model_e.reshape(images_e.shape).cpu(),
+        problem.reduced_chi2_of(model_e).cpu(),
     )
 
 
@@ -149,9 +154,8 @@ def _with_model_variance(rough: ImageFit, x, images_e, good, noise, options: Lif
     """The problem with the variances of the model at `x`, or of the model wherever it goes."""
     model, layout = rough.model, rough.layout
     if options.noise == "iterative" and options.loss_function.quadratic:
-        flat = images_e[:, None].flatten(2).to(model.psf.device)
-        return PhotonFit(model, layout, flat, good.flatten(), noise)
-    variance = noise.variance_e2(rough.predict_all(x)).reshape(images_e.shape)
+        return PhotonFit(model, layout, images_e[:, None].flatten(2), good.flatten(), noise)
+    variance = noise.variance_e2(rough.predict_all(x.to(images_e.device))).reshape(images_e.shape)
     return image_problem(model, layout, images_e, variance, good)
 
 
@@ -230,10 +234,10 @@ class NearModel(ImageModel):
 
 
 def near(model: ImageModel, near_nm: torch.Tensor) -> NearModel | None:
-    """A quicker `model` near a wavefront (modes,); None where there is none."""
+    """A `model` that a processor is quicker with near a wavefront (modes,); None where there is none."""
     psf = model.psf
-    if not (isinstance(psf, PsfModel) and model.can_pull_back):
-        return None
+    if psf.device != "cpu" or not (isinstance(psf, PsfModel) and model.can_pull_back):
+        return None  # a GPU is quicker with all images at once
     return NearModel(model, near_nm) if len(psf.weights) > 2 or model.optics.by_mode else None
 
 
@@ -274,9 +278,8 @@ class PhotonFit(ImageFit):
         good: torch.Tensor,
         noise: NoiseModel,
     ):
-        here = good.to(images_e.device)
-        super().__init__(model, layout, images_e, torch.where(here, 1.0, torch.inf)[None, None])
-        self._noise, self._good = noise, here.double()
+        super().__init__(model, layout, images_e, torch.where(good, 1.0, torch.inf)[None, None])
+        self._noise, self._good = noise, good.double()
         self._least = self._sum(images_e, images_e)
 
     def _sum(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
@@ -292,4 +295,4 @@ class PhotonFit(ImageFit):
 
     def _value(self, residual: torch.Tensor, model_e: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         which = which.to(self.images.device)
-        return (self._sum(self.images[which], model_e[:, None]) - self._least[which]).cpu()
+        return self._sum(self.images[which], model_e[:, None]) - self._least[which]

@@ -33,6 +33,7 @@ from irlos_pipe.estimate.starts import (
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.loss import GAUSSIAN
+from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.quasi_newton import polish
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
 from irlos_pipe.optics.lenslets import light_path
@@ -116,7 +117,7 @@ class EveryFrame(Scheme):
         model = problem.model.psf
         median_nm = median_of_frames_nm(model, frames.images_e, frames.good, frames.noise, ROUGH_ITERATIONS)
         x = start_at_centroids(frames, problem)
-        modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), model.settings)
+        modelled = start_tilts_nm(model.images(median_nm[None]).double(), model.settings)
         x[:, :2] += median_nm[:2] - modelled
         x[:, 2 : len(median_nm)] = median_nm[2:]
         return x
@@ -149,12 +150,15 @@ def start_at_centroids(
     The `problem` is that of these `frames`, and `start_nm` (modes,) begins with Noll 2. Returns (batch,
     parameters).
     """
-    x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
-    settings = problem.model.psf.settings
-    for block in blocks(len(x)):
-        images = problem.images[block].double().mean(1).cpu()
-        x[block] = problem.layout.start(images)
-        x[block, :2] = start_tilts_nm(images.reshape(-1, *settings.window) * frames.good, settings)
+    settings, good = problem.model.psf.settings, frames.good.to(problem.device)
+
+    def start(block: slice) -> tuple[torch.Tensor]:
+        images = problem.images[block].double().mean(1)
+        own = problem.layout.start(images)
+        own[:, :2] = start_tilts_nm(images.reshape(-1, *settings.window) * good, settings)
+        return (own,)
+
+    (x,) = joined_map(start, blocks(len(problem.images)), len(problem.images))
     if start_nm is not None:
         common = min(len(start_nm), len(problem.layout.nolls))
         x[:, :common] = torch.as_tensor(start_nm[:common])

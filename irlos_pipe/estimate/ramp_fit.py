@@ -81,7 +81,7 @@ def start_from_defocus(model: LightPath, data: RampData, defocus_nm: np.ndarray)
     start = torch.zeros(len(data.images_e), len(model.nolls), dtype=torch.float64)
     start[:, model.nolls.index(DEFOCUS)] = torch.as_tensor(np.nan_to_num(defocus_nm))
     seen = start_tilts_nm((data.images_e * data.good).double(), model.settings)
-    modelled = start_tilts_nm(model.images(start).double().cpu(), model.settings)
+    modelled = start_tilts_nm(model.images(start).double(), model.settings)
     for axis, noll in enumerate(TIP_TILT):
         if noll in model.nolls:
             start[:, model.nolls.index(noll)] = (seen - modelled)[:, axis]

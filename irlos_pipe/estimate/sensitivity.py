@@ -158,20 +158,29 @@ def scan(
         arguments = signal_e, factors[index], data.noise, generator, faint
         return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1)
 
-    def pieces(number: int, group: np.ndarray) -> list[tuple[int, int, torch.Tensor]]:
-        """Images of a frame at some magnitudes, in pieces, with the numbers of configuration and frame."""
-        signal_e = configurations[number].signal_e
-        images_e = torch.stack([dimmed(signal_e, index) for index in group], dim=1).to(data.images_e.dtype)
-        by_frame = zip(frames, images_e.flatten(1, 2), close_to[number], strict=True)
-        return [(number, frame, some) for frame, own, close in by_frame for some in in_pieces(own, close)]
+    def pieces(number: int, group: np.ndarray) -> list[tuple[int, torch.Tensor, torch.Tensor]]:
+        """Images at some magnitudes, in pieces with the numbers of the configuration and of their frames.
 
-    def errors_of(piece: tuple[int, int, torch.Tensor]) -> np.ndarray:
-        number, frame, images_e = piece
-        model, close = configurations[number].model, close_to[number][frame]
-        start = configurations[number].start_nm[frame].expand(len(images_e), -1)
-        options = LiftOptions("model")
+        Those of a piece have the same quicker model, or none.
+        """
+        one, close = configurations[number], close_to[number]
+        images_e = torch.stack([dimmed(one.signal_e, index) for index in group], dim=1).flatten(1, 2)
+        images_e, own = images_e.to(data.images_e.dtype), torch.arange(len(images_e))[:, None]
+        own = own.expand(images_e.shape[:2])
+        if not any(close):
+            images_e, own, close = images_e.flatten(0, 1)[None], own.flatten()[None], close[:1]
+        split = (
+            zip(in_pieces(numbers, one.model, near), in_pieces(some, one.model, near), strict=True)
+            for numbers, some, near in zip(own, images_e, close, strict=True)
+        )
+        return [(number, *piece) for of_near in split for piece in of_near]
+
+    def errors_of(piece: tuple[int, torch.Tensor, torch.Tensor]) -> np.ndarray:
+        number, own, images_e = piece
+        model, close = configurations[number].model, close_to[number][int(own[0])]
+        options, start = LiftOptions("model"), configurations[number].start_nm[own]
         result = lift(model, images_e, data.good, faint, start, options, near=close, beyond=False)
-        error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[frame])
+        error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[own.numpy()])
         lost = ~result.solution.converged | (close or model).at_limit(result.zernike_nm)
         failed = lost.numpy() | ~(error < criterion.implausible_nm)
         return np.where(failed, np.nan, error)
@@ -179,7 +188,7 @@ def scan(
     def errors_nm(group: np.ndarray) -> np.ndarray:
         """Errors (configurations, magnitudes, trials) of some magnitudes."""
         every = [piece for number in range(len(configurations)) for piece in pieces(number, group)]
-        errors = np.concatenate(process_map(errors_of, every, lambda piece: report(len(piece[2]))))
+        errors = np.concatenate(process_map(errors_of, every, lambda piece: report(len(piece[1]))))
         by_frame = errors.reshape(len(configurations), len(frames), len(group), realisations)
         return by_frame.swapaxes(1, 2).reshape(len(configurations), len(group), -1)
 

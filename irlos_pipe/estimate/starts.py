@@ -32,6 +32,7 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.parallel import at_once, joined_map
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import AS_BUILT, LightPath
@@ -54,9 +55,9 @@ def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tenso
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
     total = bright.sum((1, 2)).clamp_min(1e-30)
     rows, columns = images_e.shape[1:]
-    y = (bright.sum(2) @ (torch.arange(rows, dtype=bright.dtype) - (rows - 1) / 2)) / total
-    x = (bright.sum(1) @ (torch.arange(columns, dtype=bright.dtype) - (columns - 1) / 2)) / total
-    angles_mas = torch.stack([x, y], dim=1).double() * settings.pixel_scale_mas
+    y = (bright.sum(2) @ (torch.arange(rows).to(bright) - (rows - 1) / 2)) / total
+    x = (bright.sum(1) @ (torch.arange(columns).to(bright) - (columns - 1) / 2)) / total
+    angles_mas = torch.stack([x, y], dim=1).double().cpu() * settings.pixel_scale_mas
     return tilt_nm(angles_mas, settings.geometry.diameter_m)
 
 
@@ -79,7 +80,7 @@ def scan_start_nm(
     focus = model.nolls.index(4)
     coefficients = torch.zeros(len(SCAN_NM), len(model.nolls), dtype=torch.float64)
     coefficients[:, focus] = torch.as_tensor(SCAN_NM)
-    templates = model.images(coefficients, optics).cpu()
+    templates = model.images(coefficients, optics)
     best, shift_px = _most_alike(templates, images_e, good)
     start = torch.zeros(len(images_e), len(model.nolls), dtype=torch.float64)
     start[:, focus] = torch.as_tensor(SCAN_NM)[best]
@@ -99,21 +100,19 @@ def _most_alike(
     templates: torch.Tensor, images: torch.Tensor, good: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Template of the highest correlation with each image (images,), and its shift (images, 2) [px]."""
-    rows, columns = good.shape
+    size, device = torch.tensor(good.shape), templates.device
     spectra = torch.fft.rfft2(_standardised(templates)).conj_physical()
-    best, peaks = [], []
-    for image in images:
-        spectrum = torch.fft.rfft2(_standardised(image * good))
-        correlation = torch.fft.irfft2(spectrum * spectra, s=(rows, columns)).flatten(1)
-        best.append(int(correlation.amax(1).argmax()))
-        row, column = divmod(int(correlation[best[-1]].argmax()), columns)
-        peaks.append([_signed(row, rows), _signed(column, columns)])
-    return torch.tensor(best), torch.tensor(peaks, dtype=torch.float64)
 
+    def peaks(some: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        spectrum = torch.fft.rfft2(_standardised((some * good).to(device)))[:, None]
+        correlation = torch.fft.irfft2(spectrum * spectra, s=tuple(good.shape)).flatten(2)
+        highest, where = correlation.max(2)
+        best = highest.argmax(1, keepdim=True)
+        at = torch.stack(torch.unravel_index(where.gather(1, best)[:, 0], good.shape), dim=1).cpu()
+        return best[:, 0].cpu(), torch.where(at > size // 2, at - size, at).double()
 
-def _signed(index: int, size: int) -> int:
-    """Shift that an index of a circular correlation stands for."""
-    return index - size if index > size // 2 else index
+    best, shifts = joined_map(peaks, images.split(at_once(1, device.type)), len(images))
+    return best, shifts
 
 
 def median_of_frames_nm(

@@ -63,7 +63,6 @@ def robust_equations(
     size = columns.shape[1]
     padded = torch.nn.functional.pad(columns, (0, 0, 0, -size % TILE))
     residual, root = residual.to(columns.dtype), root.to(columns.dtype)
-    precision, offset = precision.to(columns.device), offset.to(columns.device)
     step = torch.zeros_like(offset)
     for _ in range(NEWTON_STEPS):
         weight = (loss.curvature(residual) * root**2).sum(1)

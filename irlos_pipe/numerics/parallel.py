@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from typing import Any, TypeVar
 
 import torch
@@ -22,6 +23,8 @@ Result = TypeVar("Result")
 # Returns what a function makes of items, in order, from processes that know all that the caller knows; calls
 # the third argument with each that is done, and the last one in every process first.
 ForkedMap = Callable[[Callable, list, Callable, Callable[[], None]], list]
+
+PROCESSOR_BYTES = 2**29  # memory that a piece for a processor takes, at most; those for a GPU fill its own
 
 _pool: ContextVar[ThreadPoolExecutor | None] = ContextVar("pool", default=None)
 _forked: ContextVar[ForkedMap | None] = ContextVar("forked", default=None)
@@ -79,6 +82,30 @@ def _begin_process() -> None:
     torch.set_grad_enabled(False)
     _pool.set(None)
     _forked.set(None)
+
+
+def at_once(count: int, device: str) -> int:
+    """Return how many members make a piece on a `device`, of which a processor takes `count`."""
+    return count if device == "cpu" else max(1, int(count * _gpu_bytes() / PROCESSOR_BYTES * _share))
+
+
+@cache
+def _gpu_bytes() -> int:
+    return torch.cuda.get_device_properties("cuda").total_memory
+
+
+_share = 1.0  # part of the memory of a GPU that pieces are made for; the same in all threads
+
+
+@contextmanager
+def smaller_pieces(share: float) -> Iterator[None]:
+    """Make pieces for a `share` of the memory of a GPU while the block lasts."""
+    global _share
+    _share, before = share, _share
+    try:
+        yield
+    finally:
+        _share = before
 
 
 def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

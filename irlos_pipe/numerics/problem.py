@@ -12,6 +12,8 @@ ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated
 class Descent(Protocol):
     """A batch of minimisations by exact gradients; `which` selects members of the batch."""
 
+    device: str  # where the solver works; tensors are there, and on the CPU where `solve` does
+
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
         """Return the predicted fall of the objective at which a member with this `value` is done, (b,)."""
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 
-from irlos_pipe.numerics.parallel import process_map
+from irlos_pipe.numerics.parallel import at_once, process_map
 from irlos_pipe.numerics.problem import ROUNDING, Descent
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 
@@ -30,39 +31,46 @@ def polish(problem: Descent, found: Solution, max_evaluations: int) -> Solution:
     of evaluations (`max_iterations`).
     """
     members = torch.tensor([i for i, status in enumerate(found.status) if status != INVALID]).long()
-    pieces = members.split(FRAMES_PER_PIECE)
+    pieces = members.split(at_once(FRAMES_PER_PIECE, problem.device))
     polished = process_map(lambda which: _polished(problem, found, which, max_evaluations), pieces)
+    x, value, evaluations, states = (
+        torch.from_numpy(np.concatenate(part)) for part in zip(*polished, strict=True)
+    )
     values, objective, iterations = (t.clone() for t in (found.values, found.objective, found.iterations))
+    values[members], objective[members] = x, value
+    iterations[members] += evaluations
     status = list(found.status)
-    for which, (x, value, evaluations, names) in zip(pieces, polished, strict=True):
-        values[which], objective[which] = x, value
-        iterations[which] += evaluations
-        for member, name in zip(which.tolist(), names, strict=True):
-            status[member] = name
+    for member, state in zip(members.tolist(), states.tolist(), strict=True):
+        status[member] = STATES[state]
     return replace(found, values=values, objective=objective, iterations=iterations, status=status)
 
 
 def _polished(problem: Descent, found: Solution, which: torch.Tensor, max_evaluations: int) -> tuple:
-    """Parameters, objective, evaluations and status of some members."""
-    descent = _Descent(problem, found.values[which], found.covariance[which], which)
+    """Parameters, objective, evaluations and number of the status of some members, as arrays of NumPy."""
+    start = found.values[which], found.covariance[which], which
+    descent = _Descent(problem, *(one.to(problem.device) for one in start))
     moving = descent.moving()
     for _ in range(1, max_evaluations):
         if len(moving) == 0:
             break
         descent.step(moving)
         moving = descent.moving()
-    return descent.x, descent.value, descent.evaluations, descent.status
+    return tuple(one.cpu().numpy() for one in (descent.x, descent.value, descent.evaluations, descent.state))
+
+
+MOVING = MAX_ITERATIONS
+STATES = MOVING, CONVERGED, STALLED, INVALID
 
 
 class _Descent:
-    """Some members while they are minimised."""
+    """Some members while they are minimised, on the device of the problem."""
 
     def __init__(self, problem: Descent, x: torch.Tensor, inverse: torch.Tensor, which: torch.Tensor):
         self.problem, self.which, self.x, self.inverse = problem, which, x, inverse
         self.value, self.gradient = problem.gradient(x, which)
-        self.evaluations = torch.ones(len(x), dtype=torch.int64)
+        self.evaluations = torch.ones_like(which)
         self.fraction = torch.ones_like(self.value)
-        self.status = [MAX_ITERATIONS] * len(x)
+        self.state = torch.zeros_like(which)
         self._close(~(torch.isfinite(self.value) & torch.isfinite(self.gradient).all(1)), INVALID)
 
     def moving(self) -> torch.Tensor:
@@ -72,13 +80,12 @@ class _Descent:
         negligible = torch.maximum(self.problem.negligible(self.value), ROUNDING * self.value)
         self._close(fall < negligible, CONVERGED)
         self._close(self.fraction < SHORTEST, STALLED)
-        return torch.tensor([i for i, s in enumerate(self.status) if s == MAX_ITERATIONS]).long()
+        return (self.state == STATES.index(MOVING)).nonzero()[:, 0]
 
     def _close(self, members: torch.Tensor, status: str) -> None:
         """Give these members a final status, unless they have one."""
-        for member in members.nonzero()[:, 0].tolist():
-            if self.status[member] == MAX_ITERATIONS:
-                self.status[member] = status
+        closing = members & (self.state == STATES.index(MOVING))
+        self.state.masked_fill_(closing, STATES.index(status))
 
     def step(self, moving: torch.Tensor) -> None:
         """Try a step of every moving member; take it where the objective falls, else shorten it."""

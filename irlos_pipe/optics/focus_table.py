@@ -33,6 +33,7 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.special import jv
 
 from irlos_pipe.conventions.units import NM, cutoff_per_px, tilt_nm
+from irlos_pipe.numerics.parallel import at_once
 from irlos_pipe.optics.defocus import shaped_modes
 from irlos_pipe.optics.grids import Optics, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, LightPath, Pullback
@@ -141,7 +142,8 @@ class FocusTable:
         angle = np.pi * (np.arange(terms) + 0.5) / terms
         nodes_nm = torch.zeros(terms, len(self.nolls), dtype=torch.float64)
         nodes_nm[:, self.focus] = torch.as_tensor(self.middle_nm + self.half_nm * np.cos(angle))
-        images = torch.cat([wide.images(part, optics) for part in nodes_nm.split(NODES_AT_ONCE)])
+        parts = nodes_nm.split(at_once(NODES_AT_ONCE, self.device))
+        images = torch.cat([wide.images(part, optics) for part in parts])
         to_series = np.cos(np.outer(np.arange(terms), angle)) * np.where(np.arange(terms) > 0, 2, 1)[:, None]
         series = torch.as_tensor(to_series / terms, device=self.device) @ images.flatten(1).double()
         self.table, self.shape = series.flip(1).to(self.dtype), images.shape[1:]

@@ -33,7 +33,7 @@ from numpy.polynomial import chebyshev
 
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.numerics.parallel import at_once, ordered_map
 from irlos_pipe.optics.defocus import defocus_series, shaped_modes
 from irlos_pipe.optics.fourier_matrices import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
@@ -247,7 +247,7 @@ class PsfModel:
         per_frame = 2 * self.combine.shape[1] * self.focal_plane.widest.samples**2
         parts = [
             self._chunk(chunk, optics, tangents, modal)
-            for chunk in modes_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
+            for chunk in modes_nm.split(max(1, at_once(CHUNK_ELEMENTS, self.device) // per_frame))
         ]
         if len(parts) == 1:
             return parts[0]
@@ -277,7 +277,8 @@ class PsfModel:
 
         def by_pupil(slopes: Sequence[torch.Tensor]) -> list[torch.Tensor]:
             """Derivatives (slopes, frames, rows, columns), in pieces."""
-            pupils, many = [one[index] for one in slopes], max(1, SLOPES_AT_ONCE // len(opd))
+            pupils = [one[index] for one in slopes]
+            many = max(1, at_once(SLOPES_AT_ONCE, self.device) // len(opd))
             pieces = [torch.stack(pupils[i : i + many]) for i in range(0, len(pupils), many)]
             changes = (self._changes(dft, some, phasor) for some in pieces)
             return [self._derivatives(changing, change_of(amplitude, one)) for one in changes]

@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from io import StringIO
-from typing import Any
+from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
@@ -16,6 +16,7 @@ from irlos_pipe.files.processes import FORKS, forked_map
 from irlos_pipe.pipeline.runlog import RUN, TRACE
 
 silent_progress = partial(tqdm, disable=True)
+Output = TypeVar("Output")
 EVERY_S = 30  # between messages
 
 
@@ -85,6 +86,31 @@ def resolve_device(wanted: str) -> str:
             "or install a CUDA build of PyTorch (make env TORCH_INDEX=...)"
         )
     return "cpu"
+
+
+def run_on_device(run: Callable[[str], Output], device: str) -> tuple[Output, str]:
+    """Return what a function makes on a `device`, and where it did: a GPU that fails is not the end.
+
+    Where its memory is too short the function runs again with pieces for an eighth of it, and otherwise on
+    the processor.
+    """
+    if device == "cpu":
+        return run(device), device
+    import torch
+
+    from irlos_pipe.numerics.parallel import smaller_pieces
+
+    try:
+        try:
+            return run(device), device
+        except torch.OutOfMemoryError:
+            RUN.warning("the memory of the GPU is too short: begun again with smaller pieces")
+        torch.cuda.empty_cache()
+        with smaller_pieces(1 / 8):
+            return run(device), device
+    except RuntimeError as error:
+        RUN.warning("the GPU failed (%s): begun again on the processor", str(error).splitlines()[0])
+    return run("cpu"), "cpu"
 
 
 @contextmanager

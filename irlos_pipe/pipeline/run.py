@@ -15,7 +15,7 @@ from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember, require_unchanged
 from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, checksum, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
-from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device
+from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device, run_on_device
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE, collected, written_to
 from irlos_pipe.product import run_table, runfolder
 from irlos_pipe.product.product import Check, Product
@@ -71,11 +71,14 @@ class Job:
         context = self._context(step, log)
         stage = STAGES[step.name]
         with collected(log) as lines, limited_threads(self.resources.jobs, arrays_only=arrays_only(stage)):
-            output = stage.run(context)
+            output, device = run_on_device(
+                lambda device: stage.run(replace(context, device=device)), context.device
+            )
         if "inputs" in depends_on(stage):
             require_unchanged(self.files)
         seconds = round(time.perf_counter() - clock, 3)
-        self._write(step, output, {"started": started, "finished": now(), "seconds": seconds}, lines)
+        times = {"started": started, "finished": now(), "seconds": seconds}
+        self._write(step, output, {"device": device, **times}, lines)
         for line in output.failures:
             RUN.warning("%s: lost: %s", step.name, line)
         RUN.info("%s: done in %.1f s", step.name, seconds)
@@ -108,7 +111,7 @@ class Job:
                 self._loaded[step.name] = open_product(step.path)
         return {other: self._loaded[other] for other in wanted}
 
-    def _write(self, step: Step, output: StageOutput, times: dict[str, Any], log: list[str]) -> None:
+    def _write(self, step: Step, output: StageOutput, how: dict[str, Any], log: list[str]) -> None:
         """Write the further files first: the product says that the stage is complete."""
         config = jsonable(self.recipe.configs[step.name])
         before = self._read_by(step.name)
@@ -122,12 +125,11 @@ class Job:
             "failures": list(output.failures),
             "inputs": self.files,
             "seed": self.recipe.seed,
-            "device": self._device(step.name),
             "jobs": self.resources.jobs,
             "software": software_versions(),
             "machine": machine(),
             "command": command_line(),
-            **times,
+            **how,
             "recordings": [one.as_json() for one in seen],
             "notice": notice,
         }

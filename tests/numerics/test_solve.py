@@ -199,6 +199,8 @@ SIZE = 4
 class Functions:
     """A batch of functions of `SIZE` variables, from one of NumPy and its gradient."""
 
+    device = "cpu"
+
     def __init__(self, function, slope):
         self.function, self.slope = function, slope
 

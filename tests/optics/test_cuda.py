@@ -34,6 +34,7 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
+from irlos_pipe.numerics import parallel
 from irlos_pipe.optics.psf import PsfModel
 
 DEVICE = "cuda"
@@ -227,7 +228,14 @@ CALCULATIONS = {
 }
 
 
+@pytest.fixture
+def small_card(monkeypatch):
+    """A card whose pieces are those of a processor."""
+    monkeypatch.setattr(parallel, "_gpu_bytes", lambda: parallel.PROCESSOR_BYTES)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("small_card")
 @pytest.mark.parametrize("name", CALCULATIONS)
 def test_no_operation_mixes_tensors_of_two_devices(name):
     expected = CALCULATIONS[name]("cpu")
@@ -246,6 +254,7 @@ def test_a_gpu_gives_the_results_of_the_cpu(name):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("small_card")
 def test_no_stage_mixes_tensors_of_two_devices(monkeypatch, tmp_path):
     monkeypatch.setattr("torch.cuda.is_available", lambda: True)
     told = ["run", "diagnose_ramp", "--samples", "--output", str(tmp_path), "--device", "cuda", "--jobs", "1"]
