@@ -30,7 +30,8 @@ FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
 OF_IMAGES = ("model", "few_colours", "held")  # what images and derivatives depend on, besides the parameters
 MOST_LEVERAGE = 0.9  # leverage of a pixel on its own fit beyond which nothing is known of its noise
-Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
+# of a fit, some vectors and their members
+Piece = Callable[[Any, torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 
 class ModesFit(Problem):
@@ -99,8 +100,9 @@ class ImageFit(ModesFit):
 
     def _bounds(self, model: ImageModel) -> tuple[torch.Tensor, torch.Tensor]:
         """Least and largest parameters, those of the layout and of the model."""
-        lower, upper = self.layout.bounds
-        lower[self.layout.modes], upper[self.layout.modes] = model.limits_nm
+        limits_nm, modes = model.limits_nm, self.layout.modes
+        lower, upper = (one.expand(*limits_nm.shape[1:-1], -1).clone() for one in self.layout.bounds)
+        lower[..., modes], upper[..., modes] = limits_nm
         return lower, upper
 
     def with_model(self, model: ImageModel) -> Self:
@@ -149,15 +151,15 @@ class ImageFit(ModesFit):
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """See `Problem.objective`: the loss summed over pixels plus the prior's half χ²."""
-        return self._map(self._objective, x, which)[0] + self._prior_value(x, which)
+        return self._map(ImageFit._objective, x, which)[0] + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        value, gradient, hessian = self._map(self._normal, x, which)
+        value, gradient, hessian = self._map(ImageFit._normal, x, which)
         return value + self._prior_value(x, which), gradient, hessian
 
     def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Descent.gradient`; without free effects, at the cost of two images."""
-        value, gradient = self._map(self._gradient, x, which, FRAMES_PER_GRADIENT)
+        value, gradient = self._map(ImageFit._gradient, x, which, FRAMES_PER_GRADIENT)
         if self.has_prior:
             precision, offset = self._prior(x, which)
             gradient += precision * offset
@@ -172,11 +174,15 @@ class ImageFit(ModesFit):
         """
         size = at_once(size, self.device)
         if len(x) <= size:
-            found = function(x, which)
+            found = function(self._of(which), x, which)
         else:
             pieces = zip(x.split(size), which.split(size), strict=True)
-            found = joined_map(lambda piece: function(*piece), pieces, len(x))
+            found = joined_map(lambda piece: function(self._of(piece[1]), *piece), pieces, len(x))
         return tuple(one.to(x.device) for one in found)
+
+    def _of(self, which: torch.Tensor) -> Self:
+        """The fit with the model of some members, where theirs differ."""
+        return self
 
     def _prior_value(self, x, which):
         if not self.has_prior:
@@ -276,7 +282,7 @@ class ImageFit(ModesFit):
 
         Errors of L1 come out 6 % too small: its slope is that of few pixels, which happen to be met exactly.
         """
-        return self._map(self._robust_covariance, x, torch.arange(len(x)))[0]
+        return self._map(ImageFit._robust_covariance, x, torch.arange(len(x)))[0]
 
     def _robust_covariance(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)
@@ -303,8 +309,8 @@ class ImageFit(ModesFit):
     def reduced_chi2_of(self, predicted_e: torch.Tensor) -> torch.Tensor:
         """Return the same of images of the model, (batch, pixels)."""
 
-        def reduced(part: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
-            residual, _ = self._whitened(part.to(self.device), which)
+        def reduced(fit: ImageFit, part: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
+            residual, _ = fit._whitened(part.to(fit.device), which)
             return (residual.square().sum((1, 2), dtype=torch.float64) / self.freedom,)
 
         return self._map(reduced, predicted_e, torch.arange(len(predicted_e)))[0]
@@ -312,7 +318,7 @@ class ImageFit(ModesFit):
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Return the model images of the whole batch [e-], (batch, pixels), float64 where `x` is."""
-        return self._map(lambda part, _: (self.predict(part),), x, torch.arange(len(x)))[0]
+        return self._map(lambda fit, part, _: (fit.predict(part),), x, torch.arange(len(x)))[0]
 
 
 class JoinedFit(ModesFit):

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +102,8 @@ def lift(
 
     def piece(own: tuple[torch.Tensor, torch.Tensor]) -> LiftResult:
         some, images_e = own[0], own[1].to(model.psf.device)
-        return _lift(model, near, images_e, good.to(images_e.device), noise, start_nm[some], options.of(some))
+        close, device = near and near.of(some), images_e.device
+        return _lift(model, close, images_e, good.to(device), noise, start_nm[some], options.of(some))
 
     pieces = zip(
         *(in_pieces(one, model, near) for one in (torch.arange(len(images_e)), images_e)), strict=True
@@ -192,21 +194,30 @@ REACH_NM = 500.0  # from the known wavefront, in every mode: fits that go furthe
 
 
 class NearModel(ImageModel):
-    """A coarse model with what it lacks of an `exact` one near a wavefront (modes,), to first order."""
+    """A coarse model with what it lacks of an `exact` one near the wavefronts (images, modes) of some images.
+
+    What it lacks is taken to first order.
+    """
 
     def __init__(self, exact: ImageModel, near_nm: torch.Tensor):
         assert isinstance(exact.psf, PsfModel)
         psf, optics = exact.psf.coarse(exact.optics)
-        rough, one = ImageModel(psf, exact.effects), torch.ones(1, dtype=torch.float64)
+        rough, one = ImageModel(psf, exact.effects), torch.ones(len(near_nm), dtype=torch.float64)
         super().__init__(psf, exact.effects)
         self._near_nm, self._last = near_nm, (NOTHING, optics)
         rough._last = self._last
-        there = [
-            model.predict_and_jacobian(near_nm[None], one, 0 * one, held=True) for model in (exact, rough)
-        ]
+        there = [model.predict_and_jacobian(near_nm, one, 0 * one, held=True) for model in (exact, rough)]
         (image, columns), (rough_image, rough_columns) = there
-        self._slopes = (columns - rough_columns)[0, :-2]
-        self._image = (image - rough_image)[0].to(columns)
+        self._slopes = (columns - rough_columns)[:, :-2].flatten(2)
+        self._image = (image - rough_image).to(columns)
+
+    def of(self, which: torch.Tensor) -> NearModel:
+        """Return that of some of the images."""
+        other = copy(self)
+        other._near_nm, other._slopes, other._image = (
+            one[which] for one in (self._near_nm, self._slopes, self._image)
+        )
+        return other
 
     @property
     def limits_nm(self) -> torch.Tensor:
@@ -217,34 +228,38 @@ class NearModel(ImageModel):
 
     def _unit_and_jacobian(self, modes_nm, *arguments):
         unit, jacobian = super()._unit_and_jacobian(modes_nm, *arguments)
-        return unit + self._lacking(modes_nm), jacobian + self._slopes
+        return unit + self._lacking(modes_nm), jacobian + self._slopes.view_as(jacobian)
 
     def _unit_and_pullback(self, modes_nm):
         unit, to_modes = super()._unit_and_pullback(modes_nm)
-        slopes = self._slopes.flatten(1).mT
 
         def pullback(factors: torch.Tensor) -> torch.Tensor:
-            return to_modes(factors) + factors.flatten(1).to(slopes) @ slopes
+            lacking = self._slopes @ factors.flatten(1)[..., None].to(self._slopes)
+            return to_modes(factors) + lacking[..., 0]
 
         return unit + self._lacking(modes_nm), pullback
 
     def _lacking(self, modes_nm: torch.Tensor) -> torch.Tensor:
-        ahead = (modes_nm - self._near_nm).to(self._slopes)
-        return self._image + torch.tensordot(ahead, self._slopes, 1)
+        ahead = (modes_nm - self._near_nm.to(modes_nm.device)).to(self._slopes)
+        return self._image + (ahead[:, None] @ self._slopes).view_as(self._image)
 
 
 def near(model: ImageModel, near_nm: torch.Tensor) -> NearModel | None:
-    """A `model` that a processor is quicker with near a wavefront (modes,); None where there is none."""
+    """A quicker `model` near the wavefronts (images, modes) of some images; None where there is none."""
     psf = model.psf
-    if psf.device != "cpu" or not (isinstance(psf, PsfModel) and model.can_pull_back):
-        return None  # a GPU is quicker with all images at once
+    if not (isinstance(psf, PsfModel) and model.can_pull_back):
+        return None
     return NearModel(model, near_nm) if len(psf.weights) > 2 or model.optics.by_mode else None
 
 
 class NearFit(ImageFit, CheapGradientProblem):
     """A fit of single images, with a `NearModel`, of which those that leave its limits are given up."""
 
+    model: NearModel
     confined, cheap_gradient = True, ImageFit.gradient
+
+    def _of(self, which: torch.Tensor) -> NearFit:
+        return self._with(model=self.model.of(which))
 
 
 class NearlySolved(ImageFit):

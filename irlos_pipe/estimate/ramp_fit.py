@@ -23,13 +23,14 @@ from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTi
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.estimate.calibration_errors import public_errors
-from irlos_pipe.estimate.image_fit import ImageFit, Layout
+from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, ImageFit, Layout
 from irlos_pipe.estimate.lift import LiftResult, image_problem, lift, smooth
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
+from irlos_pipe.numerics.parallel import at_once
 from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.numerics.solution import CONVERGED, MAX_ITERATIONS
 from irlos_pipe.optics.light_path import LightPath
@@ -240,11 +241,11 @@ def _linearised(problem: ImageFit, x: torch.Tensor):
     The steps (images, parameters, shared + 1) are those per unit by which a shared parameter falls and, last,
     those while all stay. Gradient and information are in units of the misfit, χ²/ν where it is above 1.
     """
-    size = len(problem.held)
-    gradient = torch.zeros(size, dtype=torch.float64)
-    information = torch.zeros(size, size, dtype=torch.float64)
+    gradient = torch.zeros(len(problem.held), dtype=torch.float64)
+    information = torch.zeros(len(gradient), len(gradient), dtype=torch.float64)
     chi2, own, steps = 0.0, problem.layout.size, []
-    for part, which in zip(x.split(8), torch.arange(len(x)).split(8), strict=True):
+    size = at_once(FRAMES_PER_CHUNK, problem.device)
+    for part, which in zip(x.split(size), torch.arange(len(x)).split(size), strict=True):
         columns, residual = _whitened_columns(problem, part, which)
         force, normal = (columns @ residual[..., None]).cpu(), (columns @ columns.mT).cpu()
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which])

@@ -16,7 +16,7 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
-from irlos_pipe.numerics.parallel import process_map
+from irlos_pipe.numerics.parallel import at_once, ordered_map, process_map
 
 PERCENTILES = (50, 15.87, 84.13)
 IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
@@ -61,8 +61,9 @@ class Configuration:
         """Return that of the `fit` of the frames as they are."""
         return cls(fit.model, fit.result.model_e, fit.start_nm, fit.result.zernike_nm)
 
-    def near(self, frame: int) -> NearModel | None:
-        return None if self.near_nm is None else near(self.model, self.near_nm[frame])
+    @property
+    def near(self) -> NearModel | None:
+        return None if self.near_nm is None else near(self.model, self.near_nm)
 
 
 @dataclass(frozen=True)
@@ -150,34 +151,27 @@ def scan(
     """
     faint, one_read = faint or data.noise, one_read or data.noise
     factors = np.minimum(1.0, 10 ** (-0.4 * (np.asarray(magnitudes) - mag_j)))
-    frames = range(len(data.images_e))
-    close_to = [[one.near(frame) for frame in frames] for one in configurations]
+    frames = len(data.images_e)
+    close_to = [one.near for one in configurations]
 
     def dimmed(signal_e: torch.Tensor, index: int) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed + 7919 * int(index))
         arguments = signal_e, factors[index], data.noise, generator, faint
-        return torch.stack([dim(data.images_e, *arguments) for _ in range(realisations)], dim=1)
+        drawn = [dim(data.images_e, *arguments).to(data.images_e.dtype) for _ in range(realisations)]
+        return torch.stack(drawn, dim=1)
 
     def pieces(number: int, group: np.ndarray) -> list[tuple[int, torch.Tensor, torch.Tensor]]:
-        """Images at some magnitudes, in pieces with the numbers of the configuration and of their frames.
-
-        Those of a piece have the same quicker model, or none.
-        """
-        one, close = configurations[number], close_to[number]
-        images_e = torch.stack([dimmed(one.signal_e, index) for index in group], dim=1).flatten(1, 2)
-        images_e, own = images_e.to(data.images_e.dtype), torch.arange(len(images_e))[:, None]
-        own = own.expand(images_e.shape[:2])
-        if not any(close):
-            images_e, own, close = images_e.flatten(0, 1)[None], own.flatten()[None], close[:1]
-        split = (
-            zip(in_pieces(numbers, one.model, near), in_pieces(some, one.model, near), strict=True)
-            for numbers, some, near in zip(own, images_e, close, strict=True)
-        )
-        return [(number, *piece) for of_near in split for piece in of_near]
+        """Images at some magnitudes, in pieces with the numbers of the configuration and of their frames."""
+        one = configurations[number]
+        images_e = torch.cat(ordered_map(lambda index: dimmed(one.signal_e, index), group), dim=1)
+        own = torch.arange(frames).repeat_interleave(images_e.shape[1])
+        split = (in_pieces(each, one.model, close_to[number]) for each in (own, images_e.flatten(0, 1)))
+        return [(number, *piece) for piece in zip(*split, strict=True)]
 
     def errors_of(piece: tuple[int, torch.Tensor, torch.Tensor]) -> np.ndarray:
         number, own, images_e = piece
-        model, close = configurations[number].model, close_to[number][int(own[0])]
+        model, close = configurations[number].model, close_to[number]
+        close = close and close.of(own)
         options, start = LiftOptions("model"), configurations[number].start_nm[own]
         result = lift(model, images_e, data.good, faint, start, options, near=close, beyond=False)
         error = np.abs(result.mode(4)[0].numpy() - data.introduced_nm[own.numpy()])
@@ -189,10 +183,11 @@ def scan(
         """Errors (configurations, magnitudes, trials) of some magnitudes."""
         every = [piece for number in range(len(configurations)) for piece in pieces(number, group)]
         errors = np.concatenate(process_map(errors_of, every, lambda piece: report(len(piece[1]))))
-        by_frame = errors.reshape(len(configurations), len(frames), len(group), realisations)
+        by_frame = errors.reshape(len(configurations), frames, len(group), realisations)
         return by_frame.swapaxes(1, 2).reshape(len(configurations), len(group), -1)
 
-    groups = min(len(factors), -(-len(factors) * len(frames) * realisations // IMAGES_AT_ONCE))
+    most = at_once(IMAGES_AT_ONCE, configurations[0].model.psf.device)
+    groups = min(len(factors), -(-len(factors) * frames * realisations // most))
     split = np.array_split(np.arange(len(factors)), groups)
     errors = np.concatenate([errors_nm(group) for group in split], axis=1)
 

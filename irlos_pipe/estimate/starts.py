@@ -100,19 +100,24 @@ def _most_alike(
     templates: torch.Tensor, images: torch.Tensor, good: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Template of the highest correlation with each image (images,), and its shift (images, 2) [px]."""
-    size, device = torch.tensor(good.shape), templates.device
+    rows, columns = good.shape
     spectra = torch.fft.rfft2(_standardised(templates)).conj_physical()
 
     def peaks(some: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        spectrum = torch.fft.rfft2(_standardised((some * good).to(device)))[:, None]
-        correlation = torch.fft.irfft2(spectrum * spectra, s=tuple(good.shape)).flatten(2)
-        highest, where = correlation.max(2)
+        spectrum = torch.fft.rfft2(_standardised((some * good).to(templates.device)))[:, None]
+        highest, where = torch.fft.irfft2(spectrum * spectra, s=(rows, columns)).flatten(2).max(2)
         best = highest.argmax(1, keepdim=True)
-        at = torch.stack(torch.unravel_index(where.gather(1, best)[:, 0], good.shape), dim=1).cpu()
-        return best[:, 0].cpu(), torch.where(at > size // 2, at - size, at).double()
+        at = where.gather(1, best).cpu()
+        shifts = [_signed(at // columns, rows), _signed(at % columns, columns)]
+        return best[:, 0].cpu(), torch.cat(shifts, dim=1).double()
 
-    best, shifts = joined_map(peaks, images.split(at_once(1, device.type)), len(images))
+    best, shifts = joined_map(peaks, images.split(at_once(1, templates.device.type)), len(images))
     return best, shifts
+
+
+def _signed(index: torch.Tensor, size: int) -> torch.Tensor:
+    """Shifts that indices of a circular correlation stand for."""
+    return torch.where(index > size // 2, index - size, index)
 
 
 def median_of_frames_nm(

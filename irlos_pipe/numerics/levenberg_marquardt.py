@@ -61,7 +61,9 @@ class _State:
 
     def __init__(self, problem: Problem, x: torch.Tensor):
         self.problem = problem
-        self.lower, self.upper = problem.lower.numpy(), problem.upper.numpy()
+        self.lower, self.upper = (
+            np.broadcast_to(one.numpy(), x.shape) for one in (problem.lower, problem.upper)
+        )
         self.x = x.numpy().clip(self.lower, self.upper)
         batch, size = x.shape
         self.damping = np.full(batch, DAMPING_START)
@@ -179,17 +181,21 @@ class _State:
         if self.reweighted:
             return
         step = self._free_step(which, self.damping[which].clip(min=DAMPING_START))
-        ended = (self.x[which] + step).clip(self.lower, self.upper)
+        ended = self._within(self.x[which] + step, which)
         if self.cheap_gradient is not None:
             value = self.problem.objective(torch.from_numpy(ended), torch.from_numpy(which)).numpy()
             no_worse = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
             which, ended = which[no_worse], ended[no_worse]
         self.x[which] = ended
 
+    def _within(self, x: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Parameters of some members within their bounds."""
+        return x.clip(self.lower[which], self.upper[which])
+
     def _step(self, which: np.ndarray) -> None:
         """Try damped steps, raising the damping until the objective falls."""
         for _ in range(TRIALS):
-            trial = (self.x[which] + self._descent(which)).clip(self.lower, self.upper)
+            trial = self._within(self.x[which] + self._descent(which), which)
             tried = self._tried(trial, which)
             value = tried[0]
             better = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
@@ -260,7 +266,7 @@ class _State:
         A Hessian of another place may know nothing of a parameter that has got a slope since.
         """
         x, gradient, hessian = self.x[which], self.gradient[which], self.hessian[which]
-        held = ((x <= self.lower) & (gradient > 0)) | ((x >= self.upper) & (gradient < 0))
+        held = (x <= self.lower[which]) & (gradient > 0) | (x >= self.upper[which]) & (gradient < 0)
         held |= np.diagonal(hessian, axis1=1, axis2=2) <= 0
         if held.any():
             free = ~held[:, :, None] & ~held[:, None, :]
