@@ -54,7 +54,8 @@ class BenchFrames:
 
     def error_nm(self, estimates_nm: np.ndarray) -> float:
         """Total RMS over the modes of the mean estimate of the first frames against their mean truth."""
-        difference = np.nanmean(estimates_nm, axis=0) - self.truth_nm[: len(estimates_nm)].mean(axis=0)
+        truth_nm = self.truth_nm[np.arange(len(estimates_nm)) % len(self.truth_nm)]
+        difference = np.nanmean(estimates_nm, axis=0) - truth_nm.mean(axis=0)
         return float(np.sqrt(np.sum(difference**2)))
 
 
@@ -164,9 +165,10 @@ class Inputs:
         return CalibrateConfig().options(load_instrument("irlos").facility.ncpa_law).prior
 
     def calibration_frames(self, count: int) -> Frames:
-        """The first drawn frames as `calibrate` takes them."""
+        """The first drawn frames as `calibrate` takes them, over and over if these are not enough."""
+        drawn_e = self.frames.images_e
         return Frames(
-            torch.as_tensor(self.frames.images_e[:count]),
+            torch.as_tensor(drawn_e[np.arange(count) % len(drawn_e)]),
             torch.ones(WINDOW_PX, WINDOW_PX, dtype=torch.bool),
             NoiseModel(1.0, READ_NOISE_E**2),
         )

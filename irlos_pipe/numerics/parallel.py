@@ -65,14 +65,15 @@ def process_map(
 ) -> list[Result]:
     """Return what `function` makes of all `items`, in order, from processes; `report` gets each that is done.
 
-    There are none beside threads, whose locks a fork would keep, within processes, where gradients are
-    recorded, nor where a GPU is in use, which does not survive a fork. Then there are threads.
+    There are none beside threads, whose locks a fork would keep, within processes, nor where gradients are
+    recorded; then there are threads. A GPU in use does not survive a fork, and needs one thread only.
     """
     forked_map, items = _forked.get(), list(items)
-    if forked_map and len(items) > 1 and not (torch.is_grad_enabled() or torch.cuda.is_initialized()):
+    on_gpu = torch.cuda.is_initialized()
+    if forked_map and len(items) > 1 and not (torch.is_grad_enabled() or on_gpu):
         return forked_map(function, items, report, _begin_process)
     results = []
-    for item, result in zip(items, _results(function, items), strict=True):
+    for item, result in zip(items, (map if on_gpu else _results)(function, items), strict=True):
         results.append(result)
         report(item)
     return results
