@@ -53,13 +53,6 @@ class Vane:
         width = inside((across + half) / step) + inside((half - across) / step) - 1
         return np.clip(width, 0, 1) * inside(along / step) * inside((self.axis[1] - along) / step)
 
-    def distance_from_axis_m(self) -> float:
-        """Return how near the optical axis its middle line comes [m]."""
-        start, end = complex(*self.start_m), complex(*self.end_m)
-        along = end - start
-        share = min(max(-(start * along.conjugate()).real / abs(along) ** 2, 0.0), 1.0)
-        return abs(start + share * along)
-
 
 @dataclass(frozen=True)
 class PupilGeometry:
@@ -88,7 +81,10 @@ class PupilGeometry:
                 raise ValueError(
                     f"vane {number}: its width, {vane.width_m:g} m, should be positive and small"
                 )
-            if vane.distance_from_axis_m() >= rim_m + vane.width_m / 2:
+            start, end = complex(*vane.start_m), complex(*vane.end_m)
+            along = end - start
+            share = min(max(-(start * along.conjugate()).real / abs(along) ** 2, 0.0), 1.0)
+            if abs(start + share * along) >= rim_m + vane.width_m / 2:
                 raise ValueError(f"vane {number} lies outside the diameter, {self.diameter_m:g} m")
         if self.map and len(self.aperture) > 1:
             raise ValueError("a map is the whole aperture; leave the other parts out")

@@ -76,12 +76,6 @@ class ValidationErrors:
             raise ConfigurationError("\n".join(f"{where}: {message}" for where, message in ordered))
 
 
-def read_validated(path: Path, model: type[Model]) -> Model:
-    """Return the YAML file at `path` as a `model`; errors are those of `require_valid`."""
-    data, lines = load_yaml(path)
-    return require_valid(data, model, Origins(path, lines))
-
-
 def require_valid(data: Any, model: type[Model], origins: Origins) -> Model:
     """Return `data`, whose values come from `origins`, as a `model`.
 

@@ -216,7 +216,12 @@ def require_usable(geometry: PupilGeometry) -> None:
     step_m = geometry.diameter_m / CELLS
     axis_m = (np.arange(CELLS + 2) - (CELLS + 1) / 2) * step_m
     x_m, y_m = axis_m[None, :], axis_m[:, None]
-    overlap = _overlap(geometry, x_m, y_m, step_m)
+    pieces = np.zeros((y_m.size, x_m.size), int)
+    for piece in () if geometry.map else geometry.segments:
+        box = rows, columns = piece.box(x_m, y_m, step_m)
+        inside_m = piece.distance_m(*piece.placement.back(x_m[:, columns], y_m[rows]))
+        pieces[box] += inside_m > 1e-6 * step_m
+    overlap = int(np.sum(pieces > 1)) / max(int(np.sum(pieces > 0)), 1)
     if overlap > MOST_OVERLAP:
         raise ValueError(
             f"the parts of the aperture overlap: {overlap:.2g} of its area is covered twice; draw it once"
@@ -234,13 +239,3 @@ def require_usable(geometry: PupilGeometry) -> None:
             f"what passes light ends {reach_m:.3g} m from the axis, before {LEAST_REACH:.2g} of half the "
             f"diameter, {rim_m:g} m; correct pupil_diameter_m, or the scale of what is drawn"
         )
-
-
-def _overlap(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> float:
-    """The part of the aperture's area that is covered twice."""
-    pieces = np.zeros((y_m.size, x_m.size), int)
-    for piece in () if geometry.map else geometry.segments:
-        box = rows, columns = piece.box(x_m, y_m, step_m)
-        inside_m = piece.distance_m(*piece.placement.back(x_m[:, columns], y_m[rows]))
-        pieces[box] += inside_m > 1e-6 * step_m
-    return int(np.sum(pieces > 1)) / max(int(np.sum(pieces > 0)), 1)

@@ -103,7 +103,9 @@ def discover(
     found: list[Description] = []
     problems: list[tuple[Path, str]] = []
     files = _files(folders, problems)
-    single = _single_recording_folders(files)
+    # folders with exactly one recording in or below them
+    counts = Counter(folder for file in files for folder in file.parents)
+    single = {folder for folder, count in counts.items() if count == 1}
     for file in files:
         if not str(file).isprintable():  # nor is it opened: messages would hold the name
             problems.append((file, UNPRINTABLE.format(str(file))))
@@ -183,12 +185,6 @@ def _files(folders: Sequence[Path], problems: list[tuple[Path, str]]) -> list[Pa
         return list(dict.fromkeys(recording_files([folder.absolute() for folder in folders], refused)))
     except NothingToDo:
         return []
-
-
-def _single_recording_folders(files: Iterable[Path]) -> set[Path]:
-    """Folders with exactly one recording in or below them."""
-    counts = Counter(folder for file in files for folder in file.parents)
-    return {folder for folder, count in counts.items() if count == 1}
 
 
 def _describe(

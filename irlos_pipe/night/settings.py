@@ -11,7 +11,8 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files import shipped
 from irlos_pipe.files.shipped import named_file
-from irlos_pipe.files.validation import absolute, read_validated
+from irlos_pipe.files.validation import Origins, absolute, require_valid
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.results import item
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
@@ -95,8 +96,10 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
 
     Raises `ConfigurationError` with one line ``where: message`` for every validation error.
     """
-    settings = NightSettings() if path is None else read_validated(path, NightSettings)
-    folder = None if path is None else absolute(path).parent
+    settings, folder = NightSettings(), None
+    if path is not None:
+        data, lines = load_yaml(path)
+        settings, folder = require_valid(data, NightSettings, Origins(path, lines)), absolute(path).parent
     chosen = {kind: [_recipe(name) for name in names] for kind, names in RECIPES.items()}
     chosen |= {kind: [_recipe(name, folder) for name in names] for kind, names in settings.recipes.items()}
     chosen |= _by_kind(recipes)

@@ -164,15 +164,6 @@ def write_aot(product: Product, name: str, path: Path, *, replace: bool = False)
     for file in (path, sidecar):
         if file.exists() and not replace:
             raise ConfigurationError(f"{file}: exists already; choose another name or give --force")
-    prefix = _prefix(product, name)
-    made_from = {f"{ROOT}/{one.input}/{one.name}": one for one in recorded(product.provenance)}
-    seen = made_from.get(prefix, Recorded())
-    content = _content(product, prefix, seen)
-    write_bytes(sidecar, yaml_text(_sidecar(product, prefix)).encode())
-    write_bytes(path, content)
-
-
-def _prefix(product: Product, name: str) -> str:
     known = sorted({array.rpartition("/")[0] for array in product.arrays if array.endswith("/raw_adu")})
     if not known:
         raise ConfigurationError(
@@ -182,7 +173,12 @@ def _prefix(product: Product, name: str) -> str:
     if len(fitting) != 1:
         names = [one.removeprefix(f"{ROOT}/") for one in known]
         raise ConfigurationError(f"--recording {name}: not one of this product{suggestion(name, names)}")
-    return fitting[0]
+    prefix = fitting[0]
+    made_from = {f"{ROOT}/{one.input}/{one.name}": one for one in recorded(product.provenance)}
+    seen = made_from.get(prefix, Recorded())
+    content = _content(product, prefix, seen)
+    write_bytes(sidecar, yaml_text(_sidecar(product, prefix)).encode())
+    write_bytes(path, content)
 
 
 def _content(product: Product, prefix: str, seen: Recorded) -> bytes:

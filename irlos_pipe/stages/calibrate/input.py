@@ -148,22 +148,13 @@ def setups_of(
         for effect in image_effects(shown(first, conditions))
         if is_common(effect)
     ]
-    return [
-        _setup(ctx, group, under, [effect.seen_in(under, conditions[0]) for effect in common], highest_noll)
-        for group, under in zip(groups, conditions, strict=True)
-    ]
-
-
-def _setup(
-    ctx: StageContext,
-    group: Sequence[Recording],
-    conditions: Conditions,
-    common: Sequence[Effect],
-    highest_noll: int,
-) -> Setup:
-    listed = model_effects(ctx.instrument, ctx.model, group[0], highest_noll)
-    own = [e for e in image_effects(with_colour(listed, ctx.model, conditions)) if not is_common(e)]
-    if warning := colour_warning(own, group):
-        ctx.log.warning(warning)
-    frames = pooled_frames(group, good_pixels(listed, group[0].window), conditions.settings)
-    return Setup(frames, conditions.settings, common, own, tuple(one.name for one in group))
+    found = []
+    for group, under in zip(groups, conditions, strict=True):
+        listed = model_effects(ctx.instrument, ctx.model, group[0], highest_noll)
+        own = [e for e in image_effects(with_colour(listed, ctx.model, under)) if not is_common(e)]
+        if warning := colour_warning(own, group):
+            ctx.log.warning(warning)
+        frames = pooled_frames(group, good_pixels(listed, group[0].window), under.settings)
+        shared = [effect.seen_in(under, conditions[0]) for effect in common]
+        found.append(Setup(frames, under.settings, shared, own, tuple(one.name for one in group)))
+    return found

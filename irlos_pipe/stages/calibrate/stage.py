@@ -23,7 +23,7 @@ from irlos_pipe.estimate.calibration_options import (
 )
 from irlos_pipe.estimate.records import Cause, OneSetup, TwinCheck
 from irlos_pipe.numerics.loss import LossName
-from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import (
     DITTO,
     ByNoll,
@@ -319,20 +319,13 @@ class CubeEstimate:
 
 def cube_estimates(product: Product) -> list[CubeEstimate]:
     """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording."""
-    return [_estimate(product, row) for row in results_of(CalibrateResults, product).cubes]
-
-
-def _estimate(product: Product, row: CubeRow) -> CubeEstimate:
-    def own(name: str) -> Quantity:
-        return product.arrays[f"{CUBES}/{row.name}/{name}"]
-
-    return CubeEstimate(
-        row.name,
-        row.derotator_angle_deg,
-        tuple(int(noll) for noll in own("noll").value),
-        own("zernike_nm").value,
-        np.asarray(own("zernike_nm").error),
-        own("covariance_nm2").value,
-        own("frames_nm").value,
-        own("mean_image_e").value,
-    )
+    found = []
+    for row in results_of(CalibrateResults, product).cubes:
+        nolls, zernike, covariance, frames, mean = (
+            product.arrays[f"{CUBES}/{row.name}/{name}"]
+            for name in ("noll", "zernike_nm", "covariance_nm2", "frames_nm", "mean_image_e")
+        )
+        modes = tuple(int(noll) for noll in nolls.value), zernike.value, np.asarray(zernike.error)
+        of_all = covariance.value, frames.value, mean.value
+        found.append(CubeEstimate(row.name, row.derotator_angle_deg, *modes, *of_all))
+    return found

@@ -93,7 +93,9 @@ def _unless_a_copy(source: Source, earlier: Sequence[Source], log: logging.Logge
     first = next((other for other in earlier if _same_frames(other.raw, source.raw)), None)
     if first is None:
         return [source]
-    if not _same_description(first, source):
+    one, other = first.resolved, source.resolved
+    same_defocus = np.array_equal(one.introduced_defocus_nm, other.introduced_defocus_nm)
+    if one.acquisition != other.acquisition or not same_defocus:
         raise InputDataError(
             f"{source.raw.path}: the same frames as in {first.raw.path}, but another side-car; remove one"
         )
@@ -107,12 +109,6 @@ def _same_frames(one: RawRecording, other: RawRecording) -> bool:
         return False
     same = np.array_equal(one.adu[0], other.adu[0])
     return same and np.array_equal(one.adu, other.adu)
-
-
-def _same_description(one: Source, other: Source) -> bool:
-    first, second = one.resolved, other.resolved
-    defocus = np.array_equal(first.introduced_defocus_nm, second.introduced_defocus_nm)
-    return first.acquisition == second.acquisition and defocus
 
 
 def source_problems(
