@@ -195,8 +195,12 @@ def pdb_option(*, hidden: bool) -> click.Option:
     )
 
 
+def _at_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
 def _ask(context: click.Context, _option: click.Parameter, value: bool) -> None:
-    if value and not (sys.stdin.isatty() and sys.stdout.isatty()):
+    if value and not _at_terminal():
         raise click.UsageError("--pdb needs a terminal: the debugger would wait for answers forever")
     if value:
         context.meta[ASKED] = True

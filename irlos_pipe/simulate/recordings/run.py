@@ -301,19 +301,15 @@ def plan_simulation(spec: Spec, folder: Path, force: bool = False) -> list[Step]
             )
     require_free(target.path, (target.spec.name,))
     steps = [Step(one, FORCED if force else target.reason(one)) for one in planned]
-    _require_room(target.path, sum(step.planned.size_bytes for step in steps if step.reason))
-    return steps
-
-
-def _require_room(folder: Path, needed_bytes: float) -> None:
-    """Refuse a simulation that the disk cannot hold, before hours of work."""
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    free_bytes = shutil.disk_usage(existing).free
-    if needed_bytes > free_bytes:
+    needed_bytes = sum(step.planned.size_bytes for step in steps if step.reason)
+    above = target.path.absolute()
+    free_bytes = shutil.disk_usage(next(path for path in (above, *above.parents) if path.exists())).free
+    if needed_bytes > free_bytes:  # refused before hours of work
         raise ConfigurationError(
             f"--output {folder}: the recordings take {needed_bytes / 1e9:.1f} GB, {free_bytes / 1e9:.1f} are "
             "free; simulate fewer frames or a smaller window"
         )
+    return steps
 
 
 def simulate(
@@ -344,15 +340,12 @@ def simulate(
         with closing(make_all(due, target.path, jobs, progress)) as finished:
             for job, made in finished:
                 target.put(job, made)
-                _log(job.planned, made)
+                name, scene = job.planned.name, job.planned.scene
+                LOG.info("%s: %d frames, brightest pixel %d ADU", name, scene.frames, made.brightest_adu)
+                values = scene.frames * int(np.prod(scene.window))
+                if made.saturated > SATURATION_NOTED * values:
+                    LOG.warning("%s: %d of %d values are saturated", name, made.saturated, values)
     return steps
-
-
-def _log(planned: Planned, made: Made) -> None:
-    LOG.info("%s: %d frames, brightest pixel %d ADU", planned.name, planned.scene.frames, made.brightest_adu)
-    values = planned.scene.frames * int(np.prod(planned.scene.window))
-    if made.saturated > SATURATION_NOTED * values:
-        LOG.warning("%s: %d of %d values are saturated", planned.name, made.saturated, values)
 
 
 @contextmanager
