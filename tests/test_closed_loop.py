@@ -1,7 +1,5 @@
 """The adaptive optics that is simulated end to end measures and corrects what it should."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from simulator import closed_loop

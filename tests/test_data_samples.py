@@ -1,7 +1,5 @@
 """The committed data samples have the documented layout and agree with their truth."""
 
-from __future__ import annotations
-
 import ast
 import json
 import sys

@@ -4,8 +4,6 @@ It is drawn by cells: x and y are the coordinates of their middles, `step` is th
 fraction of a cell is linear in the distance of its middle to an edge.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,7 +23,7 @@ class Vane:
     end_m: tuple[float, float]
     width_m: float
 
-    def placed(self, placement: Placement) -> Vane:
+    def placed(self, placement: Placement) -> "Vane":
         """Return the vane carried to a `placement`."""
         (x0, y0), (x1, y1) = placement.forth(*self.start_m), placement.forth(*self.end_m)
         return Vane((float(x0), float(y0)), (float(x1), float(y1)), self.width_m)

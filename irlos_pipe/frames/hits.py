@@ -7,8 +7,6 @@ level of saturation. A clipped pixel shows by the company of its values: they li
 the noise of the photons would let them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,12 +30,12 @@ class Hits:
     row: np.ndarray
     column: np.ndarray
 
-    def outside(self, pixels: np.ndarray) -> Hits:
+    def outside(self, pixels: np.ndarray) -> "Hits":
         """Return the hits on other pixels than `pixels` (rows, columns)."""
         keep = ~pixels[self.row, self.column]
         return Hits(self.frame[keep], self.row[keep], self.column[keep])
 
-    def and_those(self, others: Hits) -> Hits:
+    def and_those(self, others: "Hits") -> "Hits":
         joined = (self.frame, others.frame), (self.row, others.row), (self.column, others.column)
         return Hits(*map(np.concatenate, joined))
 

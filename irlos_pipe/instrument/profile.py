@@ -1,7 +1,5 @@
 """The YAML file of an instrument profile: its keys, and the facts that it may state."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -225,7 +223,7 @@ class Profile(Section):
     pupil: PupilSection | None = Field(None, description="drawing of the pupil, beyond its facts")
 
     @model_validator(mode="after")
-    def _consistent(self) -> Profile:
+    def _consistent(self) -> "Profile":
         unknown = [key for key in self.defaults if key not in DEFAULTS]
         if unknown:
             raise ValueError(

@@ -1,7 +1,5 @@
 """Find the recordings under some folders and describe them; known ones are not read again."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import re
@@ -58,14 +56,14 @@ class Description:
     content: str = ""  # checksum of the frames, the same for a copy
     night_by: str = ""  # what the night was taken from where the recording states no time; else empty
 
-    def same_frames(self, other: Description) -> bool:
+    def same_frames(self, other: "Description") -> bool:
         """Whether `other` holds the same frames, taken at the same time as far as that is known."""
         if not self.content or (self.content, self.mode) != (other.content, other.mode):
             return False
         known = self.start_unix_s is not None and other.start_unix_s is not None
         return not known or abs((self.start_unix_s or 0.0) - (other.start_unix_s or 0.0)) < 1.0
 
-    def same_description(self, other: Description) -> bool:
+    def same_description(self, other: "Description") -> bool:
         """Whether `other` is said to be the same."""
         names = ("role", "configuration", "spectrum", "target", "exposure_s", "derotator_angle_deg")
         return all(getattr(self, name) == getattr(other, name) for name in names)

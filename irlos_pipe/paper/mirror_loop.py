@@ -5,8 +5,6 @@ what the mirror made of it. The mirror is not the one that its control believes 
 actuators are shifted and turned against the pupil. The star was refocused before, or has a defocus bias.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -61,7 +59,7 @@ class MirrorErrors:
     shift: float = 0.0
     turn_deg: float = 0.0
 
-    def alone(self) -> dict[str, MirrorErrors]:
+    def alone(self) -> "dict[str, MirrorErrors]":
         """Return mirrors with none of the errors, with each, with the gain too high, and with all."""
         return {
             "none": MirrorErrors(),

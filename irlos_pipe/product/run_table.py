@@ -1,7 +1,5 @@
 """Checks and numbers of a run as one table: in CSV or SQLite, or next to those of another run."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -192,11 +190,11 @@ def _checks(run: RunFolder) -> dict[str, str]:
     }
 
 
-def _are_numbers(*both: Leaf) -> bool:
+def _are_numbers(*both: "Leaf") -> bool:
     return all(_is_number(one.value) for one in both)
 
 
-def _number_pair(path: str, one: Leaf, other: Leaf) -> NumberPair:
+def _number_pair(path: str, one: "Leaf", other: "Leaf") -> NumberPair:
     stage, _, name = path.partition(".")
     difference, error = other.value - one.value, math.hypot(one.error, other.error)
     return NumberPair(
@@ -228,7 +226,7 @@ def _modes(numbers: Iterable[NumberPair]) -> Iterator[ModesPair]:
         )
 
 
-def _only_in(one: Mapping[Place, Leaf], other: Mapping[Place, Leaf]) -> list[str]:
+def _only_in(one: "Mapping[Place, Leaf]", other: "Mapping[Place, Leaf]") -> list[str]:
     """What the first has and the second lacks, by the shortest path that the second lacks altogether."""
     known = {path[:length] for path in other for length in range(1, len(path) + 1)}
     missing = {

@@ -1,7 +1,5 @@
 """The folder of a run: its file names, its lock, and its tidiness."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
@@ -44,7 +42,7 @@ class _Named:
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __get__(self, run: RunFolder, kind: object = None) -> Path:
+    def __get__(self, run: "RunFolder", kind: object = None) -> Path:
         return run.path / self._name
 
 

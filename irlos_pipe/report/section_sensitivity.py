@@ -1,7 +1,5 @@
 """Section on the sensitivity: error and failures against magnitude."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Stage `prior`: defocus of every frame of a ramp from the elongation of its image."""
 
-from __future__ import annotations
-
 import math
 from math import nan
 from typing import ClassVar

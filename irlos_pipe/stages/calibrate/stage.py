@@ -1,7 +1,5 @@
 """Stage `calibrate`: static aberrations (NCPAs) from cubes of short narrow-band exposures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import nan
@@ -148,7 +146,7 @@ class Config(Limits):
     compare: tuple[MethodName, ...] = item((), "further methods to run, for comparison in the report only")
 
     @model_validator(mode="after")
-    def _can_be_open(self) -> Config:
+    def _can_be_open(self) -> "Config":
         if self.highest_noll == OPEN and not METHODS[self.method].open:
             raise ValueError(
                 f"'highest_noll: open' is not for method '{self.method}'; give a number, or null"
@@ -156,7 +154,7 @@ class Config(Limits):
         return self
 
     @model_validator(mode="after")
-    def _compared_on_all(self) -> Config:
+    def _compared_on_all(self) -> "Config":
         if self.each and self.compare:
             raise ValueError("'compare' works on all recordings together; leave it out with 'each: true'")
         return self

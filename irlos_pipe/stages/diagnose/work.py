@@ -1,7 +1,5 @@
 """Stage `diagnose`: what the model of cubes or a ramp lacks, by name and size, and how the gap shrinks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -63,7 +61,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     )
 
 
-def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
+def _diagnose(ctx: StageContext[Config], groups: "list[Alike]") -> Diagnosis:
     config = ctx.config
     effects: dict[int, list[Effect]] = {}
     for alike in groups:
@@ -84,7 +82,7 @@ def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
         return diagnose(exposures, model, options, device=ctx.device, report=bar.update)
 
 
-def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -> Exposures:
+def _exposures(ctx: StageContext[Config], alike: "Alike", effects: list[Effect]) -> Exposures:
     """Recordings of one setting and moment, the introduced defocus in the known wavefront."""
     first = alike.first
     conditions = conditions_of(
