@@ -168,18 +168,15 @@ def _require_workers(client: Client, scheduler: str) -> None:
     own = software_versions()
     for address, versions in client.run(software_versions).items():
         if versions != own:
+            different = (
+                f"{name} {versions.get(name, 'missing')} instead of {own.get(name, 'none')}"
+                for name in own | versions
+                if versions.get(name) != own.get(name)
+            )
             raise ConfigurationError(
-                f"worker {address}: {_difference(versions, own)}; "
+                f"worker {address}: {', '.join(different)}; "
                 "results would not be the same: install the same versions"
             )
-
-
-def _difference(theirs: dict[str, str], own: dict[str, str]) -> str:
-    return ", ".join(
-        f"{name} {theirs.get(name, 'missing')} instead of {own.get(name, 'none')}"
-        for name in own | theirs
-        if theirs.get(name) != own.get(name)
-    )
 
 
 def _distributed() -> Any:

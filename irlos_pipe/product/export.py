@@ -186,6 +186,8 @@ def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
     acquisition = json.loads(str(product.arrays[f"{prefix}/acquisition"].value))
     start_s = float(values["start_unix_s"])
     times = (start_s + values["time_s"]).tolist() if np.isfinite(start_s) else []
+    flat = values["flat"]
+    response = np.divide(1, flat, out=np.zeros(flat.shape, np.float32), where=flat > 0)
     time = aotpy.Time(uid="frames", timestamps=times, frame_numbers=values["frame_counter"].tolist())
     detector = aotpy.Detector(
         uid=(seen.instrument or "camera").upper(),
@@ -195,7 +197,7 @@ def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
         frame_rate=acquisition["frame_rate_hz"],
         excess_noise=acquisition["detector"]["excess_noise_factor"],
         dark=aotpy.Image("dark", values["background_adu"].astype(np.float32), unit="adu"),
-        flat_field=aotpy.Image("flat", _inverse(values["flat"])),
+        flat_field=aotpy.Image("flat", response),
         bad_pixel_map=aotpy.Image("bad", (~values["pixel_mask"].astype(bool)).astype(np.uint8)),
     )
     system = aotpy.AOSystem(ao_mode="LTAO", name=str(seen.cards.get("INSTRUME", seen.instrument)))
@@ -213,10 +215,6 @@ def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
         path = Path(folder) / "aot.fits"
         system.write_to_file(path)
         return path.read_bytes()
-
-
-def _inverse(flat: np.ndarray) -> np.ndarray:
-    return np.divide(1, flat, out=np.zeros(flat.shape, np.float32), where=flat > 0)
 
 
 def _sidecar(product: Product, prefix: str) -> dict[str, Any]:

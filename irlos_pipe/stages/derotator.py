@@ -25,7 +25,7 @@ from irlos_pipe.optics.wavefront import clear_disc, opd_maps_nm
 from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.stage import AngleRow, CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.stage import AngleRow, cube_estimates
 
 VERSION = 1
 NEEDS = ("calibrate",)
@@ -109,20 +109,16 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:
         raise ConfigurationError("derotator needs the cubes one by one: set calibrate.each to true")
-    series = _series(cubes, ctx.config)
-    rows = [AngleRow(name=cube.name, derotator_angle_deg=cube.derotator_angle_deg) for cube in cubes]
-    one_angle = len(np.unique(series.angles_deg % 360)) == 1
-    return _one_angle(ctx, rows, series) if one_angle else _split(ctx, rows, series)
-
-
-def _series(cubes: list[CubeEstimate], config: Config) -> Series:
     series = Series(
         cubes[0].nolls,
-        config.turn_per_degree * np.array([cube.derotator_angle_deg for cube in cubes]),
+        ctx.config.turn_per_degree * np.array([cube.derotator_angle_deg for cube in cubes]),
         np.stack([cube.zernike_nm for cube in cubes]),
         np.stack([cube.covariance_nm2 for cube in cubes]),
     )
-    return series.only(usable_modes(series.nolls, config.highest_noll))
+    series = series.only(usable_modes(series.nolls, ctx.config.highest_noll))
+    rows = [AngleRow(name=cube.name, derotator_angle_deg=cube.derotator_angle_deg) for cube in cubes]
+    one_angle = len(np.unique(series.angles_deg % 360)) == 1
+    return _one_angle(ctx, rows, series) if one_angle else _split(ctx, rows, series)
 
 
 def _one_angle(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> StageOutput:

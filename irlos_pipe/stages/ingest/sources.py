@@ -58,7 +58,9 @@ def read_sources(
         own: list[Source] = []
         for file in recording_files(paths):
             with failing_alone(failures, name, file, log):
-                for raw in _named(read_recordings(file, instrument), taken):
+                for read in read_recordings(file, instrument):
+                    raw = replace(read, name=unique_name(read.name, read.path, taken))
+                    taken.add(raw.name)
                     then = _instrument_then(instrument, raw.start_unix_s)
                     resolved = resolve(raw, keys_for(name), then)
                     for note in raw.notes:
@@ -145,13 +147,6 @@ def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:
     """
     darks = [source for source in sources if source.role == "dark"]
     return [_with_dark(source, darks) for source in sources if source.role != "dark"], darks
-
-
-def _named(recordings: Sequence[RawRecording], taken: set[str]) -> Iterator[RawRecording]:
-    for raw in recordings:
-        name = unique_name(raw.name, raw.path, taken)
-        taken.add(name)
-        yield replace(raw, name=name)
 
 
 SAMPLED_PX = 2.0  # pixels per λ/D from which an image holds all detail that the optics make

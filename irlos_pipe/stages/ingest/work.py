@@ -110,8 +110,13 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
         acquisition = replace(told, detector=detector, sources=sources)
         source = replace(source, resolved=replace(source.resolved, acquisition=acquisition))
         cleaned = _cleaned(source, config, instrument)
-    if source.raw.frames == 1:
-        _require_noise_level(source, cleaned)
+    declared = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
+    if source.raw.frames == 1 and not declared and not cleaned.noise.floor_e2 > 0:
+        raise InputDataError(
+            f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
+            "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
+            "and read-out together)"
+        )
     return _recording(source, cleaned), cleaned
 
 
@@ -155,16 +160,6 @@ def _step_s(raw: RawRecording) -> float:
     frames = (counter[-1] - counter[0]) / counter_step(raw.frame_counter)
     step_s = float((times_s[-1] - times_s[0]) / frames) if frames > 0 else 0.0
     return step_s if step_s > 0 else float("nan")  # a clock that stands gives no step
-
-
-def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
-    told = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
-    if not told and not cleaned.noise.floor_e2 > 0:
-        raise InputDataError(
-            f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
-            "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
-            "and read-out together)"
-        )
 
 
 def _recording(source: Source, cleaned: Cleaned) -> Recording:
