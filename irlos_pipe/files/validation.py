@@ -8,7 +8,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import nearest, suggestion
@@ -22,6 +22,12 @@ NO_SECTION = ("model_type", "dataclass_type", "named_tuple_type", "arguments_typ
 MAX_SHOWN = 60  # characters of a section or list in a message
 
 EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
+
+
+class Section(BaseModel):
+    """Base of the sections of a file: unknown keys and values that are not finite are refused."""
+
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True)

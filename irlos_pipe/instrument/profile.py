@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.instrument.pupil import PupilSection, Section, Status, ZenithSection
+from irlos_pipe.files.validation import Section
+from irlos_pipe.instrument.pupil import PupilSection, Status, ZenithSection
 
 MOST_CYCLES = 500  # per diameter that adaptive optics may correct: a thousand actuators across
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+from pydantic import Field, TypeAdapter, ValidationError, field_validator
 
 from irlos_pipe.conventions.pupil_drawing import (
     ON_AXIS,
@@ -20,6 +20,7 @@ from irlos_pipe.conventions.pupil_drawing import (
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Flip, Part, Placement, Samples
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.regular import first_image
+from irlos_pipe.files.validation import Section
 
 # How far a value can be trusted. adopted: the project's convention; published: in a refereed paper or report
 # of the observatory; unverified: seen in public code or headers only; assumed: does little harm if wrong
@@ -34,12 +35,6 @@ LEAST_LIGHT = 1e-3  # of the disc's; aperture masks pass some per cents
 # A map of half the scale, or a diameter in other units, ends before this; stops and aperture masks do not.
 # Of a Zernike polynomial of order n, a pupil that ends at x of the rim sees x^n: 4 % of one of order 8.
 LEAST_REACH = 2 / 3  # of half the diameter
-
-
-class Section(BaseModel):
-    """Base of the sections of a profile: unknown keys are refused."""
-
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class VaneEntry(Section):

@@ -5,13 +5,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files import shipped
 from irlos_pipe.files.shipped import named_file
-from irlos_pipe.files.validation import Origins, absolute, require_valid
+from irlos_pipe.files.validation import Origins, Section, absolute, require_valid
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.results import item
 from irlos_pipe.readers.sidecar import AcquisitionKeys
@@ -34,11 +34,7 @@ OTHER_NUMBERS = (
 NUMBER = re.compile("|".join([r"noll_[1-9]\d*_nm", *OTHER_NUMBERS]))
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class BandSettings(_Section):
+class BandSettings(Section):
     """When a number counts as out of its band; see `bands.band_of`."""
 
     false_alarm: float = item(1e-4, "false-alarm probability per number", gt=0, lt=0.5)
@@ -69,7 +65,7 @@ class BandSettings(_Section):
         return limits
 
 
-class NightSettings(_Section):
+class NightSettings(Section):
     """The file given with ``--config``; every key is optional."""
 
     instrument: str = item("irlos", "profile of recordings whose side-cars state none")

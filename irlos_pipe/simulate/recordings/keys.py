@@ -16,8 +16,6 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from pydantic import (
     AfterValidator,
     AliasChoices,
-    BaseModel,
-    ConfigDict,
     Discriminator,
     Field,
     Tag,
@@ -29,6 +27,7 @@ from pydantic import (
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.files.validation import Section
 from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel, Pixel, outside_window
@@ -40,12 +39,6 @@ from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling
 
 FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
 LARGEST_NM = 10_000.0
-
-
-class Section(BaseModel):
-    """Base of all sections of a spec: unknown keys and values that are not finite are refused."""
-
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def require_nolls(values: dict[int, float]) -> dict[int, float]:
