@@ -198,18 +198,9 @@ def read_overridden(
     """Read the settings file at `path` and replace what the command line gives.
 
     Returns its content with the replaced values; and what was wrong with the options, with where every value
-    comes from.
-
-    Parameters
-    ----------
-    parse : callable
-        Makes an override of one of the `settings`.
-    settings : iterable
-        ``key.key=VALUE`` or what else `parse` takes, applied in order; the value is YAML.
-    inputs : iterable of str
-        ``NAME=PATH``, relative to the current folder; a name given again makes a list.
-    seed : int, optional
-        Replaces the value of ``seed``.
+    comes from. `parse` makes an override of one of the `settings`: ``key.key=VALUE`` or what else it takes,
+    applied in order; the value is YAML. The `inputs` are ``NAME=PATH``, relative to the current folder; a
+    name given again makes a list. A `seed` replaces the value of ``seed``.
     """
     written, lines = load_yaml(path)
     rejected: list[ConfigurationError] = []

@@ -60,15 +60,9 @@ def _in_processes(work: Work, tasks: Sequence[Task], jobs: int) -> Iterator[Redu
 def dask_runner(scheduler: str) -> Runner:
     """Return a runner on the cluster of a `scheduler`, an address such as ``tls://10.0.0.1:8786``.
 
-    Certificates stand in Dask's own configuration.
-
-    Raises
-    ------
-    ConfigurationError
-        When Dask is not installed; when the runner starts, also if no scheduler answers at the address
-        or a worker has other software.
-    IrlosError
-        When no worker joins the cluster.
+    Certificates stand in Dask's own configuration. Raises `ConfigurationError` when Dask is not installed;
+    when the runner starts, also if no scheduler answers at the address or a worker has other software, and
+    `IrlosError` when no worker joins the cluster.
     """
     _distributed()
     # private: within this process, this machine, or with certificates

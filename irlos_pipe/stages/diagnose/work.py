@@ -30,7 +30,12 @@ from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.diagnose.stage import Config
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, screened_e
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.recording_settings import differences, in_time_order, pooled_frames, psf_settings
+from irlos_pipe.stages.model.recording_settings import (
+    in_time_order,
+    pooled_frames,
+    psf_settings,
+    require_common,
+)
 
 EXPECTED_FITS = 11  # fits that one cube takes, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}
@@ -135,13 +140,8 @@ def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) 
     times decide.
     """
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
-    for other in recordings[1:]:
-        differing = differences(recordings[0], other, COMMON)
-        if differing:
-            raise InputDataError(
-                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; cubes "
-                "diagnosed together may differ in star, night, focus, diversity and band only"
-            )
+    together = "cubes diagnosed together may differ in star, night, focus, diversity and band only"
+    require_common(recordings, COMMON, together)
     groups: dict[tuple, list[Recording]] = {}
     for recording, moment in zip(recordings, moments_of(recordings, apart), strict=True):
         told = recording.acquisition

@@ -108,6 +108,16 @@ def require_one_setup(recordings: Sequence[Recording]) -> None:
             )
 
 
+def require_common(recordings: Sequence[Recording], terms: Mapping[str, str], together: str) -> None:
+    """Raise InputDataError, which says what may differ `together`, unless all have the numbers of `terms`."""
+    for other in recordings[1:]:
+        differing = differences(recordings[0], other, terms)
+        if differing:
+            raise InputDataError(
+                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; {together}"
+            )
+
+
 def differences(one: Recording, other: Recording, terms: Mapping[str, str]) -> list[str]:
     """Return what differs between recordings `one` and `other`.
 
