@@ -201,10 +201,6 @@ def patient():
         yield
 
 
-def cut_behind_primary_header(path):
-    path.write_bytes(path.read_bytes()[:2880])
-
-
 def test_links_to_folders_elsewhere_are_followed_but_not_upwards(tmp_path):
     write_recorder(tmp_path / "store" / "rec", SEARCH_CUBE)
     (tmp_path / "night").mkdir()
@@ -225,7 +221,7 @@ def test_links_to_folders_elsewhere_are_followed_but_not_upwards(tmp_path):
 )
 def test_a_recording_cut_off_behind_its_primary_header_is_reported(tmp_path, write):
     path = write(tmp_path)
-    cut_behind_primary_header(path)
+    path.write_bytes(path.read_bytes()[:2880])
     assert recording_files([tmp_path]) == [path]
     with pytest.raises(InputDataError, match="no recording in it"):
         read_recordings(path, IRLOS)
