@@ -220,21 +220,16 @@ def git(folder, *arguments):
     )
 
 
-@pytest.fixture
-def checkout(tmp_path):
+def test_a_checkout_states_its_revision_and_whether_it_was_changed(version, tmp_path):
     git(tmp_path, "init", "-q")
     (tmp_path / "file").write_text("1")
     git(tmp_path, "add", "file")
     git(tmp_path, "commit", "-qm", "one")
-    return tmp_path
-
-
-def test_a_checkout_states_its_revision_and_whether_it_was_changed(version, checkout):
-    revision = git(checkout, "rev-parse", "--short", "HEAD").stdout.strip()
-    assert version(checkout) == f"{irlos_pipe.__version__}+git.{revision}"
-    (checkout / "file").write_text("2")
-    git(checkout, "tag", "-a", "v1", "-m", "v1")  # does not hide the revision
-    assert version(checkout) == f"{irlos_pipe.__version__}+git.{revision}.dirty"
+    revision = git(tmp_path, "rev-parse", "--short", "HEAD").stdout.strip()
+    assert version(tmp_path) == f"{irlos_pipe.__version__}+git.{revision}"
+    (tmp_path / "file").write_text("2")
+    git(tmp_path, "tag", "-a", "v1", "-m", "v1")  # does not hide the revision
+    assert version(tmp_path) == f"{irlos_pipe.__version__}+git.{revision}.dirty"
 
 
 # The folder in which a stage keeps finished parts until its product is written.

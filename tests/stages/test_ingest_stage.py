@@ -35,11 +35,11 @@ SHARED = paths.SHARED / "samples"
 IMAGE = star(32, 32)
 
 
-def run(*paths, config=None, **inputs):
+def run(*paths, **inputs):
     """Run the stage; positional paths are those of the input `cube`."""
     inputs = inputs or {"cube": paths}
     given = {name: tuple(map(Path, files)) for name, files in inputs.items()}
-    return ingest.run(stage_context(ingest.Config(**config or {}), inputs=given))
+    return ingest.run(stage_context(ingest.Config(), inputs=given))
 
 
 def product_of(output):
@@ -271,7 +271,7 @@ FRAMES = 20
 ADU = np.random.default_rng(0).integers(190, 400, (FRAMES, 6, 7)).astype(np.uint16)
 
 
-def source(adu: np.ndarray = ADU, counter=None, introduced_nm=0.0, **raw) -> Source:
+def source(adu: np.ndarray = ADU, counter=None, **raw) -> Source:
     counter = np.arange(len(adu)) if counter is None else np.asarray(counter)
     recording = RawRecording(
         name="raw",
@@ -284,8 +284,7 @@ def source(adu: np.ndarray = ADU, counter=None, introduced_nm=0.0, **raw) -> Sou
     )
     detector = Detector(0.5, 1.0, background_e=0.1)
     told = Acquisition("psf", detector, ((1600.0, 1.0),), {}, 9.7, exposure_s=0.005, frame_rate_hz=200.0)
-    defocus = np.broadcast_to(np.asarray(introduced_nm, float), (len(adu),)).copy()
-    return Source("cube", recording, Resolved(told, defocus, ()))
+    return Source("cube", recording, Resolved(told, np.zeros(len(adu)), ()))
 
 
 def test_frames_are_summed_and_what_is_known_of_them_follows():
