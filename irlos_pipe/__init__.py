@@ -4,8 +4,6 @@ The names in ``__all__`` are the interface for Python programs. Each is imported
 checkers read them in ``__init__.pyi``.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The adaptive optics that is simulated end to end measures and corrects what it should."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from simulator import closed_loop
@@ -13,16 +11,12 @@ HEIGHT_M = 11_000.0  # of a layer
 
 
 @pytest.fixture(scope="module")
-def hardware():
-    return closed_loop.build_hardware()
-
-
-@pytest.fixture(scope="module")
 def telescope():
     return build_telescope(240, 2)
 
 
-def test_the_cone_of_the_laser_star_magnifies_high_layers(hardware):
+def test_the_cone_of_the_laser_star_magnifies_high_layers():
+    hardware = closed_loop.build_hardware()
     # The laser star sees the layer at r (1 - h / H) in r: slopes are smaller by that factor.
     y_m = closed_loop.centres(len(hardware.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
     opd_nm = np.repeat(30.0 * y_m[:, None], len(y_m), axis=1)

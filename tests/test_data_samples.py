@@ -1,7 +1,5 @@
 """The committed data samples have the documented layout and agree with their truth."""
 
-from __future__ import annotations
-
 import ast
 import json
 import sys
@@ -22,12 +20,8 @@ NARROW_FLUX_FRACTION = 0.14  # as stated in data_samples/README.md
 each_recorder = pytest.mark.parametrize("folder", RECORDERS, ids=lambda folder: folder.name)
 
 
-def pixel_table(folder: Path) -> np.ndarray:
-    return fits.getdata(folder / f"{folder.name}.fits", "IRPixelFrame")
-
-
 def cube_adu(folder: Path) -> np.ndarray:
-    table = pixel_table(folder)
+    table = fits.getdata(folder / f"{folder.name}.fits", "IRPixelFrame")
     return table["Pixels"].reshape(-1, table["WindowSizeY"][0], table["WindowSizeX"][0])
 
 
@@ -39,12 +33,9 @@ def side_car(folder: Path) -> dict:
     return yaml.safe_load((folder / "acquisition.yaml").read_text())
 
 
-def truth(name: str) -> dict:
-    return json.loads((SAMPLES / "truth" / f"{name}.json").read_text())
-
-
 def truth_of(folder: Path) -> dict:
-    return truth("__".join(folder.relative_to(SAMPLES).parts))
+    name = "__".join(folder.relative_to(SAMPLES).parts)
+    return json.loads((SAMPLES / "truth" / f"{name}.json").read_text())
 
 
 def signal_e(folder: Path) -> np.ndarray:

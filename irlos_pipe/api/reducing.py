@@ -3,8 +3,6 @@
 Images and keywords become recordings with side-cars, profile and settings in a folder: one way to results.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -66,7 +64,7 @@ class _Plot:
     def __init__(self, **names: str) -> None:
         self._names = names
 
-    def __get__(self, result: Reduction | None, kind: object = None) -> Any:
+    def __get__(self, result: "Reduction | None", kind: object = None) -> Any:
         if result is None:
             return self
         if result.stage not in self._names:

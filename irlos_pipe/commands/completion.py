@@ -25,11 +25,7 @@ def _proposed(names: Callable[[click.Context], Iterable[str]]) -> Completion:
 
 def or_files(propose: Completion) -> Completion:
     """Propose files as well."""
-
-    def propose_both(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-        return [*propose(context, parameter, begun), CompletionItem(begun, type="file")]
-
-    return propose_both
+    return lambda *asked: [*propose(*asked), CompletionItem(asked[2], type="file")]
 
 
 @_proposed

@@ -195,15 +195,15 @@ def pdb_option(*, hidden: bool) -> click.Option:
     )
 
 
+def _at_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
 def _ask(context: click.Context, _option: click.Parameter, value: bool) -> None:
     if value and not _at_terminal():
         raise click.UsageError("--pdb needs a terminal: the debugger would wait for answers forever")
     if value:
         context.meta[ASKED] = True
-
-
-def _at_terminal() -> bool:
-    return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _debug_if_asked(context: click.Context, error: BaseException) -> None:

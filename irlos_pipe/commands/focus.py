@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -219,7 +218,12 @@ def focus(run: Path = argument("RUN"), **given: Any) -> None:
     with limited_threads(1):
         try:
             if asked.ring is not None:
-                _await(asked.ring, asked.wait, asked.say)
+                # The recorder has still to make the ring; opening it says what is wrong with it.
+                if not asked.ring.exists():
+                    asked.say(f"waiting {asked.wait:g} s for the ring {asked.ring}")
+                until = time.monotonic() + asked.wait
+                while not asked.ring.exists() and time.monotonic() < until:
+                    time.sleep(min(LOOK_S, asked.wait))
             token = os.environ.get(TOKEN, "")
             records = Service(
                 asked.output,
@@ -246,12 +250,3 @@ def _code() -> ExitCode:
     """Ended by a service manager the loop has done its work; Ctrl-C interrupts it."""
     came = click.get_current_context().meta[SIGNALS]
     return ExitCode.DONE if came and signal.SIGINT not in came else ExitCode.INTERRUPTED
-
-
-def _await(ring: Path, wait_s: float, say: Callable[[str], None]) -> None:
-    """Wait for a ring that the recorder has still to make; opening it says what is wrong with it."""
-    if not ring.exists():
-        say(f"waiting {wait_s:g} s for the ring {ring}")
-    until = time.monotonic() + wait_s
-    while not ring.exists() and time.monotonic() < until:
-        time.sleep(min(LOOK_S, wait_s))

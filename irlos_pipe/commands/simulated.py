@@ -56,7 +56,7 @@ def simulate(
       simulation.resolved.yaml  the specification with every default; can be simulated again
     """
     from irlos_pipe.conventions.text import aligned
-    from irlos_pipe.simulate.recordings.run import plan_rows, plan_simulation, where_text
+    from irlos_pipe.simulate.recordings.run import plan_rows, plan_simulation
     from irlos_pipe.simulate.recordings.run import simulate as simulate_recordings
     from irlos_pipe.simulate.recordings.spec import load_spec
 
@@ -68,7 +68,9 @@ def simulate(
     with at_work(0, quiet):
         simulate_recordings(checked, output, force, resources.jobs, resources.progress)
     if not quiet:
-        click.echo(where_text(checked, output))
+        width = max(len("truth"), *map(len, checked.recordings))
+        places = {name: output / "data" / name for name in checked.recordings} | {"truth": output / "truth"}
+        click.echo("\n".join(f"{name:<{width}}  {path}" for name, path in places.items()))
 
 
 @command(epilog=SEE_EXIT_CODES)

@@ -4,8 +4,6 @@ Frame k is exposed while the command stays at ``c_k``; its measurement ``m_k`` i
 after the exposure has ended: ``c_{k+1+delay} = c_{k+delay} + gain · m_k``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -39,7 +37,7 @@ class SodiumLayer:
         """
         return 1e9 * diameter_m**2 / (16 * np.sqrt(3) * self.range_m**2)
 
-    def drift(self, diameter_m: float) -> Drift:
+    def drift(self, diameter_m: float) -> "Drift":
         return Drift(self.slope, self.rms_change_1s_m * self.defocus_per_metre_nm(diameter_m))
 
 

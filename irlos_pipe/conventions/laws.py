@@ -21,10 +21,6 @@ class SeeingScale:
         """Return the seeing on SPARTA's scale [arcsec]."""
         return self.ratio * seeing_arcsec + self.offset_arcsec
 
-    def from_sparta(self, seeing_arcsec: Seeing) -> Seeing:
-        """Return the seeing on the monitor's scale [arcsec]."""
-        return (seeing_arcsec - self.offset_arcsec) / self.ratio
-
 
 @dataclass(frozen=True)
 class NcpaLaw:

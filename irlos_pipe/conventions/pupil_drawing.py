@@ -4,8 +4,6 @@ It is drawn by cells: x and y are the coordinates of their middles, `step` is th
 fraction of a cell is linear in the distance of its middle to an edge.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,7 +23,7 @@ class Vane:
     end_m: tuple[float, float]
     width_m: float
 
-    def placed(self, placement: Placement) -> Vane:
+    def placed(self, placement: Placement) -> "Vane":
         """Return the vane carried to a `placement`."""
         (x0, y0), (x1, y1) = placement.forth(*self.start_m), placement.forth(*self.end_m)
         return Vane((float(x0), float(y0)), (float(x1), float(y1)), self.width_m)
@@ -52,13 +50,6 @@ class Vane:
         along, across, half = self.along_m(x, y), self.across_m(x, y), self.width_m / 2
         width = inside((across + half) / step) + inside((half - across) / step) - 1
         return np.clip(width, 0, 1) * inside(along / step) * inside((self.axis[1] - along) / step)
-
-    def distance_from_axis_m(self) -> float:
-        """Return how near the optical axis its middle line comes [m]."""
-        start, end = complex(*self.start_m), complex(*self.end_m)
-        along = end - start
-        share = min(max(-(start * along.conjugate()).real / abs(along) ** 2, 0.0), 1.0)
-        return abs(start + share * along)
 
 
 @dataclass(frozen=True)
@@ -88,7 +79,10 @@ class PupilGeometry:
                 raise ValueError(
                     f"vane {number}: its width, {vane.width_m:g} m, should be positive and small"
                 )
-            if vane.distance_from_axis_m() >= rim_m + vane.width_m / 2:
+            start, end = complex(*vane.start_m), complex(*vane.end_m)
+            along = end - start
+            share = min(max(-(start * along.conjugate()).real / abs(along) ** 2, 0.0), 1.0)
+            if abs(start + share * along) >= rim_m + vane.width_m / 2:
                 raise ValueError(f"vane {number} lies outside the diameter, {self.diameter_m:g} m")
         if self.map and len(self.aperture) > 1:
             raise ValueError("a map is the whole aperture; leave the other parts out")

@@ -267,63 +267,61 @@ MOST_FRAMES = 512  # frames of a recording; more are averaged, which bounds memo
 SEED = 1  # of the choice of pixels, so that a diagnosis can be repeated
 
 
-class HeldOutFrames:
-    """Blocks of time that interleave with the others."""
+def without_blocks_of_time(frames: Frames, share: float = 0.25) -> Cube:
+    """Hold out a `share` of one recording in blocks of time that interleave with the others.
 
-    def split(self, frames: Frames, share: float = 0.25) -> Cube:
-        """Hold out a `share` of the data of one recording, whose `frames` are in order of time."""
-        frames = averaged(frames, MOST_FRAMES)
-        count = len(frames.images_e)
-        blocks_of_time = min(BLOCKS, count // 2)
-        every = min(round(1 / share), blocks_of_time)
-        held = (np.arange(count) * blocks_of_time // count) % every == every // 2
-        when = np.linspace(0, 1, count)
+    The `frames` are in order of time.
+    """
+    frames = averaged(frames, MOST_FRAMES)
+    count = len(frames.images_e)
+    blocks_of_time = min(BLOCKS, count // 2)
+    every = min(round(1 / share), blocks_of_time)
+    held = (np.arange(count) * blocks_of_time // count) % every == every // 2
+    when = np.linspace(0, 1, count)
 
-        def part(chosen: np.ndarray) -> Stacks:
-            some = replace(frames, images_e=frames.images_e[torch.as_tensor(chosen)])
-            return Stacks((Stack.of(some, when[chosen]),))
+    def part(chosen: np.ndarray) -> Stacks:
+        some = replace(frames, images_e=frames.images_e[torch.as_tensor(chosen)])
+        return Stacks((Stack.of(some, when[chosen]),))
 
-        return Cube(part(~held), part(held))
-
-
-@dataclass(frozen=True)
-class HeldOutPixels:
-    """Squares of pixels."""
-
-    side_px: int  # of a square; about λ/D, which makes squares independent parts of an image
-
-    def split(self, frames: Frames, share: float = 0.25) -> Cube:
-        """Of squares of similar brightness the same share, at random."""
-        # number of the square that each pixel belongs to, (rows, columns)
-        rows, columns = (np.arange(size) // self.side_px for size in frames.good.shape)
-        squares = rows[:, None] * (columns[-1] + 1) + columns
-        held = torch.as_tensor(_drawn(squares, (frames.mean_e * frames.good).numpy(), share))
-        labels = torch.as_tensor(squares).flatten()
-        whole = Stack.of(frames, np.linspace(0, 1, len(frames.images_e)))
-
-        def part(chosen: torch.Tensor) -> PixelStacks:
-            good = chosen & frames.good
-            seen = good.flatten()
-            variance = torch.where(seen, whole.variance_e2, torch.inf)
-            patches = torch.where(seen, labels, -1)
-            some = replace(frames, good=good)
-            return PixelStacks((PatchStack(some, whole.when, whole.mean_e, variance, patches=patches),))
-
-        return Cube(part(~held), part(held))
+    return Cube(part(~held), part(held))
 
 
-def hold_out_of(recordings: Sequence[Exposures]) -> HeldOutFrames | HeldOutPixels:
-    """What to hold out of `recordings` that are diagnosed jointly; the shortest of them decides.
+def without_squares(side_px: int, frames: Frames, share: float = 0.25) -> Cube:
+    """Hold out squares of pixels: of those of similar brightness the same `share`, at random.
+
+    A side of about λ/D makes squares independent parts of an image.
+    """
+    # number of the square that each pixel belongs to, (rows, columns)
+    rows, columns = (np.arange(size) // side_px for size in frames.good.shape)
+    squares = rows[:, None] * (columns[-1] + 1) + columns
+    held = torch.as_tensor(_drawn(squares, (frames.mean_e * frames.good).numpy(), share))
+    labels = torch.as_tensor(squares).flatten()
+    whole = Stack.of(frames, np.linspace(0, 1, len(frames.images_e)))
+
+    def part(chosen: torch.Tensor) -> PixelStacks:
+        good = chosen & frames.good
+        seen = good.flatten()
+        variance = torch.where(seen, whole.variance_e2, torch.inf)
+        patches = torch.where(seen, labels, -1)
+        some = replace(frames, good=good)
+        return PixelStacks((PatchStack(some, whole.when, whole.mean_e, variance, patches=patches),))
+
+    return Cube(part(~held), part(held))
+
+
+def cubes_of(recordings: Sequence[Exposures], share: float) -> list[Cube]:
+    """Hold out a `share` of `recordings` that are diagnosed jointly; the shortest decides of what.
 
     Squares of pixels have a side of λ/D of the longest wavelength.
     """
     if all(one.frames.show_scatter for one in recordings):
-        return HeldOutFrames()
+        return [without_blocks_of_time(one.frames, share) for one in recordings]
     sides_px = []
     for settings in (one.conditions.settings for one in recordings):
         longest_m = max(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
         sides_px.append(resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas))
-    return HeldOutPixels(max(1, *map(round, sides_px)))
+    side_px = max(1, *map(round, sides_px))
+    return [without_squares(side_px, one.frames, share) for one in recordings]
 
 
 def averaged(frames: Frames, most: int) -> Frames:

@@ -7,8 +7,6 @@ has the best odds enters the model, until nothing has any. In the end an effect 
 its absence, and frames that no fit has seen, are clearly for it; what is not sure enough stays as adjusted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
@@ -268,7 +266,7 @@ class EvidenceTask(Task):
         )
 
     def _judged(
-        self, final: _Final, label: str, entered: dict[Effect, float], found: Sequence[Score]
+        self, final: "_Final", label: str, entered: dict[Effect, float], found: Sequence[Score]
     ) -> Accepted | None:
         """The name for an effect of the final model, or None."""
         odds = entered.get(final.all_modes.effect(label).base, math.inf)

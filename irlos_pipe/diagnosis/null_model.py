@@ -5,8 +5,6 @@ is comes from its scatter between frames and from the noise of the dark that the
 hold for photons and for speckles.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -88,7 +86,7 @@ class Optimum(FittedModel):
         unconverged = basis.mT @ residual + whole[len(residual) :].mT @ prior
         super().__init__(residual, root, basis, unconverged)
 
-    def under(self, stack: Stacks) -> Optimum:
+    def under(self, stack: Stacks) -> "Optimum":
         """The same model with other variances of the same frames."""
         return self if stack is self.stack else Optimum(stack, self.fitted)
 

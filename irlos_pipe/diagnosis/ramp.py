@@ -11,8 +11,6 @@ parameters each are fitted to the frames that a diagnosis may see; frames that i
 them, each with its own tip, tilt, focus, flux and background.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
@@ -126,7 +124,7 @@ class _Fit:
     chi2: float
 
     @classmethod
-    def of(cls, data: np.ndarray, shapes: Shapes, effects: tuple[RampEffect, ...]) -> _Fit | None:
+    def of(cls, data: np.ndarray, shapes: Shapes, effects: tuple[RampEffect, ...]) -> "_Fit | None":
         """The fit; None where the ramp does not determine it."""
         design = np.array([shapes[one] for one in effects]).reshape(len(effects), len(data)).T
         scale = np.linalg.norm(design, axis=0)
@@ -207,7 +205,7 @@ class Visits:
     sigma_nm: np.ndarray  # (good visits,)
 
     @classmethod
-    def of(cls, commanded_nm: np.ndarray, estimated_nm: np.ndarray, used: np.ndarray) -> Visits:
+    def of(cls, commanded_nm: np.ndarray, estimated_nm: np.ndarray, used: np.ndarray) -> "Visits":
         """Means of the used frames, see `diagnose_ramp`; ValueError with fewer than three visits."""
         starts = np.flatnonzero(np.diff(commanded_nm, prepend=np.nan) != 0)
         offsets = commanded_nm[starts]

@@ -1,7 +1,5 @@
 """Non-linear fits of the families that a score proposes, and their order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -74,7 +72,7 @@ class Refit:
             return self.sigma
         return self.origin.significance_of_change(self.fitted, self.parameters, self.score.trials)
 
-    def deficit(self, other: Refit) -> float:
+    def deficit(self, other: "Refit") -> float:
         """By how much less χ² falls by another one, over what the scatter of frames makes of it."""
         return (other.fitted.chi2 - self.fitted.chi2) / self.score.inflation
 

@@ -5,8 +5,6 @@ image; what it takes from the star the flux makes good. Scalar products of all d
 residual, with themselves and with the derivatives of the fitted parameters are correlations, done by FFT.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -61,8 +59,8 @@ class Score:
     smallest: np.ndarray
     usable: tuple[str, ...] = ()  # parameters that these data determine
     trials: int = 1  # candidates of the family
-    besides: tuple[Score, ...] = ()  # best candidates with other parameters of the same effect
-    elsewhere: tuple[Score, ...] = ()  # the best candidate far from this one, if there is any
+    besides: "tuple[Score, ...]" = ()  # best candidates with other parameters of the same effect
+    elsewhere: "tuple[Score, ...]" = ()  # the best candidate far from this one, if there is any
     # ln odds of the effect against its absence, of several places that of all together, by proper priors
     log_odds: float = -np.inf
 

@@ -7,8 +7,6 @@ A moment is one star at one time: its recordings share the sky and the wavefront
 instrument is common to all moments, what belongs to a star to all moments of that star.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -42,7 +40,7 @@ class Exposures:
     name: str = ""  # of the moment, for people
     star: str = ""  # of the moment: equal names are the same star
 
-    def view(self, nolls: Sequence[int], device: str) -> View:
+    def view(self, nolls: Sequence[int], device: str) -> "View":
         """Its model of the modes `nolls` on `device`."""
         return View(_path(self.conditions.settings, nolls, device), self.conditions, self.moment)
 
@@ -60,24 +58,24 @@ class View:
     conditions: Conditions
     moment: int = 0
 
-    def with_modes(self, nolls: Sequence[int], *, few_colours: bool = False) -> View:
+    def with_modes(self, nolls: Sequence[int], *, few_colours: bool = False) -> "View":
         """This light path with the modes `nolls`; of `few_colours`, its images are rough as well."""
         settings = self.psf.settings.with_fewer_colours(JOINED) if few_colours else self.psf.settings
         return replace(self, psf=_path(settings, nolls, self.psf.device))
 
-    def with_known(self, modes_nm: Mapping[int, float]) -> View:
+    def with_known(self, modes_nm: Mapping[int, float]) -> "View":
         """This light path with further modes of a known wavefront: Noll index to nm RMS."""
         psf, known = self.psf, self.psf.settings.known
         ncpa_nm = {noll: known.ncpa_nm.get(noll, 0.0) + nm for noll, nm in modes_nm.items()}
         settings = replace(psf.settings, known=replace(known, ncpa_nm={**known.ncpa_nm, **ncpa_nm}))
         return replace(self, psf=_path(settings, psf.nolls, psf.device))
 
-    def under(self, conditions: Conditions) -> View:
+    def under(self, conditions: Conditions) -> "View":
         """A recording of the same modes under other `conditions`."""
         psf = _path(conditions.settings, self.psf.nolls, self.psf.device)
         return replace(self, psf=psf, conditions=conditions)
 
-    def seen(self, effects: Sequence[Effect], views: Sequence[View]) -> list[Effect]:
+    def seen(self, effects: Sequence[Effect], views: "Sequence[View]") -> list[Effect]:
         """Those of the `effects` that act in this recording, as they do.
 
         Each is stated for the first of the recordings, whose `views` are all given, in which it acts.
@@ -109,7 +107,7 @@ class Moments:
     by_number: Mapping[int, Moment]
 
     @classmethod
-    def of(cls, recordings: Sequence[Exposures]) -> Moments:
+    def of(cls, recordings: Sequence[Exposures]) -> "Moments":
         by_number: dict[int, Moment] = {}
         for one in recordings:
             by_number.setdefault(one.moment, Moment(one.name, one.star, one.conditions))

@@ -8,7 +8,7 @@ import torch
 
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
-from irlos_pipe.diagnosis.cube import Cube, hold_out_of
+from irlos_pipe.diagnosis.cube import Cube, cubes_of
 from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Report
@@ -38,8 +38,7 @@ def diagnose(
     `view.placed`. `report` is called with the number of finished fits, for a progress bar.
     """
     began = time.perf_counter()
-    hold_out = hold_out_of(recordings)
-    cubes = [hold_out.split(one.frames, options.held_out) for one in recordings]
+    cubes = cubes_of(recordings, options.held_out)
     noise = judge_all([part for cube in cubes for part in cube.training.parts])
     cube = Cube.of_all([one.limited_by(noise.kind == PHOTONS) for one in cubes])
 

@@ -160,11 +160,6 @@ class Effect(Declared):
         return self.fact and all(abs(value - p.null) <= 2 * p.prior_sigma for p, value in with_null)
 
     @property
-    def in_image(self) -> bool:
-        """Whether the model of an image contains it."""
-        return self.found_by in ("score", "frames")
-
-    @property
     def base(self) -> Effect:
         """The effect itself; of a `FixedEffect`, the effect whose parameters are held."""
         return self

@@ -6,8 +6,6 @@ narrow band a shifted centre and another scale are nearly one effect, and only N
 know λ by itself, distinguish them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -62,7 +60,7 @@ class AtmosphericDispersion(OtfEffect):
         )
 
     @classmethod
-    def under(cls, conditions: Conditions) -> AtmosphericDispersion:
+    def under(cls, conditions: Conditions) -> "AtmosphericDispersion":
         """See `Effect.under`: it starts at what altitude and air make of it, where these are known."""
         return cls(conditions.refraction)
 
@@ -121,7 +119,7 @@ class Spectrum(SamplingEffect):
         self.mean_nm = mean_nm
 
     @classmethod
-    def under(cls, conditions: Conditions) -> Spectrum:
+    def under(cls, conditions: Conditions) -> "Spectrum":
         wavelengths_nm, weights = np.array(conditions.settings.spectrum, float).T
         return cls(float(np.average(wavelengths_nm, weights=weights)))
 
@@ -180,7 +178,7 @@ class PlateScale(SamplingEffect):
         self.told_mas = told_mas
 
     @classmethod
-    def under(cls, conditions: Conditions) -> PlateScale:
+    def under(cls, conditions: Conditions) -> "PlateScale":
         return cls(conditions.settings.pixel_scale_mas)
 
     def shown(self, values: np.ndarray) -> dict[str, Any]:

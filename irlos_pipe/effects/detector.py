@@ -1,7 +1,5 @@
 """The detector: cross-talk, non-linearity, a gradient, correlated noise, bad pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from typing import Any
@@ -202,7 +200,7 @@ class BadPixels(DetectorEffect):
         return dict(public)
 
     @classmethod
-    def under(cls, conditions: Conditions, pixels: Sequence[Sequence[int]] = ()) -> BadPixels:
+    def under(cls, conditions: Conditions, pixels: Sequence[Sequence[int]] = ()) -> "BadPixels":
         rows, columns = conditions.settings.window
         outside = [list(pixel) for pixel in pixels if not (pixel[0] < rows and pixel[1] < columns)]
         if outside:

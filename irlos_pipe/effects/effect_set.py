@@ -1,7 +1,5 @@
 """All effects of a model together, as a function of one parameter vector."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property, reduce
 from itertools import groupby, pairwise
@@ -289,12 +287,12 @@ class EffectSet:
         pairs = zip(self.effects, self.pieces(values), strict=True)
         return dict(zip(self.labels, (effect.describe(piece) for effect, piece in pairs), strict=True))
 
-    def held(self, values: Tensor) -> EffectSet:
+    def held(self, values: Tensor) -> "EffectSet":
         """The effects with all parameters held at `values`."""
         pairs = zip(self.effects, self._pieces, strict=True)
         return EffectSet([_held(effect, values[piece]) for effect, piece in pairs], self.grids)
 
-    def held_but(self, values: Tensor, index: int) -> tuple[EffectSet, slice]:
+    def held_but(self, values: Tensor, index: int) -> "tuple[EffectSet, slice]":
         """The effects held at `values` except the one that has the parameter `index`, and its part of
         `values`.
         """

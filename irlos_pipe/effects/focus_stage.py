@@ -4,8 +4,6 @@
 introduces, and with it what its estimates are compared with.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -135,7 +133,7 @@ class HighAperture(LensEffect):
         self.parameters = (Parameter("sine", "", numerical_aperture, lower=0.0, upper=HIGHEST_SINE),)
 
     @classmethod
-    def under(cls, conditions: Conditions) -> HighAperture:
+    def under(cls, conditions: Conditions) -> "HighAperture":
         """See `Effect.under`: where the profile knows the aperture and it is high."""
         if not conditions.numerical_aperture > LEAST_SINE:
             raise ValueError("the profile knows no high numerical aperture of the beam in which focus moves")

@@ -7,8 +7,6 @@ differentiated by the chain rule in their plane, those that change the wavefront
 automatic differentiation of the whole path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -133,7 +131,7 @@ class ImageModel:
         return ((modes_nm <= lower) | (modes_nm >= upper)).any(1) & torch.isfinite(modes_nm).all(1)
 
     @property
-    def general(self) -> ImageModel:
+    def general(self) -> "ImageModel":
         """The model without limits that this one may be a quick version of; here itself."""
         return self
 

@@ -1,7 +1,5 @@
 """`lenslet_images`: where the images of a 2x2 lenslet array lie, and how bright they are."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -46,7 +44,7 @@ class LensletImages(OtfEffect):
     )
 
     @classmethod
-    def under(cls, conditions: Conditions) -> LensletImages:
+    def under(cls, conditions: Conditions) -> "LensletImages":
         if conditions.settings.lenslets == 1:
             raise ValueError("there are no lenslets before the sensor; leave it out")
         return cls()

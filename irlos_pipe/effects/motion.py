@@ -6,8 +6,6 @@ characteristic function of the motion, ``⟨exp(-2πi b·s/λ)⟩`` (e.g. Goodma
 variance along the baseline. The parameter is the variance, because ∂μ/∂σ vanishes at σ = 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ plane, and returns it as the effect leaves it; derivatives come from automatic d
 an effect knows a quicker way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -111,12 +109,12 @@ class RampEffect(Effect):
     separated_by: str = ""  # the ramp that distinguishes it from other errors of the stage
 
     @classmethod
-    def on_whole_ramp(cls, *, turns: bool) -> list[RampEffect]:
+    def on_whole_ramp(cls, *, turns: bool) -> "list[RampEffect]":
         """The error of a whole ramp, of which `turns` says whether the stage moves both ways."""
         return [cls()]
 
     @classmethod
-    def on_parts(cls, offsets_nm: np.ndarray) -> list[RampEffect]:
+    def on_parts(cls, offsets_nm: np.ndarray) -> "list[RampEffect]":
         """Errors that concern a part of a ramp with these offsets; here none."""
         return []
 

@@ -1,7 +1,5 @@
 """Public values of effects: sizes and directions, rows, means over estimates, standard errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +17,7 @@ class Measured(float):
 
     sigma: float
 
-    def __new__(cls, value: float, sigma: float) -> Measured:
+    def __new__(cls, value: float, sigma: float) -> "Measured":
         made = super().__new__(cls, value)
         made.sigma = float(sigma)
         return made

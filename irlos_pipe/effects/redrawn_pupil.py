@@ -5,8 +5,6 @@ turned vane that is wider than declared is where both say. What gives parts of t
 own (`divided_pupil`) has the parts of that drawing: petals turn with the vanes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -250,7 +248,7 @@ class PupilSizes(RedrawnPupil):
         self.parameters = tuple(_size(name, size_m) for name, size_m in self.told_m.items())
 
     @classmethod
-    def under(cls, conditions: Conditions) -> PupilSizes:
+    def under(cls, conditions: Conditions) -> "PupilSizes":
         return cls(conditions.settings.geometry)
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:

@@ -14,8 +14,6 @@ what is left is an image that moves as its coma changes: the OTF between x and x
 residual is strong and steep, it is some per cent of the image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
@@ -117,7 +115,7 @@ class SeeingHalo(OtfEffect):
         )
 
     @classmethod
-    def under(cls, conditions: Conditions) -> SeeingHalo:
+    def under(cls, conditions: Conditions) -> "SeeingHalo":
         require_residual(conditions)
         return cls(
             conditions.band, conditions.residual_law, conditions.seeing_arcsec, conditions.seeing_measured
@@ -299,7 +297,7 @@ class AoCutoff(OtfEffect):
         )
 
     @classmethod
-    def under(cls, conditions: Conditions) -> AoCutoff:
+    def under(cls, conditions: Conditions) -> "AoCutoff":
         """See `Effect.under`: it means nothing without AO residual, or with the edge outside the window."""
         band = conditions.band
         edge_mas = conditions.settings.mean_nm * NM * band.cutoff_per_m / MAS
@@ -386,7 +384,7 @@ class UnevenResidual(OtfEffect):
         self._residual = band, law, seeing_arcsec
 
     @classmethod
-    def under(cls, conditions: Conditions) -> UnevenResidual:
+    def under(cls, conditions: Conditions) -> "UnevenResidual":
         require_residual(conditions)
         return cls(conditions.band, conditions.residual_law, conditions.seeing_arcsec)
 

@@ -1,7 +1,5 @@
 """Modes in the pupil: `diversity_error`, `high_order_ncpa`, `amplitude_aberration`, `ncpa_drift`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -113,7 +111,7 @@ class DiversityError(OpdMap):
         self.diversity_nm = dict(diversity_nm)
 
     @classmethod
-    def under(cls, conditions: Conditions) -> DiversityError:
+    def under(cls, conditions: Conditions) -> "DiversityError":
         return cls(conditions.diversity_nm)
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
@@ -182,7 +180,7 @@ class HighOrderNcpa(ZernikeOpd):
     reference = "Noll 1976, JOSA 66, 207"
 
     @classmethod
-    def under(cls, conditions: Conditions, nolls: Sequence[int] = ()) -> HighOrderNcpa:
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = ()) -> "HighOrderNcpa":
         """See `Effect.under`: by default the next two radial orders."""
         order = noll_to_nm(conditions.highest_noll + 1)[0] + EXTRA_ORDERS
         return cls(nolls or range(conditions.highest_noll + 1, order * (order + 1) // 2 + 1))
@@ -204,7 +202,7 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     reference = "Jolissaint et al. 2006, JOSA A 23, 382"
 
     @classmethod
-    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> AmplitudeAberration:
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> "AmplitudeAberration":
         return cls(nolls)
 
     def apply(self, values: Tensor, field: Tensor, grid: PupilGrid) -> Tensor:
@@ -237,7 +235,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
     reference = "Vigan et al. 2022, A&A 660, A140"
 
     @classmethod
-    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> NcpaDrift:
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> "NcpaDrift":
         return cls(nolls)
 
     def apply(self, values: Tensor, modes_nm: Tensor, nolls: tuple[int, ...], when: Tensor) -> Tensor:
@@ -301,7 +299,7 @@ class ChromaticNcpa(_Table):
     @classmethod
     def under(
         cls, conditions: Conditions, nolls: Sequence[int] = (), reference_nm: float | None = None
-    ) -> ChromaticNcpa:
+    ) -> "ChromaticNcpa":
         return cls(nolls or cls.default, reference_nm or conditions.reference_nm, conditions.ncpa_law)
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
@@ -342,7 +340,7 @@ class FilterNcpa(_Table):
         self.elements, self.law = frozenset(elements), law
 
     @classmethod
-    def under(cls, conditions: Conditions, nolls: Sequence[int] = (), of: str = "") -> FilterNcpa:
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = (), of: str = "") -> "FilterNcpa":
         elements = (of,) if of else conditions.elements
         return cls(nolls or cls.default, elements, conditions.ncpa_law)
 
@@ -351,7 +349,7 @@ class FilterNcpa(_Table):
         """The filter or source of diversity that it belongs to; empty where these are several."""
         return next(iter(self.elements)) if len(self.elements) == 1 else ""
 
-    def with_focus(self) -> FilterNcpa:
+    def with_focus(self) -> "FilterNcpa":
         """Return the same with Noll 4, which recordings of known focus show; chosen modes stay."""
         if self.nolls != tuple(self.default):
             return self

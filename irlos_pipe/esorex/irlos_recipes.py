@@ -4,8 +4,6 @@ Each takes a set of frames with the tags of `irlos_pipe.recipe.sof`, runs in a f
 products of the run.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -8,7 +8,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import nearest, suggestion
@@ -22,6 +22,12 @@ NO_SECTION = ("model_type", "dataclass_type", "named_tuple_type", "arguments_typ
 MAX_SHOWN = 60  # characters of a section or list in a message
 
 EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
+
+
+class Section(BaseModel):
+    """Base of the sections of a file: unknown keys and values that are not finite are refused."""
+
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True)
@@ -74,12 +80,6 @@ class ValidationErrors:
         if self._found:
             ordered = sorted(self._found, key=lambda entry: _natural(entry[0]))
             raise ConfigurationError("\n".join(f"{where}: {message}" for where, message in ordered))
-
-
-def read_validated(path: Path, model: type[Model]) -> Model:
-    """Return the YAML file at `path` as a `model`; errors are those of `require_valid`."""
-    data, lines = load_yaml(path)
-    return require_valid(data, model, Origins(path, lines))
 
 
 def require_valid(data: Any, model: type[Model], origins: Origins) -> Model:
@@ -198,18 +198,9 @@ def read_overridden(
     """Read the settings file at `path` and replace what the command line gives.
 
     Returns its content with the replaced values; and what was wrong with the options, with where every value
-    comes from.
-
-    Parameters
-    ----------
-    parse : callable
-        Makes an override of one of the `settings`.
-    settings : iterable
-        ``key.key=VALUE`` or what else `parse` takes, applied in order; the value is YAML.
-    inputs : iterable of str
-        ``NAME=PATH``, relative to the current folder; a name given again makes a list.
-    seed : int, optional
-        Replaces the value of ``seed``.
+    comes from. `parse` makes an override of one of the `settings`: ``key.key=VALUE`` or what else it takes,
+    applied in order; the value is YAML. The `inputs` are ``NAME=PATH``, relative to the current folder; a
+    name given again makes a list. A `seed` replaces the value of ``seed``.
     """
     written, lines = load_yaml(path)
     rejected: list[ConfigurationError] = []

@@ -146,7 +146,11 @@ def _cleaned(
     hits = clipped.outside(~good).and_those(hits)
     core = core_of(mean_frame(picked(images, reasons == "") if used.size else images), limits)
     reasons = also(reasons, hit_in_core(hits, core, len(images), limits), COSMIC)
-    reasons = also(reasons, _odd(images, np.flatnonzero(reasons == ""), good, core, by), ODD)
+    used = np.flatnonzero(reasons == "")
+    if by.well_sampled and len(used) >= FRAMES_TO_COMPARE:
+        odd = np.zeros(len(images), dtype=bool)
+        odd[used] = odd_frames(images, used, good, core, by)
+        reasons = also(reasons, odd, ODD)
     used = np.flatnonzero(reasons == "")
     noise = MeasuredNoise()
     if by.well_sampled:
@@ -198,15 +202,6 @@ def _without(
     hits, good = hits.outside(flicker), good & ~flicker
     images = by.filled(images, good) if flicker.any() else images
     return good, without_hits(images, hits, good, by), hits
-
-
-def _odd(
-    images: np.ndarray, used: np.ndarray, good: np.ndarray, core: np.ndarray, by: Criteria
-) -> np.ndarray:
-    odd = np.zeros(len(images), dtype=bool)
-    if by.well_sampled and len(used) >= FRAMES_TO_COMPARE:
-        odd[used] = odd_frames(images, used, good, core, by)
-    return odd
 
 
 def find_background(

@@ -7,8 +7,6 @@ level of saturation. A clipped pixel shows by the company of its values: they li
 the noise of the photons would let them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,18 +30,12 @@ class Hits:
     row: np.ndarray
     column: np.ndarray
 
-    def per_pixel(self, window: tuple[int, int]) -> np.ndarray:
-        """Return the number of frames in which each pixel of the window was hit, (rows, columns)."""
-        counts = np.zeros(window, dtype=int)
-        np.add.at(counts, (self.row, self.column), 1)
-        return counts
-
-    def outside(self, pixels: np.ndarray) -> Hits:
+    def outside(self, pixels: np.ndarray) -> "Hits":
         """Return the hits on other pixels than `pixels` (rows, columns)."""
         keep = ~pixels[self.row, self.column]
         return Hits(self.frame[keep], self.row[keep], self.column[keep])
 
-    def and_those(self, others: Hits) -> Hits:
+    def and_those(self, others: "Hits") -> "Hits":
         joined = (self.frame, others.frame), (self.row, others.row), (self.column, others.column)
         return Hits(*map(np.concatenate, joined))
 
@@ -102,7 +94,9 @@ def flickering_pixels(hits: Hits, frames: int, window: tuple[int, int], fraction
 
     Those are the pixels with `hits` in more than a `fraction` of so many `frames`, and in three at least.
     """
-    return hits.per_pixel(window) > max(2, fraction * frames)
+    counts = np.zeros(window, dtype=int)
+    np.add.at(counts, (hits.row, hits.column), 1)
+    return counts > max(2, fraction * frames)
 
 
 def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, by: Criteria) -> np.ndarray:

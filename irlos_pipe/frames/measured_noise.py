@@ -6,8 +6,6 @@ and does no harm; the mean of the frames can: what the dark left there varies fr
 than the image of any star, which ends at the cut-off of the telescope, D/λ.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +86,7 @@ class _Scatter:
     dependence: float  # see `Prediction.dependence`
 
     @classmethod
-    def of(cls, sample: np.ndarray, prediction: Prediction) -> _Scatter:
+    def of(cls, sample: np.ndarray, prediction: Prediction) -> "_Scatter":
         """Return the scatter of a `sample` (frames, rows, columns)."""
         signal = sample.mean(axis=0, dtype=np.float64)
         variance = (sample - prediction.of(sample)).var(axis=0, ddof=1, dtype=np.float64)

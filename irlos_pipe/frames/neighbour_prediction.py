@@ -4,8 +4,6 @@ Whatever a well-sampled image shows beyond the prediction is noise or the detect
 test therefore holds in the core of a bright star as well as in its wings, whatever the wavefront.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -3,8 +3,6 @@
 `Recording` is the only form in which images reach the science code: ingest makes it from files.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -61,7 +59,7 @@ class Detector:
     reads: int = 1  # that a frame is the sum of; `read_noise_e` is that of all together
     background_e: float = 0.0  # light of the sky and dark current in a pixel of a frame, as declared [e-]
 
-    def accumulated(self, frames: int) -> Detector:
+    def accumulated(self, frames: int) -> "Detector":
         """Return the constants of a sum of so many `frames`."""
         saturation = None if self.saturation_adu is None else frames * self.saturation_adu
         return replace(
@@ -152,16 +150,16 @@ class Recording:
         """Mean of the used frames (rows, columns) [e-]; zeros where none is used."""
         return mean_frame(picked(self.images_e, self.used)) if self.used.any() else np.zeros(self.window)
 
-    def accepted(self) -> Recording:
+    def accepted(self) -> "Recording":
         """Return the recording with the used frames only."""
         return self.of(self.used)
 
-    def of(self, which: np.ndarray) -> Recording:
+    def of(self, which: np.ndarray) -> "Recording":
         """Return the recording with some of its frames, True in `which` (frames,), only."""
         kept: dict[str, Any] = {name: picked(getattr(self, name), which) for name in PER_FRAME}
         return replace(self, **kept)
 
-    def planes(self) -> list[Recording]:
+    def planes(self) -> "list[Recording]":
         """Return the frames of each introduced defocus by themselves, the smallest defocus first."""
         introduced_nm = np.unique(self.introduced_defocus_nm)
         if len(introduced_nm) < 2:

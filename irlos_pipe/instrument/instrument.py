@@ -1,7 +1,5 @@
 """Instrument profiles: geometry, safe defaults and read-out modes, each value with its source."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -73,7 +71,7 @@ class Instrument:
         stated = self.facts.get("site_longitude_deg")
         return float(stated[-1].value) if stated else PARANAL_DEG
 
-    def on(self, day: str) -> Instrument:
+    def on(self, day: str) -> "Instrument":
         """Return the instrument as it was on an ISO date `day` (``2021-03-20``)."""
         return _instrument(self.profile, day, self.folder)
 

@@ -1,10 +1,8 @@
 """The YAML file of an instrument profile: its keys, and the facts that it may state."""
 
-from __future__ import annotations
-
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import date
 from typing import Annotated, Any, Literal
@@ -12,7 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.instrument.pupil import PupilSection, Section, Status, ZenithSection
+from irlos_pipe.files.validation import Section
+from irlos_pipe.instrument.pupil import PupilSection, Status, ZenithSection
 
 MOST_CYCLES = 500  # per diameter that adaptive optics may correct: a thousand actuators across
 
@@ -158,11 +157,11 @@ def _plain(unit: str) -> str:
     return "/".join(parts)
 
 
-def _iso_date(value: Any) -> Any:
-    return value.isoformat() if isinstance(value, date) else value
-
-
-IsoDate = Annotated[str, BeforeValidator(_iso_date), Field(pattern=r"^\d{4}-\d\d-\d\d$")]
+IsoDate = Annotated[
+    str,
+    BeforeValidator(lambda value: value.isoformat() if isinstance(value, date) else value),
+    Field(pattern=r"^\d{4}-\d\d-\d\d$"),
+]
 
 
 class Fact(Section):
@@ -225,7 +224,7 @@ class Profile(Section):
     pupil: PupilSection | None = Field(None, description="drawing of the pupil, beyond its facts")
 
     @model_validator(mode="after")
-    def _consistent(self) -> Profile:
+    def _consistent(self) -> "Profile":
         unknown = [key for key in self.defaults if key not in DEFAULTS]
         if unknown:
             raise ValueError(
@@ -265,7 +264,14 @@ class Profile(Section):
             raise ValueError(
                 "facts 'pupil_vanes_m' and 'pupil_vane_width_m' belong together; give both or none"
             )
-        _require_correction(self.facts)
+        for diameter in self.facts["pupil_diameter_m"]:
+            for cutoff in self.facts.get("ao_cutoff_per_m", ()):
+                cycles = cutoff.value * diameter.value  # below 1 nothing is corrected, many are a mistake
+                if not 1 < cycles <= MOST_CYCLES:
+                    raise ValueError(
+                        f"fact 'ao_cutoff_per_m' = {cutoff.value:g} is {cycles:g} cycles per pupil diameter; "
+                        f"it should be 1/(2 actuator pitch), between 1 and {MOST_CYCLES} of them"
+                    )
 
     def _uses(self) -> Iterator[tuple[str, str, str | None]]:
         """Keys that refer to facts: key, fact, and the unit of the key where the fact is its value."""
@@ -301,18 +307,6 @@ def _require_value(name: str, rule: FactRule, value: Any) -> None:
         raise ValueError(f"fact '{name}' = {value!r} should be {text}")
     if rule.kind == "lines" and any(sum(line[axis] for line in several) > 1 for axis in (1, 2)):
         raise ValueError(f"fact '{name}': the shares of one axis add up to more than 1")
-
-
-def _require_correction(facts: Mapping[str, Sequence[Fact]]) -> None:
-    """A cut-off below 1/D corrects nothing; one beyond a thousand actuators is a mistake of units."""
-    for diameter in facts["pupil_diameter_m"]:
-        for cutoff in facts.get("ao_cutoff_per_m", ()):
-            cycles = cutoff.value * diameter.value
-            if not 1 < cycles <= MOST_CYCLES:
-                raise ValueError(
-                    f"fact 'ao_cutoff_per_m' = {cutoff.value:g} is {cycles:g} cycles per pupil diameter; "
-                    f"it should be 1/(2 actuator pitch), between 1 and {MOST_CYCLES} of them"
-                )
 
 
 def _is_number(value: Any) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+from pydantic import Field, TypeAdapter, ValidationError, field_validator
 
 from irlos_pipe.conventions.pupil_drawing import (
     ON_AXIS,
@@ -20,6 +20,7 @@ from irlos_pipe.conventions.pupil_drawing import (
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Flip, Part, Placement, Samples
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.regular import first_image
+from irlos_pipe.files.validation import Section
 
 # How far a value can be trusted. adopted: the project's convention; published: in a refereed paper or report
 # of the observatory; unverified: seen in public code or headers only; assumed: does little harm if wrong
@@ -34,12 +35,6 @@ LEAST_LIGHT = 1e-3  # of the disc's; aperture masks pass some per cents
 # A map of half the scale, or a diameter in other units, ends before this; stops and aperture masks do not.
 # Of a Zernike polynomial of order n, a pupil that ends at x of the rim sees x^n: 4 % of one of order 8.
 LEAST_REACH = 2 / 3  # of half the diameter
-
-
-class Section(BaseModel):
-    """Base of the sections of a profile: unknown keys are refused."""
-
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class VaneEntry(Section):
@@ -216,7 +211,12 @@ def require_usable(geometry: PupilGeometry) -> None:
     step_m = geometry.diameter_m / CELLS
     axis_m = (np.arange(CELLS + 2) - (CELLS + 1) / 2) * step_m
     x_m, y_m = axis_m[None, :], axis_m[:, None]
-    overlap = _overlap(geometry, x_m, y_m, step_m)
+    pieces = np.zeros((y_m.size, x_m.size), int)
+    for piece in () if geometry.map else geometry.segments:
+        box = rows, columns = piece.box(x_m, y_m, step_m)
+        inside_m = piece.distance_m(*piece.placement.back(x_m[:, columns], y_m[rows]))
+        pieces[box] += inside_m > 1e-6 * step_m
+    overlap = int(np.sum(pieces > 1)) / max(int(np.sum(pieces > 0)), 1)
     if overlap > MOST_OVERLAP:
         raise ValueError(
             f"the parts of the aperture overlap: {overlap:.2g} of its area is covered twice; draw it once"
@@ -234,13 +234,3 @@ def require_usable(geometry: PupilGeometry) -> None:
             f"what passes light ends {reach_m:.3g} m from the axis, before {LEAST_REACH:.2g} of half the "
             f"diameter, {rim_m:g} m; correct pupil_diameter_m, or the scale of what is drawn"
         )
-
-
-def _overlap(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> float:
-    """The part of the aperture's area that is covered twice."""
-    pieces = np.zeros((y_m.size, x_m.size), int)
-    for piece in () if geometry.map else geometry.segments:
-        box = rows, columns = piece.box(x_m, y_m, step_m)
-        inside_m = piece.distance_m(*piece.placement.back(x_m[:, columns], y_m[rows]))
-        pieces[box] += inside_m > 1e-6 * step_m
-    return int(np.sum(pieces > 1)) / max(int(np.sum(pieces > 0)), 1)

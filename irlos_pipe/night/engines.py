@@ -60,15 +60,9 @@ def _in_processes(work: Work, tasks: Sequence[Task], jobs: int) -> Iterator[Redu
 def dask_runner(scheduler: str) -> Runner:
     """Return a runner on the cluster of a `scheduler`, an address such as ``tls://10.0.0.1:8786``.
 
-    Certificates stand in Dask's own configuration.
-
-    Raises
-    ------
-    ConfigurationError
-        When Dask is not installed; when the runner starts, also if no scheduler answers at the address
-        or a worker has other software.
-    IrlosError
-        When no worker joins the cluster.
+    Certificates stand in Dask's own configuration. Raises `ConfigurationError` when Dask is not installed;
+    when the runner starts, also if no scheduler answers at the address or a worker has other software, and
+    `IrlosError` when no worker joins the cluster.
     """
     _distributed()
     # private: within this process, this machine, or with certificates
@@ -168,18 +162,15 @@ def _require_workers(client: Client, scheduler: str) -> None:
     own = software_versions()
     for address, versions in client.run(software_versions).items():
         if versions != own:
+            different = (
+                f"{name} {versions.get(name, 'missing')} instead of {own.get(name, 'none')}"
+                for name in own | versions
+                if versions.get(name) != own.get(name)
+            )
             raise ConfigurationError(
-                f"worker {address}: {_difference(versions, own)}; "
+                f"worker {address}: {', '.join(different)}; "
                 "results would not be the same: install the same versions"
             )
-
-
-def _difference(theirs: dict[str, str], own: dict[str, str]) -> str:
-    return ", ".join(
-        f"{name} {theirs.get(name, 'missing')} instead of {own.get(name, 'none')}"
-        for name in own | theirs
-        if theirs.get(name) != own.get(name)
-    )
 
 
 def _distributed() -> Any:

@@ -58,7 +58,7 @@ class PublishedRun:
         old = self._hidden("old")
         try:
             if os.path.lexists(self.path):
-                self._remove(old)
+                self.remove(old)
                 os.rename(self.path, old)
             os.rename(self.work_folder, self.path)
         except OSError as error:
@@ -70,10 +70,7 @@ class PublishedRun:
                 " reads it, the next irlos night tries it again"
             ) from error
         for ending in ("old", *EARLIER_SLOTS):
-            self._remove(self._hidden(ending))
-
-    def discard(self) -> None:
-        self._remove(self.work_folder)
+            self.remove(self._hidden(ending))
 
     def _fill_work_folder(self) -> None:
         """Fill an absent work folder in one step, so that a half filled one is never continued."""
@@ -83,12 +80,12 @@ class PublishedRun:
         if self.work_folder.exists() or not self.published:
             return
         copy = self._hidden("copy")
-        self._remove(copy)
+        self.remove(copy)
         others = shutil.ignore_patterns(f"{LOCK_NAME}*", EARLIER)
         shutil.copytree(self.path.resolve(), copy, ignore=others, copy_function=_link_or_copy)
         os.rename(copy, self.work_folder)
 
-    def _remove(self, folder: Path) -> None:
+    def remove(self, folder: Path) -> None:
         """Rename before removing: a half removed folder must not look like a half filled one."""
         rubbish = self._hidden("rubbish")
         shutil.rmtree(rubbish, ignore_errors=True)

@@ -1,7 +1,5 @@
 """Find the recordings under some folders and describe them; known ones are not read again."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import re
@@ -58,14 +56,14 @@ class Description:
     content: str = ""  # checksum of the frames, the same for a copy
     night_by: str = ""  # what the night was taken from where the recording states no time; else empty
 
-    def same_frames(self, other: Description) -> bool:
+    def same_frames(self, other: "Description") -> bool:
         """Whether `other` holds the same frames, taken at the same time as far as that is known."""
         if not self.content or (self.content, self.mode) != (other.content, other.mode):
             return False
         known = self.start_unix_s is not None and other.start_unix_s is not None
         return not known or abs((self.start_unix_s or 0.0) - (other.start_unix_s or 0.0)) < 1.0
 
-    def same_description(self, other: Description) -> bool:
+    def same_description(self, other: "Description") -> bool:
         """Whether `other` is said to be the same."""
         names = ("role", "configuration", "spectrum", "target", "exposure_s", "derotator_angle_deg")
         return all(getattr(self, name) == getattr(other, name) for name in names)
@@ -103,7 +101,9 @@ def discover(
     found: list[Description] = []
     problems: list[tuple[Path, str]] = []
     files = _files(folders, problems)
-    single = _single_recording_folders(files)
+    # folders with exactly one recording in or below them
+    counts = Counter(folder for file in files for folder in file.parents)
+    single = {folder for folder, count in counts.items() if count == 1}
     for file in files:
         if not str(file).isprintable():  # nor is it opened: messages would hold the name
             problems.append((file, UNPRINTABLE.format(str(file))))
@@ -183,12 +183,6 @@ def _files(folders: Sequence[Path], problems: list[tuple[Path, str]]) -> list[Pa
         return list(dict.fromkeys(recording_files([folder.absolute() for folder in folders], refused)))
     except NothingToDo:
         return []
-
-
-def _single_recording_folders(files: Iterable[Path]) -> set[Path]:
-    """Folders with exactly one recording in or below them."""
-    counts = Counter(folder for file in files for folder in file.parents)
-    return {folder for folder, count in counts.items() if count == 1}
 
 
 def _describe(

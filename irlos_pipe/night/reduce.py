@@ -156,22 +156,19 @@ def planned(task: Task, recipe: Recipe) -> list[Step] | None:
     return plan_run(recipe, task.folder, Selection())[1] if PublishedRun(task.folder).published else None
 
 
-def unchanged(task: Task) -> Reduced | None:
-    """Return the outcome if all products are up to date, else None; an unfinished set is removed then."""
-    return _unchanged(task, planned(task, task.load()))
-
-
-def _unchanged(task: Task, steps: Sequence[Step] | None) -> Reduced | None:
+def unchanged(task: Task, steps: Sequence[Step] | None) -> Reduced | None:
+    """Return the outcome if all planned `steps` are up to date, else None; removes an unfinished set then."""
     if steps is None or not all(step.current for step in steps):
         return None
-    PublishedRun(task.folder).discard()
+    published = PublishedRun(task.folder)
+    published.remove(published.work_folder)
     return replace(_outcome(task, RunFolder(task.folder), UNCHANGED), key=steps[-1].key)
 
 
 def _reduce(task: Task, last: str | None) -> Reduced:
     recipe, published = task.load(), PublishedRun(task.folder)
     steps = planned(task, recipe)
-    current = _unchanged(task, steps)
+    current = unchanged(task, steps)
     if current is not None:
         return current
     run = RunFolder(published.prepare())

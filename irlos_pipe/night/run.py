@@ -164,8 +164,13 @@ def _work_on(
 ) -> None:
     """Work on the jobs that are `requested` and not up to date; one that fails does not stop others."""
     jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if requested(job)}
-    for reduced in list(filter(None, (_without_work(job.task) for job in jobs.values()))):
-        _record(request, state, jobs[reduced.name], reduced)
+    for job in jobs.values():  # what is up to date or cannot be planned needs no work
+        try:
+            current = reduce.unchanged(job.task, reduce.planned(job.task, job.task.load()))
+        except IrlosError as error:
+            current = reduce.failure(job.task, str(error).splitlines()[0])
+        if current is not None:
+            _record(request, state, job, current)
     todo = []
     for night in state.nights.values():
         if tasks := [job.task for job in night.unfinished if requested(job)]:
@@ -178,14 +183,6 @@ def _work_on(
         what = reduced.action + (f": {why}" if why else f" in {reduced.seconds:.1f} s")
         RUN.info("%d of %d: %s: %s", number, len(todo), reduced.name, what)
         _record(request, state, jobs[reduced.name], reduced)
-
-
-def _without_work(task: reduce.Task) -> reduce.Reduced | None:
-    """The outcome of a task that is up to date or cannot be planned; None if there is work to do."""
-    try:
-        return reduce.unchanged(task)
-    except IrlosError as error:
-        return reduce.failure(task, str(error).splitlines()[0])
 
 
 def _record(request: Request, state: RunState, job: reduce.Job, reduced: reduce.Reduced) -> None:

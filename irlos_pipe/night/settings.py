@@ -5,13 +5,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files import shipped
 from irlos_pipe.files.shipped import named_file
-from irlos_pipe.files.validation import absolute, read_validated
+from irlos_pipe.files.validation import Origins, Section, absolute, require_valid
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.results import item
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
@@ -33,11 +34,7 @@ OTHER_NUMBERS = (
 NUMBER = re.compile("|".join([r"noll_[1-9]\d*_nm", *OTHER_NUMBERS]))
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class BandSettings(_Section):
+class BandSettings(Section):
     """When a number counts as out of its band; see `bands.band_of`."""
 
     false_alarm: float = item(1e-4, "false-alarm probability per number", gt=0, lt=0.5)
@@ -68,7 +65,7 @@ class BandSettings(_Section):
         return limits
 
 
-class NightSettings(_Section):
+class NightSettings(Section):
     """The file given with ``--config``; every key is optional."""
 
     instrument: str = item("irlos", "profile of recordings whose side-cars state none")
@@ -95,8 +92,10 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
 
     Raises `ConfigurationError` with one line ``where: message`` for every validation error.
     """
-    settings = NightSettings() if path is None else read_validated(path, NightSettings)
-    folder = None if path is None else absolute(path).parent
+    settings, folder = NightSettings(), None
+    if path is not None:
+        data, lines = load_yaml(path)
+        settings, folder = require_valid(data, NightSettings, Origins(path, lines)), absolute(path).parent
     chosen = {kind: [_recipe(name) for name in names] for kind, names in RECIPES.items()}
     chosen |= {kind: [_recipe(name, folder) for name in names] for kind, names in settings.recipes.items()}
     chosen |= _by_kind(recipes)

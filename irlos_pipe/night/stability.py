@@ -35,9 +35,7 @@ class Structure:
         return np.sqrt(np.maximum(self.change_nm2, 0.0))
 
 
-def structure_function(
-    unix_s: np.ndarray, modes_nm: np.ndarray, sigma_nm: np.ndarray, edges_s: np.ndarray = LAG_EDGES_S
-) -> Structure:
+def structure_function(unix_s: np.ndarray, modes_nm: np.ndarray, sigma_nm: np.ndarray) -> Structure:
     """Return the mean square change of a wavefront against the time lag.
 
     ``D(lag) = mean over pairs of Σ_modes (a(t + lag) − a(t))² − σ²(t) − σ²(t + lag)``: independent noise of
@@ -45,19 +43,13 @@ def structure_function(
     wavefront. White changes of variance s² per mode give 2 M s², a random walk of variance s² per second
     gives M s² lag, with M modes.
 
-    Parameters
-    ----------
-    unix_s : ndarray, (points,)
-        Times [s] in ascending order.
-    modes_nm, sigma_nm : ndarray, (points, modes)
-        Coefficients and their standard errors [nm RMS].
-    edges_s : ndarray, (bins + 1,)
-        Edges of the bins [s]; pairs beyond the last are left out.
+    Times `unix_s`, (points,), are in ascending order; `modes_nm` and `sigma_nm`, (points, modes), are
+    coefficients and their standard errors [nm RMS]. Pairs beyond the last edge of the bins are left out.
     """
     first, second = np.triu_indices(len(unix_s), 1)
     lags = unix_s[second] - unix_s[first]
-    index = np.searchsorted(edges_s, lags, side="right") - 1
-    within = index < len(edges_s) - 1
+    index = np.searchsorted(LAG_EDGES_S, lags, side="right") - 1
+    within = index < len(LAG_EDGES_S) - 1
     first, second, lags, index = first[within], second[within], lags[within], index[within]
     own_noise = np.sum(sigma_nm**2, axis=1)
     pairs = np.bincount(index)

@@ -1,7 +1,5 @@
 """Numbers from night to night: one table of all of them, the alarms, and the stability of the NCPAs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -94,7 +92,7 @@ class Trend:
             if one.alarm and (not night or one.night == night)
         ]
 
-    def until(self, night: str) -> Trend:
+    def until(self, night: str) -> "Trend":
         return replace(
             self,
             points=tuple(one for one in self.points if one.night <= night),

@@ -193,7 +193,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
         return {
             "label": calibrations.METHOD_NAMES[method], "frames": int(group.frames.iloc[0]), **in_all,
             **{name: result[name] for name in ("sense", "delta_chi2", "chi2_nu", "freedom")},
-            **asdict(split.consistency),
+            **asdict(result["consistency"]),
             **split_errors(split.series, split.split, truth),
         }  # fmt: skip
 

@@ -126,14 +126,10 @@ class Drawn:
     def rows(self) -> Frame:
         """Return the numbers and texts of the rows of all samples."""
         names = [name for name in self.run.products[self.stage].arrays if name.startswith("rows/")]
-        columns = {name.removeprefix("rows/"): map(_plain, self.array(name)) for name in names}
+        columns = {name.removeprefix("rows/"): self.array(name) for name in names}
         return frame(
             dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
         )
-
-
-def _plain(value: Any) -> Any:
-    return value.decode() if isinstance(value, bytes) else value
 
 
 @dataclass(frozen=True)

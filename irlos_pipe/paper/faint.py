@@ -4,8 +4,6 @@ As in the paper's test, bright frames of the narrow H band are dimmed and the mi
 Every variant of LIFT sees the same dimmed frames, and starts from zero defocus as a closed loop would.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -60,7 +58,7 @@ class Sizes(ex.StageConfig):
     )
 
     @model_validator(mode="after")
-    def _usable_magnitudes(self) -> Sizes:
+    def _usable_magnitudes(self) -> "Sizes":
         if len(self.faintest_mag_j) != len(self.exposures_s):
             raise ValueError("faintest_mag_j needs one value for each of exposures_s")
         brightest = min(self.faintest_mag_j) - (self.magnitudes - 1) * self.mag_step

@@ -5,9 +5,7 @@ what the mirror made of it. The mirror is not the one that its control believes 
 actuators are shifted and turned against the pupil. The star was refocused before, or has a defocus bias.
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,7 +59,7 @@ class MirrorErrors:
     shift: float = 0.0
     turn_deg: float = 0.0
 
-    def alone(self) -> dict[str, MirrorErrors]:
+    def alone(self) -> "dict[str, MirrorErrors]":
         """Return mirrors with none of the errors, with each, with the gain too high, and with all."""
         return {
             "none": MirrorErrors(),
@@ -209,7 +207,7 @@ def rows(star: ex.Sample) -> ex.Rows:
             sent = modal_offsets(*modes, 1.0, REPORTED_NOLLS[-1])
             estimate_nm = dict(zip(sent.nolls.tolist(), (-sent.value_nm).tolist(), strict=True))
             seen_nm.append(float(np.linalg.norm([estimate_nm[noll] for noll in CORRECTED_NOLLS])))
-            falling = improves(seen_nm)
+            falling = len(seen_nm) < 2 or bool(seen_nm[-1] < IMPROVES * seen_nm[-2])
             state = bench.left(mirror) | {"strehl": bench.strehl(mirror), "seen_nm": seen_nm[-1]}
             last = not falling or done == sizes.corrections
             yield {"what": "state", **loop, "corrections": done, **state, "last": last, "falling": falling}
@@ -236,11 +234,6 @@ def scene_of(star: ex.Sample) -> Scene:
     return replace(
         cube, ncpa_nm=ncpa_nm, diversity_nm=MIRROR_DIVERSITY_NM, diversity_source="mirror", sampling=FINE
     )
-
-
-def improves(seen_nm: Sequence[float]) -> bool:
-    """Return whether the last of the estimates `seen_nm` is well below the one before."""
-    return len(seen_nm) < 2 or bool(seen_nm[-1] < IMPROVES * seen_nm[-2])
 
 
 def predicted_strehl(cube: ObservedCube, calibration: Calibration) -> float:

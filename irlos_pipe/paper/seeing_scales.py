@@ -86,7 +86,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     monitor, sparta = rows.monitor_arcsec.iloc[0], rows.sparta_arcsec.iloc[0]
 
     def condition(where, sparta_arcsec):
-        monitor_arcsec = scale.from_sparta(sparta_arcsec)
+        monitor_arcsec = (sparta_arcsec - scale.offset_arcsec) / scale.ratio
         return {
             "where": where,
             "sparta_arcsec": sparta_arcsec,

@@ -125,23 +125,16 @@ def _listed(
 def _input_file(label: str, path: Path, root: Path, listed: str, cache: Mapping[str, Any]) -> InputFile:
     """A file with its checksum; one that cannot be read fails when it is, and does not stop the others."""
     stamp = _stamp(path)
-    try:
-        checksum = _remembered(cache.get(str(path)), stamp) or _checksum(path)
-    except OSError as error:
-        checksum = f"cannot be read: {error.strerror}"
+    match cache.get(str(path)):
+        case [*numbers, str(checksum)] if checksum and tuple(numbers) == stamp:
+            pass
+        case _:
+            try:
+                with open_regular(path) as stream:
+                    checksum = hashlib.file_digest(stream, "sha256").hexdigest()
+            except OSError as error:
+                checksum = f"cannot be read: {error.strerror}"
     return InputFile(label, path, checksum, stamp, root, listed)
-
-
-def _remembered(entry: Any, stamp: tuple[int, ...]) -> str:
-    match entry:
-        case [*numbers, str(sha256)] if tuple(numbers) == stamp:
-            return sha256
-    return ""
-
-
-def _checksum(path: Path) -> str:
-    with open_regular(path) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _stamp(path: Path) -> tuple[int, ...]:

@@ -83,17 +83,13 @@ def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selectio
     return steps
 
 
-def with_repairs(steps: Sequence[Step]) -> list[Step]:
-    """Return the plan with damaged products made again.
+def repaired(step: Step, steps: Sequence[Step]) -> Step:
+    """Return a step of the plan `steps`; a damaged product is made again.
 
     `make_plan` looks at the metadata of products only, so that planning is quick.
 
     Raises `ConfigurationError` when a product that ``--from`` builds on is damaged.
     """
-    return [_repaired(step, steps) for step in steps]
-
-
-def _repaired(step: Step, steps: Sequence[Step]) -> Step:
     if step.action not in (Action.SKIP, Action.USE) or (is_intact(step.path) and _has_results(step)):
         return step
     if step.action is Action.USE:

@@ -13,7 +13,7 @@ from irlos_pipe.conventions.errors import ExitCode, InputDataError, IrlosError, 
 from irlos_pipe.files.atomic import write_bytes, write_if_changed
 from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember, require_unchanged
-from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, checksum, make_plan, with_repairs
+from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, checksum, make_plan, repaired
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device, run_on_device
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE, collected, written_to
@@ -278,7 +278,8 @@ def run_recipe(
     # Planned once before the folder is made, so that a mistake leaves no empty folder behind.
     files, _ = plan_run(recipe, folder, selection)
     with runfolder.owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
-        steps = with_repairs(make_plan(recipe, folder, files, selection))
+        planned = make_plan(recipe, folder, files, selection)
+        steps = [repaired(step, planned) for step in planned]
         TRACE.info("command: %s", command_line())
         if any(step.action is Action.RUN for step in steps):
             RUN.info("instrument: %s", recipe.instrument_text)
@@ -336,7 +337,12 @@ def _failure_recorded(job: Job, run: runfolder.RunFolder) -> Iterator[None]:
         # A full disk may be what stopped the run; the first error is the one to report.
         with suppress(IrlosError):
             _write_outcome(assess(job.recipe, job.summaries(), error=reason), run)
-            _set_outdated_aside(job, run)
+            # Further files of what was to be made again, and a report that says all is well.
+            for step in job.steps:
+                if step.name not in job.finished and step.path.is_file():
+                    run.set_aside(_files_beside(step.path))
+            run.set_aside([run.report.name])
+            run.set_figures_aside()
         raise
 
 
@@ -345,15 +351,6 @@ def _set_others_aside(run: runfolder.RunFolder, steps: Sequence[Step]) -> None:
     ours = {step.path for step in steps}
     for path in sorted(set(run.product_files) - ours):
         run.set_aside([*_files_beside(path), path.name])
-
-
-def _set_outdated_aside(job: Job, run: runfolder.RunFolder) -> None:
-    """After an error: further files of what was to be made again, and a report that says all is well."""
-    for step in job.steps:
-        if step.name not in job.finished and step.path.is_file():
-            run.set_aside(_files_beside(step.path))
-    run.set_aside([run.report.name])
-    run.set_figures_aside()
 
 
 def _files_beside(product: Path) -> list[str]:

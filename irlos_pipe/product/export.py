@@ -164,15 +164,6 @@ def write_aot(product: Product, name: str, path: Path, *, replace: bool = False)
     for file in (path, sidecar):
         if file.exists() and not replace:
             raise ConfigurationError(f"{file}: exists already; choose another name or give --force")
-    prefix = _prefix(product, name)
-    made_from = {f"{ROOT}/{one.input}/{one.name}": one for one in recorded(product.provenance)}
-    seen = made_from.get(prefix, Recorded())
-    content = _content(product, prefix, seen)
-    write_bytes(sidecar, yaml_text(_sidecar(product, prefix)).encode())
-    write_bytes(path, content)
-
-
-def _prefix(product: Product, name: str) -> str:
     known = sorted({array.rpartition("/")[0] for array in product.arrays if array.endswith("/raw_adu")})
     if not known:
         raise ConfigurationError(
@@ -182,7 +173,12 @@ def _prefix(product: Product, name: str) -> str:
     if len(fitting) != 1:
         names = [one.removeprefix(f"{ROOT}/") for one in known]
         raise ConfigurationError(f"--recording {name}: not one of this product{suggestion(name, names)}")
-    return fitting[0]
+    prefix = fitting[0]
+    made_from = {f"{ROOT}/{one.input}/{one.name}": one for one in recorded(product.provenance)}
+    seen = made_from.get(prefix, Recorded())
+    content = _content(product, prefix, seen)
+    write_bytes(sidecar, yaml_text(_sidecar(product, prefix)).encode())
+    write_bytes(path, content)
 
 
 def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
@@ -190,6 +186,8 @@ def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
     acquisition = json.loads(str(product.arrays[f"{prefix}/acquisition"].value))
     start_s = float(values["start_unix_s"])
     times = (start_s + values["time_s"]).tolist() if np.isfinite(start_s) else []
+    flat = values["flat"]
+    response = np.divide(1, flat, out=np.zeros(flat.shape, np.float32), where=flat > 0)
     time = aotpy.Time(uid="frames", timestamps=times, frame_numbers=values["frame_counter"].tolist())
     detector = aotpy.Detector(
         uid=(seen.instrument or "camera").upper(),
@@ -199,7 +197,7 @@ def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
         frame_rate=acquisition["frame_rate_hz"],
         excess_noise=acquisition["detector"]["excess_noise_factor"],
         dark=aotpy.Image("dark", values["background_adu"].astype(np.float32), unit="adu"),
-        flat_field=aotpy.Image("flat", _inverse(values["flat"])),
+        flat_field=aotpy.Image("flat", response),
         bad_pixel_map=aotpy.Image("bad", (~values["pixel_mask"].astype(bool)).astype(np.uint8)),
     )
     system = aotpy.AOSystem(ao_mode="LTAO", name=str(seen.cards.get("INSTRUME", seen.instrument)))
@@ -217,10 +215,6 @@ def _content(product: Product, prefix: str, seen: Recorded) -> bytes:
         path = Path(folder) / "aot.fits"
         system.write_to_file(path)
         return path.read_bytes()
-
-
-def _inverse(flat: np.ndarray) -> np.ndarray:
-    return np.divide(1, flat, out=np.zeros(flat.shape, np.float32), where=flat > 0)
 
 
 def _sidecar(product: Product, prefix: str) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.json import json_text, jsonable
-from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import (
     DITTO,
     Number,
@@ -264,7 +263,16 @@ def shown_product(path: Path) -> ShownProduct:
         product,
         product=path.name,
         provenance=provenance_of(product),
-        arrays=[_array(name, quantity) for name, quantity in product.arrays.items()],
+        arrays=[
+            ArrayRow.filled_from(
+                one,
+                name=name,
+                shape=list(one.value.shape),
+                type=str(one.value.dtype),
+                with_error=one.error is not None,
+            )
+            for name, one in product.arrays.items()
+        ],
         configuration=product.config,
         checks=[CheckRow.filled_from(check) for check in product.checks],
     )
@@ -299,13 +307,3 @@ def _held(path: Path) -> HeldProduct:
         return HeldProduct.filled_from(product, product=path.name, **counts)
     except InputDataError as error:
         return HeldProduct(product=path.name, problem=str(error))
-
-
-def _array(name: str, quantity: Quantity) -> ArrayRow:
-    return ArrayRow.filled_from(
-        quantity,
-        name=name,
-        shape=list(quantity.value.shape),
-        type=str(quantity.value.dtype),
-        with_error=quantity.error is not None,
-    )

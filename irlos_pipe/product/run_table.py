@@ -1,7 +1,5 @@
 """Checks and numbers of a run as one table: in CSV or SQLite, or next to those of another run."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -138,7 +136,9 @@ def compare_runs(first: Path, second: Path) -> Comparison:
     runs = existing_run(first), existing_run(second)
     one, other = (dict(leaves(read_run_results(run.results).stages)) for run in runs)
     files = _pairs(*map(_files, runs))
-    numbers = list(_numbers(one, other))
+    pairs = [(".".join(path), value, other[path]) for path, value in one.items() if path in other]
+    numbers = [_number_pair(*pair) for pair in pairs if _are_numbers(*pair[1:])]
+    words = [pair for pair in pairs if not _are_numbers(*pair[1:]) and pair[1].value != pair[2].value]
     return Comparison(
         first=str(first),
         second=str(second),
@@ -148,7 +148,7 @@ def compare_runs(first: Path, second: Path) -> Comparison:
         files=files,
         modes=list(_modes(numbers)),
         numbers=numbers,
-        words=list(_words(one, other)),
+        words=[ValuePair(name=name, first=own.value, second=its.value) for name, own, its in words],
         only_first=_only_in(one, other),
         only_second=_only_in(other, one),
         checks=_pairs(*map(_checks, runs)),
@@ -190,24 +190,24 @@ def _checks(run: RunFolder) -> dict[str, str]:
     }
 
 
-def _numbers(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[NumberPair]:
-    for path, one in first.items():
-        other = second.get(path)
-        if other is not None and _is_number(one.value) and _is_number(other.value):
-            stage, *rest = path
-            difference = other.value - one.value
-            both = math.hypot(one.error, other.error)
-            yield NumberPair(
-                stage=stage,
-                name=".".join(rest),
-                unit=unit_of(".".join(rest)),
-                first=one.value,
-                second=other.value,
-                first_error=one.error,
-                second_error=other.error,
-                difference=difference,
-                sigmas=difference / both if both > 0 else math.nan,
-            )
+def _are_numbers(*both: "Leaf") -> bool:
+    return all(_is_number(one.value) for one in both)
+
+
+def _number_pair(path: str, one: "Leaf", other: "Leaf") -> NumberPair:
+    stage, _, name = path.partition(".")
+    difference, error = other.value - one.value, math.hypot(one.error, other.error)
+    return NumberPair(
+        stage=stage,
+        name=name,
+        unit=unit_of(name),
+        first=one.value,
+        second=other.value,
+        first_error=one.error,
+        second_error=other.error,
+        difference=difference,
+        sigmas=difference / error if error > 0 else math.nan,
+    )
 
 
 def _modes(numbers: Iterable[NumberPair]) -> Iterator[ModesPair]:
@@ -226,15 +226,7 @@ def _modes(numbers: Iterable[NumberPair]) -> Iterator[ModesPair]:
         )
 
 
-def _words(first: Mapping[Place, Leaf], second: Mapping[Place, Leaf]) -> Iterator[ValuePair]:
-    for path, one in first.items():
-        other = second.get(path)
-        both = other is not None and _is_number(one.value) and _is_number(other.value)
-        if other is not None and not both and one.value != other.value:
-            yield ValuePair(name=".".join(path), first=one.value, second=other.value)
-
-
-def _only_in(one: Mapping[Place, Leaf], other: Mapping[Place, Leaf]) -> list[str]:
+def _only_in(one: "Mapping[Place, Leaf]", other: "Mapping[Place, Leaf]") -> list[str]:
     """What the first has and the second lacks, by the shortest path that the second lacks altogether."""
     known = {path[:length] for path in other for length in range(1, len(path) + 1)}
     missing = {
@@ -264,15 +256,18 @@ def leaves(tree: Any, error: Any = None, above: Place = ()) -> Iterator[tuple[Pl
     are next to the values, or in a tree `error` of the same form.
     """
     if isinstance(tree, Mapping):
+        errors = _errors(tree)
+        others = OF_THE_MACHINE.union(*errors.values())
         for key, value in tree.items():
-            if key not in _error_keys(tree) | OF_THE_MACHINE:
-                yield from leaves(value, _error_of(key, tree, error), (*above, str(key)))
+            beside = next((tree[name] for name in errors[key]), None)
+            its_error = error.get(key) if isinstance(error, Mapping) else beside
+            yield from leaves(value, its_error, (*above, str(key))) if key not in others else ()
     elif isinstance(tree, list) and tree and all(isinstance(row, Mapping) for row in tree):
         for name, row in zip(_names(tree), tree, strict=True):
             yield from leaves(row, None, (*above, name))
     elif isinstance(tree, list) and tree and all(map(_is_number, tree)):
-        errors = error if isinstance(error, list) and len(error) == len(tree) else [None] * len(tree)
-        for index, (value, its_error) in enumerate(zip(tree, errors, strict=True)):
+        each = error if isinstance(error, list) and len(error) == len(tree) else [None] * len(tree)
+        for index, (value, its_error) in enumerate(zip(tree, each, strict=True)):
             yield from leaves(value, its_error, (*above, str(index)))
     else:
         yield above, Leaf(tree, float(error) if _is_number(error) and _is_number(tree) else math.nan)
@@ -283,35 +278,16 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _error_of(key: str, tree: Mapping[str, Any], error: Any) -> Any:
-    """The error of a value of a tree: next to it, or in the tree of errors."""
-    if isinstance(error, Mapping):
-        return error.get(key)
-    return next(
-        (tree[name] for name in _candidates(key) if name in tree and _fits(tree[key], tree[name])), None
-    )
-
-
-def _error_keys(tree: Mapping[str, Any]) -> set[str]:
-    """Keys of a tree that hold the errors of others."""
-    return {
-        name
-        for key, value in tree.items()
-        for name in _candidates(key)
-        if name in tree and _fits(value, tree[name])
-    }
-
-
-def _candidates(key: str) -> Iterator[str]:
-    """Keys that the error of a key may stand under."""
-    stem, _, unit = key.rpartition("_")
-    yield from (ERRORS[key],) if key in ERRORS else ()
-    yield f"{key}_sigma"
-    yield from (f"{stem}_sigma_{unit}", f"{stem}_error_{unit}") if stem else ()
-
-
-def _fits(value: Any, error: Any) -> bool:
-    return isinstance(value, Mapping) == isinstance(error, Mapping)
+def _errors(tree: Mapping[str, Any]) -> dict[str, list[str]]:
+    """The keys of a tree that hold the error of another, by that; most have none."""
+    found = {}
+    for key, value in tree.items():
+        stem, _, unit = key.rpartition("_")
+        names = [*((ERRORS[key],) if key in ERRORS else ()), f"{key}_sigma"]
+        names += [f"{stem}_sigma_{unit}", f"{stem}_error_{unit}"] if stem else []
+        alike = isinstance(value, Mapping)
+        found[key] = [name for name in names if name in tree and isinstance(tree[name], Mapping) == alike]
+    return found
 
 
 def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:

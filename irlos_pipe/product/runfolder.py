@@ -1,7 +1,5 @@
 """The folder of a run: its file names, its lock, and its tidiness."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
@@ -44,7 +42,7 @@ class _Named:
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __get__(self, run: RunFolder, kind: object = None) -> Path:
+    def __get__(self, run: "RunFolder", kind: object = None) -> Path:
         return run.path / self._name
 
 
@@ -106,17 +104,12 @@ class RunFolder:
         Raises `InputDataError` when results.json cannot be read.
         """
         stages = load_yaml(self.recipe, InputDataError)[0]["stages"]
-        return {
-            stage: self.product(position, stage)
-            for position, stage in enumerate(stages, 1)
-            if stage in self._reported_stages()
-        }
-
-    def _reported_stages(self) -> set[str]:
         try:
-            return set(json.loads(read_regular(self.results))["stages"])
+            reported = set(json.loads(read_regular(self.results))["stages"])
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputDataError(f"{self.results}: cannot be read ({error}); run the recipe again") from error
+        numbered = enumerate(stages, 1)
+        return {stage: self.product(number, stage) for number, stage in numbered if stage in reported}
 
 
 def existing_run(folder: Path) -> RunFolder:

@@ -135,12 +135,9 @@ def _inputs(origin: Origin) -> Iterator[Card]:
         counts[kind] += 1
         key = f"ESO PRO REC1 {kind}{counts[kind]}"
         yield Card(f"{key} NAME", path.name, "file")
-        yield Card(f"{key} CATG", role.upper() or _beside(path), "category")
+        beside = "ACQUISITION" if path.suffix in SIDECAR_SUFFIXES else _word(path.stem)
+        yield Card(f"{key} CATG", role.upper() or beside, "category")
         yield Card(f"{key} SHA256", entry.sha256[:SHA_DIGITS], f"first {SHA_DIGITS} digits")
-
-
-def _beside(path: PurePosixPath) -> str:
-    return "ACQUISITION" if path.suffix in SIDECAR_SUFFIXES else _word(path.stem)
 
 
 def _parameters(origin: Origin) -> Iterator[Card]:

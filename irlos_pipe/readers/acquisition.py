@@ -152,8 +152,11 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     path = sidecar_path(raw.path)
     side = read_sidecar(path)
     layers: dict[str, Mapping[str, Any]] = {RECIPE: recipe.flat(), SIDECAR: side.flat()}
+    # Altitude and airmass that are declared are of another moment than those of the header.
+    dropped = ALTITUDE if any(key in layers[one] for one in (SIDECAR, RECIPE) for key in ALTITUDE) else ()
     layers |= {
-        HEADER: _of_header(raw.header, {**layers[SIDECAR], **layers[RECIPE]}),
+        # ESO writes -1 where nothing was measured.
+        HEADER: {key: one for key, one in raw.header.items() if is_valid(key, one) and key not in dropped},
         MODE: raw.of_mode,
         PROFILE: instrument.defaults | HARMLESS,
     }
@@ -177,19 +180,13 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     if without_magnitude and sources.get("mag_j") not in (RECIPE, SIDECAR):
         values["mag_j"], sources["mag_j"] = None, SIDECAR
     warnings = _warnings(raw, known, instrument.name)
-    monitor = _seeing_monitor(layers, known)
+    monitor = SPARTA  # or as the recipe says, else as the source of the seeing says
+    if known.stated("seeing_arcsec"):
+        of_seeing = layers[sources["seeing_arcsec"]].get("seeing_scale", SPARTA)
+        monitor = layers[RECIPE].get("seeing_scale") or of_seeing
     if monitor != SPARTA:
         warnings = (*warnings, _put_on_sparta_scale(raw, values, monitor, instrument))
     return Resolved(_acquisition(raw, known, reads), defocus, warnings)
-
-
-def _of_header(header: Mapping[str, Any], declared: Mapping[str, Any]) -> dict[str, Any]:
-    """The header without values out of the range of their key: ESO writes -1 where nothing was measured.
-
-    Altitude and airmass are left out where either is `declared`: they are of another moment.
-    """
-    dropped = ALTITUDE if any(key in declared for key in ALTITUDE) else ()
-    return {key: value for key, value in header.items() if is_valid(key, value) and key not in dropped}
 
 
 def _require(known: _KnownKeys) -> None:
@@ -320,14 +317,6 @@ def _warnings(raw: RawRecording, known: _KnownKeys, profile: str) -> tuple[str, 
     if "mag_j" not in known.values and known.values["role"] != "dark":
         lines.append(f"{raw.name}: mag_j is not known; magnitudes can only come from the measured flux")
     return tuple(lines)
-
-
-def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], known: _KnownKeys) -> str:
-    """Whose scale the seeing is on: as the recipe says, else as the source of the seeing says."""
-    if not known.stated("seeing_arcsec"):
-        return SPARTA
-    own = layers[known.sources["seeing_arcsec"]]
-    return layers[RECIPE].get("seeing_scale") or own.get("seeing_scale", SPARTA)
 
 
 def _put_on_sparta_scale(

@@ -24,7 +24,7 @@ from irlos_pipe.readers.fitsfile import (
     stem,
 )
 from irlos_pipe.readers.raw_file import RawRecording, plain_header_keys
-from irlos_pipe.readers.times import column, pair_by_counter, require_times, unix_seconds
+from irlos_pipe.readers.times import column, require_times, unix_seconds
 
 LAYOUT = "sparta_recorder"
 PIXEL_TABLE = "IRPIXELFRAME"
@@ -102,7 +102,16 @@ def _frames(table: fits.BinTableHDU, where: str) -> tuple[np.ndarray, np.ndarray
         raise InputDataError(
             f"{where}: column 'Pixels' has vectors of varying length, expected a fixed length"
         )
-    columns, rows = _window(width, height, where)
+    changed = np.flatnonzero((width != width[0]) | (height != height[0]))
+    if changed.size:
+        row = changed[0]
+        raise InputDataError(
+            f"{where}: the window changes from {width[0]}x{height[0]} to {width[row]}x{height[row]} "
+            f"(x, y) px in row {row + 1}; split the recording there"
+        )
+    if width[0] <= 0 or height[0] <= 0:
+        raise InputDataError(f"{where}: a window of {width[0]}x{height[0]} (x, y) px")
+    columns, rows = int(width[0]), int(height[0])
     vectors = pixels.reshape(len(pixels), -1)
     if columns * rows > vectors.shape[1]:
         raise InputDataError(
@@ -121,20 +130,6 @@ def _required(table: fits.BinTableHDU, name: str, where: str) -> np.ndarray:
     if name != PIXELS and values.ndim != 1:
         raise InputDataError(f"{where}: column '{name}' has {values[0].size} values per row, expected one")
     return values
-
-
-def _window(width: np.ndarray, height: np.ndarray, where: str) -> tuple[int, int]:
-    """Return columns and rows of the window, which must be the same in every frame."""
-    changed = np.flatnonzero((width != width[0]) | (height != height[0]))
-    if changed.size:
-        row = changed[0]
-        raise InputDataError(
-            f"{where}: the window changes from {width[0]}x{height[0]} to {width[row]}x{height[row]} "
-            f"(x, y) px in row {row + 1}; split the recording there"
-        )
-    if width[0] <= 0 or height[0] <= 0:
-        raise InputDataError(f"{where}: a window of {width[0]}x{height[0]} (x, y) px")
-    return int(width[0]), int(height[0])
 
 
 def _table(hdus: fits.HDUList, name: str) -> tuple[int, fits.BinTableHDU | None]:
@@ -186,7 +181,8 @@ def _times(
         source = searched[-1] if searched else path
     if loop is None:
         return None, (f"{path}: no times recorded; taken from the frame counter and the frame rate",)
-    paired = pair_by_counter(counter, loop.counter, loop.unix_s)
+    by_counter = dict(zip(loop.counter.tolist(), loop.unix_s.tolist(), strict=True))
+    paired = np.array([by_counter.get(number, np.nan) for number in counter.tolist()], dtype=np.float64)
     missing = int(np.isnan(paired).sum())
     note = f"{path}: times from {source.name}, {missing} of {len(counter)} frames not found in it"
     return (None if missing == len(counter) else paired), (note,)

@@ -3,8 +3,6 @@
 `AcquisitionKeys` declares every key once: its limits, its meaning, and what else may know its value.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -74,7 +72,7 @@ class DiversityKeys(_Section):
     zernike: dict[int, float] = Field(description="Noll index: nm RMS")
 
     @model_validator(mode="after")
-    def _sensible(self) -> DiversityKeys:
+    def _sensible(self) -> "DiversityKeys":
         for noll, nm in self.zernike.items():
             if not 2 <= noll <= 1000:
                 raise ValueError(f"zernike: {noll} is no Noll index from 2 to 1000")
@@ -185,7 +183,7 @@ class AcquisitionKeys(_Section):
     detector: DetectorKeys | None = _key("detector constants")
 
     @model_validator(mode="after")
-    def _one_band(self) -> AcquisitionKeys:
+    def _one_band(self) -> "AcquisitionKeys":
         """A wide band needs a wide field in memory; nobody images three octaves at once."""
         lit = [point.wavelength_nm for point in self.spectrum or () if point.weight > 0]
         if self.spectrum is not None and not lit:
@@ -197,7 +195,7 @@ class AcquisitionKeys(_Section):
             )
         return self
 
-    def updated(self, other: AcquisitionKeys) -> AcquisitionKeys:
+    def updated(self, other: "AcquisitionKeys") -> "AcquisitionKeys":
         """Return these keys with those that `other` gives replaced."""
         own, new = (keys.model_dump(exclude_none=True) for keys in (self, other))
         detector = own.get("detector", {}) | new.get("detector", {})

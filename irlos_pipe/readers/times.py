@@ -85,16 +85,6 @@ def iso_time(unix_s: float) -> str:
     return datetime.fromtimestamp(round(unix_s, 3), UTC).isoformat(timespec="milliseconds")[:23]
 
 
-def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """Look up times of frames by exactly equal counters: those `wanted`, (frames,).
-
-    `counter` and `times_s` (rows,) are of the other table, in any order. A frame whose counter it lacks gets
-    NaN: the next best row belongs to another frame.
-    """
-    by_counter = dict(zip(counter.tolist(), times_s.tolist(), strict=True))
-    return np.array([by_counter.get(number, np.nan) for number in wanted.tolist()], dtype=np.float64)
-
-
 def counter_step(frame_counter: np.ndarray) -> int:
     """Return the usual increment of a frame counter; 1 if there is nothing to judge by.
 

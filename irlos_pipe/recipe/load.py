@@ -146,7 +146,13 @@ def load_recipe(
     data, errors = read_overridden(path, _parse_setting, given, inputs, seed)
     head = _check_head(data, errors)
     model = _check_section(data, "model", ModelConfig, errors)
-    configs = _check_stage_sections(data, errors)
+    stages = data.get("stages")
+    listed = stages if isinstance(stages, list) else []
+    concerned = [name for name in STAGES if name in data or name in listed]
+    for name in concerned:
+        if name not in listed:
+            errors.add((name,), f"section '{name}' has no effect: no such stage under 'stages'")
+    configs = {name: _check_section(data, name, STAGES[name].Config, errors) for name in concerned}
     for index, name in enumerate(head.stages):
         problem = _stage_problem(name, head.stages[:index])
         if problem:
@@ -232,17 +238,6 @@ def _check_section(
         errors.add((name,), f"{name} = {content!r}: should be a section of 'key: value' lines")
         return None
     return errors.validated(content, model, (name,))
-
-
-def _check_stage_sections(data: Mapping[str, Any], errors: ValidationErrors) -> dict[str, StageConfig | None]:
-    """Check the section of every stage that `data` lists or configures, noting `errors`."""
-    stages = data.get("stages")
-    listed = stages if isinstance(stages, list) else []
-    concerned = [name for name in STAGES if name in data or name in listed]
-    for name in concerned:
-        if name not in listed:
-            errors.add((name,), f"section '{name}' has no effect: no such stage under 'stages'")
-    return {name: _check_section(data, name, STAGES[name].Config, errors) for name in concerned}
 
 
 def _with_samples(head: RecipeHead, errors: ValidationErrors) -> dict[str, list[str]]:

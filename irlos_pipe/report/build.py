@@ -2,7 +2,7 @@
 
 import gc
 import io
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -181,18 +181,14 @@ def _drawn(folder: Path, kept: Callable[[Figure], Kept]) -> dict[str, Kept]:
     drawn: dict[str, Kept] = {}
 
     def keep(name: str, figure: Figure) -> None:
-        drawn[_unused(name, drawn)] = kept(figure)
+        # Several drawings of one name are numbered.
+        plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)
+        count = sum(other == plain or other.rpartition("-")[0] == plain for other in drawn)
+        drawn[plain if plain not in drawn else f"{plain}-{count + 1}"] = kept(figure)
 
     with kept_by(keep):
         report_sections(read_run(folder))
     return drawn
-
-
-def _unused(name: str, taken: Collection[str]) -> str:
-    """The name of a drawing, numbered where there are several."""
-    plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)
-    count = sum(other == plain or other.rpartition("-")[0] == plain for other in taken)
-    return plain if plain not in taken else f"{plain}-{count + 1}"
 
 
 def _file(figure: Figure, kind: str) -> bytes:

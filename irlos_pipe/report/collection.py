@@ -18,6 +18,7 @@ from irlos_pipe.report.run_data import read_run
 from irlos_pipe.report.section_run import finished
 from irlos_pipe.report.text import MISSING, duration, is_known
 
+TITLE = "The experiments of the paper"
 LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report shows them
 
 
@@ -96,7 +97,7 @@ def _shown(value: Any) -> str:
 # -- the page ----------------------------------------------------------------------------------
 
 
-def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapter]) -> Path:
+def write_collection(path: Path, note: str, chapters: Sequence[Chapter]) -> Path:
     """Write the page with a `note` below its title; the same chapters give the same file.
 
     Raises `IrlosError` when it cannot be written.
@@ -115,7 +116,7 @@ def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapt
     all_sections = [section for chapter in chapters for section in chapter.sections]
     page = rendered(
         "collection.html.j2",
-        title=title,
+        title=TITLE,
         note=note,
         chapters=chapters,
         contents=contents,

@@ -1,7 +1,5 @@
 """What a report is made of: sections of figures, tables and notes, and the template that shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeVar
@@ -53,7 +51,7 @@ class Table:
         title: str = "",
         caption: str = "",
         **look: Any,
-    ) -> Table:
+    ) -> "Table":
         """Return a table with a row for each of the `items`; `columns` say by title what is shown of one."""
         rows = [tuple(cell(item) for cell in columns.values()) for item in items]
         return cls(tuple(columns), rows, title, caption, **look)
@@ -75,7 +73,7 @@ class Stack:
     """Blocks below one another that together take half of the page."""
 
     kind: ClassVar[str] = "stack"
-    blocks: Sequence[Block]
+    blocks: "Sequence[Block]"
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class Views:
 
     kind: ClassVar[str] = "views"
     name: str
-    choices: Mapping[str, Sequence[Block]]
+    choices: "Mapping[str, Sequence[Block]]"
     width: Width = "full"
 
     def __post_init__(self) -> None:

@@ -19,14 +19,11 @@ from irlos_pipe.report.drawing import (
     GREEN,
     INK,
     ORANGE,
-    SIZE_IN,
-    figure,
     log_y,
     plot,
     svg,
 )
 from irlos_pipe.report.run_data import StageData
-from irlos_pipe.report.text import is_known, number
 
 PROFILE_IN = (4.4, 3.2)
 FEWEST = 20  # values from which quantiles are worth a plot
@@ -46,10 +43,6 @@ QUANTILES = (
     "Residuals of all pixels in σ, in order of size, against those of independent Gaussian noise of 1 σ "
     "(line; grey: 95 % of all images). A complete model leaves the dashed slope, the root of its nominal χ². "
     "Steeper is too much, and ends that bend away are single pixels or structure."
-)
-SERIES = (
-    "χ²/ν of every frame in order of time: frames that stand out were recorded in other conditions, or their "
-    "fit stopped elsewhere."
 )
 
 
@@ -165,31 +158,6 @@ def profile_plot(
     return svg(name, size_in, draw)
 
 
-def cuts_figure(name: str, images: Mapping[Look, np.ndarray], step: float, unit: str) -> Figure:
-    """Return cuts along x and y through the brightest pixel of the last of the `images` (rows, columns) [e-].
-
-    Pixels are `step` wide, in the `unit`; values that are not positive leave gaps.
-    """
-    last = list(images.values())[-1]
-    place = np.unravel_index(np.nanargmax(last), last.shape) if np.isfinite(last).any() else (0, 0)
-
-    def draw(canvas: Canvas) -> None:
-        for axis, axes in enumerate(canvas.subplots(2, sharex=True, sharey=True)):
-            for look, image in images.items():
-                line = image[place[0]] if axis == 0 else image[:, place[1]]
-                at = (np.arange(len(line)) - (len(line) - 1) / 2) * step
-                points, label = ("." if look.label == "measured" else "-", look.label if axis == 0 else None)
-                axes.plot(
-                    at, np.where(line > 0, line, np.nan), points, color=look.colour, label=label, markersize=4
-                )
-            axes.set(ylabel=f"along {'xy'[axis]} [e⁻]")
-            log_y(axes, *images.values(), small=True)
-        axes.set_xlabel(f"from the centre of the window [{unit}]")
-        canvas.legend(**BESIDE["above"])
-
-    return figure(name, SIZE_IN, draw, "Cuts along x and y", "Through the brightest pixel.", "third")
-
-
 # -- how well models fit -----------------------------------------------------------------------
 
 
@@ -237,27 +205,6 @@ def quantile_figure(
 
     labels = ("expected of noise [σ]", "residual [σ]")
     return plot(name, draw, labels, "Quantiles of the residual", QUANTILES)
-
-
-def chi2_figure(name: str, chi2_nu: np.ndarray, nominal: float, limit: float) -> Figure | None:
-    """Return χ²/ν frame by frame, (frames,); None where none is known.
-
-    A right model would give the `nominal` value, NaN where it is not known; quality control fails for a
-    median beyond the `limit`, NaN without.
-    """
-    if not np.any(np.isfinite(chi2_nu)):
-        return None
-    levels = {f"nominal, {number(nominal, '.2f')}": (nominal, GREEN)} | {
-        f"limit of the median, {number(limit, '.2f')}": (limit, ORANGE)
-    }
-
-    def draw(axes: Axes) -> None:
-        axes.plot(np.arange(len(chi2_nu)), chi2_nu, ".", color=BLUE)
-        for label, (level, colour) in levels.items():
-            if is_known(level):
-                axes.axhline(level, color=colour, linestyle="--", linewidth=1.0, label=label)
-
-    return plot(name, draw, ("frame", "χ²/ν"), "χ² of every frame", SERIES, ylim=(0, None))
 
 
 def _drawn(count: int) -> np.ndarray:

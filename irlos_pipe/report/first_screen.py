@@ -11,10 +11,9 @@ from markupsafe import Markup
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
-from irlos_pipe.estimate.records import Cause
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import meaning_of, provenance_of
-from irlos_pipe.report.content import Block, KeyNumber, Section, Table, Views, walked
+from irlos_pipe.report.content import KeyNumber, Section, Table, Views, walked
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import verdict_numbers
 from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
@@ -97,14 +96,13 @@ def failures(run: RunData, places: Mapping[str, str]) -> list[Reason]:
 
 def causes(run: RunData, places: Mapping[str, str]) -> list[Reason]:
     """Return what would explain the failed checks of a calibration, most likely first."""
-    rows = run.results(CalibrateResults).causes
-    return [Reason(one.says, _explained(one), _link(places, one.figure, "calibrate")) for one in rows]
-
-
-def _explained(row: Cause) -> str:
-    new = is_known(row.explains) and "of the misfit" not in row.says
-    known = [f"explains {number(row.explains, '.0%')} of the misfit"] if new else []
-    return "; ".join([*known, *([f"key {row.key}"] if row.key and row.key not in row.says else [])])
+    found = []
+    for row in run.results(CalibrateResults).causes:
+        new = is_known(row.explains) and "of the misfit" not in row.says
+        known = [f"explains {number(row.explains, '.0%')} of the misfit"] if new else []
+        known += [f"key {row.key}"] if row.key and row.key not in row.says else []
+        found.append(Reason(row.says, "; ".join(known), _link(places, row.figure, "calibrate")))
+    return found
 
 
 def _link(places: Mapping[str, str], *names: str) -> Markup:
@@ -139,13 +137,10 @@ def places_of(sections: Iterable[Section]) -> dict[str, str]:
         found[section.name] = section.title
         for block in walked(section.blocks):
             if name := getattr(block, "name", ""):
-                found[name] = " / ".join(_titles(block)) or section.title
+                inner = next(iter(block.choices.values())) if isinstance(block, Views) else [block]
+                titles = [title for one in inner if (title := getattr(one, "title", ""))]
+                found[name] = " / ".join(titles) or section.title
     return found
-
-
-def _titles(block: Block) -> list[str]:
-    inner = next(iter(block.choices.values())) if isinstance(block, Views) else [block]
-    return [title for one in inner if (title := getattr(one, "title", ""))]
 
 
 # -- numbers to see first ----------------------------------------------------------------------------

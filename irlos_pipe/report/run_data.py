@@ -1,7 +1,5 @@
 """What the report reads: the products of a run and its files for scripts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -44,7 +42,7 @@ class RunData:
         """Return the results of a stage as the model `kind`; all defaults without that stage."""
         return results_of(kind, self.products[kind.stage]) if kind.stage in self.products else kind()
 
-    def of(self, kind: type[Results]) -> StageData[Results]:
+    def of(self, kind: type[Results]) -> "StageData[Results]":
         """Return what there is of the stage whose results are of a `kind`."""
         return StageData(self, kind.stage, self.results(kind))
 
@@ -85,7 +83,7 @@ class StageData(Generic[Results]):
         """Return the standard error of the array `name`, or None where it has none."""
         return self.arrays[name].error if name in self.arrays else None
 
-    def blocks(self, *parts: Callable[[StageData[Results]], Blocks]) -> list[Block]:
+    def blocks(self, *parts: "Callable[[StageData[Results]], Blocks]") -> list[Block]:
         """Return what each of the `parts` makes of this stage, without those that lack their arrays."""
         found: list[Block] = []
         for part in parts:

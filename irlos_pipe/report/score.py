@@ -27,12 +27,6 @@ class Truth(ResultsPart):
     mean_zernike_nm: ByNoll | None = None  # time-averaged wavefront without the diversity (Noll: nm RMS)
     ncpa_nm: ByNoll = {}  # its static part
 
-    @property
-    def defocus_beyond_ncpa_nm(self) -> float:
-        """Mean defocus without that of the NCPAs; NaN where either is not known."""
-        mean_nm = (self.mean_zernike_nm or {}).get(DEFOCUS, math.nan)
-        return mean_nm - self.ncpa_nm.get(DEFOCUS, math.nan)
-
 
 Truths = Mapping[str, Truth]
 
@@ -136,7 +130,11 @@ def _ramp_score(products: Mapping[str, Product], truths: Truths) -> RampScore | 
     if not known:
         return None
     estimated = np.array([point.defocus_nm for point, _ in known])
-    error_nm = estimated - [truth.defocus_beyond_ncpa_nm for _, truth in known]
+    mean_nm, ncpa_nm = (  # NaN where either is not known
+        np.array([(values or {}).get(DEFOCUS, math.nan) for values in of_all])
+        for of_all in zip(*((truth.mean_zernike_nm, truth.ncpa_nm) for _, truth in known), strict=True)
+    )
+    error_nm = estimated - (mean_nm - ncpa_nm)
     names, finite = np.array([point.name for point, _ in known]), np.isfinite(error_nm)
     means = [error_nm[finite & (names == name)].mean() for name in np.unique(names[finite])]
     return RampScore(

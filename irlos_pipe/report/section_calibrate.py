@@ -20,7 +20,6 @@ from irlos_pipe.report.curves import (
     FEWEST,
     PREDICTED,
     Look,
-    cuts_figure,
     energy_figure,
     otf_figure,
     power_figure,
@@ -28,7 +27,20 @@ from irlos_pipe.report.curves import (
     quantile_figure,
     star_profile,
 )
-from irlos_pipe.report.drawing import BLUE, CYCLE, FAINT, GREEN, INK, MARKERS, ORANGE, figure, log_y, plot
+from irlos_pipe.report.drawing import (
+    BESIDE,
+    BLUE,
+    CYCLE,
+    FAINT,
+    GREEN,
+    INK,
+    MARKERS,
+    ORANGE,
+    SIZE_IN,
+    figure,
+    log_y,
+    plot,
+)
 from irlos_pipe.report.first_screen import advice, applicable, effect_link
 from irlos_pipe.report.images import (
     BRIGHTNESS,
@@ -186,9 +198,24 @@ def _profile(of: Calibration) -> Figure:
 
 
 def _cuts(of: Calibration) -> Figure:
-    images = {Look("measured", INK): of["mean_image_e"], Look("model", BLUE): of["model_image_e"]}
-    mas = of.pixel_scale_mas
-    return cuts_figure("cal-cuts", images, mas or 1.0, "mas" if mas else "px")
+    """Cuts along x and y through the brightest pixel of the model; what is not positive leaves gaps."""
+    measured, model, mas = of["mean_image_e"], of["model_image_e"], of.pixel_scale_mas
+    place = np.unravel_index(np.nanargmax(model), model.shape) if np.isfinite(model).any() else (0, 0)
+    looks = (("measured", measured, ".", INK), ("model", model, "-", BLUE))
+
+    def draw(canvas: Canvas) -> None:
+        for axis, axes in enumerate(canvas.subplots(2, sharex=True, sharey=True)):
+            for name, image, points, colour in looks:
+                line = image[place[0]] if axis == 0 else image[:, place[1]]
+                at = (np.arange(len(line)) - (len(line) - 1) / 2) * (mas or 1.0)
+                look = {"color": colour, "label": None if axis else name, "markersize": 4}
+                axes.plot(at, np.where(line > 0, line, np.nan), points, **look)
+            axes.set(ylabel=f"along {'xy'[axis]} [e⁻]")
+            log_y(axes, measured, model, small=True)
+        axes.set_xlabel(f"from the centre of the window [{'mas' if mas else 'px'}]")
+        canvas.legend(**BESIDE["above"])
+
+    return figure("cal-cuts", SIZE_IN, draw, "Cuts along x and y", "Through the brightest pixel.", "third")
 
 
 def _maps(of: Calibration) -> list[Figure]:

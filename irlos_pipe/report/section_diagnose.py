@@ -160,11 +160,9 @@ def verdict_numbers(results: DiagnoseResults) -> Iterator[KeyNumber]:
     yield from (_tile("Missing", step) for step in results.steps)
     if results.nearest:
         yield _tile("Nearest, not named", results.nearest)
-    gap, chi2, noise = (
-        results.gap,
-        results.chi2_nu,
-        "noise alone" if results.grade else "noise alone, at most",
-    )
+    gap = results.gap
+    chi2 = results.chi2_nu
+    noise = "noise alone" if results.grade else "noise alone, at most"
     note = f"before → after; {noise} {number(gap.floor, '.4f')}"
     yield KeyNumber(
         "Gap to unseen data", _change(gap.before, gap.after, ".4f"), note, key="diagnose.gap.before"
@@ -193,11 +191,9 @@ def verdict_numbers(results: DiagnoseResults) -> Iterator[KeyNumber]:
 
 def verdict_table(results: DiagnoseResults) -> Table:
     """Return the verdict in short, one line for each question that a reader asks first."""
-    nearest, error, counts = (
-        results.nearest,
-        results.defocus_error_nm,
-        Counter(x.outcome for x in results.tried),
-    )
+    nearest = results.nearest
+    error = results.defocus_error_nm
+    counts = Counter(x.outcome for x in results.tried)
     left = results.rest.text if results.rest else ""
     rows = [
         ("grade", f"{results.grade}: {GRADES[results.grade]}" if results.grade in GRADES else ""),

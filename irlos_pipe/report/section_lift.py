@@ -12,8 +12,7 @@ from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.records import DECISIVE
 from irlos_pipe.product.results import EffectValues
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown
-from irlos_pipe.report.curves import chi2_figure
-from irlos_pipe.report.drawing import BESIDE, BLUE, FAINT, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
+from irlos_pipe.report.drawing import BESIDE, BLUE, FAINT, GREEN, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
 from irlos_pipe.report.first_screen import effect_link
 from irlos_pipe.report.images import (
     BRIGHTNESS,
@@ -25,7 +24,7 @@ from irlos_pipe.report.images import (
     symmetric_scale,
 )
 from irlos_pipe.report.run_data import RunData, StageData
-from irlos_pipe.report.text import MISSING, number, parameter_rows, plural, with_error
+from irlos_pipe.report.text import MISSING, is_known, number, parameter_rows, plural, with_error
 from irlos_pipe.stages.lift.stage import LiftResults, Point, Twin, own_text
 from irlos_pipe.stages.prior import PriorResults
 
@@ -48,6 +47,10 @@ RAMP = (
 TWIN = (
     "The defocus is held at each value, and everything else fitted. Without diversity the curve would have a "
     "second minimum, as deep as the first, near the same defocus of the other sign."
+)
+SERIES = (
+    "χ²/ν of every frame in order of time: frames that stand out were recorded in other conditions, or their "
+    "fit stopped elsewhere."
 )
 HIGH_ORDER = HighOrderNcpa.name  # what common modes of a ramp are
 EFFECTS = "One value for all frames, with its standard error, grown by the misfit."
@@ -162,9 +165,20 @@ def effects_table(
 
 
 def _chi2(of: Ramp) -> Figure | None:
+    """χ²/ν of every frame, what a right model would give, and the limit of the median."""
     chi2_nu, nominal = np.array([point.chi2_nu for point in of.results.points]), of.results.nominal_chi2_nu
-    ratio = of.run.products[of.stage].config.get("max_chi2_ratio") or np.nan
-    return chi2_figure("ramp-chi2", chi2_nu, nominal, ratio * nominal)
+    limit = (of.run.products[of.stage].config.get("max_chi2_ratio") or np.nan) * nominal
+    if not np.any(np.isfinite(chi2_nu)):
+        return None
+
+    def draw(axes: Axes) -> None:
+        axes.plot(np.arange(len(chi2_nu)), chi2_nu, ".", color=BLUE)
+        for label, level, colour in (("nominal", nominal, GREEN), ("limit of the median", limit, ORANGE)):
+            if is_known(level):
+                stated = f"{label}, {number(level, '.2f')}"
+                axes.axhline(level, color=colour, linestyle="--", linewidth=1.0, label=stated)
+
+    return plot("ramp-chi2", draw, ("frame", "χ²/ν"), "χ² of every frame", SERIES, ylim=(0, None))
 
 
 def _twin(of: Ramp) -> Figure | None:
@@ -254,12 +268,8 @@ def image_strip(
 
 def residual_limit(measured: np.ndarray, model: np.ndarray) -> float:
     """Return the colour limit of the residual panels, as a fraction of the model's peak."""
-    return percentile(PERCENTILE, *map(_relative_residual, measured, model)) or 1.0
-
-
-def _relative_residual(measured: np.ndarray, model: np.ndarray) -> np.ndarray:
-    peak = np.max(model, initial=0.0, where=np.isfinite(model))
-    return (measured - model) / (peak or 1.0)
+    peaks = np.max(model, axis=(1, 2), initial=0.0, where=np.isfinite(model))[:, None, None]
+    return percentile(PERCENTILE, (measured - model) / np.where(peaks > 0, peaks, 1.0)) or 1.0
 
 
 # -- prior -------------------------------------------------------------------------------------

@@ -38,9 +38,8 @@ def _strength(of: Modes) -> Figure:
         label: Points(noll, std, fitted, of.error_of("std_nm") if several else None),
         "over the frames of a cube": Points(noll, of["frame_std_nm"]),
     }
-    lines = {}
-    if "law/ncpas_nm" in of.arrays:
-        lines["law without errors"] = np.stack([noll, of["law/ncpas_nm"]])
+    known = "law/ncpas_nm" in of.arrays
+    lines = {"law without errors": np.stack([noll, of["law/ncpas_nm"]])} if known else {}
     caption = (
         "Line: fitted law (tip and tilt left out). The scatter over frames is that of the AO residual "
         "and the noise; it says nothing about NCPAs."
@@ -49,10 +48,6 @@ def _strength(of: Modes) -> Figure:
 
 
 def _laws(of: Modes) -> Stack:
-    caption = (
-        "std(i) = A exp(−B i) + C, i = 0 for Noll 2; maximum likelihood. The plateau begins where the "
-        "exponential is a tenth of C."
-    )
     table = Table.of(
         of.results.laws.items(),
         {
@@ -64,7 +59,8 @@ def _laws(of: Modes) -> Stack:
             "plateau from Noll": lambda one: number(one[1].plateau_noll, "d"),
         },
         "Law of the standard deviation",
-        caption,
+        "std(i) = A exp(−B i) + C, i = 0 for Noll 2; maximum likelihood. The plateau begins where the "
+        "exponential is a tenth of C.",
     )
     return Stack([table])
 

@@ -17,7 +17,7 @@ from irlos_pipe.report.images import MANY_DIGITS, thumbnail
 from irlos_pipe.report.run_data import RunData, frame_times
 from irlos_pipe.report.text import number, plural
 from irlos_pipe.stages.correct import CorrectResults
-from irlos_pipe.stages.ingest.stage import IngestResults, RecordingRow
+from irlos_pipe.stages.ingest.stage import IngestResults
 
 MOST_THUMBNAILS = 60  # images of recordings that are shown
 CHECKSUM_DIGITS = 12  # of a checksum that are shown
@@ -33,14 +33,10 @@ def ingest_section(run: RunData) -> Section:
         (one.input, one.name): thumbnail(np.where(one.good, one.mean_e, np.nan), one.name)
         for one in run.recordings[:MOST_THUMBNAILS]
     }
-
-    def picture(row: RecordingRow) -> str | Markup:
-        return pictures.get((row.input, row.name), "")
-
     table = Table.of(
         rows,
         {
-            "mean frame": picture,
+            "mean frame": lambda row: pictures.get((row.input, row.name), ""),
             "recording": lambda row: row.name,
             "input": lambda row: row.input,
             "role": lambda row: row.role,

@@ -1,7 +1,5 @@
 """Section on the sensitivity: error and failures against magnitude."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -135,7 +133,16 @@ def sensitivity_plot(
         top, bottom = canvas.subplots(2, sharex=True, height_ratios=(3, 1))
         for place, (label, row) in enumerate(curves):
             look = looks[place % len(looks)]
-            _draw_errors(top, label, row, look)
+            colour, mag_j, width = look.colour, row.mag_j, 1.4 if look.main else 0.8
+            points: dict[str, Any] = {"markersize": 3.5, "linewidth": width, "label": label}
+            top.plot(mag_j, row.values("median_abs_error_nm"), f"{look.marker}-", color=colour, **points)
+            if look.main:
+                ends = row.values("p16_nm"), row.values("p84_nm")
+                top.fill_between(mag_j, *ends, color=colour, alpha=0.15, linewidth=0)
+                for bound, style in (("crb_nm", "--"), ("one_read_crb_nm", ":")):
+                    top.plot(mag_j, MEDIAN_OF_NORMAL * row.values(bound), style, color=colour, linewidth=0.9)
+                if np.isfinite(row.limit_mag):
+                    top.axvline(row.limit_mag, color=colour, linewidth=0.8, linestyle=":")
             failed = row.values("failures") / (row.trials or np.nan)
             bottom.plot(row.mag_j, 100 * failed, f"{look.marker}-", color=look.colour, markersize=3.5)
         _draw_level(top, floor_nm, 1, ":", "AO residual's own defocus")
@@ -148,19 +155,6 @@ def sensitivity_plot(
         bottom.set_ylim(bottom=-2)
 
     return svg(name, (5.2, 4.8), draw)
-
-
-def _draw_errors(axes: Axes, label: str, row: CurveRow, look: Look) -> None:
-    colour, mag_j, width = look.colour, row.mag_j, 1.4 if look.main else 0.8
-    points: dict[str, Any] = {"markersize": 3.5, "linewidth": width, "label": label}
-    axes.plot(mag_j, row.values("median_abs_error_nm"), f"{look.marker}-", color=colour, **points)
-    if look.main:
-        ends = row.values("p16_nm"), row.values("p84_nm")
-        axes.fill_between(mag_j, *ends, color=colour, alpha=0.15, linewidth=0)
-        for bound, style in (("crb_nm", "--"), ("one_read_crb_nm", ":")):
-            axes.plot(mag_j, MEDIAN_OF_NORMAL * row.values(bound), style, color=colour, linewidth=0.9)
-        if np.isfinite(row.limit_mag):
-            axes.axvline(row.limit_mag, color=colour, linewidth=0.8, linestyle=":")
 
 
 def _draw_level(axes: Axes, level: float | None, factor: float, style: str, label: str | None = None) -> None:

@@ -56,13 +56,10 @@ def number(value: float | None, pattern: str = ".1f", unit: str = "") -> str:
     """Format `value` by `pattern` with its `unit`; None, NaN and infinity give a dash."""
     if not is_known(value):
         return MISSING
-    return f"{value:{_no_minus_zero(pattern)}}" + (f" {unit}" if unit else "")
-
-
-def _no_minus_zero(pattern: str) -> str:
-    """The `pattern` with ``z``, by which what rounds to zero has no sign."""
-    sign = pattern[:1] if pattern[:1] in "+-" else ""
-    return pattern if pattern.endswith("d") or "," in pattern else f"{sign}z{pattern.removeprefix(sign)}"
+    if not (pattern.endswith("d") or "," in pattern):  # with ``z`` what rounds to zero has no sign
+        sign = pattern[:1] if pattern[:1] in "+-" else ""
+        pattern = f"{sign}z{pattern.removeprefix(sign)}"
+    return f"{value:{pattern}}" + (f" {unit}" if unit else "")
 
 
 def with_error(value: float | None, error: float | None, pattern: str = ".1f", unit: str = "") -> str:

@@ -83,7 +83,13 @@ def passed(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndar
     for part in geometry.obstructions:
         clear = clear * (1 - _in_parts([part], x_m, y_m))
     for vane in geometry.vanes:
-        clear = clear * ~_behind(vane, x_m, y_m)
+        (x0, y0), (x1, y1) = vane.start_m, vane.end_m
+        length = np.hypot(x1 - x0, y1 - y0)
+        cos, sin = (x1 - x0) / length, (y1 - y0) / length
+        along = (x_m - x0) * cos + (y_m - y0) * sin
+        across = (y_m - y0) * cos - (x_m - x0) * sin
+        behind = (along >= 0) & (along <= length) & (np.abs(across) <= vane.width_m / 2)
+        clear = clear * ~behind
     return clear
 
 
@@ -158,15 +164,6 @@ def _finer(samples: pupil_parts.Samples) -> np.ndarray:
     waves = np.exp(2j * np.pi * np.outer(at, cycles * size) / size)
     to_finer = (waves @ np.fft.fft(np.eye(size)) / size).real
     return to_finer @ padded @ to_finer.T
-
-
-def _behind(vane: Vane, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    (x0, y0), (x1, y1) = vane.start_m, vane.end_m
-    length = np.hypot(x1 - x0, y1 - y0)
-    cos, sin = (x1 - x0) / length, (y1 - y0) / length
-    along = (x_m - x0) * cos + (y_m - y0) * sin
-    across = (y_m - y0) * cos - (x_m - x0) * sin
-    return (along >= 0) & (along <= length) & (np.abs(across) <= vane.width_m / 2)
 
 
 def petal_count(geometry: PupilGeometry) -> int:

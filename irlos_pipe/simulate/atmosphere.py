@@ -1,7 +1,5 @@
 """AO residual: its size, its spectrum, and screens that drift with the wind and boil."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
@@ -67,7 +65,7 @@ class Sky:
         angle = np.deg2rad(self.wind_angle_deg)
         return self.wind_m_s * np.array([np.cos(angle), np.sin(angle)])
 
-    def scaled(self, factor: float, law: ResidualLaw) -> Sky:
+    def scaled(self, factor: float, law: ResidualLaw) -> "Sky":
         """Return the `law`'s residual times `factor`; the fitting error grows as seeing^(5/6)."""
         total_nm = self.total_nm(law) * factor
         return replace(self, seeing_arcsec=self.seeing_arcsec * factor**1.2, wfe_nm=total_nm)

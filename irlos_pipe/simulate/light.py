@@ -1,7 +1,5 @@
 """Light of a scene: pass-bands, and rays of one wavelength from one source."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -27,7 +25,7 @@ class Band(Passband):
             raise SceneError("half_width_nm is more than half of centre_nm")
 
     @classmethod
-    def of(cls, passband: Passband, share: float = 1.0) -> Band:
+    def of(cls, passband: Passband, share: float = 1.0) -> "Band":
         """Return a `passband` with its `share` of the photons."""
         return cls(passband.centre_nm, passband.half_width_nm, share)
 
@@ -55,7 +53,7 @@ class Ray:
         """Wavelength and defocus, by which the amplitude in the pupil differs."""
         return self.wavelength_nm, self.defocus_nm
 
-    def moved(self, distance_mas: float, angle_deg: float) -> Ray:
+    def moved(self, distance_mas: float, angle_deg: float) -> "Ray":
         """Return the ray displaced by `distance_mas` towards `angle_deg`, counted from +x towards +y."""
         angle = np.deg2rad(angle_deg)
         steps_mas = (distance_mas * float(np.cos(angle)), distance_mas * float(np.sin(angle)))

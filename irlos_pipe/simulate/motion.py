@@ -1,7 +1,5 @@
 """Image motion: slow wander and the vibration lines of the telescope; blur within a frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -80,7 +78,7 @@ class MotionBlur:
     covariance_mas2: np.ndarray  # (2, 2): of its Gaussian part
     sinusoid_mas: np.ndarray  # (2,): amplitude vector of its sinusoidal part
 
-    def __add__(self, other: MotionBlur) -> MotionBlur:
+    def __add__(self, other: "MotionBlur") -> "MotionBlur":
         """Two independent motions together; at most one of them is sinusoidal."""
         return MotionBlur(
             self.mean_mas + other.mean_mas,

@@ -3,8 +3,6 @@
 `irlos_pipe.simulate.detector` argues the order of what happens between photon and converter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -83,7 +81,7 @@ class Readout:
     pedestal_adu: np.ndarray
 
     @classmethod
-    def of(cls, scene: Scene, mean_image_e: np.ndarray) -> Readout:
+    def of(cls, scene: Scene, mean_image_e: np.ndarray) -> "Readout":
         """Return the read-out of a `scene` with the mean image `mean_image_e`, (rows, columns) [e-].
 
         Raises `ConfigurationError` when read noise and gain contradict each other.

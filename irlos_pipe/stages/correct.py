@@ -160,8 +160,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         declared(
             ARRAYS,
             {"wavefront_before_nm": before_nm, "wavefront_after_nm": after_nm}
-            | _arrays(offsets, prediction)
-            | _curves(prediction, scale_mas),
+            | _arrays(offsets, prediction, scale_mas),
         ),
         CorrectResults.filled_from(
             prediction,
@@ -294,20 +293,14 @@ def _parts(nolls: list[int], modes_nm: np.ndarray, highest_noll: int) -> dict[st
     return parts | ({} if first.all() else beyond)
 
 
-def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Any]:
-    names = ("before", "after", "perfect", "radius_mas", "profile_before", "profile_after")
-    return {name: getattr(prediction, name) for name in names} | {
-        "noll": offsets.nolls,
-        "offset_nm": (offsets.value_nm, offsets.sigma_nm),
-    }
-
-
-def _curves(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
-    """Encircled energy and cuts through the OTF of the predicted images, about the optical axis."""
+def _arrays(offsets: Offsets, prediction: Prediction, pixel_scale_mas: float) -> dict[str, Any]:
+    """Offsets, predicted images, their profiles, encircled energy and OTF about the optical axis."""
     images = {name: getattr(prediction, name) for name in ("before", "after", "perfect")}
-    rows, columns = prediction.before.shape
-    axis = (rows - 1) / 2, (columns - 1) / 2
-    return quality_curves(images, axis, prediction.resolution_px, pixel_scale_mas)
+    profiles = {name: getattr(prediction, name) for name in ("radius_mas", "profile_before", "profile_after")}
+    modes = {"noll": offsets.nolls, "offset_nm": (offsets.value_nm, offsets.sigma_nm)}
+    axis = tuple((size - 1) / 2 for size in prediction.before.shape)
+    curves = quality_curves(images, axis, prediction.resolution_px, pixel_scale_mas)
+    return images | profiles | modes | curves
 
 
 # -- the correction in the modes of a mirror ---------------------------------------------------------

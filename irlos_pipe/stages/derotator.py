@@ -25,7 +25,7 @@ from irlos_pipe.optics.wavefront import clear_disc, opd_maps_nm
 from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.stage import AngleRow, CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.stage import AngleRow, cube_estimates
 
 VERSION = 1
 NEEDS = ("calibrate",)
@@ -109,20 +109,16 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:
         raise ConfigurationError("derotator needs the cubes one by one: set calibrate.each to true")
-    series = _series(cubes, ctx.config)
-    rows = [AngleRow(name=cube.name, derotator_angle_deg=cube.derotator_angle_deg) for cube in cubes]
-    one_angle = len(np.unique(series.angles_deg % 360)) == 1
-    return _one_angle(ctx, rows, series) if one_angle else _split(ctx, rows, series)
-
-
-def _series(cubes: list[CubeEstimate], config: Config) -> Series:
     series = Series(
         cubes[0].nolls,
-        config.turn_per_degree * np.array([cube.derotator_angle_deg for cube in cubes]),
+        ctx.config.turn_per_degree * np.array([cube.derotator_angle_deg for cube in cubes]),
         np.stack([cube.zernike_nm for cube in cubes]),
         np.stack([cube.covariance_nm2 for cube in cubes]),
     )
-    return series.only(usable_modes(series.nolls, config.highest_noll))
+    series = series.only(usable_modes(series.nolls, ctx.config.highest_noll))
+    rows = [AngleRow(name=cube.name, derotator_angle_deg=cube.derotator_angle_deg) for cube in cubes]
+    one_angle = len(np.unique(series.angles_deg % 360)) == 1
+    return _one_angle(ctx, rows, series) if one_angle else _split(ctx, rows, series)
 
 
 def _one_angle(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> StageOutput:
@@ -150,7 +146,13 @@ def _split(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> 
     estimated = ctx.config.sense == "estimate"
     sense = 1 if ctx.config.sense == "anticlockwise" else -1
     found = SplitOutput(series, senses.best if estimated else split_series(series, sense), senses)
-    checks = [found.check_explained(ctx.config.max_chi2_nu), *([found.check_sense()] if estimated else [])]
+    split = found.split
+    text = f"χ²/ν = {split.chi2_nu:.2f} of the two parts against the single estimates"
+    checks = [Check("chi2 of the split", split.chi2_nu, "", None, ctx.config.max_chi2_nu, text)]
+    if estimated:
+        margin = found.delta_chi2 / max(1.0, split.chi2_nu)
+        text = f"{SENSES[split.sense]} by {np.sqrt(max(margin, 0)):.1f} sigma"
+        checks.append(Check("sense of rotation", margin, "", CERTAIN, None, text))
     results = DerotatorResults(cubes=cubes, **found.results())
     return StageOutput(found.arrays(ctx.instrument.pupil), results, checks, summary=found.summary())
 
@@ -194,11 +196,6 @@ class SplitOutput:
         """χ² of the other sense minus that of the one adopted; negative against a sense that was set."""
         return self.senses.delta_chi2 * (1 if self.senses.best.sense == self.split.sense else -1)
 
-    @property
-    def consistency(self) -> Consistency:
-        """Return how well the angles agree."""
-        return consistency(self.series, self.split)
-
     def results(self) -> dict[str, Any]:
         """Return the keys of the results, but the cubes."""
         residual_nm = self.series.zernike_nm - self.split.predicted_nm
@@ -210,7 +207,7 @@ class SplitOutput:
             "chi2_nu": self.split.chi2_nu,
             "freedom": self.split.freedom,
             "parts": {name: self._part(name) for name in PARTS},
-            "consistency": self.consistency,
+            "consistency": consistency(self.series, self.split),
             "measured_nm": [_rms_nm(one) for one in self.series.zernike_nm],
             "residual_nm": [_rms_nm(one) for one in residual_nm],
         }
@@ -239,20 +236,9 @@ class SplitOutput:
             values[f"maps/{name}_nm"] = map_of(geometry, nolls, part.zernike_nm)
         return declared(ARRAYS, values)
 
-    def check_explained(self, limit: float) -> Check:
-        """Check whether two parts explain the estimates."""
-        text = f"χ²/ν = {self.split.chi2_nu:.2f} of the two parts against the single estimates"
-        return Check("chi2 of the split", self.split.chi2_nu, "", None, limit, text)
-
-    def check_sense(self) -> Check:
-        """Check whether the sense of rotation is certain."""
-        margin = self.delta_chi2 / max(1.0, self.split.chi2_nu)
-        text = f"{SENSES[self.split.sense]} by {np.sqrt(max(margin, 0)):.1f} sigma"
-        return Check("sense of rotation", margin, "", CERTAIN, None, text)
-
     def summary(self) -> list[str]:
         """Return lines for the terminal."""
-        found = self.consistency
+        found = consistency(self.series, self.split)
         rotating, fixed, unsplit = (
             f"{part.rms_nm:.1f} ± {part.noise_nm:.1f} nm" for part in self.parts.values()
         )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import nan
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydantic import field_validator
@@ -14,13 +14,12 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL, TIP_TILT
 from irlos_pipe.product.product import declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.stage import CalibrateResults, CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.stage import CalibrateResults, cube_estimates
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 if TYPE_CHECKING:
     from irlos_pipe.estimate.mode_number import Choice, ModeLaw, ModeScan, ModeScatter
-    from irlos_pipe.frames.recording import Recording
 
 VERSION = 4
 NEEDS = ("ingest", "calibrate")
@@ -143,7 +142,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         "estimates": fit_mode_law(scatter, fitted, start, remove_noise=False),
         "ncpas": fit_mode_law(scatter, fitted, start, remove_noise=True),
     }
-    arrays = _scatter_arrays(cubes, scatter, laws)
+    several = [cube.frames_nm for cube in cubes if len(cube.frames_nm) > 1]
+    variances = [np.nanvar(one, axis=0, ddof=1) for one in several] or [np.full(len(scatter.nolls), np.nan)]
+    arrays = {
+        "noll": scatter.nolls,
+        "std_nm": (scatter.std_nm, scatter.std_sigma_nm),
+        "noise_nm": scatter.noise_nm,
+        "frame_std_nm": np.sqrt(np.mean(variances, axis=0)),
+        **{f"law/{name}_nm": law(scatter.nolls) for name, law in laws.items()},
+    }
     lines = _law_lines(scatter.draws, int(fitted.sum()), laws)
     scans, numbers = _scans(ctx, MIN_FRAMES), None
     if scans:
@@ -156,7 +163,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             "numbers/excess": (choice.excess, choice.excess_sigma),
         }
         numbers = _numbers(scans, choice)
-        lines += _number_lines(numbers)
+        index = numbers.highest_noll.index(numbers.recommended)
+        lines += [
+            f"  {numbers.recommended - 1} modes (Noll 2–{numbers.recommended}) suffice for unseen frames: "
+            f"χ²/ν {numbers.held_out_chi2_nu[index]:.3f}, smallest with Noll {numbers.best}"
+        ]
     else:
         lines.append(f"  number of modes not tried: no cube has {MIN_FRAMES} used frames")
     results = ModesResults(
@@ -197,57 +208,30 @@ def _law_lines(draws: int, modes: int, laws: Mapping[str, ModeLaw]) -> list[str]
     ]
 
 
-def _scatter_arrays(
-    cubes: list[CubeEstimate], scatter: ModeScatter, laws: Mapping[str, ModeLaw]
-) -> dict[str, Any]:
-    several = [cube.frames_nm for cube in cubes if len(cube.frames_nm) > 1]
-    variances = [np.nanvar(one, axis=0, ddof=1) for one in several] or [np.full(len(scatter.nolls), np.nan)]
-    return {
-        "noll": scatter.nolls,
-        "std_nm": (scatter.std_nm, scatter.std_sigma_nm),
-        "noise_nm": scatter.noise_nm,
-        "frame_std_nm": np.sqrt(np.mean(variances, axis=0)),
-        **{f"law/{name}_nm": law(scatter.nolls) for name, law in laws.items()},
-    }
-
-
 # -- appendix B ----------------------------------------------------------------------------------
 
 
 def _scans(ctx: StageContext[Config], least_frames: int) -> list[ModeScan]:
     """Scan of the first cubes that have enough frames."""
-    stored = CalibrateConfig(**ctx.products["calibrate"].config)
-    recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], stored.input)]
-    usable = [r for r in recordings if r.frames >= least_frames][: ctx.config.cubes]
-    fits = 2 * len(ctx.config.numbers) * len(usable)
-    with ctx.progress(total=fits, desc="number of modes") as bar:
-        return [_scan(ctx, recording, stored, bar.update) for recording in usable]
-
-
-def _scan(
-    ctx: StageContext[Config],
-    recording: Recording,
-    stored: CalibrateConfig,
-    report: Callable[[int], None],
-) -> ModeScan:
     from irlos_pipe.estimate.mode_number import scan_mode_numbers
     from irlos_pipe.stages.calibrate.input import cube_input
 
-    options = stored.options(ctx.instrument.facility.ncpa_law)
-    cube = cube_input(ctx, [recording], options)
-    return scan_mode_numbers(
-        cube.frames,
-        cube.settings,
-        options,
-        ctx.config.numbers,
-        cube.effects,
-        device=ctx.device,
-        report=report,
-    )
+    stored = CalibrateConfig(**ctx.products["calibrate"].config)
+    recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], stored.input)]
+    usable = [r for r in recordings if r.frames >= least_frames][: ctx.config.cubes]
+    options, numbers = stored.options(ctx.instrument.facility.ncpa_law), ctx.config.numbers
+    found = []
+    with ctx.progress(total=2 * len(numbers) * len(usable), desc="number of modes") as bar:
+        for recording in usable:
+            cube = cube_input(ctx, [recording], options)
+            of_cube = cube.frames, cube.settings, options, numbers, cube.effects
+            found.append(scan_mode_numbers(*of_cube, device=ctx.device, report=bar.update))
+    return found
 
 
 def _numbers(scans: Sequence[ModeScan], choice: Choice) -> NumberScan:
-    highest = scans[0].highest_nolls
+    highest, index = scans[0].highest_nolls, choice.recommended
+    changes_nm = [np.sqrt(np.sum((one.mean_nm - one.mean_nm[index]) ** 2, axis=1)) for one in scans]
     return NumberScan(
         cubes=len(scans),
         highest_noll=list(highest),
@@ -255,26 +239,12 @@ def _numbers(scans: Sequence[ModeScan], choice: Choice) -> NumberScan:
         excess=choice.excess.tolist(),
         excess_sigma=choice.excess_sigma.tolist(),
         fitted_chi2_nu=np.mean([scan.fitted_chi2_nu for scan in scans], axis=0).tolist(),
-        change_nm=_rms_over_cubes(_changes_nm(scans, choice.recommended)).tolist(),
+        change_nm=_rms_over_cubes(changes_nm).tolist(),
         halves_nm=_rms_over_cubes([scan.halves_nm for scan in scans]).tolist(),
         best=highest[choice.best],
-        recommended=highest[choice.recommended],
+        recommended=highest[index],
     )
-
-
-def _changes_nm(scans: Sequence[ModeScan], index: int) -> Iterator[np.ndarray]:
-    """RMS difference from the estimate with one of the numbers, (numbers,) per cube."""
-    for scan in scans:
-        yield np.sqrt(np.sum((scan.mean_nm - scan.mean_nm[index]) ** 2, axis=1))
 
 
 def _rms_over_cubes(values: Iterable[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.square(list(values)), axis=0))
-
-
-def _number_lines(numbers: NumberScan) -> list[str]:
-    index = numbers.highest_noll.index(numbers.recommended)
-    return [
-        f"  {numbers.recommended - 1} modes (Noll 2–{numbers.recommended}) suffice for unseen frames: "
-        f"χ²/ν {numbers.held_out_chi2_nu[index]:.3f}, smallest with Noll {numbers.best}"
-    ]

@@ -1,10 +1,8 @@
 """Stage `prior`: defocus of every frame of a ramp from the elongation of its image."""
 
-from __future__ import annotations
-
 import math
 from math import nan
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,10 +11,6 @@ from irlos_pipe.conventions.late import torch
 from irlos_pipe.product.product import Check, declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-
-if TYPE_CHECKING:
-    from irlos_pipe.estimate.elongation import ElongationLaw
-    from irlos_pipe.frames.recording import Recording
 
 VERSION = 2
 NEEDS = ("ingest",)
@@ -68,25 +62,21 @@ Results = PriorResults
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate A and B from the model and apply them to every used frame."""
-    from irlos_pipe.estimate.elongation import axis_ratios
+    from irlos_pipe.effects import expected, fixed_optics
+    from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
+    from irlos_pipe.optics.psf import PsfModel
     from irlos_pipe.stages.model.effects import good_pixels, model_effects
-    from irlos_pipe.stages.model.recording_settings import used_in_time_order
+    from irlos_pipe.stages.model.recording_settings import psf_settings, used_in_time_order
 
     recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
     first = recordings[0]
     try:
-        from irlos_pipe.effects import expected, fixed_optics
-        from irlos_pipe.estimate.elongation import calibrate_law
-        from irlos_pipe.optics.psf import PsfModel
-        from irlos_pipe.stages.model.effects import model_effects
-        from irlos_pipe.stages.model.recording_settings import psf_settings
-
         model = PsfModel(psf_settings(ctx.instrument, ctx.model, first), [4], device=ctx.device)
-        effects = expected(model_effects(ctx.instrument, ctx.model, first))
-        law = calibrate_law(model, fixed_optics(effects, model.grids))
+        effects = model_effects(ctx.instrument, ctx.model, first)
+        law = calibrate_law(model, fixed_optics(expected(effects), model.grids))
     except ValueError as problem:
         raise InputDataError(f"{first.name}: {problem}; leave the stage `prior` out for such data") from None
-    listed = good_pixels(model_effects(ctx.instrument, ctx.model, first), first.window)
+    listed = good_pixels(effects, first.window)
     ratios = [
         axis_ratios(torch.as_tensor(one.images_e), torch.as_tensor(one.good & listed), law.angle_deg)
         for one in recordings
@@ -94,12 +84,6 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     ctx.log.info(
         "elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm
     )
-    return _output(ctx.config, recordings, law, ratios)
-
-
-def _output(
-    config: Config, recordings: list[Recording], law: ElongationLaw, ratios: list[np.ndarray]
-) -> StageOutput:
     ratio, defocus_nm = np.concatenate(ratios), np.concatenate([law.defocus_nm(one) for one in ratios])
     introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
     frames = [(one.name, frame) for one in recordings for frame in range(one.frames)]
@@ -119,7 +103,7 @@ def _output(
     return StageOutput(
         declared(ARRAYS, {"ratio": ratio, "defocus_nm": defocus_nm, "introduced_nm": introduced_nm}),
         results,
-        [Check("failed Gaussian fits", failed, "", None, config.max_failed_fraction, message)],
+        [Check("failed Gaussian fits", failed, "", None, ctx.config.max_failed_fraction, message)],
         summary=[
             f"Prior           defocus = {law.A:.0f} (σ1/σ2 − 1) {law.B:+.0f} nm, "
             f"valid {low:.0f}…{high:.0f} nm"

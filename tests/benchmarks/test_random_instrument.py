@@ -1,7 +1,5 @@
 """The random instrument: one draw to its end. Truth: what was drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -111,15 +111,6 @@ def test_each_kind_of_failure_has_its_exit_code(bench, behaviour, code):
     assert products(bench.output) == whole[: 3 * (code in (4, 5)) or behaviour.startswith("calibrate")]
 
 
-def test_wrong_configuration_exits_with_2_and_one_line_per_mistake(bench):
-    result = bench.run("--set", "calibrate.methd=1", "--set", "sed=1")
-    assert result.exit_code == 2 and not bench.output.exists()
-    assert result.stderr.splitlines() == [
-        "irlos: error: --set calibrate.methd: unknown key 'calibrate.methd'; did you mean 'method'?",
-        "irlos: error: --set sed: unknown key 'sed'; did you mean 'seed'?",
-    ]
-
-
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -27,7 +27,7 @@ from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.checks.drift import measure_drift, motion_ratio
 from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
-from irlos_pipe.diagnosis.cube import HeldOutFrames
+from irlos_pipe.diagnosis.cube import without_blocks_of_time
 from irlos_pipe.diagnosis.effect_sizes import _at_least, detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
 from irlos_pipe.diagnosis.null_model import gaussian_sigma, threshold
@@ -53,7 +53,7 @@ from irlos_pipe.frames.noise import NoiseModel
 
 
 def test_held_out_frames_lie_between_the_others_and_are_no_part_of_them():
-    parts = HeldOutFrames().split(frames(image()), 0.25)
+    parts = without_blocks_of_time(frames(image()), 0.25)
     training, held = parts.training.parts[0].when, parts.held_out.parts[0].when
     assert not set(training) & set(held)
     assert len(held) == pytest.approx(0.25 * FRAMES, abs=2)
@@ -61,7 +61,7 @@ def test_held_out_frames_lie_between_the_others_and_are_no_part_of_them():
 
 
 def test_poisson_frames_keep_to_the_noise_model():
-    verdict = judge_noise(HeldOutFrames().split(frames(image())).training.parts[0])
+    verdict = judge_noise(without_blocks_of_time(frames(image())).training.parts[0])
     assert verdict.kind == "photon-limited"
     assert verdict.holds
     assert verdict.bright_ratio == pytest.approx(1, abs=0.1)
@@ -70,7 +70,7 @@ def test_poisson_frames_keep_to_the_noise_model():
 def test_a_wrong_gain_shows_in_the_noise_verdict():
     """Variance twice the mean in every pixel, floor included."""
     verdict = judge_noise(
-        HeldOutFrames().split(frames(image(), noise=NoiseModel(2.0, 2.0))).training.parts[0]
+        without_blocks_of_time(frames(image(), noise=NoiseModel(2.0, 2.0))).training.parts[0]
     )
     assert not verdict.holds or verdict.kind == "speckle-limited"
 
@@ -79,7 +79,7 @@ def test_speckles_that_change_make_a_cube_speckle_limited():
     rng = np.random.default_rng(2)
     moving = [image({**TRUE_NM, 7: TRUE_NM[7] + 60 * rng.standard_normal()}) for _ in range(FRAMES)]
     assert (
-        judge_noise(HeldOutFrames().split(frames(np.array(moving))).training.parts[0]).kind
+        judge_noise(without_blocks_of_time(frames(np.array(moving))).training.parts[0]).kind
         == "speckle-limited"
     )
 
@@ -110,7 +110,7 @@ def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
         pattern_e = np.sqrt(dark_e2) * np.random.default_rng(100 + seed).standard_normal(CASE.window)
         exposed = frames(image() + pattern_e + 20.0, seed)
         known = replace(exposed, noise=replace(READ_NOISE, shared_e2=dark_e2))
-        found.append([optimum(HeldOutFrames().split(one).training) for one in (known, exposed)])
+        found.append([optimum(without_blocks_of_time(one).training) for one in (known, exposed)])
     known, unknown = np.array([[one.excess.significance for one in pair] for pair in found]).T
     assert abs(known.mean()) < 1.5
     assert abs(known).max() < 4
@@ -272,7 +272,7 @@ def test_motion_from_frame_to_frame_does_not_raise_the_floor_of_the_gap():
     rng = np.random.default_rng(9)
     still = image()
     moved = np.array([image({**TRUE_NM, 2: TRUE_NM[2] + 8 * rng.standard_normal()}) for _ in range(FRAMES)])
-    calm, shaken = (HeldOutFrames().split(frames(mean)).limited_by(False) for mean in (still, moved))
+    calm, shaken = (without_blocks_of_time(frames(mean)).limited_by(False) for mean in (still, moved))
     floors = [HeldOutEvaluation(one.held_out, fitted(one.training)).floor for one in (calm, shaken)]
     photons = HeldOutEvaluation(cube(still).held_out, fitted(cube(still).training)).floor
     assert floors == pytest.approx([photons, photons], rel=0.15)

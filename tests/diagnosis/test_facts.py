@@ -46,10 +46,8 @@ def test_the_opposite_side_is_said_where_nothing_tells_the_sides_apart():
     training = cube(image(flat_nm, STOP, TRUE)).training
     model = fitted(training, [FixedEffect(STOP, TRUE, FREE)])
     side = opposite_side(Fitter(model.views, training), Optimum(training, model), STOP.name, 5.0)
-    true, found = (
-        STOP.describe(np.array(TRUE)),
-        model.effect(STOP.name).base.describe(model.values_of(STOP.name)),
-    )
+    true = STOP.describe(np.array(TRUE))
+    found = model.effect(STOP.name).base.describe(model.values_of(STOP.name))
     assert abs(side.chi2_rise) < 4.0
     for key in ("dx_m", "dy_m"):
         assert side.parameters[key] == pytest.approx(-true[key], abs=0.01)

@@ -12,7 +12,7 @@ import torch
 from helpers import diagnose_cases as cases
 from helpers.diagnose_frames import READ_NOISE, frames, image
 
-from irlos_pipe.diagnosis.cube import HeldOutPixels, PixelStacks, averaged
+from irlos_pipe.diagnosis.cube import PixelStacks, averaged, without_squares
 from irlos_pipe.diagnosis.verdict import Diagnosis, sentence
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
@@ -27,7 +27,7 @@ def test_pixels_are_held_out_in_squares_spread_over_bright_and_faint_parts():
     one = few(frames(image()), 1)
     good = one.good.clone()
     good[10, 10] = False
-    cube = HeldOutPixels(4).split(replace(one, good=good))
+    cube = without_squares(4, replace(one, good=good))
     fitted, judged = (stack.root > 0 for stack in (cube.training, cube.held_out))
     assert not (fitted & judged).any()
     assert torch.equal(fitted | judged, good.flatten())
@@ -38,12 +38,12 @@ def test_pixels_are_held_out_in_squares_spread_over_bright_and_faint_parts():
     bright = brightness > brightness.median()
     assert int((inside.flatten()[bright] > 0).sum()) == 8
     assert cube.held_out.parts[0].independent == 16
-    again = HeldOutPixels(4).split(replace(one, good=good))
+    again = without_squares(4, replace(one, good=good))
     assert torch.equal(again.held_out.root, cube.held_out.root)
 
 
 def test_variances_grow_with_the_misfit():
-    stack = HeldOutPixels(4).split(few(frames(image()), 1)).training
+    stack = without_squares(4, few(frames(image()), 1)).training
     residual = 3 * (stack.root > 0).double()
     assert isinstance(stack, PixelStacks)
     assert stack.against(residual / 9, 68).misfit == 1.0

@@ -40,19 +40,6 @@ def with_tail(effects=()) -> np.ndarray:
     return whole.predict(vector, flux, none, torch.zeros(0, dtype=torch.float64))[0].numpy()
 
 
-def posterior_of(training, effects=()) -> Posterior:
-    images = Images.of(Fitter([View(model(), CONDITIONS)], training))
-    law = WavefrontLaw.of(CONDITIONS.ncpa_law, NOLLS[-1])
-    return Posterior(images, effects, Covariance.of(training, images.views), law)
-
-
-@pytest.fixture(scope="module")
-def alone():
-    training = cube(with_tail()).training
-    posterior = posterior_of(training)
-    return posterior.minimised(posterior.start(), 16)
-
-
 def dense(covariance: Covariance) -> np.ndarray:
     """The covariance that the sums of its parts make, pixel by pixel."""
     (one,) = covariance.scatter
@@ -74,10 +61,13 @@ def test_whitened_shapes_have_the_products_of_the_dense_inverse_covariance(photo
     assert covariance.log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], abs=0.02 * len(whole))
 
 
-def test_the_evidence_between_two_laws_is_the_exact_one_of_the_linear_model(alone):
+def test_the_evidence_between_two_laws_is_the_exact_one_of_the_linear_model():
     """Truth: the marginal likelihood N(d; J μ, C + J P⁻¹ Jᵀ) by SciPy; with a flat prior made a wide one."""
-    found, exact = [], []
-    posterior, law = alone.posterior, alone.posterior.law
+    found, exact, training = [], [], cube(with_tail()).training
+    images = Images.of(Fitter([View(model(), CONDITIONS)], training))
+    law = WavefrontLaw.of(CONDITIONS.ncpa_law, NOLLS[-1])
+    posterior = Posterior(images, (), Covariance.of(training, images.views), law)
+    alone = posterior.minimised(posterior.start(), 16)
     whole, columns = dense(posterior.covariance), alone.columns.numpy().T
     data = (alone.stack.mean_e - alone.image).numpy() + columns @ alone.x[0].numpy()
     for scale in (1.0, 2.0):

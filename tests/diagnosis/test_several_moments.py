@@ -13,7 +13,6 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import families
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.sharing import sharing
-from irlos_pipe.diagnosis.verdict import Diagnosis
 from irlos_pipe.diagnosis.view import Exposures, Moments, View, placed
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import TipTiltJitter
@@ -139,16 +138,12 @@ def night(number: int, star: str, effects: dict) -> Exposures:
     return exposures(frames(true * 1e6, number), number, star)
 
 
-@pytest.fixture(scope="module")
-def of_two_stars() -> Diagnosis:
-    taken = [night(0, "A", {"ghost": GHOST, "companion": COMPANION}), night(1, "B", {"ghost": GHOST})]
-    return diagnose(taken, [], Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0))
-
-
 @pytest.mark.slow
 @pytest.mark.long
-def test_a_ghost_common_to_two_stars_and_a_companion_of_one_have_their_names(of_two_stars):
-    steps = {step.name: step for step in of_two_stars.steps}
+def test_a_ghost_common_to_two_stars_and_a_companion_of_one_have_their_names():
+    taken = [night(0, "A", {"ghost": GHOST, "companion": COMPANION}), night(1, "B", {"ghost": GHOST})]
+    found = diagnose(taken, [], Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0))
+    steps = {step.name: step for step in found.steps}
     assert set(steps) == {"ghost", "companion"}
     assert steps["ghost"].effect.acts_in is None
     assert steps["companion"].effect.acts_in == FIRST

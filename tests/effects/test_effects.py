@@ -287,10 +287,6 @@ def grid():
     return OtfGrid.of(grids.focal, grids.sampling)
 
 
-def turbulence_nm2(f_per_m: float) -> float:
-    return float(von_karman_nm2(np.array(f_per_m), seeing_to_r0_m(SEEING_ARCSEC), LOW.outer_scale_m))
-
-
 def factor(per_m: float) -> torch.Tensor:
     on = grid()
     one = torch.ones(1, *on.focal.baseline_y_m.shape, len(on.focal.baseline_x_m), dtype=torch.float64)
@@ -305,7 +301,8 @@ def test_the_factor_is_that_of_the_structure_function_between_the_cut_offs(per_m
     in_band = (0.3 * LAW.wfe_nm(SEEING_ARCSEC)) ** 2 / (2 * np.pi * np.log(0.5 / LOW.low_per_m))
 
     def ring(f: float) -> float:
-        power = turbulence_nm2(f) - in_band / f**2
+        turbulence_nm2 = von_karman_nm2(np.array(f), seeing_to_r0_m(SEEING_ARCSEC), LOW.outer_scale_m)
+        power = float(turbulence_nm2) - in_band / f**2
         return float(4 * np.pi * f * power * (1 - scipy.special.j0(2 * np.pi * f * length)))
 
     structure_nm2 = scipy.integrate.quad(ring, per_m, 0.5)[0]

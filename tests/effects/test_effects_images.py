@@ -177,10 +177,8 @@ def test_petals_turn_with_the_vanes_of_a_redrawn_pupil():
     piston, tip, tilt = (np.array(effect[key])[petal] for key in ("piston_nm", "tip_nm", "tilt_nm"))
     transmission = reference().misregistered((0.12, -0.08), 4.0)
     agree(image, truth(piston + 2 / 4.0 * (tip * x + tilt * y), transmission=transmission))
-    lit, opd_nm = (
-        model().grids.pupil.amplitude > 0.9 * model().grids.pupil.light,
-        effects.opd_nm(torch.zeros(0)),
-    )
+    lit = model().grids.pupil.amplitude > 0.9 * model().grids.pupil.light
+    opd_nm = effects.opd_nm(torch.zeros(0))
     u, v = (axis * 4.0 for axis in model().grids.pupil.xy)
     own = petal_of(np.cos(angle) * u + np.sin(angle) * v, np.cos(angle) * v - np.sin(angle) * u)
     piston, tip, tilt = (np.array(effect[key])[own] for key in ("piston_nm", "tip_nm", "tilt_nm"))

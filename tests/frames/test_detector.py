@@ -246,13 +246,6 @@ CUTOFF_PER_PX = 9.7e-3 / 206264.8 * 8.0 / 1600e-9
 ZERO_POINT_E = 150_000 * 10 ** (0.4 * (15 - 7.0)) * 0.1  # of J = 7 in 0.1 s
 
 
-@pytest.fixture(scope="module")
-def mean_e() -> np.ndarray:
-    """Mean of 50 frames of a star with 3e6 photons."""
-    image = PsfModel(cases.settings(48), (4,)).images(torch.tensor([[40.0]]))[0].double().numpy()
-    return np.random.default_rng(1).poisson(image * 1.5e8) / 50
-
-
 def _recording(flux_e: float = 0.05 * ZERO_POINT_E, **keys):
     one = made_run.recording("sky", "calibration", 4)
     images = one.images_e * (flux_e / one.images_e[0].sum())
@@ -286,7 +279,10 @@ def test_implausible_values_are_worth_a_warning(keys):
     assert _found(_recording(**keys))[0]
 
 
-def test_the_image_ends_at_the_cut_off_of_the_telescope(mean_e):
+def test_the_image_ends_at_the_cut_off_of_the_telescope():
+    """In the mean of 50 frames of a star with 3e6 photons."""
+    image = PsfModel(cases.settings(48), (4,)).images(torch.tensor([[40.0]]))[0].double().numpy()
+    mean_e = np.random.default_rng(1).poisson(image * 1.5e8) / 50
     good = np.ones(mean_e.shape, bool)
     assert 0.75 < cutoff_ratio(mean_e, good, CUTOFF_PER_PX) < 1.1
     assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX / 1.5) > 1.25  # scale told too small by a third

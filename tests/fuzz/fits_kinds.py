@@ -167,10 +167,8 @@ def _gzip_bomb(path: Path, rng: np.random.Generator) -> str:
 def _tile_bomb(path: Path, rng: np.random.Generator) -> str:
     """A tile-compressed image whose header announces more pixels than its tiles hold."""
     content = bytearray(_tiled())
-    axis, size = (
-        pick(rng, ["ZNAXIS1", "ZNAXIS2", "ZNAXIS3", "ZTILE1", "ZTILE2"]),
-        10 ** int(rng.integers(4, 12)),
-    )
+    axis = pick(rng, ["ZNAXIS1", "ZNAXIS2", "ZNAXIS3", "ZTILE1", "ZTILE2"])
+    size = 10 ** int(rng.integers(4, 12))
     place = content.index(f"{axis:<8}= ".encode())
     content[place : place + CARD] = f"{axis:<8}= {size:>20}".ljust(CARD).encode()
     path.write_bytes(content)

@@ -16,7 +16,7 @@ from helpers.optics_cases import (
     settings,
     vector,
 )
-from irlos_pipe.diagnosis.cube import Cube, HeldOutFrames, Stacks
+from irlos_pipe.diagnosis.cube import Cube, Stacks, without_blocks_of_time
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.view import View
@@ -55,7 +55,7 @@ def frames(mean_e: np.ndarray, seed: int = 1, noise: NoiseModel = READ_NOISE) ->
 
 
 def cube(mean_e: np.ndarray, seed: int = 1) -> Cube:
-    return HeldOutFrames().split(frames(mean_e, seed)).limited_by(True)
+    return without_blocks_of_time(frames(mean_e, seed)).limited_by(True)
 
 
 def optimum(stack: Stacks, effects=()) -> Optimum:

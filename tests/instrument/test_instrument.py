@@ -46,11 +46,6 @@ def test_values_that_changed_follow_the_date():
     assert irlos.on("2021-03-19").modes[mode].pixel_scale_mas == 60
 
 
-def test_a_file_that_is_missing_is_named(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"gone\.yaml: cannot be read"):
-        load_instrument(tmp_path / "gone.yaml")
-
-
 SKY = ["photons_per_s_m15", "ao_cutoff_per_m", "outer_scale_m", "ao_residual_nm_per_arcsec"]
 SKY += ["ao_residual_floor_nm", "seeing_arcsec"]
 

@@ -46,14 +46,6 @@ def test_a_name_that_cannot_be_shown_is_reported_and_the_rest_is_reduced(bench, 
 # -- links and pipes ----------------------------------------------------------------------------
 
 
-def test_a_pipe_in_an_archive_does_not_keep_the_night(bench):
-    folder = bench.record(MORNING)
-    os.mkfifo(folder / "notes")
-    os.mkfifo(folder / "loop.fits")
-    os.mkfifo(bench.archive / "readme.txt")
-    assert bench.run_folder().is_dir() or bench.run().nights["2024-02-10"].reduced
-
-
 def test_a_link_to_a_recording_that_is_gone_is_named(bench):
     bench.record(MORNING)
     (bench.archive / "gone.fits").symlink_to("elsewhere.fits")

@@ -77,11 +77,3 @@ def test_the_trend_holds_the_ncpas_that_were_put_in(night):
         point = found[f"noll_{noll}_nm"]
         assert abs(point.value - truth_nm) < 3 and 0 < point.sigma < 3
     assert abs(found["defocus_bias_nm"].value) < 5 and abs(found["ramp_slope"].value - 1) < 0.05
-
-
-def test_a_second_run_in_json_says_that_all_is_up_to_date(night, archive, config):
-    tree, _ = night
-    result = invoke("night", str(archive), "--output", str(tree), "--config", str(config), "--json")
-    nights = json.loads(result.stdout)["nights"]
-    assert [one["action"] for night in nights for one in night["reductions"]] == ["up to date"] * 2
-    assert "torn.fits" in nights[0]["unusable"][0]["path"]

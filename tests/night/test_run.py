@@ -46,16 +46,6 @@ def test_a_second_run_works_only_on_what_is_new_or_changed_and_changes_no_other_
     assert actions == {"030000_cube": "redone", "031000_offset": "redone", "040000_later": "new"}
 
 
-def test_a_bad_recording_is_named_and_the_rest_is_reduced(bench):
-    bench.record(MORNING)
-    damaged = bench.record("2024-02-11T03:30:00", "torn")
-    (damaged / "torn.fits").write_bytes((damaged / "torn.fits").read_bytes()[:3000])
-    state = bench.run()
-    night = state.nights["2024-02-11"]  # all that is known of it is the date of its folder
-    assert state.exit_code == 5 and "torn.fits" in night.failures[0]
-    assert bench.run_folder().is_dir() and "torn.fits" in bench.page("2024-02-11")
-
-
 @pytest.mark.parametrize(
     ("behaviour", "message"),
     [("ingest.bad", "ingest: no star"), ("calibrate.crash", "unexpected ZeroDivisionError: a bug")],

@@ -18,7 +18,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from irlos_pipe.diagnosis.acceptance import HeldOutEvaluation
 from irlos_pipe.diagnosis.checks.drift import measure_drift
-from irlos_pipe.diagnosis.cube import HeldOutFrames
+from irlos_pipe.diagnosis.cube import without_blocks_of_time
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import families
 from irlos_pipe.diagnosis.null_model import Optimum
@@ -183,7 +183,7 @@ def bounded(device: str) -> np.ndarray:
 def diagnosed(device: str) -> np.ndarray:
     """A fit of the mean image, what two families, companions and a drift would add, and the gap held out."""
     parts, view = (
-        HeldOutFrames().split(cube()),
+        without_blocks_of_time(cube()),
         Exposures(cube(), CONDITIONS).view(range(2, HIGHEST_NOLL + 1), device),
     )
     fitted = Fitter([view], parts.training).fit([TipTiltJitter()])

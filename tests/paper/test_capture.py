@@ -15,15 +15,11 @@ def star(seed=(20, 3), bands="J+H", known_to_nm=15.0, **sizes):
     return sample(capture, seed, sizes=given, bands=bands, known_to_nm=known_to_nm)
 
 
-@pytest.fixture(scope="module")
-def by_start():
+@pytest.mark.slow
+def test_the_scan_and_the_default_find_every_defocus_and_zero_misses_large_ones_only():
     table = frame(capture.rows(star()))
     table["error_nm"] = (table.defocus_nm - table.true_nm).abs()
-    return dict(list(table.groupby("start")))
-
-
-@pytest.mark.slow
-def test_the_scan_and_the_default_find_every_defocus_and_zero_misses_large_ones_only(by_start):
+    by_start = dict(list(table.groupby("start")))
     assert tuple(by_start) == tuple(sorted(STARTS))
     for start in ("scan", "default"):
         assert by_start[start].converged.all() and by_start[start].error_nm.max() < 20

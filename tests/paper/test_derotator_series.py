@@ -57,15 +57,11 @@ def test_the_truth_at_an_angle_is_what_the_simulator_makes():
     assert np.abs(exposed.mean_opd_nm[lit] - expected).max() < 1e-2
 
 
-@pytest.fixture(scope="module")
-def perfect() -> Series:
+def test_a_perfect_series_leaves_only_what_was_not_estimated():
     """Estimates without error of 29 modes."""
     nolls, angles = tuple(range(4, 31)), np.array([0.0, 40.0, 110.0])
     static = np.array([TRUTH.at(nolls, angle) for angle in angles])
-    return Series(nolls, angles, static, np.broadcast_to(np.eye(27), (3, 27, 27)))
-
-
-def test_a_perfect_series_leaves_only_what_was_not_estimated(perfect):
+    perfect = Series(nolls, angles, static, np.broadcast_to(np.eye(27), (3, 27, 27)))
     errors = split_errors(perfect, split_series(perfect, 1), TRUTH)
     assert max(errors[f"{name}_error_nm"] for name in ("rotating", "fixed", "unsplit", "model")) < 1e-9
     symmetric = (37, 56, 79, 106)

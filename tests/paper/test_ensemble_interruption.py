@@ -42,7 +42,8 @@ def end_while_a_sample_is_held(bench: Bench, how) -> subprocess.Popen:
     """End the run when all samples but the third are finished."""
     (marks(bench) / "c.hold").touch()
     process = start(bench)
-    until(lambda: (marks(bench) / "c.waiting").exists() and len(parts(bench)) == len(NAMES) - 1)
+    until((marks(bench) / "c.waiting").exists)
+    until(lambda: len(list(bench.output.glob(".partial/lift-*/*.npz"))) == len(NAMES) - 1)
     how(process)
     return process
 
@@ -51,10 +52,6 @@ def marks(bench: Bench) -> Path:
     folder = bench.folder / "marks"
     folder.mkdir(exist_ok=True)
     return folder
-
-
-def parts(bench: Bench) -> list[Path]:
-    return sorted(bench.output.glob(".partial/lift-*/*.npz"))
 
 
 def members(group: int) -> list[int]:

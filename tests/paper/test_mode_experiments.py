@@ -33,13 +33,8 @@ def drawn_modes(star):
         yield {"method": method, "introduced_nm": introduced, "zernike_nm": introduced + noise, **own}
 
 
-@pytest.fixture(scope="module")
-def statistics():
-    with pytest.MonkeyPatch.context() as patch:
-        return run_on(patch, mode_statistics, drawn_modes, cubes=40)
-
-
-def test_the_law_of_the_introduced_modes_is_found_and_noise_makes_a_plateau(statistics):
+def test_the_law_of_the_introduced_modes_is_found_and_noise_makes_a_plateau(monkeypatch):
+    statistics = run_on(monkeypatch, mode_statistics, drawn_modes, cubes=40)
     laws = tables_of(statistics)["laws"].set_index(["modes", "name"])
     law = laws.loc[("Noll 4–51", "introduced")]
     assert abs(law.A_nm - 60) < 3 * law.A_sigma_nm

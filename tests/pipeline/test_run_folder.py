@@ -10,14 +10,12 @@ from conftest import Bench, invoke, products
 from filelock import FileLock
 from helpers.patience import within
 from helpers.running import reasons, results, run, visible
-from helpers.sparta_files import counts, star, write_recorder
 
 import irlos_pipe
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
-from irlos_pipe.pipeline import Selection, provenance, run_recipe
+from irlos_pipe.pipeline import Selection, provenance
 from irlos_pipe.pipeline.inputs import CACHE_NAME
 from irlos_pipe.product.run_table import link_latest, version_folders
-from irlos_pipe.recipe import load_recipe
 
 
 @pytest.fixture(autouse=True)
@@ -57,14 +55,6 @@ def test_a_pipe_in_the_folder_of_a_run_blocks_nothing(bench, name):
     (bench.output / name).unlink()
     os.mkfifo(bench.output / name)
     assert bench.run().exit_code in (0, 1)
-
-
-def test_a_recording_that_is_gone_does_not_stop_the_run(tmp_path):
-    write_recorder(tmp_path / "in" / "sky", counts(star(12, 12), 3))
-    (tmp_path / "in" / "gone.fits").symlink_to("elsewhere.fits")
-    (tmp_path / "recipe.yaml").write_text("recipe: test\ninputs: {cube: in}\nstages: [ingest]\n")
-    outcome = run_recipe(load_recipe(tmp_path / "recipe.yaml"), tmp_path / "out")
-    assert outcome.exit_code in (4, 5) and len(outcome.results["stages"]["ingest"]["inputs"]) == 1
 
 
 # -- what makes products out of date --------------------------------------------------------------
@@ -230,21 +220,16 @@ def git(folder, *arguments):
     )
 
 
-@pytest.fixture
-def checkout(tmp_path):
+def test_a_checkout_states_its_revision_and_whether_it_was_changed(version, tmp_path):
     git(tmp_path, "init", "-q")
     (tmp_path / "file").write_text("1")
     git(tmp_path, "add", "file")
     git(tmp_path, "commit", "-qm", "one")
-    return tmp_path
-
-
-def test_a_checkout_states_its_revision_and_whether_it_was_changed(version, checkout):
-    revision = git(checkout, "rev-parse", "--short", "HEAD").stdout.strip()
-    assert version(checkout) == f"{irlos_pipe.__version__}+git.{revision}"
-    (checkout / "file").write_text("2")
-    git(checkout, "tag", "-a", "v1", "-m", "v1")  # does not hide the revision
-    assert version(checkout) == f"{irlos_pipe.__version__}+git.{revision}.dirty"
+    revision = git(tmp_path, "rev-parse", "--short", "HEAD").stdout.strip()
+    assert version(tmp_path) == f"{irlos_pipe.__version__}+git.{revision}"
+    (tmp_path / "file").write_text("2")
+    git(tmp_path, "tag", "-a", "v1", "-m", "v1")  # does not hide the revision
+    assert version(tmp_path) == f"{irlos_pipe.__version__}+git.{revision}.dirty"
 
 
 # The folder in which a stage keeps finished parts until its product is written.

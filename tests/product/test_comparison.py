@@ -143,10 +143,6 @@ def test_mistakes_are_reported(folder, options, code, message):
     assert result.exit_code == code and message in result.stderr
 
 
-def test_a_folder_that_is_no_run_is_bad_data(tmp_path):
-    assert invoke("export", str(tmp_path), "--output", str(tmp_path / "x.csv")).exit_code == 3
-
-
 # The stamp of a run holds as long as nothing is touched that its products depend on.
 
 

@@ -111,14 +111,10 @@ def test_words_and_impossible_numbers_in_a_header_do_not_count(tmp_path, turning
     assert acquisition.mag_j is None and acquisition.pressure_hpa == turning.defaults["pressure_hpa"]
 
 
-def rotation_deg(folder, instrument, **angles):
-    return resolved(cube(folder, {}), instrument, **angles).pupil_rotation_deg
-
-
 def test_an_angle_that_the_rule_needs_has_to_be_known(tmp_path):
     instrument = turned_by(tmp_path, parallactic=-1)
     with pytest.raises(InputDataError, match="turns with 'parallactic_angle_deg', which is not known"):
-        rotation_deg(tmp_path, instrument)
+        resolved(cube(tmp_path, {}), instrument)
 
 
 def recording(name, angle_deg):

@@ -12,10 +12,6 @@ from irlos_pipe.simulate.recordings.spec import load_spec
 INPUTS = ("ramp=data_samples/ramp", "calibration=data_samples/calibration-sky")
 
 
-def loaded(setting: str):
-    return load_recipe("sensitivity", [setting], [f"{name}" for name in INPUTS])
-
-
 @pytest.mark.parametrize(
     "setting",
     [
@@ -34,7 +30,7 @@ def loaded(setting: str):
 )
 def test_a_setting_out_of_its_range_is_named(setting):
     with pytest.raises(ConfigurationError) as found:
-        loaded(setting)
+        load_recipe("sensitivity", [setting], INPUTS)
     lines = str(found.value).splitlines()  # one for each kind of value that the key takes
     assert all(line.startswith(f"--set {setting.partition('=')[0]}: ") for line in lines)
 

@@ -72,11 +72,6 @@ def _without_results(content):
     return None if isinstance(content, float) else content
 
 
-@pytest.fixture(scope="module")
-def full(tmp_path_factory) -> Page:
-    return report(tmp_path_factory.mktemp("full"), made_run.products())
-
-
 def test_a_product_of_another_run_is_not_shown_as_that_of_this(tmp_path):
     folder = made_run.write_run(tmp_path / "a", made_run.products("ingest"))
     (other,) = made_run.products("ingest")
@@ -89,7 +84,8 @@ def test_a_product_of_another_run_is_not_shown_as_that_of_this(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_full_page_is_whole_has_numbers_with_their_units_and_a_browser_runs_and_loads_nothing(full):
+def test_a_full_page_is_whole_has_numbers_with_their_units_and_a_browser_runs_and_loads_nothing(tmp_path):
+    full = report(tmp_path, made_run.products())
     (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', full.text)
     rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
     assert rules["default-src"] == "'none'"  # scripts, frames, fonts, connections

@@ -193,11 +193,6 @@ SCENE = Scene("mirror", cases.FACILITY, (Band(bands.NARROW_H.centre_nm, 20.0),),
 TELESCOPE = telescope_of(SCENE)
 
 
-def coefficients_nm(mirror: Mirror) -> np.ndarray:
-    """Noll 2.. of what the mirror makes, fitted over the pupil."""
-    return TELESCOPE.fit_zernike_nm(mirror.opd_nm(TELESCOPE), 45)
-
-
 def test_an_aligned_mirror_makes_the_modes_that_it_is_sent():
     sent_nm = {4: 100.0, 7: -40.0, 22: 20.0}
     left_nm = replace(FINE, offsets_nm=sent_nm).opd_nm(TELESCOPE) - TELESCOPE.opd_nm(sent_nm)
@@ -208,7 +203,8 @@ def test_an_aligned_mirror_makes_the_modes_that_it_is_sent():
 def test_a_shifted_mirror_makes_tilt_of_defocus():
     # √3 (2 ((x − s)² + y²) − 1) = Z4 − 2 √3 s · 2x + constant, s in radii of the pupil.
     shift_m = 0.02 * FINE.actuators.diameter_m / 2
-    found_nm = coefficients_nm(replace(SMOOTH, shift_m=(shift_m, -2 * shift_m), offsets_nm={4: 100.0}))
+    mirror = replace(SMOOTH, shift_m=(shift_m, -2 * shift_m), offsets_nm={4: 100.0})
+    found_nm = TELESCOPE.fit_zernike_nm(mirror.opd_nm(TELESCOPE), 45)
     slope_nm = 100 * 2 * np.sqrt(3) * 0.02
     assert found_nm[:3] == pytest.approx([-slope_nm, 2 * slope_nm, 100.0], abs=0.5)
 

@@ -38,11 +38,6 @@ def calibrated(recordings):
     return output, products | {"calibrate": product}
 
 
-@pytest.fixture(scope="module")
-def split(calibrated):
-    return bench.run_stage(derotator, calibrated[1])[0]
-
-
 def error_nm(part: PartRow, true_nm: dict[int, float]) -> float:
     return float(np.linalg.norm([value - true_nm[noll] for noll, value in part.zernike_nm.items()]))
 
@@ -108,7 +103,8 @@ def test_a_cube_without_a_used_frame_is_left_out_and_reported(recordings):
         bench.run_stage(calibrate, {"ingest": bench.ingest_product([poor])}, **EACH)
 
 
-def test_both_parts_are_found_within_their_errors(split):
+def test_both_parts_are_found_within_their_errors(calibrated):
+    split = bench.run_stage(derotator, calibrated[1])[0]
     parts = split.results.parts
     for name, true_nm in (("rotating", bench.ROTATING_NM), ("fixed", bench.FIXED_NM)):
         assert error_nm(parts[name], true_nm) < 2 * parts[name].noise_nm < 2
@@ -145,17 +141,13 @@ MODES_STAGE_EACH = {"input": "cube", "each": True, "highest_noll": 21, "prior_sc
 
 
 @pytest.fixture(scope="module")
-def products() -> dict:
+def output():
     """Three cubes with different wavefronts of 12 modes, 20 modes estimated."""
     recordings = [
         bench.recording(f"at_{angle:.0f}", angle, seed) for seed, angle in enumerate(MODES_STAGE_ANGLES)
     ]
-    found = {"ingest": bench.ingest_product(recordings)}
-    return found | {"calibrate": bench.run_stage(calibrate, found, **MODES_STAGE_EACH)[1]}
-
-
-@pytest.fixture(scope="module")
-def output(products):
+    products = {"ingest": bench.ingest_product(recordings)}
+    products["calibrate"] = bench.run_stage(calibrate, products, **MODES_STAGE_EACH)[1]
     return bench.run_stage(modes, products, numbers=NUMBERS, cubes=2)[0]
 
 

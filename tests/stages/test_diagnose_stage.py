@@ -94,11 +94,6 @@ CALIBRATED = {"calibrate": {"zernike_nm": {"4": 1.0}, "all_zernike_nm": {"4": 1.
 DIAGNOSED = {"diagnose": {"zernike_nm": {"before": {"5": 3.0}, "after": {"5": 4.0}}}}
 
 
-def written(folder, stages):
-    (folder / "results.json").write_text(json.dumps({"stages": stages}))
-    return folder
-
-
 @pytest.mark.parametrize(
     ("stages", "taken"),
     [
@@ -108,9 +103,10 @@ def written(folder, stages):
     ],
 )
 def test_a_run_gives_what_it_found(tmp_path, stages, taken):
-    folder = written(tmp_path, stages)
-    assert Config(begin_near=str(folder)).begin_near == taken
-    assert Config(begin_near=str(folder / "results.json")).begin_near == taken
+    results = tmp_path / "results.json"
+    results.write_text(json.dumps({"stages": stages}))
+    for path in (tmp_path, results):
+        assert Config(begin_near=str(path)).begin_near == taken
 
 
 @pytest.mark.parametrize(

@@ -77,20 +77,12 @@ def diagnoses(tmp_path_factory) -> dict[str, dict]:
     return found
 
 
-def step_of(diagnosis: dict, *names: str) -> dict:
-    (step,) = (step for step in diagnosis["steps"] if step["effect"] in names)
-    return step
-
-
-def agree(one: float, other: float, *sigmas: float) -> bool:
-    return abs(one - other) < SURE * np.hypot.reduce(sigmas)
-
-
 @measured(RECORDING)
 @pytest.mark.parametrize("told", TURNED_DEG)
 def test_the_second_image_is_named_with_its_place_and_brightness(diagnoses, told):
     diagnosis = diagnoses[told]
     assert (diagnosis["verdict"], diagnosis["grade"]) == ("effect", "partial")
-    second = step_of(diagnosis, "companion", "ghost")
+    (second,) = (step for step in diagnosis["steps"] if step["effect"] in ("companion", "ghost"))
     for key, (expected, sigma) in SECOND_IMAGE.items():
-        assert agree(second["parameters"][key], expected, second["sigma"][key], sigma), key
+        both = np.hypot(second["sigma"][key], sigma)
+        assert abs(second["parameters"][key] - expected) < SURE * both, key

@@ -17,12 +17,9 @@ def pictures() -> Pictures:
     return Pictures(measured, sigma, 0.9 * after, after, nothing, nothing, nothing)
 
 
-@pytest.fixture(scope="module")
-def arrays():
+def test_what_a_right_model_leaves_is_white_and_what_a_wrong_one_leaves_is_not():
     made = pictures()
-    return {name: one.value for name, one in quality_arrays(made, settings(made.after_e.shape)).items()}
-
-
-def test_what_a_right_model_leaves_is_white_and_what_a_wrong_one_leaves_is_not(arrays):
+    found = quality_arrays(made, settings(made.after_e.shape))
+    arrays = {name: one.value for name, one in found.items()}
     assert arrays["left_power_after"].mean() == pytest.approx(1.0, abs=0.25)
     assert arrays["left_power_before"][0] > 10

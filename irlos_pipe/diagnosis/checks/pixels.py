@@ -31,7 +31,11 @@ def outstanding_pixels(optimum: FittedModel) -> list[tuple[int, int]]:
     left = 1 - (optimum.basis**2).sum(1)
     pulls = (optimum.residual / left.clamp_min(1e-6).sqrt()).abs().reshape(-1, *problem.window)
     pull = pulls.amax(0)
-    around = _largest_neighbour(pull)
+    # The largest of the eight neighbours of every pixel.
+    rows, columns = pull.shape
+    padded = torch.nn.functional.pad(pull[None, None], (1, 1, 1, 1))[0, 0]
+    shifted = [padded[r : r + rows, c : c + columns] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    around = torch.stack(shifted).amax(0)
     chosen = (pull**2 > OUTSTANDING) & (pull > ALONE * around)
     found = torch.nonzero(chosen)[pull[chosen].argsort(descending=True)]
     return [(int(row), int(column)) for row, column in found[:MOST]]
@@ -51,14 +55,6 @@ def bad_pixel_family(optimum: FittedModel) -> list[Family]:
     pixels = outstanding_pixels(optimum)
     looked_at = int((optimum.root > 0).sum())
     return [Family((BadPixels(pixels),), looked_at)] if pixels else []
-
-
-def _largest_neighbour(image: torch.Tensor) -> torch.Tensor:
-    """Largest of the eight neighbours."""
-    rows, columns = image.shape
-    padded = torch.nn.functional.pad(image[None, None], (1, 1, 1, 1))[0, 0]
-    shifted = [padded[r : r + rows, c : c + columns] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
-    return torch.stack(shifted).amax(0)
 
 
 def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, gap: Gap) -> Step | None:

@@ -1,7 +1,5 @@
 """Calibrations of simulated cubes, published ones and the default with parts changed, and their errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -66,10 +64,10 @@ class Variant:
         prior = CalibrateConfig.model_validate({}).options(ncpa_law).prior if self.prior else None
         return replace(self.options, prior=prior)
 
-    def with_modes(self, highest_noll: HighestNoll) -> Variant:
+    def with_modes(self, highest_noll: HighestNoll) -> "Variant":
         return replace(self, options=replace(self.options, highest_noll=highest_noll))
 
-    def closed(self) -> Variant:
+    def closed(self) -> "Variant":
         """Return the same in a closed basis: modes beyond are drawn to 0 by a law of each cube's own."""
         return self.with_modes(self.options.last_noll)
 
@@ -119,7 +117,7 @@ class ObservedCube:
     frames: Frames  # the noisy frames in use, the first ones of the scene
 
     @classmethod
-    def of(cls, scene: Scene, exposed: Exposed | None = None) -> ObservedCube:
+    def of(cls, scene: Scene, exposed: Exposed | None = None) -> "ObservedCube":
         """Expose a scene, unless it is `exposed` already, and add the noise."""
         exposed = exposed or expose(scene)
         return cls(scene, exposed, frames_of(scene, exposed))
@@ -132,11 +130,11 @@ class ObservedCube:
     def effects(self) -> list[Effect]:
         return model_effects_of(self.scene)
 
-    def first(self, count: int) -> ObservedCube:
+    def first(self, count: int) -> "ObservedCube":
         """Return the same cube with its first `count` frames only."""
         return replace(self, frames=replace(self.frames, images_e=self.frames.images_e[:count]))
 
-    def dimmed(self, mag_j: float) -> ObservedCube:
+    def dimmed(self, mag_j: float) -> "ObservedCube":
         """Return the same sky with a star of magnitude `mag_j` and noise of its own."""
         scene = replace(self.scene, mag_j=mag_j)
         factor = np.float32(scene.photons / self.scene.photons)

@@ -5,8 +5,6 @@ from the truth. Exposures can have the noise of many reads, with dark current an
 the published experiments idealise: one read per exposure, and no sky.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -144,7 +142,7 @@ class Read:
     dark_e_per_s: float
 
     @classmethod
-    def of(cls, instrument: Instrument, noise: NoiseOf, stage: str) -> Read | None:
+    def of(cls, instrument: Instrument, noise: NoiseOf, stage: str) -> "Read | None":
         """Return a read of the detector by the profile, or None for exposures of one read.
 
         `noise` is a setting of `stage`, which the ConfigurationError names where the profile does not know

@@ -33,7 +33,6 @@ TABLES = "tables"  # folder of numbers: a file per experiment, and how they were
 RUNS, CHECKS = "runs.csv", "checks.csv"
 OF_THE_PAPER = (TABLES, "*/recipe.resolved.yaml")
 OWN = "irlos_pipe"
-TITLE = "The experiments of the paper"
 NOTES = {True: "Quick look: samples are small and numbers rough.", False: "Full samples."}
 
 
@@ -153,7 +152,7 @@ def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources:
             _write_numbers(known, folder, quick)
         shown = [one for one in known if one.name in problems or _is_current(one, folder)]
         chapters = [_chapter(one, folder / one.name, problems.get(one.name, "")) for one in shown]
-        report = write_collection(RunFolder(folder).report, TITLE, NOTES[quick], chapters)
+        report = write_collection(RunFolder(folder).report, NOTES[quick], chapters)
     return PaperRun(outcomes, problems, report, folder / TABLES)
 
 

@@ -6,8 +6,6 @@ keys of `effects` are generated: which parameters an effect has, and which may b
 simulator's class; names, units and limits of those that models have stand in `irlos_pipe.effects`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from datetime import datetime
@@ -18,8 +16,6 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from pydantic import (
     AfterValidator,
     AliasChoices,
-    BaseModel,
-    ConfigDict,
     Discriminator,
     Field,
     Tag,
@@ -31,6 +27,7 @@ from pydantic import (
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.keys import key
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.files.validation import Section
 from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel, Pixel, outside_window
@@ -42,12 +39,6 @@ from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling
 
 FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
 LARGEST_NM = 10_000.0
-
-
-class Section(BaseModel):
-    """Base of all sections of a spec: unknown keys and values that are not finite are refused."""
-
-    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def require_nolls(values: dict[int, float]) -> dict[int, float]:
@@ -69,7 +60,7 @@ class EffectSection(Section):
         return {required[0]: value} if isinstance(value, list) and len(required) == 1 else value
 
     @model_validator(mode="after")
-    def _consistent(self) -> EffectSection:
+    def _consistent(self) -> "EffectSection":
         name = type(self).__name__
         try:
             effects_of({name: self.model_dump(exclude_none=True)})
@@ -137,7 +128,7 @@ class AberrationKeys(Section):
     tail_nolls: tuple[int, int] = Field((52, 200), description="first and last Noll index of the tail")
 
     @model_validator(mode="after")
-    def _consistent(self) -> AberrationKeys:
+    def _consistent(self) -> "AberrationKeys":
         first, last = self.tail_nolls
         if not 2 <= first <= last <= 1000:
             raise ValueError("tail_nolls: give the first and the last Noll index, from 2 to 1000")
@@ -170,7 +161,7 @@ class LensletKeys(Section):
     flux: FourNumbers = Field((0.0,) * 4, description="light beyond their share, relative")
 
     @model_validator(mode="after")
-    def _small(self) -> LensletKeys:
+    def _small(self) -> "LensletKeys":
         if max(map(abs, (*self.x_mas, *self.y_mas))) > 1000 or max(map(abs, self.flux)) > 0.9:
             raise ValueError("displacements are at most 1000 mas, and changes of the light at most 0.9")
         return self
@@ -187,7 +178,7 @@ class SkyKeys(Sky):
         None, "outer scale of the turbulence; the instrument's if left out", ge=1, le=1000
     )
 
-    def completed(self, facility: Facility) -> SkyKeys:
+    def completed(self, facility: Facility) -> "SkyKeys":
         """Return the section with what it leaves out taken from the `facility`."""
         absent = [name for name in FACILITY_KEYS if getattr(self, name) is None]
         return replace(self, **{name: getattr(facility, name) for name in absent})
@@ -308,7 +299,7 @@ class RecordingKeys(Shared):
         return {name: its.model_dump(exclude_none=True) for name, its in sections.items() if its is not None}
 
     @model_validator(mode="after")
-    def _consistent(self) -> RecordingKeys:
+    def _consistent(self) -> "RecordingKeys":
         problem = next(self._problems(), None)
         if problem:
             raise ValueError(problem)
@@ -345,7 +336,7 @@ class RecordingKeys(Shared):
         if not isinstance(self.sky_e_per_s, str) and not 0 <= self.sky_e_per_s <= 1e6:
             yield f"sky_e_per_s = {self.sky_e_per_s:g} should be from 0 to 1e6"
 
-    def completed(self, facility: Facility) -> RecordingKeys:
+    def completed(self, facility: Facility) -> "RecordingKeys":
         """Return this recording with what sky and motion leave out taken from the `facility`."""
         known: dict[str, Any] = {"sky": self.sky and self.sky.completed(facility)}
         if self.motion is not None and self.motion.lines is None:

@@ -171,22 +171,21 @@ def make_all(
         return
     total = sum(one.scene.frames for one in planned)
     bar = progress(total=total, desc="frames") if progress else tqdm(total=total, disable=True)
-    with _work_folder(parent) as work, bar as shown:
-        tasks = [Job(one, work, index, len(planned)) for index, one in enumerate(planned)]
+    folder = tempfile.TemporaryDirectory(prefix=WORK_PREFIX, dir=parent, ignore_cleanup_errors=True)
+    with folder as work, bar as shown:
+        tasks = [Job(one, Path(work), index, len(planned)) for index, one in enumerate(planned)]
         frames_done = tasks[0].frames_done()
 
         def show() -> None:
             shown.update(int(frames_done.sum()) - shown.n)
 
-        yield from _in_turn(tasks, show) if min(jobs, len(tasks)) == 1 else _side_by_side(tasks, jobs, show)
-
-
-def _in_turn(tasks: Sequence[Job], show: Callable[[], None]) -> Iterator[tuple[Job, Made]]:
-    """Perform the tasks here, with one thread as worker processes have: more give other last bits."""
-    for task in tasks:
-        with threadpool_limits(1):
-            made = task.perform(show)
-        yield task, made
+        if min(jobs, len(tasks)) > 1:
+            yield from _side_by_side(tasks, jobs, show)
+            return
+        for task in tasks:  # here, with one thread as worker processes have: more give other last bits
+            with threadpool_limits(1):
+                made = task.perform(show)
+            yield task, made
 
 
 def _side_by_side(tasks: Sequence[Job], jobs: int, show: Callable[[], None]) -> Iterator[tuple[Job, Made]]:
@@ -197,15 +196,6 @@ def _side_by_side(tasks: Sequence[Job], jobs: int, show: Callable[[], None]) -> 
             done, _ = wait(owners, timeout=LOOK_S, return_when="FIRST_COMPLETED")
             show()
             yield from ((owners.pop(future), future.result()) for future in done)
-
-
-@contextmanager
-def _work_folder(parent: Path) -> Iterator[Path]:
-    work = Path(tempfile.mkdtemp(prefix=WORK_PREFIX, dir=parent))
-    try:
-        yield work
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -311,19 +301,15 @@ def plan_simulation(spec: Spec, folder: Path, force: bool = False) -> list[Step]
             )
     require_free(target.path, (target.spec.name,))
     steps = [Step(one, FORCED if force else target.reason(one)) for one in planned]
-    _require_room(target.path, sum(step.planned.size_bytes for step in steps if step.reason))
-    return steps
-
-
-def _require_room(folder: Path, needed_bytes: float) -> None:
-    """Refuse a simulation that the disk cannot hold, before hours of work."""
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    free_bytes = shutil.disk_usage(existing).free
-    if needed_bytes > free_bytes:
+    needed_bytes = sum(step.planned.size_bytes for step in steps if step.reason)
+    above = target.path.absolute()
+    free_bytes = shutil.disk_usage(next(path for path in (above, *above.parents) if path.exists())).free
+    if needed_bytes > free_bytes:  # refused before hours of work
         raise ConfigurationError(
             f"--output {folder}: the recordings take {needed_bytes / 1e9:.1f} GB, {free_bytes / 1e9:.1f} are "
             "free; simulate fewer frames or a smaller window"
         )
+    return steps
 
 
 def simulate(
@@ -354,15 +340,12 @@ def simulate(
         with closing(make_all(due, target.path, jobs, progress)) as finished:
             for job, made in finished:
                 target.put(job, made)
-                _log(job.planned, made)
+                name, scene = job.planned.name, job.planned.scene
+                LOG.info("%s: %d frames, brightest pixel %d ADU", name, scene.frames, made.brightest_adu)
+                values = scene.frames * int(np.prod(scene.window))
+                if made.saturated > SATURATION_NOTED * values:
+                    LOG.warning("%s: %d of %d values are saturated", name, made.saturated, values)
     return steps
-
-
-def _log(planned: Planned, made: Made) -> None:
-    LOG.info("%s: %d frames, brightest pixel %d ADU", planned.name, planned.scene.frames, made.brightest_adu)
-    values = planned.scene.frames * int(np.prod(planned.scene.window))
-    if made.saturated > SATURATION_NOTED * values:
-        LOG.warning("%s: %d of %d values are saturated", planned.name, made.saturated, values)
 
 
 @contextmanager
@@ -398,10 +381,3 @@ def plan_rows(steps: Sequence[Step]) -> list[tuple[str, ...]]:
         done = ("simulate", step.reason) if step.reason else ("skip", UP_TO_DATE)
         rows.append((step.planned.name, *what, *done))
     return rows
-
-
-def where_text(spec: Spec, folder: Path) -> str:
-    """Return where in `folder` data and truth lie, one line per section of the `spec`."""
-    width = max(len("truth"), *map(len, spec.recordings))
-    places = {name: folder / "data" / name for name in spec.recordings} | {"truth": folder / "truth"}
-    return "\n".join(f"{name:<{width}}  {path}" for name, path in places.items())

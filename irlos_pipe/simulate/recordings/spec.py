@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -15,7 +15,7 @@ from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.files.shipped import SIMULATIONS, named_file
-from irlos_pipe.files.validation import ValidationErrors, absolute, parse_setting, read_overridden
+from irlos_pipe.files.validation import absolute, parse_setting, read_overridden
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.simulate.detector import DetectorModel
@@ -224,13 +224,9 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
     Raises `ConfigurationError` with one line ``where: message`` for everything that is wrong.
     """
     path = named_file(path, SIMULATIONS)
-    read = read_overridden(
+    data, errors = read_overridden(
         path, lambda text: located(parse_setting(text, SETTING_EXAMPLE)), settings, seed=seed
     )
-    return _checked(path, *read)
-
-
-def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> Spec:
     keys = errors.validated(data, SpecKeys)
     errors.raise_if_any()
     assert keys is not None, "what is wrong has been reported"
@@ -271,16 +267,6 @@ def _with_shared(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str,
     return merged
 
 
-class _Member(NamedTuple):
-    """One recording of a series; `position` is its place in time."""
-
-    name: str
-    position: int
-    commanded_nm: Defocus
-    reached_nm: Defocus
-    angle_deg: float
-
-
 def plan_recordings(spec: Spec) -> list[Planned]:
     """Return the recordings of a `spec`, those of a series in the order of their list."""
     sections = enumerate(spec.recordings.items())
@@ -295,29 +281,32 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
     first_s = FIRST_START_UNIX_S + slot * SLOT_S
     if keys.start is not None:
         first_s = int(np.datetime64(keys.start, "s").astype(int))
-    for member in _members(name, keys, hidden, rng):
-        after_s = member.position * duration_s
+    for member, position, commanded_nm, reached, angle_deg in _members(name, keys, hidden, rng):
+        after_s = position * duration_s
         own = replace(
             scene,
-            name=member.name,
-            seed=(spec.seed, number(member.name)),
-            introduced_nm=member.reached_nm,
-            derotator_angle_deg=member.angle_deg,
+            name=member,
+            seed=(spec.seed, number(member)),
+            introduced_nm=reached,
+            derotator_angle_deg=angle_deg,
             start_unix_s=first_s + after_s,
             first_counter=FIRST_COUNTER + after_s * LOOP_HZ % COUNTER_WRAP,
         )
         how = keys.layout, keys.mode, keys.side_car, "" if profile == STANDARD else profile
-        yield Planned(member.name, own, member.commanded_nm, hidden, *how)
+        yield Planned(member, own, commanded_nm, hidden, *how)
 
 
-def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> Iterator[_Member]:
+def _members(
+    name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator
+) -> Iterator[tuple[str, int, Defocus, Defocus, float]]:
+    """Name, place in time, commanded and reached defocus, and angle of every recording of a section."""
     effects, angle_deg = effects_of(hidden), keys.derotator_angle_deg
     if offsets_nm := keys.offsets_nm:
         order = visiting_order(offsets_nm, keys.order)
         reached = reached_nm([offsets_nm[index] for index in order], effects, rng).tolist()
         for index, own in enumerate(numbered(name, "offset", offsets_nm)):
             place = order.index(index)
-            yield _Member(own, place, offsets_nm[index], reached[place], angle_deg)
+            yield own, place, offsets_nm[index], reached[place], angle_deg
         return
     of_frames = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects, rng)
     commanded_nm: Defocus
@@ -328,7 +317,7 @@ def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Gen
         commanded_nm, true_nm = keys.introduced_nm, float(of_frames[0])
     names = numbered(name, "angle", keys.angles_deg) if keys.angles_deg else [name]
     for index, (own, angle) in enumerate(zip(names, keys.angles_deg or [angle_deg], strict=True)):
-        yield _Member(own, index, commanded_nm, true_nm, angle)
+        yield own, index, commanded_nm, true_nm, angle
 
 
 def numbered(name: str, what: str, values: Sequence[float]) -> list[str]:

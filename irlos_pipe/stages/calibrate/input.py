@@ -25,7 +25,7 @@ from irlos_pipe.stages.model.effects import (
     shown,
     with_colour,
 )
-from irlos_pipe.stages.model.recording_settings import differences, pooled_frames, psf_settings
+from irlos_pipe.stages.model.recording_settings import pooled_frames, psf_settings, require_common
 
 ROLES = ("ncpa_calibration", "psf", "derotator")
 
@@ -93,21 +93,12 @@ def by_setup(recordings: Sequence[Recording]) -> list[list[Recording]]:
 def require_joint(ctx: StageContext, groups: Sequence[Sequence[Recording]], method: str) -> None:
     """Refuse groups of recordings that cannot be calibrated together.
 
-    Raises
-    ------
-    InputDataError
-        If they differ in more than band, filter, diversity and focus.
-    ConfigurationError
-        For a `method` of one set-up, and a `filter_ncpa` that does not say of which filter or lens.
+    Raises `InputDataError` if they differ in more than band, filter, diversity and focus;
+    `ConfigurationError` for a `method` of one set-up, and a `filter_ncpa` that does not say of which filter
+    or lens.
     """
-    first = groups[0][0]
-    for one in (recording for group in groups for recording in group):
-        differing = differences(first, one, COMMON)
-        if differing:
-            raise InputDataError(
-                f"{one.name}: {' and '.join(differing)} of {first.name} are others; set-ups calibrated "
-                "together may differ in band, filter, diversity and introduced defocus only"
-            )
+    together = "set-ups calibrated together may differ in band, filter, diversity and introduced defocus only"
+    require_common([recording for group in groups for recording in group], COMMON, together)
     if method != DEFAULT_METHOD:
         raise ConfigurationError(
             f"calibrate.method {method} takes frames of one set-up, and those given differ in band, "
@@ -148,22 +139,13 @@ def setups_of(
         for effect in image_effects(shown(first, conditions))
         if is_common(effect)
     ]
-    return [
-        _setup(ctx, group, under, [effect.seen_in(under, conditions[0]) for effect in common], highest_noll)
-        for group, under in zip(groups, conditions, strict=True)
-    ]
-
-
-def _setup(
-    ctx: StageContext,
-    group: Sequence[Recording],
-    conditions: Conditions,
-    common: Sequence[Effect],
-    highest_noll: int,
-) -> Setup:
-    listed = model_effects(ctx.instrument, ctx.model, group[0], highest_noll)
-    own = [e for e in image_effects(with_colour(listed, ctx.model, conditions)) if not is_common(e)]
-    if warning := colour_warning(own, group):
-        ctx.log.warning(warning)
-    frames = pooled_frames(group, good_pixels(listed, group[0].window), conditions.settings)
-    return Setup(frames, conditions.settings, common, own, tuple(one.name for one in group))
+    found = []
+    for group, under in zip(groups, conditions, strict=True):
+        listed = model_effects(ctx.instrument, ctx.model, group[0], highest_noll)
+        own = [e for e in image_effects(with_colour(listed, ctx.model, under)) if not is_common(e)]
+        if warning := colour_warning(own, group):
+            ctx.log.warning(warning)
+        frames = pooled_frames(group, good_pixels(listed, group[0].window), under.settings)
+        shared = [effect.seen_in(under, conditions[0]) for effect in common]
+        found.append(Setup(frames, under.settings, shared, own, tuple(one.name for one in group)))
+    return found

@@ -1,7 +1,5 @@
 """Stage `calibrate`: static aberrations (NCPAs) from cubes of short narrow-band exposures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import nan
@@ -23,7 +21,7 @@ from irlos_pipe.estimate.calibration_options import (
 )
 from irlos_pipe.estimate.records import Cause, OneSetup, TwinCheck
 from irlos_pipe.numerics.loss import LossName
-from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import (
     DITTO,
     ByNoll,
@@ -148,7 +146,7 @@ class Config(Limits):
     compare: tuple[MethodName, ...] = item((), "further methods to run, for comparison in the report only")
 
     @model_validator(mode="after")
-    def _can_be_open(self) -> Config:
+    def _can_be_open(self) -> "Config":
         if self.highest_noll == OPEN and not METHODS[self.method].open:
             raise ValueError(
                 f"'highest_noll: open' is not for method '{self.method}'; give a number, or null"
@@ -156,7 +154,7 @@ class Config(Limits):
         return self
 
     @model_validator(mode="after")
-    def _compared_on_all(self) -> Config:
+    def _compared_on_all(self) -> "Config":
         if self.each and self.compare:
             raise ValueError("'compare' works on all recordings together; leave it out with 'each: true'")
         return self
@@ -319,20 +317,13 @@ class CubeEstimate:
 
 def cube_estimates(product: Product) -> list[CubeEstimate]:
     """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording."""
-    return [_estimate(product, row) for row in results_of(CalibrateResults, product).cubes]
-
-
-def _estimate(product: Product, row: CubeRow) -> CubeEstimate:
-    def own(name: str) -> Quantity:
-        return product.arrays[f"{CUBES}/{row.name}/{name}"]
-
-    return CubeEstimate(
-        row.name,
-        row.derotator_angle_deg,
-        tuple(int(noll) for noll in own("noll").value),
-        own("zernike_nm").value,
-        np.asarray(own("zernike_nm").error),
-        own("covariance_nm2").value,
-        own("frames_nm").value,
-        own("mean_image_e").value,
-    )
+    found = []
+    for row in results_of(CalibrateResults, product).cubes:
+        nolls, zernike, covariance, frames, mean = (
+            product.arrays[f"{CUBES}/{row.name}/{name}"]
+            for name in ("noll", "zernike_nm", "covariance_nm2", "frames_nm", "mean_image_e")
+        )
+        modes = tuple(int(noll) for noll in nolls.value), zernike.value, np.asarray(zernike.error)
+        of_all = covariance.value, frames.value, mean.value
+        found.append(CubeEstimate(row.name, row.derotator_angle_deg, *modes, *of_all))
+    return found

@@ -73,7 +73,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     first = recordings[0].acquisition
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
     cube = cube_input(ctx, recordings, options)
-    result = _calibrated(ctx, recordings[0].name, cube, options)
+    result = _calibrate(ctx, recordings, options, cube)
     others = [
         _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law, method))
         for method in ctx.config.compare
@@ -123,23 +123,20 @@ def _no_frame(recording: Recording) -> str:
 
 
 def _calibrate(
-    ctx: StageContext[Config], recordings: list[Recording], options: CalibrationOptions
+    ctx: StageContext[Config],
+    recordings: list[Recording],
+    options: CalibrationOptions,
+    cube: CubeInput | None = None,
 ) -> Calibration:
-    """One method on all frames of the recordings."""
-    return _calibrated(ctx, recordings[0].name, cube_input(ctx, recordings, options), options)
-
-
-def _calibrated(
-    ctx: StageContext[Config], name: str, cube: CubeInput, options: CalibrationOptions
-) -> Calibration:
-    """One method on a cube that begins with the recording `name`."""
+    """One method on all frames of the recordings, on their `cube` where that is made already."""
+    cube = cube or cube_input(ctx, recordings, options)
     total = scheme_of(options).fits(cube.frames)
     with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
         context = {"device": ctx.device, "report": bar.update, "note": ctx.log.info}
         result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
     ctx.log.info(
         "%s, %s: %.1f nm RMS, chi2/nu %.2f, %.1f s",
-        name,
+        recordings[0].name,
         options.method,
         wfe_nm(result.nolls, result.zernike_nm),
         result.chi2_nu,

@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
-from irlos_pipe.diagnosis.sharing import Sharing, Together
+from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis, Pictures, Step, sentence
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.frames.detector import star_position
@@ -48,7 +48,17 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         tried=list(result.tried),
         untestable=list(result.untestable),
         recordings=list(result.together.stars) if result.together else [],
-        sharing=[_sharing(one) for one in result.together.sharing] if result.together else [],
+        sharing=[
+            SharingRow.filled_from(
+                one,
+                effect=one.labels[0],
+                held_out_z=one.preference,
+                values=[
+                    OwnValueRow.filled_from(v, recording=v.moment, parameters=v.public) for v in one.values
+                ],
+            )
+            for one in (result.together.sharing if result.together else ())
+        ],
         second_recording=dict(result.advice),
         model=MODEL_FILE,
         fine_structure=result.fine,
@@ -70,11 +80,6 @@ def checks_of(results: DiagnoseResults) -> list[Check]:
     left = "" if explained else results.why_unknown or rest  # the whole sentence stands beside it
     message = f"{results.verdict}{grade}: {left or results.sentence}"
     return [Check("everything explained", float(explained), "", 1.0, None, message)]
-
-
-def _sharing(one: Sharing) -> SharingRow:
-    values = [OwnValueRow.filled_from(own, recording=own.moment, parameters=own.public) for own in one.values]
-    return SharingRow.filled_from(one, effect=one.labels[0], held_out_z=one.preference, values=values)
 
 
 def _step(step: Step, together: Together | None = None) -> StepRow:

@@ -1,6 +1,7 @@
 """Stage `diagnose` on a ramp: errors of the focus stage by the estimates of `lift`, and of the light path."""
 
 import time
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -182,21 +183,6 @@ def _stage_sentence(result: RampDiagnosis) -> str:
 # -- what introduced defocus is: effects of lenses, from fits of the images --------------------------
 
 
-def _lens_candidates(ctx: StageContext, ramp: Ramp) -> list[LensEffect]:
-    """Return the lens effects that mean something for this `ramp` and that the recipe's model lacks."""
-    present = {entry.name for entry in ctx.model.entries()}
-    conditions = conditions_of(ctx.instrument, ctx.model, ramp.recordings[0])
-    found = []
-    for name, kind in CATALOGUE.items():
-        if name in present or not issubclass(kind, LensEffect):
-            continue
-        try:
-            found.append(kind.under(conditions))
-        except ValueError:
-            continue
-    return found
-
-
 def _preferred_lens(
     ctx: StageContext, ramp: Ramp, held_out: np.ndarray, sure: float
 ) -> tuple[StageContext, LightPathName | None, RampFit | None]:
@@ -205,7 +191,13 @@ def _preferred_lens(
     The context returned has the effect in its model. The fit is of the whole ramp; None where nothing had to
     be compared and the frames share nothing fitted.
     """
-    candidates = _lens_candidates(ctx, ramp)
+    present = {entry.name for entry in ctx.model.entries()}
+    conditions = conditions_of(ctx.instrument, ctx.model, ramp.recordings[0])
+    candidates: list[LensEffect] = []
+    for name, kind in CATALOGUE.items():
+        if name not in present and issubclass(kind, LensEffect):
+            with suppress(ValueError):  # it means nothing for this ramp
+                candidates.append(kind.under(conditions))
     if not candidates and not ctx.products["lift"].config["common_modes"]:
         return ctx, None, None
     plain = _fitted(ctx, ramp, held_out)

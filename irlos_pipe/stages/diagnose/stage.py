@@ -1,7 +1,5 @@
 """Stage `diagnose`: what the model of cubes or a ramp lacks, by name and size, and how the gap shrinks."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from math import nan
@@ -167,7 +165,7 @@ class Change(ResultsPart):
     after: Number = item(nan, DITTO)
 
     @classmethod
-    def of(cls, pair: Sequence[float]) -> Change:
+    def of(cls, pair: Sequence[float]) -> "Change":
         """Return the change of a `pair` of before and after."""
         return cls(before=pair[0], after=pair[1])
 

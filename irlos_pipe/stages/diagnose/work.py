@@ -1,7 +1,5 @@
 """Stage `diagnose`: what the model of cubes or a ramp lacks, by name and size, and how the gap shrinks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +13,7 @@ from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.frames.recording import Recording
-from irlos_pipe.product.product import Check, Product
+from irlos_pipe.product.product import Product
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.quality import frame_checks
 from irlos_pipe.stages.diagnose.output import (
@@ -32,7 +30,12 @@ from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.diagnose.stage import Config
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, screened_e
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.recording_settings import differences, in_time_order, pooled_frames, psf_settings
+from irlos_pipe.stages.model.recording_settings import (
+    in_time_order,
+    pooled_frames,
+    psf_settings,
+    require_common,
+)
 
 EXPECTED_FITS = 11  # fits that one cube takes, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}
@@ -48,23 +51,22 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     result, settings = _diagnose(ctx, groups), psf_settings(ctx.instrument, ctx.model, groups[0].first)
     model = model_yaml(ctx.model, model_entries(result))
     results = diagnose_results(result, groups[0].first.acquisition.diversity)
+    checks = checks_of(results)
+    for alike in groups:
+        window = alike.first.window
+        of_frames = psf_settings(ctx.instrument, ctx.model, alike.first)
+        frames = pooled_frames(alike.recordings, np.ones(window, bool), of_frames)
+        checks += frame_checks(kurtosis_of_frames(frames), frames.motion, window)
     return StageOutput(
         diagnose_arrays(result) | quality_arrays(result.pictures, settings),
         results,
-        [*checks_of(results), *(check for alike in groups for check in _frame_checks(ctx, alike))],
+        checks,
         files={MODEL_FILE: model},
         summary=summary_lines(result),
     )
 
 
-def _frame_checks(ctx: StageContext[Config], alike: Alike) -> list[Check]:
-    window = alike.first.window
-    settings = psf_settings(ctx.instrument, ctx.model, alike.first)
-    frames = pooled_frames(alike.recordings, np.ones(window, bool), settings)
-    return frame_checks(kurtosis_of_frames(frames), frames.motion, window)
-
-
-def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
+def _diagnose(ctx: StageContext[Config], groups: "list[Alike]") -> Diagnosis:
     config = ctx.config
     effects: dict[int, list[Effect]] = {}
     for alike in groups:
@@ -85,7 +87,7 @@ def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
         return diagnose(exposures, model, options, device=ctx.device, report=bar.update)
 
 
-def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -> Exposures:
+def _exposures(ctx: StageContext[Config], alike: "Alike", effects: list[Effect]) -> Exposures:
     """Recordings of one setting and moment, the introduced defocus in the known wavefront."""
     first = alike.first
     conditions = conditions_of(
@@ -138,16 +140,14 @@ def _by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) 
     times decide.
     """
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
-    for other in recordings[1:]:
-        differing = differences(recordings[0], other, COMMON)
-        if differing:
-            raise InputDataError(
-                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; cubes "
-                "diagnosed together may differ in star, night, focus, diversity and band only"
-            )
+    together = "cubes diagnosed together may differ in star, night, focus, diversity and band only"
+    require_common(recordings, COMMON, together)
     groups: dict[tuple, list[Recording]] = {}
     for recording, moment in zip(recordings, moments_of(recordings, apart), strict=True):
-        groups.setdefault((moment, *_setting(recording)), []).append(recording)
+        told = recording.acquisition
+        diversity = tuple(sorted((noll, nm) for noll, nm in told.diversity.items() if nm))
+        setting = told.spectrum, diversity, _introduced_nm(recording), told.pupil_rotation_deg
+        groups.setdefault((moment, *setting), []).append(recording)
     found = [Alike(alike, key[0]) for key, alike in groups.items()]
     return sorted(found, key=lambda alike: -alike.diversity_nm)
 
@@ -178,9 +178,3 @@ def _introduced_nm(recording: Recording) -> float:
             "recordings of one defocus each, or the recipe diagnose_ramp"
         )
     return float(values[0]) if len(values) else 0.0
-
-
-def _setting(recording: Recording) -> tuple:
-    acquisition = recording.acquisition
-    diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
-    return acquisition.spectrum, diversity, _introduced_nm(recording), acquisition.pupil_rotation_deg

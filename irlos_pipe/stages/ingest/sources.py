@@ -58,7 +58,9 @@ def read_sources(
         own: list[Source] = []
         for file in recording_files(paths):
             with failing_alone(failures, name, file, log):
-                for raw in _named(read_recordings(file, instrument), taken):
+                for read in read_recordings(file, instrument):
+                    raw = replace(read, name=unique_name(read.name, read.path, taken))
+                    taken.add(raw.name)
                     then = _instrument_then(instrument, raw.start_unix_s)
                     resolved = resolve(raw, keys_for(name), then)
                     for note in raw.notes:
@@ -93,7 +95,9 @@ def _unless_a_copy(source: Source, earlier: Sequence[Source], log: logging.Logge
     first = next((other for other in earlier if _same_frames(other.raw, source.raw)), None)
     if first is None:
         return [source]
-    if not _same_description(first, source):
+    one, other = first.resolved, source.resolved
+    same_defocus = np.array_equal(one.introduced_defocus_nm, other.introduced_defocus_nm)
+    if one.acquisition != other.acquisition or not same_defocus:
         raise InputDataError(
             f"{source.raw.path}: the same frames as in {first.raw.path}, but another side-car; remove one"
         )
@@ -107,12 +111,6 @@ def _same_frames(one: RawRecording, other: RawRecording) -> bool:
         return False
     same = np.array_equal(one.adu[0], other.adu[0])
     return same and np.array_equal(one.adu, other.adu)
-
-
-def _same_description(one: Source, other: Source) -> bool:
-    first, second = one.resolved, other.resolved
-    defocus = np.array_equal(first.introduced_defocus_nm, second.introduced_defocus_nm)
-    return first.acquisition == second.acquisition and defocus
 
 
 def source_problems(
@@ -149,13 +147,6 @@ def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:
     """
     darks = [source for source in sources if source.role == "dark"]
     return [_with_dark(source, darks) for source in sources if source.role != "dark"], darks
-
-
-def _named(recordings: Sequence[RawRecording], taken: set[str]) -> Iterator[RawRecording]:
-    for raw in recordings:
-        name = unique_name(raw.name, raw.path, taken)
-        taken.add(name)
-        yield replace(raw, name=name)
 
 
 SAMPLED_PX = 2.0  # pixels per λ/D from which an image holds all detail that the optics make

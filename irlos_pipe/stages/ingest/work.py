@@ -1,6 +1,6 @@
 """Ingest: from the files of the recorder to clean frames in electrons, and what is reported of them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -60,9 +60,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             for line in (*_contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
             rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
-            quality += [*_checks(recording, ctx.config), _contradiction_check(recording, told)]
+            quality += _checks(recording, told, ctx.config)
             arrays |= arrays_of(recording, cleaned, source.raw)
-    _require_every_input(ctx.inputs, rows, failures)
+    for name in ctx.inputs:
+        if not any(row.input == name for row in rows):
+            reasons = [text for owner, text in failures if owner == name]
+            raise InputDataError(
+                reasons[0] + and_more(reasons) if reasons else f"input '{name}': only darks, no star in it"
+            )
     lines = [text for _, text in failures]
     results = IngestResults(inputs=[*rows, *map(_dark_row, darks)])
     return StageOutput(arrays, results, quality, summary=[_line(one) for one in rows], failures=lines)
@@ -105,8 +110,13 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
         acquisition = replace(told, detector=detector, sources=sources)
         source = replace(source, resolved=replace(source.resolved, acquisition=acquisition))
         cleaned = _cleaned(source, config, instrument)
-    if source.raw.frames == 1:
-        _require_noise_level(source, cleaned)
+    declared = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
+    if source.raw.frames == 1 and not declared and not cleaned.noise.floor_e2 > 0:
+        raise InputDataError(
+            f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
+            "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
+            "and read-out together)"
+        )
     return _recording(source, cleaned), cleaned
 
 
@@ -152,16 +162,6 @@ def _step_s(raw: RawRecording) -> float:
     return step_s if step_s > 0 else float("nan")  # a clock that stands gives no step
 
 
-def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
-    told = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
-    if not told and not cleaned.noise.floor_e2 > 0:
-        raise InputDataError(
-            f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
-            "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
-            "and read-out together)"
-        )
-
-
 def _recording(source: Source, cleaned: Cleaned) -> Recording:
     raw, acquisition = source.raw, source.resolved.acquisition
     detector = replace(acquisition.detector, saturation_adu=cleaned.saturation_adu)
@@ -181,18 +181,6 @@ def _recording(source: Source, cleaned: Cleaned) -> Recording:
         frames_missing=frames_missing(raw.frame_counter),
         start_unix_s=raw.start_unix_s,
     )
-
-
-def _require_every_input(
-    inputs: Iterable[str], rows: Sequence[RecordingRow], failures: Sequence[tuple[str, str]]
-) -> None:
-    """Stop if an input has nothing left, with the reasons."""
-    for name in inputs:
-        if not any(row.input == name for row in rows):
-            reasons = [text for owner, text in failures if owner == name]
-            raise InputDataError(
-                reasons[0] + and_more(reasons) if reasons else f"input '{name}': only darks, no star in it"
-            )
 
 
 # -- what is reported --------------------------------------------------------------------------------
@@ -244,14 +232,6 @@ def _flux_e(recording: Recording) -> float:
     return float(np.median(frame_flux(recording.images_e)[recording.used]))
 
 
-def _contradiction_check(recording: Recording, told: Sequence[Told]) -> Check:
-    """Return the check that fails where the frames of a `recording` contradict a declaration, by `told`."""
-    wrong = [one.text for one in told if one.wrong]
-    message = "; ".join(wrong) or "nothing that was declared is contradicted by the frames beyond doubt"
-    name = f"ingest/{recording.input}/{recording.name}/told"
-    return Check(name, float(len(wrong)), "1", None, 0.0, message)
-
-
 def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
     """Return one line per constant of the detector that the frames of a `recording` contradict.
 
@@ -284,14 +264,18 @@ def _centre_offset_px(recording: Recording) -> tuple[float, float]:
     return column_px - (columns - 1) / 2, row_px - (rows - 1) / 2
 
 
-def _checks(recording: Recording, config: Config) -> list[Check]:
-    """Return the QC checks of a `recording`, with the limits of `config`."""
+def _checks(recording: Recording, told: Sequence[Told], config: Config) -> list[Check]:
+    """Return the QC checks of a `recording`, and of what was `told` of it, with the limits of `config`."""
+    wrong = [one.text for one in told if one.wrong]
+    contradicted = "; ".join(wrong) or "nothing that was declared is contradicted by the frames beyond doubt"
     saturated = np.mean(recording.reason == SATURATED)
     missing = recording.frames_missing / (recording.frames + recording.frames_missing)
     offset_px = np.hypot(*_centre_offset_px(recording))
+    reasons = ", ".join(f"{number} x {reason}" for reason, number in tally(recording.reason).items())
+    why = f"frames that are rejected ({reasons or 'none'})"
     offset_limit_px = config.max_centre_offset_fraction * min(recording.window)
     table = [
-        ("rejected", np.mean(~recording.used), "1", config.max_rejected_fraction, _list_reasons(recording)),
+        ("rejected", np.mean(~recording.used), "1", config.max_rejected_fraction, why),
         ("saturated", saturated, "1", config.max_saturated_fraction, "frames that are saturated"),
         ("missing", missing, "1", config.max_missing_fraction, "frames that the recorder lost"),
         ("bad_pixels", np.mean(~recording.good), "1", config.max_bad_pixel_fraction, "masked pixels"),
@@ -305,12 +289,8 @@ def _checks(recording: Recording, config: Config) -> list[Check]:
             for name, value, unit, high, message in table
         ),
         Check(f"{prefix}/flux", _flux_e(recording), "e-", 0.0, None, message),
+        Check(f"{prefix}/told", float(len(wrong)), "1", None, 0.0, contradicted),
     ]
-
-
-def _list_reasons(recording: Recording) -> str:
-    found = ", ".join(f"{number} x {reason}" for reason, number in tally(recording.reason).items())
-    return f"frames that are rejected ({found or 'none'})"
 
 
 def _line(entry: RecordingRow) -> str:

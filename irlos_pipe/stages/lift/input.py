@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.effects import Effect
 from irlos_pipe.effects.declaration import Conditions
 from irlos_pipe.effects.wavefront import BROAD_NM, ChromaticNcpa, FilterNcpa
 from irlos_pipe.estimate.lift_errors import FrameErrors
@@ -110,7 +110,10 @@ def effects_for_lift(
     effects that are a part of the NCPAs; `own_wavefront` adds those that the light of the recording makes of
     it.
     """
-    reference = _calibrated_at_nm(ctx) if calibrated else None
+    product = ctx.products.get("calibrate")
+    found = CalibrateResults() if product is None else results_of(CalibrateResults, product)
+    # a calibration need not say at which wavelength it states the NCPAs
+    reference = found.wavelength_nm if calibrated and math.isfinite(found.wavelength_nm) else None
     arguments = ctx.instrument, ctx.model, recording
     listed = model_effects(*arguments, ncpa_wavelength_nm=reference)
     conditions = conditions_of(*arguments, ncpa_wavelength_nm=reference)
@@ -118,25 +121,11 @@ def effects_for_lift(
     listed = with_own_wavefront(listed, conditions) if own_wavefront else listed
     available = image_effects(with_colour(listed, ctx.model, conditions))
     available = [e for e in available if e.plane != "time" and (calibrated or not e.aberration)]
-    return ramp_effects(available, _known(ctx, recording, reference), halo, object_sigma_mas)
-
-
-def _known(ctx: StageContext, recording: Recording, reference_nm: float | None) -> dict[str, FixedEffect]:
-    """Effects as the calibration found them; none without a calibration."""
-    if "calibrate" not in ctx.products:
-        return {}
-    product = ctx.products["calibrate"]
-    seeing_arcsec = results_of(CalibrateResults, product).seeing_arcsec
-    arguments = product, ctx.instrument, ctx.model, recording, seeing_arcsec
-    return calibrated_effects(*arguments, ncpa_wavelength_nm=reference_nm)
-
-
-def _calibrated_at_nm(ctx: StageContext) -> float | None:
-    """Wavelength of the calibrated NCPAs; None without a calibration, or where it does not say."""
-    if "calibrate" not in ctx.products:
-        return None
-    wavelength_nm = results_of(CalibrateResults, ctx.products["calibrate"]).wavelength_nm
-    return wavelength_nm if math.isfinite(wavelength_nm) else None
+    known = {}
+    if product is not None:
+        seeing = found.seeing_arcsec
+        known = calibrated_effects(product, *arguments, seeing, ncpa_wavelength_nm=reference)
+    return ramp_effects(available, known, halo, object_sigma_mas)
 
 
 def ramp_start(

@@ -1,7 +1,5 @@
 """Stage `lift`: tip, tilt and defocus of every frame of a ramp, the NCPAs in the known wavefront."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import hypot, nan
 from typing import Annotated, Any, ClassVar, Literal
@@ -126,7 +124,7 @@ class Config(StageConfig):
     )
 
     @model_validator(mode="after")
-    def _common_modes_are_not_estimated_twice(self) -> Config:
+    def _common_modes_are_not_estimated_twice(self) -> "Config":
         twice = sorted({*self.common_modes} & {*self.modes})
         if twice:
             raise ValueError(f"mode {twice[0]} is both in 'modes' and in 'common_modes'; name it once")
@@ -135,7 +133,7 @@ class Config(StageConfig):
         return self
 
     @model_validator(mode="after")
-    def _singly_is_what_the_loop_does(self) -> Config:
+    def _singly_is_what_the_loop_does(self) -> "Config":
         fitted = self.halo == "fit" or self.object_sigma_mas == "fit" or bool(self.common_modes)
         other = sorted(self.modes) != [2, 3, 4] or self.estimator != "ml" or self.loss != "gaussian"
         if self.singly and (fitted or other):

@@ -52,7 +52,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp, fit) if ctx.config.compare else {}
     typical = _typical(fit) if ctx.config.compare else None
-    curve = None if typical is None else _curve(ramp, fit, typical)
+    curve, data = None, ramp.data
+    if typical is not None:
+        modes_nm = fit.result.zernike_nm[typical]
+        curve = focus_curve(fit.model, data.images_e[typical], data.good, data.noise, modes_nm)
     errors, photon_nm = _frame_errors(ramp, fit), fit.result.mode(4)[1].numpy()
     optics_nm = _optics_nm(ctx, ramp, fit)
     summary = replace(
@@ -84,7 +87,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         untested=list(BY_RAMP),
     )
     return StageOutput(
-        _arrays(ramp, fit, summary, sigma_nm) | _curve_arrays(curve),
+        _arrays(ramp, fit, summary, sigma_nm, curve),
         results,
         checks_of(ctx.config, converged, summary, others, errors, _wavefront_nm(ctx), len(ramp.names)),
         summary=_lines(ctx, fit, summary, others),
@@ -175,12 +178,6 @@ def _typical(fit: RampFit) -> int | None:
     chi2_nu = np.where(np.isfinite(fit.defocus_nm), fit.result.chi2_nu.numpy(), np.nan)
     order = np.argsort(chi2_nu)[: int(np.isfinite(chi2_nu).sum())]
     return int(order[len(order) // 2]) if len(order) else None
-
-
-def _curve(ramp: Ramp, fit: RampFit, frame: int) -> FocusCurve:
-    """How well one frame is explained at every defocus."""
-    data, modes_nm = ramp.data, fit.result.zernike_nm[frame]
-    return focus_curve(fit.model, data.images_e[frame], data.good, data.noise, modes_nm)
 
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
@@ -320,7 +317,9 @@ def _points(
     ]
 
 
-def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray) -> dict[str, Quantity]:
+def _arrays(
+    ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray, curve: FocusCurve | None
+) -> dict[str, Quantity]:
     introduced, shape = ramp.data.introduced_nm, ramp.recordings[0].window
     model = fit.result.model_e.numpy()
     groups = [introduced == value for value in summary.offsets_nm]
@@ -339,13 +338,9 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray
         "measured_per_offset_e": measured,
         "model_per_offset_e": modelled,
     }
+    if curve is not None:
+        values |= {"curve_defocus_nm": curve.focus_nm, "curve_chi2_nu": curve.chi2_nu}
     return declared(ARRAYS, values)
-
-
-def _curve_arrays(curve: FocusCurve | None) -> dict[str, Quantity]:
-    if curve is None:
-        return {}
-    return declared(ARRAYS, {"curve_defocus_nm": curve.focus_nm, "curve_chi2_nu": curve.chi2_nu})
 
 
 def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:

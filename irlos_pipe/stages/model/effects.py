@@ -112,7 +112,7 @@ def shown(effects: Sequence[Effect], recordings: Sequence[Conditions]) -> list[E
 
 def image_effects(effects: Sequence[Effect]) -> list[Effect]:
     """Those that the model of an image contains: neither masks of pixels nor errors of the focus stage."""
-    return [effect for effect in effects if effect.in_image]
+    return [effect for effect in effects if effect.found_by in ("score", "frames")]
 
 
 def good_pixels(effects: Sequence[Effect], window: tuple[int, int]) -> np.ndarray:
@@ -197,18 +197,13 @@ def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Condi
     Only where the band is broad, and on sky, that is with an AO residual, by the `conditions` of the
     recording; what the recipe lists itself stays as it is.
     """
-    if not _needs_colour(effects, model, conditions):
+    settings = conditions.settings
+    on_sky = any(effect.name == SeeingHalo.name for effect in effects)
+    if not (model.colour == "auto" and on_sky and settings.span_nm > BROAD * settings.mean_nm):
         return list(effects)
     own = [AtmosphericDispersion.under(conditions), star_colour(conditions)]
     listed = {effect.name for effect in effects}
     return [*effects, *(effect for effect in own if effect.name not in listed)]
-
-
-def _needs_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
-    """Whether colours belong to `effects` of a `model` under `conditions`, see `with_colour`."""
-    settings = conditions.settings
-    on_sky = any(effect.name == SeeingHalo.name for effect in effects)
-    return model.colour == "auto" and on_sky and settings.span_nm > BROAD * settings.mean_nm
 
 
 def star_colour(conditions: Conditions) -> FixedEffect:

@@ -54,15 +54,10 @@ def psf_settings(
         settings = replace(settings, pupil_samples=max(settings.pupil_samples, settings.needed_samples))
     else:
         _require_samples(instrument, model, recording)
-    return _through_lenses(settings, model, instrument.facility.numerical_aperture)
-
-
-def _through_lenses(settings: PsfSettings, model: ModelConfig, aperture: float) -> PsfSettings:
-    """`settings` with the lens effects of the `model`; those without values have the profile's `aperture`."""
     for entry in model.entries():
         kind = CATALOGUE[entry.name]
-        if issubclass(kind, LensEffect):
-            effect = kind(aperture)
+        if issubclass(kind, LensEffect):  # without values it has the aperture of the profile
+            effect = kind(instrument.facility.numerical_aperture)
             start = [one.start for one in effect.parameters]
             values = effect.values_of(**entry.values) if entry.values else start
             settings = effect.apply(torch.tensor(values, dtype=torch.float64), settings)
@@ -110,6 +105,16 @@ def require_one_setup(recordings: Sequence[Recording]) -> None:
             raise InputDataError(
                 f"{other.name}: {', '.join(differing)} differ from those of {recordings[0].name}; "
                 "reduce recordings of different set-ups separately"
+            )
+
+
+def require_common(recordings: Sequence[Recording], terms: Mapping[str, str], together: str) -> None:
+    """Raise InputDataError, which says what may differ `together`, unless all have the numbers of `terms`."""
+    for other in recordings[1:]:
+        differing = differences(recordings[0], other, terms)
+        if differing:
+            raise InputDataError(
+                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; {together}"
             )
 
 

@@ -1,7 +1,5 @@
 """The `model:` section of a recipe: the PSF model that calibrate, lift, sensitivity and correct share."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -28,7 +26,7 @@ class EffectEntry:
     fit: bool  # whether it is estimated all the same
 
     @classmethod
-    def of(cls, entry: Any) -> EffectEntry:
+    def of(cls, entry: Any) -> "EffectEntry":
         """From ``name`` or ``{name: {key: value}}``; `ValueError` says what is wrong and what is allowed."""
         name, given = entry, dict[str, Any]()
         if isinstance(entry, dict) and len(entry) == 1:
@@ -130,7 +128,7 @@ class ModelConfig(BaseModel):
             raise ValueError(f"an effect is listed twice: {', '.join(again)}")
         return effects
 
-    def completed(self, facility: Facility) -> ModelConfig:
+    def completed(self, facility: Facility) -> "ModelConfig":
         """Return the section with what it leaves out taken from the `facility`."""
         absent = [name for name in ("cutoff_per_m", "outer_scale_m") if getattr(self, name) is None]
         return self.model_copy(update={name: getattr(facility, name) for name in absent})

@@ -20,14 +20,10 @@ EXAMPLES = sorted((RECIPES / "simulations").glob("*.yaml"))
 LENSLETS = "20x20_SmallScale_500Hz_HighGain"
 
 
-def loaded(tmp_path: Path, spec: dict, *settings: str, **options):
-    return load_spec(written(tmp_path / "spec.yaml", spec), settings, **options)
-
-
 def refusal(tmp_path: Path, spec: dict, *settings: str) -> list[str]:
     """Lines of the error, without the folder."""
     with pytest.raises(ConfigurationError) as error:
-        loaded(tmp_path, spec, *settings)
+        load_spec(written(tmp_path / "spec.yaml", spec), settings)
     return str(error.value).replace(f"{tmp_path}/", "").splitlines()
 
 
