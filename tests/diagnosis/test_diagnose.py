@@ -108,6 +108,7 @@ def test_an_opaque_disc_is_a_spot_where_it_is():
     assert np.mean(np.abs(added) > 1e-6) < 0.1  # the edges of the pupil are where they were
 
 
+@pytest.mark.long
 def test_a_scratch_which_the_catalogue_lacks_gets_no_name():
     diagnosis = diagnosis_of("scratch")
     assert diagnosis.verdict == "unknown"
