@@ -19,7 +19,7 @@ from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, Sta
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.base import StageConfig, run_of
 
-VERSION = 13
+VERSION = 14
 ARRAYS_ONLY = True
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 Part = TypeVar("Part", Thresholds, Limits)
