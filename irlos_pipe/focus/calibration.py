@@ -18,13 +18,13 @@ from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.focus.unexplained import Structure, Unexplained
 from irlos_pipe.estimate.lift_errors import FrameErrors, spread_over
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.results import read_run_results, results_of
 from irlos_pipe.product.run_table import read_checks
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
-from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.acquisition import of_a_frame, resolve
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe.load import load_recipe
@@ -331,10 +331,16 @@ def stated_differences(keys: AcquisitionKeys, calibrated: Acquisition) -> list[s
     if "diversity" in stated:
         found += _of_diversity(stated["diversity"].zernike, calibrated.diversity)
     found += _of_number("pixel_scale_mas", stated.get("pixel_scale_mas"), calibrated.pixel_scale_mas)
-    if not stated.get("detector.coadds_averaged"):  # else it is that of a read
-        key = "detector.e_per_adu"
-        found += _of_number(key, stated.get(key), calibrated.detector.e_per_adu)
+    gain = stated_detector(keys, calibrated).e_per_adu
+    found += _of_number("detector.e_per_adu", gain, calibrated.detector.e_per_adu)
     return found
+
+
+def stated_detector(keys: AcquisitionKeys, calibrated: Acquisition) -> Detector:
+    """Return the constants of a frame: those that the `keys` of a side-car state, else as `calibrated`."""
+    stated = keys.flat()
+    reads = calibrated.detector.reads if "detector.read_s" in stated else 1
+    return replace(calibrated.detector, **of_a_frame(stated, stated.get("detector.coadds", reads)))
 
 
 def _of_number(name: str, here: float | None, there: float | None) -> Iterator[str]:
