@@ -42,6 +42,7 @@ class Line:
 class RampSummary(Line):
     """Straight line and scatter of a ramp; NaN is what the ramp does not determine."""
 
+    freedom: float = nan  # degrees of freedom of the scatter from which slope and offset have their errors
     # Constant bias of the second part of the ramp against the first (the reference of the focus stage lost
     # between two runs), fitted in the same way; NaN when the ramp is declared as one part.
     part_bias_nm: float = nan
@@ -72,10 +73,11 @@ def summarise(
     groups = [estimated[introduced == value] for value in offsets]
     steps, errors = _steps(introduced, estimated, direction[good] / 2, part[good])
     return RampSummary(
+        freedom=len(introduced) - 2,
         slope=slope,
         slope_sigma=slope_sigma,
         offset_nm=offset,
-        offset_sigma_nm=_rms(residual) * float(np.sqrt(lever / len(offsets))),
+        offset_sigma_nm=float(np.sqrt(np.sum(residual**2) / (len(residual) - 2) * lever / len(offsets))),
         rms_nm=_rms(estimated - introduced),
         residual_rms_nm=_rms(residual),
         saw_tooth_nm=steps[0],

@@ -16,7 +16,7 @@ from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
 from irlos_pipe.stages.base import StageConfig, run_of
 
-VERSION = 18
+VERSION = 19
 NEEDS = ("ingest",)
 READS = ("prior", "calibrate")
 Mode = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
