@@ -135,7 +135,7 @@ class SharedErrors:
 
     frames: FrameErrors  # growth by misfit, and error of the instant
     defocus_nm: np.ndarray  # (offsets,), in order
-    optics_nm: np.ndarray  # (offsets,), error by the known wavefront there
+    shared_nm: np.ndarray  # (offsets,), error by the known wavefront there, and an offset of the ramp
 
     @classmethod
     def of(cls, results: LiftResults) -> SharedErrors | None:
@@ -144,9 +144,9 @@ class SharedErrors:
         chosen = spread_over(defocus_nm)
         if not results.calibrated or not len(chosen):
             return None
-        optics_nm = np.array([point.sigma_optics_nm for point in results.points])[chosen]
+        shared_nm = [math.hypot(one.sigma_optics_nm, one.sigma_offset_nm) for one in results.points]
         frames = FrameErrors(results.points[0].sigma_instant_nm, results.chi2_nu, results.nominal_chi2_nu)
-        return cls(frames, defocus_nm[chosen], optics_nm)
+        return cls(frames, defocus_nm[chosen], np.array(shared_nm)[chosen])
 
     def sigma_nm(
         self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0
@@ -156,9 +156,9 @@ class SharedErrors:
         `growth` is by how much that and the error of the instant are larger than those of the ramp's frames,
         `beside_nm` a further error; see `Ordinary.growth`.
         """
-        optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
+        shared_nm = np.interp([defocus_nm], self.defocus_nm, self.shared_nm)
         frames = replace(self.frames, instant_nm=math.hypot(growth * self.frames.instant_nm, beside_nm))
-        return float(frames.sigma_nm(np.array([growth * photon_nm]), optics_nm)[0])
+        return float(frames.sigma_nm(np.array([growth * photon_nm]), shared_nm)[0])
 
 
 Spectrum = Sequence[tuple[float, float]]
