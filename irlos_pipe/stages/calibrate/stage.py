@@ -36,7 +36,7 @@ from irlos_pipe.product.results import (
 )
 from irlos_pipe.stages.base import StageConfig, run_of
 
-VERSION = 29
+VERSION = 30
 NEEDS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 CUBES = "cubes"  # group of the arrays of every recording, with `each`
