@@ -78,7 +78,7 @@ SCIENCE_MAY_USE = {
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 530, "commands": 1920, "control": 490, "conventions": 1010, "diagnosis": 5680, "effects": 4090,
-    "esorex": 110, "estimate": 7080, "files": 1050, "focus": 2360, "frames": 2020, "instrument": 860,
+    "esorex": 110, "estimate": 7080, "files": 1050, "focus": 2360, "frames": 2030, "instrument": 860,
     "night": 3380, "numerics": 960, "optics": 3690, "paper": 5610, "pipeline": 1170, "product": 2410,
     "readers": 2500, "recipe": 390, "reference": 280, "report": 4230, "simulate": 4190, "stages": 6440,
 }  # fmt: skip

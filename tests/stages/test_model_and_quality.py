@@ -25,7 +25,12 @@ from irlos_pipe.stages.calibrate.input import by_setup, require_joint
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.correct import _checks
 from irlos_pipe.stages.model.effects import refraction_mas, refraction_of, with_colour
-from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
+from irlos_pipe.stages.model.recording_settings import (
+    pooled_images,
+    psf_settings,
+    residual_band,
+    seeing_arcsec,
+)
 from irlos_pipe.stages.model.section import ModelConfig
 from irlos_pipe.stages.sensitivity import announce
 
@@ -303,3 +308,15 @@ def test_a_scan_that_the_memory_cannot_hold_is_refused_before_it_begins(monkeypa
     announce(20, (64, 64), 5, 6, 4, LOG)
     with pytest.raises(ConfigurationError, match=r"3.3 GB of memory.*sensitivity.realisations"):
         announce(20, (64, 64), 1000, 6, 4, LOG)
+
+
+def test_frames_of_recordings_with_other_noise_have_the_mean_noise_whichever_comes_first():
+    """Ten frames of 3 e- and thirty of 30 e-; truth: the variance over all the frames that were drawn."""
+    rng = np.random.default_rng(4)
+    both = [
+        made(rng.normal(0, sigma_e, (frames, 32, 32)), detector=Detector(1.0, sigma_e))
+        for sigma_e, frames in ((3.0, 10), (30.0, 30))
+    ]
+    for order in (both, both[::-1]):
+        images_e, _, noise = pooled_images(order)
+        assert noise.mean_variance_e2(0.0, 1) == pytest.approx(float(images_e.var()), rel=0.02)

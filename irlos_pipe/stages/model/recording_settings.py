@@ -149,12 +149,12 @@ def pooled_frames(
 
 
 def pooled_images(recordings: Sequence[Recording]) -> tuple[torch.Tensor, torch.Tensor, NoiseModel]:
-    """Frames of all recordings one after the other, pixels good in all of them, and their noise."""
+    """Frames of all recordings one after the other, pixels good in all of them, and their mean noise."""
     images = [r.images_e for r in recordings]  # those of a single recording are not copied
     return (
         torch.as_tensor(images[0] if len(images) == 1 else np.concatenate(images)),
         torch.as_tensor(np.all([r.good for r in recordings], axis=0)),
-        NoiseModel.of(recordings[0]),
+        NoiseModel.pooled(recordings),
     )
 
 
