@@ -71,6 +71,8 @@ class Config(StageConfig):
     def _focus_among_them(cls, modes: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
         if any(4 not in one for one in modes):
             raise ValueError("every set of modes must hold 4 (defocus)")
+        if any(len({*one}) < len(one) for one in modes):
+            raise ValueError("a mode stands twice in a set; name it once")
         return modes
 
 
