@@ -23,6 +23,7 @@ from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path, sidecar_problems
 from irlos_pipe.readers.times import counter_step
 
+OTHER_EXPOSURE = 0.01  # relative difference from which the exposure of a dark is another
 SHORT_COUNTS = 2  # bytes of the counts of a converter, which saturate with their type; sums of them do not
 
 
@@ -142,13 +143,13 @@ def source_problems(
     return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
 
 
-def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:
+def with_darks(sources: Sequence[Source], log: logging.Logger) -> tuple[list[Source], list[Source]]:
     """Give recordings without a dark the mean of a dark recording of the same input and window.
 
-    Returns the stars and the darks.
+    Of the nearest exposure; another one is named in the `log`. Returns the stars and the darks.
     """
     darks = [source for source in sources if source.role == "dark"]
-    return [_with_dark(source, darks) for source in sources if source.role != "dark"], darks
+    return [_with_dark(source, darks, log) for source in sources if source.role != "dark"], darks
 
 
 def _named(recordings: Sequence[RawRecording], taken: set[str]) -> Iterator[RawRecording]:
@@ -195,11 +196,17 @@ def _instrument_then(instrument: Instrument, unix_s: float) -> Instrument:
     return instrument.on(datetime.fromtimestamp(unix_s, UTC).date().isoformat())
 
 
-def _with_dark(source: Source, darks: Sequence[Source]) -> Source:
+def _with_dark(source: Source, darks: Sequence[Source], log: logging.Logger) -> Source:
     fitting = [dark for dark in darks if dark.input == source.input and dark.raw.window == source.raw.window]
     if source.raw.calibration.dark_adu is not None or not fitting:
         return source
     nearest = min(fitting, key=lambda dark: _exposures_apart_s(dark, source))
+    dark_s, own_s = (one.resolved.acquisition.exposure_s for one in (nearest, source))
+    if _exposures_apart_s(nearest, source) > OTHER_EXPOSURE * (own_s or 0.0):
+        log.warning(
+            "%s: the dark %s is of %g s, the frames of %g s: its dark current is another",
+            *(source.raw.name, nearest.raw.name, dark_s, own_s),
+        )
     frames = nearest.raw.adu
     maps = replace(
         source.raw.calibration,

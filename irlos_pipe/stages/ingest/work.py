@@ -38,7 +38,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     used; the message states the first reason.
     """
     sources, failures = read_sources(ctx.inputs, ctx.config.keys_for, ctx.instrument, ctx.log)
-    stars, darks = with_darks(sources)
+    stars, darks = with_darks(sources, ctx.log)
     arrays: dict[str, Quantity] = {}
     rows: list[RecordingRow] = []
     quality: list[Check] = []
