@@ -202,6 +202,15 @@ def test_frames_in_any_unit_become_the_same_electrons(tmp_path, unit):
     assert only_recording(output).images_e.sum(axis=(1, 2)).mean() == pytest.approx(image.sum(), rel=0.1)
 
 
+def test_counts_that_have_overflowed_are_not_only_called_saturated(tmp_path):
+    """A star of 300 000 counts in integers of 16 bits: it falls through the declared saturation as well."""
+    adu = np.rint(counts(IMAGE * 150_000 / IMAGE.max())) % 2**16
+    detector = {"e_per_adu": 0.5, "read_noise_e": 1.0, "saturation_adu": 5e4}
+    write_recorder(tmp_path / "rec", adu.astype(np.uint16), keys={"detector": detector})
+    with pytest.raises(InputDataError, match=r"x saturated; .* counts have overflowed an integer"):
+        run(tmp_path / "rec", config={"max_saturated_px": 0})
+
+
 @pytest.mark.parametrize("where", ["", "detector."])
 def test_a_recording_with_a_key_of_another_version_is_refused_in_one_line(tmp_path, where):
     write_recorder(tmp_path / "rec", counts(IMAGE))

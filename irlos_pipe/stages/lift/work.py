@@ -24,7 +24,7 @@ from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.lift.fit import fit_frames
-from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp
+from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp, turned_text
 from irlos_pipe.stages.lift.stage import ARRAYS, Config, LiftResults, Offset, Point, Twin, own_text
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
@@ -59,7 +59,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     offset_nm = unexplained_offset_nm(summary, of_optics_nm) if _is_calibrated(ctx) else 0.0
     summary = replace(summary, offset_sigma_nm=math.hypot(summary.offset_sigma_nm, of_optics_nm))
     sigma_nm = errors.sigma_nm(photon_nm, np.hypot(optics_nm, offset_nm))
-    for text in (offset_text(summary) if offset_nm else "", older_text(fit, _wavefront_nm(ctx))):
+    turned = turned_text(ctx, ramp.acquisition)
+    for text in (offset_text(summary) if offset_nm else "", older_text(fit, _wavefront_nm(ctx)), turned):
         if text:
             ctx.log.warning(text)
     converged = float(fit.result.solution.converged.double().mean())
