@@ -14,6 +14,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.focus_stage import travel_direction
 
+FEWEST, TOO_FEW = 3, "a ramp needs at least three estimates at two or more offsets"
 MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not explain, at least
 
 
@@ -64,8 +65,8 @@ def summarise(
     part = np.zeros(len(introduced_nm)) if second_part is None else np.asarray(second_part, float)
     good = np.isfinite(estimated_nm)
     introduced, estimated = introduced_nm[good], estimated_nm[good]
-    if len(introduced) < 3 or np.ptp(introduced) == 0:
-        raise ValueError("a ramp needs at least three estimates at two or more offsets")
+    if len(introduced) < FEWEST or np.ptp(introduced) == 0:
+        raise ValueError(TOO_FEW)
     (slope, offset), slope_sigma = _line(introduced, estimated)
     residual = estimated - slope * introduced - offset
     offsets = np.unique(introduced)

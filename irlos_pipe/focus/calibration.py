@@ -31,8 +31,9 @@ from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.lift.fit import focus_sensor, light_path
-from irlos_pipe.stages.lift.input import ROLES, read_ramp
+from irlos_pipe.stages.lift.input import read_ramp
 from irlos_pipe.stages.lift.stage import Config, LiftResults
+from irlos_pipe.stages.model.groups import OF_RAMPS
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # frames of a ramp that show how right exposures fit
@@ -255,7 +256,9 @@ class CalibrationRequest:
         """How frames are taken, good pixels, the noise of one, and those of the ramp."""
         if self.acquisition is None:
             recordings = recordings_from_product(ctx.products["ingest"])
-            if not any(one.input == ctx.config.input and one.acquisition.role in ROLES for one in recordings):
+            if not any(
+                one.input == ctx.config.input and one.acquisition.role in OF_RAMPS for one in recordings
+            ):
                 raise ConfigurationError(
                     f"{self.run}: has no input '{ctx.config.input}' that says how the frames of the loop are "
                     "taken; describe them with --acquisition FILE"

@@ -34,7 +34,14 @@ from irlos_pipe.product.results import (
     item,
     results_of,
 )
-from irlos_pipe.stages.base import StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.model.groups import (
+    by_setup,
+    of_several_setups,
+    require_calibration,
+    require_joint,
+    require_parts,
+)
 
 VERSION = 30
 NEEDS = ("ingest",)
@@ -301,6 +308,15 @@ class CalibrateResults(Estimate, StageResults):
 
 Results = CalibrateResults
 run = run_of("irlos_pipe.stages.calibrate.work")
+
+
+def require(declared: Declared[Config]) -> None:
+    """See `Stage`."""
+    config, recordings = declared.config, declared.recordings
+    require_calibration(recordings)
+    if not config.each and of_several_setups(recordings):
+        require_joint(declared.model, by_setup(recordings), config.method)
+    require_parts(declared)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from irlos_pipe.conventions.reads import adds_up
 from irlos_pipe.conventions.units import MAS_PER_RAD, NM, resolution_px
 from irlos_pipe.frames.blocks import mean_frame
 from irlos_pipe.frames.measured_noise import mean_variance
-from irlos_pipe.frames.recording import CalibrationMaps
+from irlos_pipe.frames.recording import CalibrationMaps, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.acquisition import Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
@@ -116,18 +116,20 @@ def _same_description(one: Source, other: Source) -> bool:
     return first.acquisition == second.acquisition and defocus
 
 
-def source_problems(
+def examined(
     inputs: Mapping[str, Sequence[Path]],
     keys_for: Callable[[str], AcquisitionKeys],
     instrument: Instrument,
     exposure_of: Callable[[str], float | None] = lambda input_name: None,
-) -> list[str]:
+) -> tuple[list[str], list[Recording]]:
     """Return a line for everything that keeps `read_sources`, of equal arguments, from reading a recording.
 
-    Or its frames from being `accumulated` to exposures of ``exposure_of(input_name)``. Raises `NothingToDo`
-    for an input without recordings.
+    Or its frames from being `accumulated` to exposures of ``exposure_of(input_name)``. With them go the
+    recordings that are no darks as they are declared, their images dark. Raises `NothingToDo` for an input
+    without recordings.
     """
     found: list[tuple[str, str]] = []
+    recordings: list[Recording] = []
     for name, paths in inputs.items():
         for file in recording_files(paths):
             wrong = sidecar_problems(sidecar_path(file))
@@ -138,9 +140,29 @@ def source_problems(
                     resolved = resolve(raw, keys_for(name), then)
                     for line in (*raw.warnings, *image_doubts(raw, resolved, then)):
                         logging.getLogger(__name__).warning(line)
-                    if resolved.acquisition.role != "dark":
-                        _sums(Source(name, raw, resolved), exposure_of(name))
-    return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
+                    source = Source(name, raw, resolved)
+                    if source.role != "dark":
+                        _sums(source, exposure_of(name))
+                        recordings.append(_as_declared(source))
+    return list(dict.fromkeys(line for _, line in found)), recordings  # they may share a side-car
+
+
+def _as_declared(source: Source) -> Recording:
+    """The recording without its counts."""
+    raw, every = source.raw, np.ones(source.raw.frames, bool)
+    return Recording(
+        name=raw.name,
+        input=source.input,
+        images_e=np.broadcast_to(np.float32(0), raw.adu.shape),
+        used=every,
+        reason=np.full(raw.frames, ""),
+        good=np.ones(raw.window, bool),
+        time_s=np.zeros(raw.frames),
+        frame_counter=raw.frame_counter,
+        introduced_defocus_nm=source.resolved.introduced_defocus_nm,
+        acquisition=source.resolved.acquisition,
+        start_unix_s=raw.start_unix_s,
+    )
 
 
 def with_darks(sources: Sequence[Source], log: logging.Logger) -> tuple[list[Source], list[Source]]:

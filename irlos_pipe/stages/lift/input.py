@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions
 from irlos_pipe.effects.wavefront import BROAD_NM, ChromaticNcpa, FilterNcpa
@@ -30,6 +30,7 @@ from irlos_pipe.stages.model.effects import (
     model_effects,
     with_colour,
 )
+from irlos_pipe.stages.model.groups import require_ramp
 from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings, used_in_time_order
 
 
@@ -49,21 +50,13 @@ class Ramp:
         return self.recordings[0].acquisition
 
 
-ROLES = ("defocus_ramp", "psf")
-
-
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
     """Return all used frames of the recipe input `input_name`, in order of time; `ctx` has the products.
 
     Raises `InputDataError` for recordings whose role is none of `ROLES`.
     """
     recordings = used_in_time_order(ctx.products["ingest"], input_name)
-    for one in recordings:
-        if one.acquisition.role not in ROLES:
-            raise InputDataError(
-                f"{one.name}: its role is {one.acquisition.role}; LIFT takes recordings of role "
-                f"{' or '.join(ROLES)}: give another one, or correct the role in the side-car"
-            )
+    require_ramp(recordings)
     introduced_nm = np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float)
     images_e, good, noise = pooled_images(recordings)
     listed = good_pixels(model_effects(ctx.instrument, ctx.model, recordings[0]), recordings[0].window)

@@ -14,7 +14,8 @@ from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
 from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
-from irlos_pipe.stages.base import StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.model.groups import require_line, require_parts, require_ramp
 
 VERSION = 19
 NEEDS = ("ingest",)
@@ -238,6 +239,13 @@ class LiftResults(StageResults):
 
 Results = LiftResults
 run = run_of("irlos_pipe.stages.lift.work")
+
+
+def require(declared: Declared[Config]) -> None:
+    """See `Stage`."""
+    require_ramp(declared.recordings)
+    require_line(declared.recordings)
+    require_parts(declared)
 
 
 def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:

@@ -27,6 +27,7 @@ from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp, turned_text
 from irlos_pipe.stages.lift.stage import ARRAYS, Config, LiftResults, Offset, Point, Twin, own_text
 from irlos_pipe.stages.model.effects import model_effects
+from irlos_pipe.stages.model.groups import is_ramp
 from irlos_pipe.stages.model.untested import BY_RAMP
 
 SIGMA = 5.0  # standard errors that a slope may be off, and an RMS may rise, by chance
@@ -185,8 +186,7 @@ def _curve(ramp: Ramp, fit: RampFit, frame: int) -> FocusCurve:
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
     try:
-        roles = {recording.acquisition.role for recording in ramp.recordings}
-        if roles == {"psf"} and np.ptp(ramp.data.introduced_nm) == 0:
+        if not is_ramp(ramp.recordings):
             return summarise_one_offset(ramp.data.introduced_nm, fit.defocus_nm)
         return summarise(ramp.data.introduced_nm, fit.defocus_nm)
     except ValueError as problem:
