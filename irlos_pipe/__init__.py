@@ -27,6 +27,8 @@ HOMES = {
     "PsfSettings": "optics.psf_settings",
     "Focus": "estimate.focus.sensor",
     "explain": "reference.lookup",
+    "ConfigurationError": "conventions.errors",
+    "InputDataError": "conventions.errors",
 }
 __all__ = sorted(HOMES)
 

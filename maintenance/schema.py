@@ -11,11 +11,14 @@ from pydantic_core import core_schema
 
 from irlos_pipe.product.printed import (
     Comparison,
+    PlannedStage,
     Printed,
     RunStatus,
     Score,
     ShownProduct,
+    ShownRecordings,
     ShownRun,
+    ShownTrend,
     Validation,
     Versions,
 )
@@ -24,8 +27,9 @@ from irlos_pipe.reference import COMMANDS, RESULTS
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 PRINTED: tuple[type[Printed], ...] = (
-    RunStatus, Versions, ShownProduct, ShownRun, Validation, Score, Comparison,
+    RunStatus, Versions, ShownProduct, ShownRun, ShownRecordings, ShownTrend, Validation, Score, Comparison,
 )  # fmt: skip
+PLAN = "irlos-run-plan"  # what `irlos run --dry-run` prints
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -55,9 +59,9 @@ def results_schema() -> dict[str, Any]:
 
 
 def commands_schema() -> dict[str, Any]:
-    """Return the schema of what status, show, validate, score and compare print with ``--json``.
+    """Return the schema of what status, show, trend, validate, score and compare print with ``--json``.
 
-    The key ``schema`` of a text says which of them it is; no key is ever left out.
+    The key ``schema`` of a text says which of them it is; no key is ever left out. A plan is a list.
     """
     known: dict[str, Any] = {}
     for model in PRINTED:
@@ -65,7 +69,9 @@ def commands_schema() -> dict[str, Any]:
         section = _schema_of(model, f"{name}.", required=True)
         known |= {f"{name}.{part}": told for part, told in section.pop("$defs", {}).items()}
         known[name] = section
-    choices = [{"$ref": f"#/$defs/{_name_of(model)}"} for model in PRINTED]
+    stage = _schema_of(PlannedStage, f"{PLAN}.", required=True)
+    known[PLAN] = {"type": "array", "items": stage, "title": "Plan"}
+    choices = [{"$ref": f"#/$defs/{name}"} for name in (*map(_name_of, PRINTED), PLAN)]
     head = {"$schema": DIALECT, "title": "what commands of irlos_pipe print with --json"}
     return head | {"oneOf": choices, "$defs": known}
 

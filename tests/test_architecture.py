@@ -78,9 +78,9 @@ SCIENCE_MAY_USE = {
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 530, "commands": 1920, "control": 490, "conventions": 1010, "diagnosis": 5680, "effects": 4090,
-    "esorex": 110, "estimate": 7060, "files": 1050, "focus": 2340, "frames": 2010, "instrument": 860,
-    "night": 3380, "numerics": 960, "optics": 3690, "paper": 5610, "pipeline": 1170, "product": 2410,
-    "readers": 2500, "recipe": 390, "reference": 280, "report": 4230, "simulate": 4190, "stages": 6420,
+    "esorex": 110, "estimate": 7080, "files": 1050, "focus": 2360, "frames": 2030, "instrument": 860,
+    "night": 3380, "numerics": 960, "optics": 3690, "paper": 5610, "pipeline": 1190, "product": 2460,
+    "readers": 2500, "recipe": 390, "reference": 280, "report": 4230, "simulate": 4190, "stages": 6600,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

@@ -386,4 +386,4 @@ def read_recordings(
     config = Config(acquisition=AcquisitionKeys.model_validate(acquisition or {}))
     log = logging.getLogger("irlos_pipe")
     sources, _ = read_sources({"recordings": (Path(path),)}, config.keys_for, profile, log)
-    return [ingest(source, config, profile)[0] for source in with_darks(sources)[0]]
+    return [ingest(source, config, profile)[0] for source in with_darks(sources, log)[0]]

@@ -87,7 +87,7 @@ def errors_of(
     covariance = covariance_from_noise(problem, solution)
     if not _scatter_beyond(used, covariance):
         return covariance, "noise"
-    return covariance + widening(len(used)) ** 2 * np.cov(used, rowvar=False) / len(used), "few_frames"
+    return covariance + widening(len(used) - 1) ** 2 * np.cov(used, rowvar=False) / len(used), "few_frames"
 
 
 def slow_part(series: np.ndarray) -> float:
@@ -164,9 +164,9 @@ def errors_of_mean(estimates_nm: np.ndarray, covariances_nm2: Sequence[np.ndarra
     return covariance
 
 
-def widening(count: int) -> float:
-    """Return the factor on the standard error of the mean of `count` values, which know little of it."""
-    return float(stdtrit(count - 1, ndtr(KEPT_SIGMA))) / KEPT_SIGMA
+def widening(freedom: float) -> float:
+    """Return the factor on a standard error from scatter with so few degrees of `freedom`."""
+    return float(stdtrit(freedom, ndtr(KEPT_SIGMA))) / KEPT_SIGMA
 
 
 LEAST_FRAMES = 4  # frames from which their scatter is considered

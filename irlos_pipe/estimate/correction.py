@@ -48,8 +48,7 @@ def modal_offsets(
 
     Its estimates and their standard errors are (modes,) [nm RMS].
     """
-    offset_nm = -gain * np.asarray(zernike_nm)
-    table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
+    table = {noll: (-gain * nm, gain * s) for noll, nm, s in zip(nolls, zernike_nm, sigma_nm, strict=True)}
     corrected = np.arange(2, highest_noll + 1)
     values = np.array([table.get(noll, (0.0, np.inf)) for noll in corrected.tolist()])
     return Offsets(corrected, values[:, 0], values[:, 1])

@@ -14,6 +14,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.focus_stage import travel_direction
 
+FEWEST, TOO_FEW = 3, "a ramp needs at least three estimates at two or more offsets"
 MIN_OBSERVABILITY = 1e-6  # part of a column's power that the others do not explain, at least
 
 
@@ -42,6 +43,7 @@ class Line:
 class RampSummary(Line):
     """Straight line and scatter of a ramp; NaN is what the ramp does not determine."""
 
+    freedom: float = nan  # degrees of freedom of the scatter from which slope and offset have their errors
     # Constant bias of the second part of the ramp against the first (the reference of the focus stage lost
     # between two runs), fitted in the same way; NaN when the ramp is declared as one part.
     part_bias_nm: float = nan
@@ -63,8 +65,8 @@ def summarise(
     part = np.zeros(len(introduced_nm)) if second_part is None else np.asarray(second_part, float)
     good = np.isfinite(estimated_nm)
     introduced, estimated = introduced_nm[good], estimated_nm[good]
-    if len(introduced) < 3 or np.ptp(introduced) == 0:
-        raise ValueError("a ramp needs at least three estimates at two or more offsets")
+    if len(introduced) < FEWEST or np.ptp(introduced) == 0:
+        raise ValueError(TOO_FEW)
     (slope, offset), slope_sigma = _line(introduced, estimated)
     residual = estimated - slope * introduced - offset
     offsets = np.unique(introduced)
@@ -72,10 +74,11 @@ def summarise(
     groups = [estimated[introduced == value] for value in offsets]
     steps, errors = _steps(introduced, estimated, direction[good] / 2, part[good])
     return RampSummary(
+        freedom=len(introduced) - 2,
         slope=slope,
         slope_sigma=slope_sigma,
         offset_nm=offset,
-        offset_sigma_nm=_rms(residual) * float(np.sqrt(lever / len(offsets))),
+        offset_sigma_nm=float(np.sqrt(np.sum(residual**2) / (len(residual) - 2) * lever / len(offsets))),
         rms_nm=_rms(estimated - introduced),
         residual_rms_nm=_rms(residual),
         saw_tooth_nm=steps[0],

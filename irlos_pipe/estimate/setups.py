@@ -15,7 +15,9 @@ of the errors over how many of them the images determine (MacKay 1992, Neural Co
 import math
 import time
 from collections.abc import Callable, Hashable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
@@ -105,6 +107,14 @@ class SetupsFit(JoinedFit):
         )
         self.same_unit = self.layout.modes
 
+    def known_to(self, accuracy: float) -> Self:
+        """Return the same fit with introduced defoci that are known to another `accuracy`."""
+        other = copy(self)
+        other.accuracy, other.prior_precision = accuracy, self.prior_precision.clone()
+        for column, nm in self.off_nm.items():
+            other.prior_precision[:, column] = (accuracy * nm) ** -2
+        return other
+
     def chi2(self, x: torch.Tensor) -> float:
         """Return χ² of all images."""
         parts = enumerate(self.parts)
@@ -154,7 +164,7 @@ def calibrate_setups(
     parts = [_part(setup, closed, device) for setup in setups]
     problem = SetupsFit(setups, parts)
     solution = _from_none(setups, problem, closed, device)
-    problem, solution = _likeliest_accuracy(setups, problem, solution, closed.max_iterations)
+    problem, solution = _likeliest_accuracy(problem, solution, closed.max_iterations)
     note(f"Noll 2 to {closed.last_noll} fitted to {len(setups)} set-ups together")
     twin, other = problem.twin(setups, solution, closed.law)
     if twin.delta_chi2 < 0:
@@ -230,7 +240,7 @@ def _from_none(
 
 
 def _likeliest_accuracy(
-    setups: Sequence[Setup], problem: SetupsFit, solution: Solution, max_iterations: int
+    problem: SetupsFit, solution: Solution, max_iterations: int
 ) -> tuple[SetupsFit, Solution]:
     """The fit with the accuracy of introduced defoci that makes the images likeliest."""
     columns, off_nm = list(problem.off_nm), torch.tensor(list(problem.off_nm.values()), dtype=torch.float64)
@@ -240,7 +250,7 @@ def _likeliest_accuracy(
         determined = (1 - variances / problem.accuracy**2).sum().clamp_min(LEAST)
         found = float((errors.square().sum() / determined).sqrt().clamp(LEAST, LARGEST))
         done = abs(math.log(found / problem.accuracy)) < CLOSE
-        problem = SetupsFit(setups, problem.parts, found)
+        problem = problem.known_to(found)
         solution = solve(problem, solution.values, max_iterations=max_iterations)
         if done:
             break

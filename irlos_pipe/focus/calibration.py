@@ -18,21 +18,22 @@ from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.focus.unexplained import Structure, Unexplained
 from irlos_pipe.estimate.lift_errors import FrameErrors, spread_over
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.results import read_run_results, results_of
 from irlos_pipe.product.run_table import read_checks
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
-from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.acquisition import of_a_frame, resolve
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.lift.fit import focus_sensor, light_path
-from irlos_pipe.stages.lift.input import ROLES, read_ramp
+from irlos_pipe.stages.lift.input import read_ramp
 from irlos_pipe.stages.lift.stage import Config, LiftResults
+from irlos_pipe.stages.model.groups import OF_RAMPS
 
 MISFIT = "misfit"
 FEWEST_FRAMES = 6  # frames of a ramp that show how right exposures fit
@@ -135,7 +136,7 @@ class SharedErrors:
 
     frames: FrameErrors  # growth by misfit, and error of the instant
     defocus_nm: np.ndarray  # (offsets,), in order
-    optics_nm: np.ndarray  # (offsets,), error by the known wavefront there
+    shared_nm: np.ndarray  # (offsets,), error by the known wavefront there, and an offset of the ramp
 
     @classmethod
     def of(cls, results: LiftResults) -> SharedErrors | None:
@@ -144,9 +145,9 @@ class SharedErrors:
         chosen = spread_over(defocus_nm)
         if not results.calibrated or not len(chosen):
             return None
-        optics_nm = np.array([point.sigma_optics_nm for point in results.points])[chosen]
+        shared_nm = [math.hypot(one.sigma_optics_nm, one.sigma_offset_nm) for one in results.points]
         frames = FrameErrors(results.points[0].sigma_instant_nm, results.chi2_nu, results.nominal_chi2_nu)
-        return cls(frames, defocus_nm[chosen], optics_nm)
+        return cls(frames, defocus_nm[chosen], np.array(shared_nm)[chosen])
 
     def sigma_nm(
         self, defocus_nm: float, photon_nm: float, growth: float = 1.0, beside_nm: float = 0.0
@@ -156,9 +157,9 @@ class SharedErrors:
         `growth` is by how much that and the error of the instant are larger than those of the ramp's frames,
         `beside_nm` a further error; see `Ordinary.growth`.
         """
-        optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
+        shared_nm = np.interp([defocus_nm], self.defocus_nm, self.shared_nm)
         frames = replace(self.frames, instant_nm=math.hypot(growth * self.frames.instant_nm, beside_nm))
-        return float(frames.sigma_nm(np.array([growth * photon_nm]), optics_nm)[0])
+        return float(frames.sigma_nm(np.array([growth * photon_nm]), shared_nm)[0])
 
 
 Spectrum = Sequence[tuple[float, float]]
@@ -255,7 +256,9 @@ class CalibrationRequest:
         """How frames are taken, good pixels, the noise of one, and those of the ramp."""
         if self.acquisition is None:
             recordings = recordings_from_product(ctx.products["ingest"])
-            if not any(one.input == ctx.config.input and one.acquisition.role in ROLES for one in recordings):
+            if not any(
+                one.input == ctx.config.input and one.acquisition.role in OF_RAMPS for one in recordings
+            ):
                 raise ConfigurationError(
                     f"{self.run}: has no input '{ctx.config.input}' that says how the frames of the loop are "
                     "taken; describe them with --acquisition FILE"
@@ -331,10 +334,16 @@ def stated_differences(keys: AcquisitionKeys, calibrated: Acquisition) -> list[s
     if "diversity" in stated:
         found += _of_diversity(stated["diversity"].zernike, calibrated.diversity)
     found += _of_number("pixel_scale_mas", stated.get("pixel_scale_mas"), calibrated.pixel_scale_mas)
-    if not stated.get("detector.coadds_averaged"):  # else it is that of a read
-        key = "detector.e_per_adu"
-        found += _of_number(key, stated.get(key), calibrated.detector.e_per_adu)
+    gain = stated_detector(keys, calibrated).e_per_adu
+    found += _of_number("detector.e_per_adu", gain, calibrated.detector.e_per_adu)
     return found
+
+
+def stated_detector(keys: AcquisitionKeys, calibrated: Acquisition) -> Detector:
+    """Return the constants of a frame: those that the `keys` of a side-car state, else as `calibrated`."""
+    stated = keys.flat()
+    reads = calibrated.detector.reads if "detector.read_s" in stated else 1
+    return replace(calibrated.detector, **of_a_frame(stated, stated.get("detector.coadds", reads)))
 
 
 def _of_number(name: str, here: float | None, there: float | None) -> Iterator[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.calibration import stated_differences
+from irlos_pipe.focus.calibration import stated_detector, stated_differences
 from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Arrival, Fault, Notice
 from irlos_pipe.frames.blocks import picked
@@ -24,7 +24,8 @@ from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.fitsfile import has_fits_name
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.recorder import PREFIX
-from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path
+from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path, stated_instrument, stated_instruments
+from irlos_pipe.readers.times import relative_times
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.model.recording_settings import used_in_time_order
 
@@ -33,7 +34,7 @@ POLL_S = 0.02  # between looks at what has been read
 PART = "#"  # between the name of a file and that of one of its recordings
 QUIET_S = 0.2  # a file that has not changed for so long is complete
 LARGEST_BYTES = 1 << 30  # largest file that is read: half an hour of 64 reads a second of 64x64 px
-State = tuple[int, int]  # of a file: its size and when it changed
+State = tuple[int, int, int]  # of a file: its size, when it changed, and when its side-car did
 PATIENCE_S, TOLD_S, GIVEN_UP_S = 1.0, 5.0, 60.0  # a poll waits for reading; it is reported; it is given up
 
 
@@ -104,7 +105,7 @@ class WatchedFolder:
         self._read = dict.fromkeys(
             one for one in self._files() if earlier is None or self._is_done(one, earlier)
         )
-        self._taken: dict[str, int] = {}  # frames of each recording
+        self._taken: dict[str, tuple[int, int]] = {}  # of each recording: frames, and when its file changed
         self._away = False
 
     def poll(self, timeout_s: float) -> Sequence[Arrival]:
@@ -168,7 +169,7 @@ class WatchedFolder:
                 stat = path.stat()
             except OSError:  # taken away meanwhile
                 continue
-            state, now_s = (stat.st_size, stat.st_mtime_ns), time.monotonic()
+            state, now_s = (stat.st_size, stat.st_mtime_ns, _changed_ns(sidecar_path(path))), time.monotonic()
             if self._read.get(path) == state:
                 continue
             before, since_s = self._seen.get(path, (None, now_s))
@@ -198,25 +199,42 @@ class WatchedFolder:
 
     def _reads_of(self, raw: RawRecording, name: str) -> list[Read] | list[Fault]:
         """New frames of a recording, unless its side-car says that they are not those of the calibration."""
-        path = sidecar_path(raw.path)
-        against = stated_differences(read_sidecar(path), self._calibrated)
+        path, changed_ns = sidecar_path(raw.path), _changed_ns(raw.path)
+        taken, then_ns = self._taken.get(name, (0, changed_ns))
+        keys = read_sidecar(path)
+        against = stated_differences(keys, self._calibrated)
+        if stated := stated_instruments([raw.path]):
+            other, instrument, _ = stated_instrument(stated)
+            against += [] if instrument == self._instrument else [f"instrument {other}"]
         if against:
-            return [Fault(f"{path}: not taken as the calibration says: {'; '.join(against)}; not used")]
-        taken = self._taken.get(name, 0)
-        if 0 < raw.frames <= taken:
+            before = f"; it came late: {taken} frames have been used" if taken else ""
             return [
-                Fault(f"{raw.path}: changed, with no more frames than were read; they are not read again")
+                Fault(f"{path}: not taken as the calibration says: {'; '.join(against)}; not used{before}")
             ]
+        if 0 < raw.frames <= taken:
+            told = f"{raw.path}: changed, with no more frames than were read; they are not read again"
+            return [Fault(told)] if changed_ns != then_ns else []
         good = ~raw.calibration.bad if raw.calibration.bad is not None else np.ones(raw.window, bool)
         finite = np.isfinite(raw.adu)
         good = good & (finite.any(axis=0) | ~finite.any())
         whole = picked(raw.adu, finite[:, good].all(axis=1))
         background = find_background(whole if len(whole) else np.nan_to_num(raw.adu), raw.calibration, good)
-        images = to_electrons(raw.adu, background.adu, background.flat, self._calibrated.detector.e_per_adu)
-        times = np.full(raw.frames, raw.path.stat().st_mtime) if raw.unix_s is None else raw.unix_s
-        self._taken[name] = raw.frames
+        detector = stated_detector(keys, self._calibrated)
+        images = to_electrons(raw.adu, background.adu, background.flat, detector.e_per_adu)
+        if detector.saturation_adu is not None:
+            images[raw.adu >= detector.saturation_adu] = np.inf
+        times = np.full(raw.frames, changed_ns / 1e9)  # no frame is younger
+        if math.isfinite(raw.start_unix_s):
+            rate_hz = keys.frame_rate_hz or self._calibrated.frame_rate_hz
+            times = raw.start_unix_s + relative_times(raw.unix_s, raw.frame_counter, rate_hz)
+        self._taken[name] = raw.frames, changed_ns
         reads = zip(raw.frame_counter[taken:], times[taken:], images[taken:], strict=True)
         return [Read(int(counter), float(unix_s), image, name) for counter, unix_s, image in reads]
+
+
+def _changed_ns(path: Path) -> int:
+    """When a file changed; 0 where there is none."""
+    return path.stat().st_mtime_ns if path.exists() else 0
 
 
 class _Reading:

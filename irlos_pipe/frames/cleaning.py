@@ -152,9 +152,10 @@ def _cleaned(
         odd[used] = odd_frames(images, used, good, core, by)
         reasons = also(reasons, odd, ODD)
     used = np.flatnonzero(reasons == "")
+    prediction = by.prediction(good) if by.well_sampled else None
     noise = MeasuredNoise()
-    if by.well_sampled:
-        noise = measure_noise(_sample(images, used), good, by.prediction(good), by.noise)
+    if prediction is not None:
+        noise = measure_noise(_sample(images, used), good, prediction, by.noise)
     # Without a dark or sky the detector's own pattern is in the frames and counts as noise of a dark.
     taken = raw.calibration.dark_adu is not None or raw.calibration.background_adu is not None
     at_most_e2 = raw.calibration.dark_variance_adu2 * detector.e_per_adu**2 if taken else np.inf
@@ -171,7 +172,7 @@ def _cleaned(
         noise=noise,
         saturation_adu=level,
         background_variance_e2=max(noise.beyond_e2(detector.read_noise_e**2), known_e2),
-        dark_variance_e2=dark_variance_e2(picked(images, reasons == ""), good, at_most_e2),
+        dark_variance_e2=dark_variance_e2(picked(images, reasons == ""), good, prediction, at_most_e2),
     )
 
 

@@ -24,9 +24,8 @@ PHOTON_ERROR = 0.02  # relative error of the photon noise that is subtracted fro
 ROUNDS = 5
 SELECTIONS = 20  # rounds, at most, of choosing the pixels that count
 SIGNIFICANT = 5.0  # standard errors
-FINE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # along both axes: leaves what is finer than 3 pixels
 FAINTEST = 5.0  # percentile of the pixels at which noise beyond the declared one shows
-FAINT = 0.25  # part of the window, the faintest, where the star's own structure is least
+FAINT = 0.25  # part of the window
 CHI2_MEDIAN = 0.4549  # of one degree of freedom
 
 
@@ -211,30 +210,34 @@ def mean_variance(stack: np.ndarray) -> float:
     return float(scatter**2 / 2)
 
 
-def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) -> float:
+def dark_variance_e2(
+    images_e: np.ndarray, good: np.ndarray, prediction: Prediction | None, at_most_e2: float
+) -> float:
     """Measure the variance per pixel of the dark image in the frames that it was taken from [e-²].
 
-    That is the variance of the mean of `images_e` (frames, rows, columns) from `good` pixel to pixel, beyond
-    the scatter between frames; a star that is sharper than the pixels can show raises it, up to `at_most_e2`:
-    as judged from the dark itself, the detector's pattern included, infinite if none was taken. Where frames
-    do not show it, `at_most_e2`, or 0 if that is infinite.
+    That is the variance over the window of (pixel - prediction), in the mean of `images_e` (frames, rows,
+    columns), beyond the scatter between frames. Only `good` pixels count at which the star's own detail, as
+    far as the `prediction` leaves it open, is less than that scatter. The result is at most `at_most_e2`: as
+    judged from the dark itself, the detector's pattern included, infinite if none was taken. Where the frames
+    do not show it, as where there is no `prediction` because detail as fine as a pixel is the star's, it is
+    `at_most_e2`, or 0 if that is infinite.
     """
     unknown_e2 = at_most_e2 if np.isfinite(at_most_e2) else 0.0
-    if at_most_e2 == 0 or len(images_e) < 2 or min(good.shape) < 2 * len(FINE):
+    if prediction is None or at_most_e2 == 0 or len(images_e) < 2:
         return unknown_e2
     mean_e = mean_frame(images_e)
-    scatter_e2 = frame_variance(images_e, mean_e) / len(images_e)
-    mean_e = np.where(good, mean_e, np.nan)
-    fine, by_scatter = both_ways(mean_e, FINE) ** 2, both_ways(scatter_e2, FINE**2)
-    seen = np.isfinite(fine) & (mean_e <= np.nanquantile(mean_e, FAINT))
-    if not seen.any():
+    by_scatter = prediction.variance(frame_variance(images_e, mean_e) / len(images_e))
+    detail = (np.maximum(prediction.error, PREDICTION_ERROR) * prediction.local_rms(mean_e)) ** 2
+    seen = good & (detail < DOMINATES[0] * by_scatter)
+    if seen.sum() < MIN_PIXELS:
         return unknown_e2
-    beyond = np.median(fine[seen]) / CHI2_MEDIAN - np.median(by_scatter[seen])
-    return float(np.clip(beyond / np.sum(FINE**2) ** 2, 0.0, at_most_e2))
+    left, scatter = (mean_e - prediction.of(mean_e))[seen] ** 2, by_scatter[seen]
+    gain = prediction.variance(np.ones_like(mean_e))[seen]
 
+    def beyond(dark_e2: float) -> float:
+        return float(np.median(left / (scatter + dark_e2 * gain))) - CHI2_MEDIAN
 
-def both_ways(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Return the convolution of an `image` with a `kernel` along rows and columns; NaN near edges and NaN."""
-    for axis in (0, 1):
-        image = scipy.ndimage.convolve1d(image, kernel, axis=axis, mode="constant", cval=np.nan)
-    return image
+    if beyond(0.0) <= 0:
+        return 0.0
+    most_e2 = min(at_most_e2, float(np.max(left / gain)) / CHI2_MEDIAN)
+    return scipy.optimize.brentq(beyond, 0.0, most_e2) if beyond(most_e2) < 0 else most_e2

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -32,6 +33,12 @@ class NoiseModel:
         own = cls.of_detector(recording.acquisition.detector)
         floor_e2 = own.floor_e2 + recording.background_variance_e2
         return cls(own.excess_noise_factor, floor_e2, recording.dark_variance_e2)
+
+    @classmethod
+    def pooled(cls, recordings: Sequence[Recording]) -> NoiseModel:
+        """Return the mean noise of all frames of some `recordings`."""
+        frames = [max(1, recording.frames) for recording in recordings]
+        return cls(*np.average([astuple(cls.of(one)) for one in recordings], axis=0, weights=frames).tolist())
 
     @classmethod
     def of_detector(cls, detector: Detector) -> NoiseModel:

@@ -10,7 +10,6 @@ import scipy
 from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
 from irlos_pipe.frames.blocks import blocks, frame_flux, mean_frame, picked, sample_frames
 from irlos_pipe.frames.hits import Hits
-from irlos_pipe.frames.measured_noise import FINE, both_ways
 
 REPEATED_COUNTER = "frame counter repeated"
 REPEATED_IMAGE = "image repeated"
@@ -27,6 +26,7 @@ REASON_TYPE = "<U40"
 MIN_FRAMES_FOR_FLUX = 5
 MIN_FRAMES_TO_COMBINE = 3
 SMALLEST_SQUARE = 6  # side of the smallest square that a spread star fills [px]
+FINE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # along both axes: leaves what is finer than 3 pixels
 COMBINED_VARIANCE = 0.25  # variance over that of the others: the mean of five or more frames has less
 
 
@@ -210,3 +210,10 @@ def hit_in_core(hits: Hits, core: np.ndarray, frames: int, limits: Limits) -> np
     """Return which of so many `frames` have more `hits` in the `core` of the star than `limits` tolerates."""
     in_core = core[hits.row, hits.column]
     return np.bincount(hits.frame[in_core], minlength=frames) > limits.max_core_hits_px
+
+
+def both_ways(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """Return the convolution of an `image` with a `kernel` along rows and columns; NaN near edges and NaN."""
+    for axis in (0, 1):
+        image = scipy.ndimage.convolve1d(image, kernel, axis=axis, mode="constant", cval=np.nan)
+    return image

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, NothingToDo
 from irlos_pipe.conventions.text import aligned, and_more, printable
-from irlos_pipe.files.json import json_text
 from irlos_pipe.files.shipped import RECIPES, named_file
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.night.database import copied
@@ -15,6 +14,7 @@ from irlos_pipe.night.grouping import group_recordings
 from irlos_pipe.night.recordings import Description, LeftOut, discover, utc_time
 from irlos_pipe.night.reduce import Job, jobs_of
 from irlos_pipe.night.settings import load_settings
+from irlos_pipe.product.printed import ShownRecordings
 from irlos_pipe.readers.find import read_recordings, recording_files
 from irlos_pipe.readers.sidecar import sidecar_path, stated_instrument, stated_instruments
 
@@ -93,9 +93,7 @@ def found_recordings(path: Path, as_json: bool) -> str:
     """
     rows = [row for file in recording_files([path]) for row in _rows(file)]
     if as_json:
-        return json_text(
-            {"schema": "irlos-show-recordings", "schema_version": 1, "recordings": rows}
-        ).rstrip()
+        return ShownRecordings(recordings=rows).text()
     return "\n\n".join(aligned([(key, printable(value)) for key, value in row.items()]) for row in rows)
 
 

@@ -16,6 +16,7 @@ from irlos_pipe.night.stability import DAY_S, Structure, Validity
 from irlos_pipe.night.state import Night, RunState, page_path
 from irlos_pipe.night.trend import OF_THE_SKY, Owner, Series, Trend, is_mode
 from irlos_pipe.pipeline import Step
+from irlos_pipe.product.printed import ShownTrend
 from irlos_pipe.report.text import number, plural
 
 PLAN_KEYS = ("run", "stage", "action", "reason")
@@ -198,8 +199,7 @@ def _interval(validity: Validity) -> str:
 
 def trend_json(trend: Trend) -> str:
     """Return all points, bands, verdicts and alarms as JSON."""
-    return _json(
-        "irlos-trend",
+    return ShownTrend(
         series=list(map(_series, trend.series)),
         wavefronts=[{"run": one.run, "night": one.night, **asdict(test)} for one, test in trend.wavefronts],
         stability=[
@@ -208,7 +208,7 @@ def trend_json(trend: Trend) -> str:
         ],
         verdicts=[asdict(one) for one in trend.verdicts],
         alarms=trend.alarms(trend.last_night),
-    )
+    ).text()
 
 
 def _series(series: Series) -> dict[str, Any]:

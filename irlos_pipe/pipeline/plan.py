@@ -17,7 +17,7 @@ from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import is_intact, read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import depends_on, reads
+from irlos_pipe.stages.base import Declared, depends_on, reads
 
 UP_TO_DATE = "up to date"
 NO_PRODUCT = "no product yet"
@@ -224,12 +224,22 @@ def input_problems(recipe: Recipe, stages: Collection[str] | None = None) -> lis
 
     Of `stages` alone, if they are given.
 
-    Raises `NothingToDo` when there are no recordings under an input.
+    Raises `NothingToDo` when there are no recordings under an input, and `ConfigurationError` where the
+    recipe's model means nothing for one.
     """
-    lines = []
-    for name in recipe.stages if stages is None else stages:
-        find = getattr(STAGES[name], "problems", None)
-        if find is not None:
-            given = {key: paths for key, paths in recipe.inputs.items() if paths}
-            lines += find(given, recipe.configs[name], recipe.instrument)
-    return lines
+    wanted = recipe.stages if stages is None else stages
+    given = {key: paths for key, paths in recipe.inputs.items() if paths}
+    lines, recordings = list[str](), list[Any]()
+    for name in wanted and recipe.stages:
+        if examine := getattr(STAGES[name], "examined", None):
+            wrong, declared = examine(given, recipe.configs[name], recipe.instrument)
+            lines, recordings = [*lines, *wrong], [*recordings, *declared]
+    for name in () if lines else wanted:
+        config = recipe.configs[name]
+        own = [one for one in recordings if one.input == getattr(config, "input", None)]
+        if own and (require := getattr(STAGES[name], "require", None)):
+            try:
+                require(Declared(config, recipe.model, recipe.instrument, own))
+            except InputDataError as error:
+                lines.append(str(error))
+    return list(dict.fromkeys(lines))

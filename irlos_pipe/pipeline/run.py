@@ -13,7 +13,7 @@ from irlos_pipe.conventions.errors import ExitCode, InputDataError, IrlosError, 
 from irlos_pipe.files.atomic import write_bytes, write_if_changed
 from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember, require_unchanged
-from irlos_pipe.pipeline.plan import NO_PRODUCT, Action, Selection, Step, checksum, make_plan, repaired
+from irlos_pipe.pipeline.plan import Action, Selection, Step, checksum, make_plan, repaired
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device, run_on_device
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE, collected, written_to
@@ -149,6 +149,8 @@ class Job:
             else table_content(file, PurePath(name).suffix, origin)
             for name, file in output.files.items()
         }
+        run = runfolder.RunFolder(self.folder)
+        run.set_aside(set(_files_beside(step.path)) - files.keys())
         for name, content in files.items():
             write_bytes(self.folder / name, content)
         checksums = {name: checksum(content) for name, content in files.items()}
@@ -157,7 +159,7 @@ class Job:
             step.name, output.arrays, output.results.as_json(), list(output.checks), config, provenance, log
         )
         write_product(product, step.path)
-        runfolder.RunFolder(self.folder).remove_scratch(step.name)
+        run.remove_scratch(step.name)
 
 
 def recordings_of(
@@ -298,6 +300,7 @@ def run_recipe(
 
 
 def _concluded(job: Job, run: runfolder.RunFolder) -> Outcome:
+    _set_outdated_aside(job, run)
     outcome = assess(job.recipe, job.summaries())
     changed = _write_outcome(outcome, run)
     ran = any(step.action is Action.RUN for step in job.steps)
@@ -337,10 +340,7 @@ def _failure_recorded(job: Job, run: runfolder.RunFolder) -> Iterator[None]:
         # A full disk may be what stopped the run; the first error is the one to report.
         with suppress(IrlosError):
             _write_outcome(assess(job.recipe, job.summaries(), error=reason), run)
-            # Further files of what was to be made again, and a report that says all is well.
-            for step in job.steps:
-                if step.name not in job.finished and step.path.is_file():
-                    run.set_aside(_files_beside(step.path))
+            _set_outdated_aside(job, run)
             run.set_aside([run.report.name])
             run.set_figures_aside()
         raise
@@ -351,6 +351,13 @@ def _set_others_aside(run: runfolder.RunFolder, steps: Sequence[Step]) -> None:
     ours = {step.path for step in steps}
     for path in sorted(set(run.product_files) - ours):
         run.set_aside([*_files_beside(path), path.name])
+
+
+def _set_outdated_aside(job: Job, run: runfolder.RunFolder) -> None:
+    """Further files of products that are no longer those of the recipe."""
+    for step in job.steps:
+        if step.name not in job.finished:
+            run.set_aside(_files_beside(step.path))
 
 
 def _files_beside(product: Path) -> list[str]:
@@ -437,4 +444,4 @@ def _only_adds(recipe: Recipe, version: Path, selection: Selection) -> bool:
         return True
     _, steps = plan_run(recipe, version, selection)
     others = set(run.product_files) - {step.path for step in steps}
-    return not others and all(step.action is not Action.RUN or step.reason == NO_PRODUCT for step in steps)
+    return not others and all(step.current or not step.path.is_file() for step in steps)

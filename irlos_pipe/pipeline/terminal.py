@@ -11,6 +11,7 @@ from irlos_pipe.conventions.text import aligned, printable
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import Outcome, Step
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE
+from irlos_pipe.product.printed import PlannedStage
 
 
 @contextmanager
@@ -33,8 +34,8 @@ def messages(verbosity: int) -> Iterator[None]:
 def plan_text(steps: Sequence[Step], as_json: bool) -> str:
     """Return what a run would do by its `steps`, one line per stage, or a list with `as_json`."""
     if as_json:
-        entries = [{"stage": step.name, "action": step.action.value, "reason": step.reason} for step in steps]
-        return json_text(entries).rstrip()
+        planned = [PlannedStage(stage=one.name, action=one.action.value, reason=one.reason) for one in steps]
+        return json_text([one.as_json() for one in planned]).rstrip()
     return aligned([(step.name, step.action.value, step.reason) for step in steps])
 
 

@@ -141,6 +141,53 @@ class ShownRun(Printed):
     files: list[str] = item([], "What the folder holds besides the products.")
 
 
+class ShownRecordings(Printed):
+    """What ``irlos show FITS --json`` prints."""
+
+    format: Literal["irlos-show-recordings"] = Field("irlos-show-recordings", alias="schema")
+    recordings: list[dict[str, str]] = item([], "What each is, and what to do with it, as on the terminal.")
+
+
+class PlannedStage(ResultsPart):
+    """A stage in the list that ``irlos run … --dry-run --json`` prints."""
+
+    stage: str = ""
+    action: str = item("", "``run``, ``skip``, ``use as it is`` or ``not selected``.")
+    reason: str = item("", "Why it is run, or not.")
+
+
+class TrendPoint(ResultsPart):
+    """A number of a run, and the band in which it was expected; null without one."""
+
+    run: str = ""
+    night: str = ""
+    unix_s: Number = nan
+    value: Number = nan
+    sigma: float | None = None
+    band: list[float] | None = None
+
+
+class TrendSeries(ResultsPart):
+    """A number over the nights."""
+
+    name: str = ""
+    recipe: str = ""
+    configuration: str = ""
+    limits: list[float | None] | None = item(None, "Limits of quality; null without any.")
+    points: list[TrendPoint] = []
+
+
+class ShownTrend(Printed):
+    """What ``irlos trend TREE --json`` prints."""
+
+    format: Literal["irlos-trend"] = Field("irlos-trend", alias="schema")
+    series: list[TrendSeries] = []
+    wavefronts: list[dict[str, Any]] = item([], "Test of the whole wavefront of each run.")
+    stability: list[dict[str, Any]] = item([], "How the wavefront changes with time, by recipe.")
+    verdicts: list[dict[str, Any]] = item([], "Of the diagnoses.")
+    alarms: list[str] = item([], "Of the last night.")
+
+
 class Validation(Printed):
     """What ``irlos validate RECIPE --json`` prints."""
 

@@ -361,13 +361,18 @@ def _detector(known: _KnownKeys, reads: int) -> Detector:
     values = known.values
     coadds = values.get(COADDS, reads if known.stated(READ_S) else 1)
     background_e_per_s = values["sky_e_per_s"] + values.get("detector.dark_e_per_s", 0.0)
-    averaged = values.get("detector.coadds_averaged", False)
-    saturation = values.get("detector.saturation_adu")
     return Detector(
-        e_per_adu=values["detector.e_per_adu"] * (coadds if averaged else 1),
+        **of_a_frame(values, coadds),
         read_noise_e=values[READ_NOISE] * reads**0.5,
         excess_noise_factor=values.get("detector.excess_noise_factor", 1.0),
-        saturation_adu=saturation if saturation is None or averaged else saturation * coadds,
         reads=reads,
         background_e=background_e_per_s * (values.get("exposure_s") or 0.0),
     )
+
+
+def of_a_frame(values: Mapping[str, Any], coadds: int) -> dict[str, Any]:
+    """Return gain and saturation of a frame, as far as `values` have those of its `coadds` reads."""
+    averaged = values.get("detector.coadds_averaged", False)
+    factors = {"e_per_adu": coadds if averaged else 1, "saturation_adu": 1 if averaged else coadds}
+    of_read = {key: values.get(f"detector.{key}") for key in factors}
+    return {key: value * factors[key] for key, value in of_read.items() if value is not None}

@@ -85,7 +85,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
             frame_counter=counter,
             calibration=maps,
             unix_s=times,
-            start_unix_s=float(times[0]) if times is not None else float("nan"),
+            start_unix_s=float("nan") if times is None else float(times[np.isfinite(times)][0]),
             header=header,
             notes=notes + time_notes + header_notes,
         )

@@ -16,6 +16,7 @@ from irlos_pipe.product.results import StageResults, results_of
 from irlos_pipe.product.table import Table
 
 if TYPE_CHECKING:
+    from irlos_pipe.frames.recording import Recording
     from irlos_pipe.instrument.instrument import Instrument
     from irlos_pipe.stages.model.section import ModelConfig
 
@@ -52,6 +53,16 @@ class StageContext(Generic[ConfigT]):
 
 
 @dataclass(frozen=True)
+class Declared(Generic[ConfigT]):
+    """What is known of the input of a stage before a frame is looked at."""
+
+    config: ConfigT
+    model: ModelConfig
+    instrument: Instrument
+    recordings: Sequence[Recording]  # of the input that `config` names, at least one; their images are dark
+
+
+@dataclass(frozen=True)
 class StageOutput:
     """What a stage returns."""
 
@@ -75,8 +86,9 @@ class Stage(Protocol):
       none). A change of any other stage does not redo it;
     - ``files_of(root)``: the files of an input, given as a file or folder, that it reads (default all
       of them). Other files may change without its product being made again;
-    - ``problems(inputs, config, instrument)``: a line for everything that is wrong with the files of the
-      inputs, found without running the stage;
+    - ``examined(inputs, config, instrument)``: a line for everything that is wrong with the files of the
+      inputs, found without running the stage, and the recordings as they are declared;
+    - ``require(declared)``: raises what ``run`` would raise of recordings that are `Declared` so;
     - ``DEPENDS_ON``: the parts of `KEY_PARTS` it depends on (default all of them). A change of
       any other part does not redo it;
     - ``ARRAYS_ONLY``: True if it needs no PyTorch, for which it does not wait;

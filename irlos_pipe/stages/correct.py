@@ -31,7 +31,7 @@ from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 if TYPE_CHECKING:
     from irlos_pipe.estimate.correction import Offsets, Prediction
 
-VERSION = 6
+VERSION = 7
 NEEDS = ("ingest", "calibrate")
 MAP_SAMPLES = 160  # across the pupil in maps
 MIRROR_SIGN = (
@@ -39,13 +39,29 @@ MIRROR_SIGN = (
     "modes, whose maps are OPD in nm; diversity, piston, tip and tilt not included"
 )
 LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000  # of a table of mirror modes
-SIGN = (
-    "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
-    "diversity not included"
-)
+
+
+def offset_text(gain: float) -> str:
+    """Return what an offset is."""
+    return "offset = -NCPA" if gain == 1 else f"offset = -{gain:g} NCPA"
+
+
+def sign_text(gain: float) -> str:
+    """Return what the sign of the offsets means."""
+    aim = "to cancel" if gain == 1 else f"to cancel {gain:.0%} of"
+    return (
+        f"{offset_text(gain)}: add the offset to the reference {aim} the aberration; OPD in nm RMS, Noll; "
+        "diversity not included"
+    )
+
+
 ARRAYS = {
     "noll": ("", "mode", "Noll index"),
-    "offset_nm": ("nm ±", "mode", SIGN),
+    "offset_nm": (
+        "nm ±",
+        "mode",
+        "to be added to the reference: -gain × NCPA; diversity not included",
+    ),
     "wavefront_before_nm": ("nm", "y, x", "estimated wavefront without tip and tilt"),
     "wavefront_after_nm": ("nm", "y, x", "what the offsets leave of it"),
     "before": ("", "y, x", "unit-flux image without correction"),
@@ -165,7 +181,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         CorrectResults.filled_from(
             prediction,
             offset_nm=dict(zip(offsets.nolls.tolist(), offsets.value_nm.tolist(), strict=True)),
-            sign=SIGN,
+            sign=sign_text(ctx.config.gain),
             strehl_budget=budget,
             wavefront_before=MapSize.of(before_nm),
             wavefront_after=MapSize.of(after_nm),
@@ -219,7 +235,7 @@ def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) 
         Column("sigma_nm", "nm", offsets.sigma_nm, "1-sigma error", ".4f"),
     )
     facts = (
-        Card("IRLOS SIGN", "offset = -NCPA", "add it to the reference"),
+        Card("IRLOS SIGN", offset_text(ctx.config.gain), "add it to the reference"),
         Card("IRLOS BASIS", "Zernike, Noll", "indices and order"),
         Card("IRLOS NORM", "unit RMS over the unobscured disc"),
         Card("IRLOS PUPIL DIAMETER", float(ctx.instrument.pupil.diameter_m), "[m] of the disc"),
@@ -232,7 +248,7 @@ def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) 
         Card("ESO QC STREHL BEFORE", prediction.strehl_before, "predicted"),
         Card("ESO QC STREHL AFTER", prediction.strehl_after, "predicted with the offsets"),
     )
-    return Table("MODAL_OFFSETS", "IRLOS_MODAL_OFFSETS", columns, SIGN, facts)
+    return Table("MODAL_OFFSETS", "IRLOS_MODAL_OFFSETS", columns, sign_text(ctx.config.gain), facts)
 
 
 def _checks(ctx: StageContext[Config], recording: Recording, prediction: Prediction) -> list[Check]:

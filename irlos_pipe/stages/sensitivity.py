@@ -16,9 +16,10 @@ from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.files.processes import require_memory
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
+from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults, item
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.base import Declared, StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.stage import Mode
 
 if TYPE_CHECKING:
@@ -71,6 +72,8 @@ class Config(StageConfig):
     def _focus_among_them(cls, modes: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
         if any(4 not in one for one in modes):
             raise ValueError("every set of modes must hold 4 (defocus)")
+        if any(len({*one}) < len(one) for one in modes):
+            raise ValueError("a mode stands twice in a set; name it once")
         return modes
 
 
@@ -136,6 +139,28 @@ class SensitivityResults(StageResults):
 Results = SensitivityResults
 
 
+def require(declared: Declared[Config]) -> None:
+    """See `Stage`."""
+    _magnitudes(declared.recordings[0], declared.config)
+
+
+def _magnitudes(recording: Recording, config: Config) -> np.ndarray:
+    """To which the frames are dimmed, from that of the first recording of the ramp on."""
+    bright = recording.acquisition.mag_j
+    if bright is None:
+        raise InputDataError(
+            f"{recording.name}: mag_j is missing; give it in acquisition.yaml, "
+            "the magnitudes of the dimmed frames are counted from it"
+        )
+    magnitudes = np.arange(bright, config.faintest_mag_j + 1e-9, config.mag_step)
+    if len(magnitudes) == 0:
+        raise InputDataError(
+            f"sensitivity.faintest_mag_j {config.faintest_mag_j} is brighter than the ramp's "
+            f"own m_J {bright}: frames can only be dimmed"
+        )
+    return magnitudes
+
+
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Scan every combination of modes and calibration."""
     from irlos_pipe.estimate.sensitivity import Criterion, scan
@@ -143,18 +168,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     from irlos_pipe.stages.lift.input import read_ramp
 
     ramp = read_ramp(ctx, ctx.config.input)
-    bright = ramp.acquisition.mag_j
-    if bright is None:
-        raise InputDataError(
-            f"{ramp.recordings[0].name}: mag_j is missing; give it in acquisition.yaml, "
-            "the magnitudes of the dimmed frames are counted from it"
-        )
-    magnitudes = np.arange(bright, ctx.config.faintest_mag_j + 1e-9, ctx.config.mag_step)
-    if len(magnitudes) == 0:
-        raise InputDataError(
-            f"sensitivity.faintest_mag_j {ctx.config.faintest_mag_j} is brighter than the ramp's "
-            f"own m_J {bright}: frames can only be dimmed"
-        )
+    magnitudes = _magnitudes(ramp.recordings[0], ctx.config)
+    bright = float(magnitudes[0])
     chosen = torch.as_tensor(_choose(ramp, ctx.config))
     faint, one_read, noise = _noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from conftest import invoke, products
 from filelock import FileLock
 from helpers.paths import RECIPES
+from helpers.sparta_files import counts, star, write_recorder
 
 from irlos_pipe.commands.main import cli
 from irlos_pipe.files import shipped
@@ -31,6 +32,40 @@ def test_a_forgotten_input_is_an_error_in_one_line_and_a_recipe_is_valid_without
     assert "input 'calibration' is not given; add --input calibration=PATH, or --samples" in line
     result = invoke("validate", "full_reduction")
     assert result.exit_code == 0 and result.stdout.endswith("; to be given: calibration, ramp\n")
+
+
+LOW_WIND = ("--set", "model.effects=[low_wind_effect]", "--set", "instrument=bench")
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "code", "said"),
+    [
+        ({}, (), 0, ""),
+        ({"mag_j": None}, (), 3, "offset_0: mag_j is missing"),
+        ({"ramp_nm": (0.0, 100.0)}, (), 3, "ramp of 2 recordings: a ramp needs at least three estimates"),
+        ({"last_px": 28}, (), 3, "offset_2: window differ from those of offset_0"),
+        ({"role": "derotator"}, (), 3, "offset_0: its role is derotator; LIFT takes"),
+        ({}, LOW_WIND, 2, "low_wind_effect for"),
+    ],
+    ids=["right", "magnitude", "points", "windows", "role", "petals"],
+)
+def test_what_a_run_refuses_is_told_without_running(tmp_path, changes, options, code, said):
+    changes = dict(changes)
+    ramp_nm, last_px = changes.pop("ramp_nm", (-100.0, 0.0, 100.0)), changes.pop("last_px", 32)
+    write_recorder(tmp_path / "cal", counts(star(32, 32)))
+    for number, nm in enumerate(ramp_nm):
+        keys = {"role": "defocus_ramp", "introduced_defocus_nm": nm, "mag_j": 12.0} | changes
+        side = last_px if nm == ramp_nm[-1] else 32
+        write_recorder(
+            tmp_path / "ramp" / f"offset_{number}", counts(star(side, side), 1, seed=number), keys=keys
+        )
+    given = ("--input", f"calibration={tmp_path / 'cal'}", "--input", f"ramp={tmp_path / 'ramp'}", *options)
+    for command in (
+        ("validate", "full_reduction"),
+        ("run", "full_reduction", "--dry-run", "--output", "none"),
+    ):
+        result = invoke(*command, *given)
+        assert (result.exit_code, said in result.stderr) == (code, True), result.stderr
 
 
 def test_every_recipe_is_listed_and_can_be_copied():

@@ -81,7 +81,11 @@ def test_a_run_says_which_instrument_it_took(bench):
 
 
 def files(folder, *roles):
-    return [str(write(folder / f"{n}.fits", n, role=role)) for n, role in enumerate(roles)]
+    focus = [
+        {"introduced_defocus_nm": 100.0 * n} if one == "defocus_ramp" else {} for n, one in enumerate(roles)
+    ]
+    named = [(folder / f"{n}.fits", n) for n in range(len(roles))]
+    return [str(write(*one, role=role, **nm)) for one, role, nm in zip(named, roles, focus, strict=True)]
 
 
 @pytest.mark.parametrize(
@@ -91,9 +95,9 @@ def files(folder, *roles):
         (["ncpa_calibration", "dark"], "ncpa_calibration", {"calibration": ["0", "1"]}),
         (["derotator", "derotator"], "derotator", {"cube": ["0", "1"]}),
         (
-            ["defocus_ramp", "defocus_ramp", "ncpa_calibration"],
+            ["defocus_ramp", "defocus_ramp", "defocus_ramp", "ncpa_calibration"],
             "defocus_ramp",
-            {"ramp": ["0", "1"], "calibration": ["2"]},
+            {"ramp": ["0", "1", "2"], "calibration": ["3"]},
         ),
     ],
 )

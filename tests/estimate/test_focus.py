@@ -111,12 +111,13 @@ def spoilt(**changes) -> np.ndarray:
     ("reason", "image"),
     [
         ("not_finite", spoilt(add=np.where(np.arange(40) == 3, np.nan, 0.0))),
+        ("saturated", spoilt(add=np.where(np.arange(40) == 3, np.inf, 0.0))),
         ("lost_star", drawn([0.0, 0.0, 50.0], 0.0)[0]),
         ("range", drawn([600.0, 0.0, 50.0])[0]),
         ("range", drawn([0.0, 0.0, 1200.0])[0]),
         ("chi2", spoilt(add=np.where(np.arange(40) == 20, 1500.0, 0.0))),
     ],
-    ids=["NaN", "no star", "star aside", "too much defocus", "a bright column"],
+    ids=["NaN", "overflow", "no star", "star aside", "too much defocus", "a bright column"],
 )
 def test_what_cannot_be_used_says_why(focus, reason, image):
     found = focus.measurement(image)

@@ -78,6 +78,14 @@ def test_ncpas_from_planes_are_within_their_errors(flux_e, frames, beyond_nm, la
     assert np.median(accuracies) == pytest.approx(off, rel=0.5, abs=0.003)
 
 
+def test_faint_planes_leave_no_mode_less_known_than_it_was_before():
+    """The error of a mode that the images do not show is that of the prior."""
+    law = replace(PRIOR, scale=1.0)
+    found = calibrate_setups(planes(1, 300.0), replace(OPTIONS, prior=law))
+    ratio = found.sigma_nm[2:] / law.sigma_nm(found.nolls)[2:].numpy()
+    assert 0.9 < ratio.max() < 1.05
+
+
 def test_a_plane_of_the_wrong_sign_does_not_pass_unnoticed():
     declared_nm = (0.0, -150.0, 150.0, -300.0, -320.0)
     found = calibrate_setups(planes(3, 1e6, declared_nm=declared_nm), OPTIONS)

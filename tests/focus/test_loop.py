@@ -12,11 +12,12 @@ from scipy.ndimage import gaussian_filter
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.calibration import Ordinary, optical_differences, stated_differences
+from irlos_pipe.focus.calibration import Ordinary, SharedErrors, optical_differences, stated_differences
 from irlos_pipe.focus.journal import event_line, record_of
 from irlos_pipe.focus.mailbox import Command, Mailbox
 from irlos_pipe.focus.service import FocusLoop, LoopSettings
 from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.stages.lift.stage import LiftResults, Point
 
 SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0))
 
@@ -167,6 +168,14 @@ def test_the_error_is_that_of_photons_with_misfit_instant_and_optics_where_a_ram
     assert record.sigma_photon_nm < 1.0
     bare = FocusLoop(replace(made.calibration(), errors=None), SETTINGS)
     assert math.isnan(bare.record(made.exposure(0, 50.0), 0.0).sigma_nm)
+
+
+def test_a_measurement_has_the_error_that_the_ramp_states_of_the_same_image():
+    """Photons, instant and optics of 0.5, 0.2 and 0.3 nm; an offset of 25 nm, as of another night."""
+    parts = {"sigma_photon_nm": 0.5, "sigma_instant_nm": 0.2, "sigma_optics_nm": 0.3, "sigma_offset_nm": 25.0}
+    points = [Point(defocus_nm=nm, **parts) for nm in (-100.0, 0.0, 100.0)]
+    errors = SharedErrors.of(LiftResults(calibrated=True, points=points, chi2_nu=1.0, nominal_chi2_nu=1.0))
+    assert errors.sigma_nm(40.0, 0.5) == pytest.approx(np.sqrt(0.5**2 + 0.2**2 + 0.3**2 + 25.0**2))
 
 
 # Whether frames are those of a calibration. Truth: acquisitions and side-cars written out.

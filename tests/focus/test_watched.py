@@ -128,6 +128,8 @@ def test_a_damaged_or_huge_file_is_named_in_one_line_and_the_next_one_read(tmp_p
         ("pixel_scale_mas", 12.0, "pixel_scale_mas 12, not 9.7"),
         ("diversity", {"source": "lens", "zernike": {6: 170.0}}, "Noll 6 170 nm, not -170"),
         ("detector", {"e_per_adu": 2.0, "read_noise_e": 1.0}, "e_per_adu 2, not 0.5"),
+        ("detector", {"e_per_adu": 0.5, "coadds": 4, "coadds_averaged": True}, "e_per_adu 2, not 0.5"),
+        ("instrument", "pharo", "instrument pharo"),
     ],
 )
 def test_a_recording_that_was_taken_otherwise_is_named_and_not_used(tmp_path, key, value, words):
@@ -136,6 +138,40 @@ def test_a_recording_that_was_taken_otherwise_is_named_and_not_used(tmp_path, ke
     (fault,) = arrivals(source)
     assert isinstance(fault, Fault)
     assert re.search(rf"scan/acquisition.yaml: .*{words}", fault.text)
+
+
+def test_a_side_car_that_comes_late_is_named_if_it_contradicts_frames_that_were_used(tmp_path):
+    source = watched(tmp_path)
+    fits.writeto(tmp_path / "scan.fits", sparta.counts(sparta.star(), 3))
+    _age(tmp_path / "scan.fits")
+    assert len(arrivals(source)) == 3
+    sparta.write_sidecar(tmp_path / "scan.yaml", pixel_scale_mas=9.7)
+    assert arrivals(source) == []
+    sparta.write_sidecar(tmp_path / "scan.yaml", pixel_scale_mas=12.0)
+    (fault,) = arrivals(source)
+    assert re.search(r"pixel_scale_mas 12, not 9.7; not used; .* late: 3 frames have been used", fault.text)
+
+
+def test_frames_have_the_times_of_their_header_not_that_of_the_copy(tmp_path):
+    """Of a day before, at 10 frames a second."""
+    source = watched(tmp_path)
+    header = fits.Header({"DATE-OBS": "2024-02-10T03:02:00"})
+    fits.writeto(tmp_path / "scan.fits", sparta.counts(sparta.star(), 3), header)
+    sparta.write_sidecar(tmp_path / "scan.yaml", frame_rate_hz=10)
+    _age(tmp_path / "scan.fits")
+    assert [one.unix_s for one in arrivals(source)] == pytest.approx(
+        [1707534120.0, 1707534120.1, 1707534120.2]
+    )
+
+
+def test_pixels_above_the_saturation_of_their_side_car_are_infinite(tmp_path):
+    """The raw level counts, with the dark in it."""
+    source = watched(tmp_path)
+    level = 1000
+    adu = write(tmp_path / "scan", 0, detector={"saturation_adu": level})
+    assert (adu >= level).any()
+    for one, frame in zip(arrivals(source), adu, strict=True):
+        np.testing.assert_array_equal(np.isinf(one.image_e), frame >= level)
 
 
 def test_each_recording_is_named_and_those_of_an_earlier_loop_are_not_read_again(tmp_path):

@@ -172,27 +172,39 @@ def test_reads_sky_and_dark_add_up_in_variance():
 ALL_GOOD = np.ones((64, 64), dtype=bool)
 
 
-def star_e(peak_e: float = 1e4) -> np.ndarray:
-    """An Airy-like image of 4.2 pixels per λ/D with wings, by the Fourier transform of a disc."""
+def star_e(peak_e: float = 1e4, sampling_px: float = 4.2) -> np.ndarray:
+    """An Airy-like image of so many pixels per λ/D with wings, by the Fourier transform of a disc."""
     y, x = np.indices((256, 256)) - 128
-    field = np.fft.fftshift(np.fft.fft2(np.hypot(x, y) < 256 / 4.2 / 2))
+    field = np.fft.fftshift(np.fft.fft2(np.hypot(x, y) < 256 / sampling_px / 2))
     image = (abs(field) ** 2)[96:160, 96:160]
     return peak_e * image / image.max()
 
 
-def frames_e_of_measured_noise(dark_sigma_e: float, count: int = 60, seed: int = 0) -> np.ndarray:
+def frames_e_of_measured_noise(
+    dark_sigma_e: float, star: np.ndarray | None = None, count: int = 60, seed: int = 0
+) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    photons = rng.poisson(star_e(), (count, 64, 64))
+    photons = rng.poisson(star_e() if star is None else star, (count, 64, 64))
     return photons + rng.normal(0, 1.0, photons.shape) - rng.normal(0, dark_sigma_e, (64, 64))
+
+
+def dark_noise_e2(frames_e: np.ndarray, sampling_px: float = 4.2) -> float:
+    return dark_variance_e2(frames_e, ALL_GOOD, neighbour_prediction(ALL_GOOD, sampling_px), np.inf)
 
 
 @pytest.mark.parametrize("sigma_e", [0.2, 0.5, 2.0])
 def test_the_noise_of_the_dark_is_found_in_the_frames(sigma_e):
     """To the error of eight draws, a tenth, and what the star's wings add, less than 0.01 e-²."""
-    found = np.mean(
-        [dark_variance_e2(frames_e_of_measured_noise(sigma_e, seed=s), ALL_GOOD, 100.0) for s in range(8)]
-    )
+    found = np.mean([dark_noise_e2(frames_e_of_measured_noise(sigma_e, seed=s)) for s in range(8)])
     assert found == pytest.approx(sigma_e**2, rel=0.15, abs=0.01)
+
+
+@pytest.mark.parametrize("sampling_px", [2.4, 3.0, 4.2])
+def test_a_star_as_fine_as_pixels_show_is_not_the_noise_of_a_dark(sampling_px):
+    """Of a lamp, below half the noise that photons and reads leave in the mean of the 60 frames."""
+    star = star_e(1e6, sampling_px)
+    found_e2 = dark_noise_e2(frames_e_of_measured_noise(0.0, star), sampling_px)
+    assert found_e2 < 0.5 * np.median(star + 1) / 60
 
 
 @pytest.mark.parametrize("level_e", [-3.0, 0.0, 3.0])

@@ -206,6 +206,16 @@ def cleaned(images_e, sampling_px=SAMPLING_PX, read_noise_e=15.0):
     return clean(raw, detector, sampling_px, config.part(Thresholds), config.part(Limits))
 
 
+@pytest.mark.parametrize("sampling_px", [1.3, 2.0])
+def test_undersampled_frames_without_a_dark_have_no_noise_of_a_dark(sampling_px):
+    """A star with all its light in four pixels, which no neighbours predict."""
+    star_e = np.full((32, 32), 10.0)
+    star_e[15:17, 15:17] = 1e5
+    star_e[::2, ::2] += 5
+    frames_e = np.random.default_rng(3).poisson(star_e, (20, 32, 32)).astype(float)
+    assert cleaned(frames_e, sampling_px, read_noise_e=1.0).dark_variance_e2 == 0
+
+
 def bad(result):
     return {tuple(place) for place in np.argwhere(~result.good).tolist()}
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from conftest import invoke
@@ -20,6 +21,7 @@ from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import make_trend, read_trend
 from irlos_pipe.product.product import Check
+from irlos_pipe.reference import COMMANDS
 
 JUMP_NM = 40.0
 RULE = BandSettings()
@@ -115,6 +117,7 @@ def test_csv_and_json_hold_every_point_with_its_band(tree):
     assert len(rows) == 20 * 4
     assert [(row["night"], row["name"]) for row in rows if row["alarm"] == "1"] == [(night(19), "noll_4_nm")]
     content = json.loads(invoke("trend", str(tree), "--json").stdout)
+    jsonschema.validate(content, json.loads(COMMANDS.read_text()))
     points = {one["name"]: one["points"] for one in content["series"]}["noll_4_nm"]
     low, high = points[-1]["band"]
     assert low < 40 < high < points[-1]["value"] and points[0]["band"] is None

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -101,6 +102,24 @@ def test_after_a_failed_run_no_old_deliverable_or_report_looks_like_its_result(b
     assert results(bench)["status"] == "failed"
     assert not {"table.csv", "report.html"} & set(visible(bench))
     assert sorted(os.listdir(bench.output / "earlier")) == ["report.html", "table.csv"]
+
+
+def test_deliverables_of_stages_that_were_not_run_again_do_not_stand_beside_other_results(bench):
+    run(bench)
+    assert bench.run("--to", "ingest", "--set", "ingest.scale=2").exit_code == 0
+    assert "table.csv" not in visible(bench)
+    assert os.listdir(bench.output / "earlier") == ["table.csv"]
+    run(bench)
+    assert "table.csv" in visible(bench)
+
+
+def test_a_deliverable_that_a_stage_no_longer_makes_is_set_aside(bench, monkeypatch):
+    run(bench)
+    stage = sys.modules["irlos_pipe.stages.calibrate.stage"]
+    true = stage.run
+    monkeypatch.setattr(stage, "run", lambda ctx: replace(true(ctx), files={}))
+    assert bench.run("--set", "calibrate.jitter_sigma_mas=6").exit_code == 0
+    assert "table.csv" not in visible(bench)
 
 
 # Versions of a reduction side by side: what is there is not changed, the link leads to what is whole.

@@ -220,6 +220,12 @@ def test_times_come_from_the_loop_table_by_exact_counter(tmp_path, cube, place):
     assert any("1 of 3 frames not found" in note for note in raw.notes)
 
 
+def test_a_recording_whose_first_frame_has_no_time_begins_with_the_first_that_has_one(tmp_path, cube):
+    loop = loop_table(np.array([120, 140]), np.full(2, 1700000000), np.array([600_000, 700_000]))
+    raw = read(place_in_same_file(tmp_path, cube, loop))
+    assert raw.start_unix_s == pytest.approx(1700000000.6)
+
+
 @pytest.mark.parametrize(
     ("counter", "missing"),
     [([0, 20, 40, 60], 0), ([0, 20, 60, 80], 1), ([5, 6, 7, 11, 12], 3), ([0, 20, 20, 40], 0), ([7], 0)],

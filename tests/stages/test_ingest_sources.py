@@ -11,7 +11,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers import find
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.stages.ingest.sources import read_sources, source_problems
+from irlos_pipe.stages.ingest.sources import examined, read_sources
 from irlos_pipe.stages.ingest.stage import Config
 from irlos_pipe.stages.ingest.work import ingest
 
@@ -82,7 +82,7 @@ def test_a_copy_of_a_recording_is_left_out_and_named(tmp_path, caplog, copy):
 def test_an_image_that_pixels_or_window_cannot_hold_is_said_before_any_work(tmp_path, caplog, keys, said):
     fits.writeto(tmp_path / "cube.fits", np.ones((3, 40, 40), np.int32))
     write_sidecar(tmp_path / "acquisition.yaml", **keys)
-    for find_out in (source_problems, lambda *given: read_sources(*given, LOG)):
+    for find_out in (examined, lambda *given: read_sources(*given, LOG)):
         caplog.clear()
         find_out({"cube": [tmp_path]}, lambda _: AcquisitionKeys(), IRLOS)
         lines = [one.getMessage() for one in caplog.records if "λ/D" in one.msg or "spreads" in one.msg]
@@ -93,6 +93,6 @@ def test_sums_that_the_frames_do_not_make_are_said_before_any_work(tmp_path):
     fits.writeto(tmp_path / "cube.fits", np.ones((3, 40, 40), np.int32))
     write_sidecar(tmp_path / "acquisition.yaml", pixel_scale_mas=9.7, exposure_s=0.1)
     given = {"cube": [tmp_path]}, lambda _: AcquisitionKeys(), IRLOS
-    (line,) = source_problems(*given, {"cube": 0.15}.get)
+    (line,), _ = examined(*given, {"cube": 0.15}.get)
     assert "do not add up" in line
-    assert source_problems(*given, {"cube": 0.2}.get) == source_problems(*given) == []
+    assert examined(*given, {"cube": 0.2}.get)[0] == examined(*given)[0] == []

@@ -1,5 +1,7 @@
 """Ingest as a whole: files in, recordings in electrons out."""
 
+import json
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +22,7 @@ from helpers.stage_context import stage_context
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
-from irlos_pipe.product.product import Product
+from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.readers.acquisition import Resolved
 from irlos_pipe.readers.raw_file import RawRecording
@@ -172,6 +174,27 @@ def test_frames_in_any_unit_become_the_same_electrons(tmp_path, unit):
     assert noise["detector.e_per_adu"]["used"] == pytest.approx(1 / unit, rel=0.1)
     assert noise["detector.read_noise_e"]["used"] == pytest.approx(3.0, rel=0.2)
     assert only_recording(output).images_e.sum(axis=(1, 2)).mean() == pytest.approx(image.sum(), rel=0.1)
+
+
+def test_counts_that_have_overflowed_are_not_only_called_saturated(tmp_path):
+    """A star of 300 000 counts in integers of 16 bits: it falls through the declared saturation as well."""
+    adu = np.rint(counts(IMAGE * 150_000 / IMAGE.max())) % 2**16
+    detector = {"e_per_adu": 0.5, "read_noise_e": 1.0, "saturation_adu": 5e4}
+    write_recorder(tmp_path / "rec", adu.astype(np.uint16), keys={"detector": detector})
+    with pytest.raises(InputDataError, match=r"x saturated; .* counts have overflowed an integer"):
+        run(tmp_path / "rec", config={"max_saturated_px": 0})
+
+
+@pytest.mark.parametrize("where", ["", "detector."])
+def test_a_recording_with_a_key_of_another_version_is_refused_in_one_line(tmp_path, where):
+    write_recorder(tmp_path / "rec", counts(IMAGE))
+    product = product_of(run(tmp_path / "rec"))
+    name = "recordings/cube/rec/acquisition"
+    content = json.loads(str(product.arrays[name].value))
+    (content["detector"] if where else content)["polarised"] = True
+    product.arrays[name] = Quantity(np.array(json.dumps(content)), "")
+    with pytest.raises(InputDataError, match=rf"another version .*: {where}polarised: .*run ingest again"):
+        recordings_from_product(product)
 
 
 def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
@@ -339,3 +362,14 @@ def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
     background = output.arrays["recordings/cube/rec/background_adu"].value
     assert background == pytest.approx(pattern, abs=1.5)
     assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2
+
+
+@pytest.mark.parametrize(("exposure_s", "named"), [(0.1, False), (2.0, True)])
+def test_a_dark_of_another_exposure_is_named(tmp_path, caplog, exposure_s, named):
+    """Its pedestal is right, its dark current twenty times too much."""
+    dark = np.random.default_rng(7).normal(100, 2, (5, *IMAGE.shape)).astype(np.float32)
+    write_recorder(tmp_path / "dark", dark, keys={"role": "dark", "exposure_s": exposure_s})
+    write_recorder(tmp_path / "rec", counts(IMAGE, pedestal_adu=100), keys={"exposure_s": 0.1})
+    with caplog.at_level(logging.WARNING):
+        run(tmp_path)
+    assert ("rec: the dark dark is of 2 s, the frames of 0.1 s" in caplog.text) == named

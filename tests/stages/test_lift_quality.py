@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from irlos_pipe.estimate.correction import modal_offsets
 from irlos_pipe.estimate.lift_errors import FrameErrors
 from irlos_pipe.estimate.ramp import RampSummary, summarise
+from irlos_pipe.stages.correct import sign_text
 from irlos_pipe.stages.lift.stage import Config
 from irlos_pipe.stages.lift.work import (
     WITHOUT_NCPAS,
@@ -56,6 +59,16 @@ def test_a_right_ramp_passes_and_so_does_a_slope_that_its_error_explains():
     assert "slope" not in _failed(noisy)
 
 
+@pytest.mark.parametrize("count", [3, 4, 5, 7])
+def test_a_ramp_of_few_points_without_an_offset_is_told_of_one_by_chance_as_rarely_as_a_long_one(count):
+    """In 0.27 % of the draws, 8 ± 3 of three thousand."""
+    rng, introduced_nm = np.random.default_rng(count), np.linspace(-200.0, 200.0, count)
+    ramps = [summarise(introduced_nm, introduced_nm + rng.normal(0, 20.0, count)) for _ in range(3000)]
+    assert 1 <= sum(unexplained_offset_nm(one) > 0 for one in ramps) < 20
+    squares = [one.offset_sigma_nm**2 for one in ramps]
+    assert np.sqrt(np.mean(squares)) == pytest.approx(20.0 / np.sqrt(count), rel=0.05)
+
+
 @pytest.mark.parametrize(("offset_nm", "unexplained"), [(20.0, True), (-20.0, True), (2.0, False)])
 def test_an_offset_beyond_three_of_its_errors_is_told(offset_nm, unexplained):
     summary = _ramp(1.0, offset_nm)
@@ -63,3 +76,27 @@ def test_an_offset_beyond_three_of_its_errors_is_told(offset_nm, unexplained):
     found_nm = unexplained_offset_nm(summary)
     assert found_nm == (abs(summary.offset_nm) if unexplained else 0.0)
     assert "calibration of another time" in offset_text(summary)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"modes": (4, 4)}, "mode 4 stands twice"),
+        ({"common_modes": (5, 4)}, "mode 4 stands twice"),
+        ({"estimator": "map"}, "leaves tip, tilt and defocus free"),
+        ({"prior_scale": 2.0}, "is that of estimator 'map'"),
+    ],
+)
+def test_settings_without_effect_are_refused(settings, said):
+    with pytest.raises(ValidationError, match=said):
+        Config(**settings)
+
+
+def test_a_part_of_the_wavefront_is_known_to_the_same_part_of_its_error():
+    """Truth: the scatter of half the estimates."""
+    drawn_nm = np.random.default_rng(5).normal(30.0, 8.0, 4000)
+    half = [modal_offsets([2], [nm], [8.0], 0.5, 2) for nm in drawn_nm]
+    values = [float(one.value_nm[0]) for one in half]
+    assert np.mean(values) == pytest.approx(-15.0, abs=0.3)
+    assert half[0].sigma_nm[0] == pytest.approx(np.std(values), rel=0.05)
+    assert "-0.5 NCPA: " in sign_text(0.5) and "offset = -NCPA: " in sign_text(1.0)

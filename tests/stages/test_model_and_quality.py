@@ -21,11 +21,16 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.readers.acquisition import altitude_deg
-from irlos_pipe.stages.calibrate.input import by_setup, require_joint
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.correct import _checks
 from irlos_pipe.stages.model.effects import refraction_mas, refraction_of, with_colour
-from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
+from irlos_pipe.stages.model.groups import by_setup, require_joint
+from irlos_pipe.stages.model.recording_settings import (
+    pooled_images,
+    psf_settings,
+    residual_band,
+    seeing_arcsec,
+)
 from irlos_pipe.stages.model.section import ModelConfig
 from irlos_pipe.stages.sensitivity import announce
 
@@ -154,17 +159,17 @@ def test_frames_of_different_known_defocus_are_planes_the_sharpest_first():
 
 def test_a_filter_wavefront_says_of_which_filter_or_lens():
     groups = by_setup(CUBES)
-    require_joint(context("chromatic_ncpa", {"filter_ncpa": {"of": "lens"}}), groups, "long_exposure")
+    require_joint(context("chromatic_ncpa", {"filter_ncpa": {"of": "lens"}}).model, groups, "long_exposure")
     for entry in ("filter_ncpa", {"filter_ncpa": {"of": "lnes"}}):
         with pytest.raises(ConfigurationError, match=r"filter_ncpa: say of which .*'lens', 'mirror'"):
-            require_joint(context(entry), groups, "long_exposure")
+            require_joint(context(entry).model, groups, "long_exposure")
 
 
 @pytest.mark.parametrize("spectrum", [NARROW, BROAD])  # of the same set-up otherwise, and of another one
 def test_what_cannot_be_one_wavefront_is_refused(spectrum):
     other = recording("x", spectrum, pupil_rotation_deg=10.0)
     with pytest.raises(InputDataError, match="x: rotation of the pupil of a are others"):
-        require_joint(context(), by_setup([CUBES[0], other]), "long_exposure")
+        require_joint(context().model, by_setup([CUBES[0], other]), "long_exposure")
 
 
 # Which recordings have dispersion and the star's colour in their model.
@@ -297,3 +302,15 @@ def test_a_scan_that_the_memory_cannot_hold_is_refused_before_it_begins(monkeypa
     announce(20, (64, 64), 5, 6, 4, LOG)
     with pytest.raises(ConfigurationError, match=r"3.3 GB of memory.*sensitivity.realisations"):
         announce(20, (64, 64), 1000, 6, 4, LOG)
+
+
+def test_frames_of_recordings_with_other_noise_have_the_mean_noise_whichever_comes_first():
+    """Ten frames of 3 e- and thirty of 30 e-; truth: the variance over all the frames that were drawn."""
+    rng = np.random.default_rng(4)
+    both = [
+        made(rng.normal(0, sigma_e, (frames, 32, 32)), detector=Detector(1.0, sigma_e))
+        for sigma_e, frames in ((3.0, 10), (30.0, 30))
+    ]
+    for order in (both, both[::-1]):
+        images_e, _, noise = pooled_images(order)
+        assert noise.mean_variance_e2(0.0, 1) == pytest.approx(float(images_e.var()), rel=0.02)

@@ -26,6 +26,7 @@ from irlos_pipe.stages.lift import work
 from irlos_pipe.stages.lift.input import (
     has_other_light,
     older_text,
+    turned_text,
     with_own_wavefront,
 )
 from irlos_pipe.stages.lift.stage import Config
@@ -35,7 +36,11 @@ NOMINAL, MISFIT = FrameErrors(4.0, 2.3, 2.2), FrameErrors(4.0, 9.2, 2.2)
 
 def context(config: Config | None = None, wavelength_nm: float = 1600.0, source: str = "lens"):
     inputs = [
-        {"name": "cube", "input": "cubes", "observed": {"diversity_source": source}},
+        {
+            "name": "cube",
+            "input": "cubes",
+            "observed": {"diversity_source": source, "derotator_angle_deg": 0.0},
+        },
         {"name": "ramp", "input": "ramp", "observed": {"diversity_source": "lens"}},
     ]
     products = {
@@ -62,6 +67,13 @@ def ramp(wavelength_nm: float = 1600.0):
 )
 def test_the_light_is_another_one_by_its_wavelength_or_its_lens(ctx, wavelength_nm, other):
     assert has_other_light(ctx, ramp(wavelength_nm).acquisition) is other
+
+
+@pytest.mark.parametrize(("own_deg", "named"), [(0.0, False), (360.0, False), (90.0, True)])
+def test_a_calibration_at_another_angle_of_the_derotator_is_named(own_deg, named):
+    taken = SimpleNamespace(derotator_angle_deg=own_deg)
+    assert ("at 90° of the derotator, its calibration at 0°" in turned_text(context(), taken)) == named
+    assert turned_text(context(Config(calibrated=False)), taken) == ""
 
 
 @pytest.mark.parametrize(

@@ -124,8 +124,8 @@ class Focus:
     def measurement(self, image_e: np.ndarray, reads: int = 1) -> Measurement:
         """Measure one image, the sum of some `reads`, whose read noise adds.
 
-        The image (rows, columns) is of photo-electrons without background and dark. Raises ValueError for an
-        image of another window.
+        The image (rows, columns) is of photo-electrons without background and dark, infinite where saturated.
+        Raises ValueError for an image of another window.
         """
         measured, found = self.solved(image_e, reads)
         if found is None or LOST_STAR in measured.reasons:
@@ -146,8 +146,10 @@ class Focus:
         self._image[...] = image_e
         flat = self._image.ravel()
         flat[self._bad] = 0.0
-        if not np.abs(flat).max() < ABSURD_E:  # NaN is none, either
-            return Measurement(math.nan, math.nan, False, (NOT_FINITE,)), None
+        peak_e = float(np.abs(flat).max())
+        if not peak_e < ABSURD_E:  # NaN is none, either
+            reason = SATURATED if peak_e == math.inf else NOT_FINITE
+            return Measurement(math.nan, math.nan, False, (reason,)), None
         noise = self._noise_of(reads)
         best, rival = self._best(flat, noise)
         return self._judged(best, rival, float(flat.max()) / reads, noise), best

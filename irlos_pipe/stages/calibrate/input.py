@@ -3,13 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Conditions, Effect
 from irlos_pipe.effects.wavefront import FilterNcpa
-from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, METHODS, CalibrationOptions
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.setups import Setup, is_common
 from irlos_pipe.frames.recording import Recording
@@ -18,26 +15,13 @@ from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.model.effects import (
     colour_warning,
     conditions_of,
-    elements_of,
     good_pixels,
     image_effects,
     model_effects,
     shown,
     with_colour,
 )
-from irlos_pipe.stages.model.recording_settings import pooled_frames, psf_settings, require_common
-
-ROLES = ("ncpa_calibration", "psf", "derotator")
-
-
-def require_calibration(recordings: Sequence[Recording]) -> None:
-    """Raise InputDataError for `recordings` that are no cubes of one static wavefront."""
-    for one in recordings:
-        if one.acquisition.role not in ROLES:
-            raise InputDataError(
-                f"{one.name}: its role is {one.acquisition.role}; a calibration takes recordings of role "
-                f"{', '.join(ROLES)}: give another one, or correct the role in the side-car"
-            )
+from irlos_pipe.stages.model.recording_settings import pooled_frames, psf_settings
 
 
 @dataclass(frozen=True)
@@ -69,48 +53,6 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
 
 
 # -- recordings in several set-ups, calibrated together ----------------------------------------------
-
-COMMON = {
-    "pixel_scale_mas": "pixel scale",
-    "pupil_rotation_deg": "rotation of the pupil",
-    "derotator_angle_deg": "derotator angle",
-}
-
-
-def by_setup(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """Return frames of `recordings` of the same band, filter, diversity and introduced defocus together."""
-    groups: dict[tuple, list[Recording]] = {}
-    for recording in recordings:
-        acquisition = recording.acquisition
-        diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
-        for plane in recording.planes():
-            focus = tuple(np.unique(plane.introduced_defocus_nm).tolist())
-            key = acquisition.spectrum, elements_of(acquisition), diversity, focus
-            groups.setdefault(key, []).append(plane)
-    return list(groups.values())
-
-
-def require_joint(ctx: StageContext, groups: Sequence[Sequence[Recording]], method: str) -> None:
-    """Refuse groups of recordings that cannot be calibrated together.
-
-    Raises `InputDataError` if they differ in more than band, filter, diversity and focus;
-    `ConfigurationError` for a `method` of one set-up, and a `filter_ncpa` that does not say of which filter
-    or lens.
-    """
-    together = "set-ups calibrated together may differ in band, filter, diversity and introduced defocus only"
-    require_common([recording for group in groups for recording in group], COMMON, together)
-    if method != DEFAULT_METHOD:
-        raise ConfigurationError(
-            f"calibrate.method {method} takes frames of one set-up, and those given differ in band, "
-            f"filter, diversity or introduced defocus; use {DEFAULT_METHOD}"
-        )
-    names = sorted({name for group in groups for name in elements_of(group[0].acquisition) if name})
-    for entry in ctx.model.entries():
-        if entry.name == FilterNcpa.name and entry.options.get("of") not in names:
-            raise ConfigurationError(
-                f"model.effects: filter_ncpa: say of which filter or source of diversity, of: one of "
-                f"{', '.join(map(repr, names))}"
-            )
 
 
 def setups_of(

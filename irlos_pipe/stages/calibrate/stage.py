@@ -32,9 +32,16 @@ from irlos_pipe.product.results import (
     item,
     results_of,
 )
-from irlos_pipe.stages.base import StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.model.groups import (
+    by_setup,
+    of_several_setups,
+    require_calibration,
+    require_joint,
+    require_parts,
+)
 
-VERSION = 29
+VERSION = 30
 NEEDS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 CUBES = "cubes"  # group of the arrays of every recording, with `each`
@@ -299,6 +306,15 @@ class CalibrateResults(Estimate, StageResults):
 
 Results = CalibrateResults
 run = run_of("irlos_pipe.stages.calibrate.work")
+
+
+def require(declared: Declared[Config]) -> None:
+    """See `Stage`."""
+    config, recordings = declared.config, declared.recordings
+    require_calibration(recordings)
+    if not config.each and of_several_setups(recordings):
+        require_joint(declared.model, by_setup(recordings), config.method)
+    require_parts(declared)
 
 
 @dataclass(frozen=True)

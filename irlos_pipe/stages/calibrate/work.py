@@ -24,14 +24,7 @@ from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.input import (
-    CubeInput,
-    by_setup,
-    cube_input,
-    require_calibration,
-    require_joint,
-    setups_of,
-)
+from irlos_pipe.stages.calibrate.input import CubeInput, cube_input, setups_of
 from irlos_pipe.stages.calibrate.quality import MISFIT, causes_of, checks_of, motion_line, unexcused
 from irlos_pipe.stages.calibrate.stage import (
     ARRAYS,
@@ -44,15 +37,15 @@ from irlos_pipe.stages.calibrate.stage import (
     Tail,
 )
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
-from irlos_pipe.stages.model.recording_settings import SETUP_KEYS, differences, seeing_arcsec
+from irlos_pipe.stages.model.groups import by_setup, of_several_setups, require_calibration, require_joint
+from irlos_pipe.stages.model.recording_settings import seeing_arcsec
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate with the chosen method, and with the methods to compare."""
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], ctx.config.input)]
-    for alike in [[one] for one in recordings] if ctx.config.each else [recordings]:
-        require_calibration(alike)
+    require_calibration(recordings)
     output = _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
     results = output.results
     known = isinstance(results, CalibrateResults) and (results.causes or results.no_causes)
@@ -66,7 +59,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     used = [r for r in recordings if r.frames]
     if not used:
         raise InputDataError(_no_frame(recordings[0]))
-    if _of_several_setups(used):
+    if of_several_setups(used):
         if ctx.config.compare:
             ctx.log.warning("calibrate.compare is left out: methods are compared on frames of one set-up")
         return _joint_output(ctx, _joint_fit(ctx, used), [], used[0].acquisition)
@@ -87,18 +80,10 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     return replace(output, results=results, summary=[*output.summary, *_lenslet_lines(row)])
 
 
-def _of_several_setups(recordings: Sequence[Recording]) -> bool:
-    """Whether frames differ in what is known of their wavefront or light, and are fitted jointly."""
-    introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
-    return len(np.unique(introduced_nm)) > 1 or any(
-        differences(recordings[0], other, SETUP_KEYS) for other in recordings[1:]
-    )
-
-
 def _joint_fit(ctx: StageContext[Config], recordings: list[Recording]) -> Calibration:
     """One wavefront, and what of it belongs to wavelength, filter or lens, from several set-ups."""
     groups, options = by_setup(recordings), ctx.config.options(ctx.instrument.facility.ncpa_law)
-    require_joint(ctx, groups, options.method)
+    require_joint(ctx.model, groups, options.method)
     result = calibrate_setups(setups_of(ctx, groups, options), options, device=ctx.device, note=ctx.log.info)
     ctx.log.info("%d set-ups together: chi2/nu %.2f, %.1f s", len(groups), result.chi2_nu, result.seconds)
     return result
@@ -112,7 +97,7 @@ def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput
         raise InputDataError(failures[0])
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
     cubes = [
-        (one, _joint_fit(ctx, [one]) if _of_several_setups([one]) else _calibrate(ctx, [one], options))
+        (one, _joint_fit(ctx, [one]) if of_several_setups([one]) else _calibrate(ctx, [one], options))
         for one in usable
     ]
     return _each_output(ctx, cubes, failures)

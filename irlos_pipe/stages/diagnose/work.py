@@ -30,12 +30,8 @@ from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.diagnose.stage import Config
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, screened_e
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.recording_settings import (
-    in_time_order,
-    pooled_frames,
-    psf_settings,
-    require_common,
-)
+from irlos_pipe.stages.model.groups import require_common
+from irlos_pipe.stages.model.recording_settings import in_time_order, pooled_frames, psf_settings
 
 EXPECTED_FITS = 11  # fits that one cube takes, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}

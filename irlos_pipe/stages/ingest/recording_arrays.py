@@ -8,7 +8,7 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.blocks import mean_frame, picked
@@ -163,4 +163,13 @@ def _overview(product: Product, owner: str, name: str) -> Overview:
 
 
 def _acquisition(product: Product, prefix: str) -> Acquisition:
-    return ACQUISITION.validate_json(str(product.arrays[f"{prefix}/acquisition"].value))
+    stored = str(product.arrays[f"{prefix}/acquisition"].value)
+    try:
+        return ACQUISITION.validate_json(stored, extra="forbid")
+    except ValidationError as error:
+        problem = error.errors()[0]
+        key = ".".join(map(str, problem["loc"]))
+        raise InputDataError(
+            f"the {product.stage} product was made by another version ({prefix}: {key}: {problem['msg']}); "
+            "run ingest again"
+        ) from None

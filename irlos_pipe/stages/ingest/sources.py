@@ -15,7 +15,7 @@ from irlos_pipe.conventions.reads import adds_up
 from irlos_pipe.conventions.units import MAS_PER_RAD, NM, resolution_px
 from irlos_pipe.frames.blocks import mean_frame
 from irlos_pipe.frames.measured_noise import mean_variance
-from irlos_pipe.frames.recording import CalibrationMaps
+from irlos_pipe.frames.recording import CalibrationMaps, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.acquisition import Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
@@ -23,6 +23,7 @@ from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path, sidecar_problems
 from irlos_pipe.readers.times import counter_step
 
+OTHER_EXPOSURE = 0.01  # relative difference from which the exposure of a dark is another
 SHORT_COUNTS = 2  # bytes of the counts of a converter, which saturate with their type; sums of them do not
 
 
@@ -113,18 +114,20 @@ def _same_frames(one: RawRecording, other: RawRecording) -> bool:
     return same and np.array_equal(one.adu, other.adu)
 
 
-def source_problems(
+def examined(
     inputs: Mapping[str, Sequence[Path]],
     keys_for: Callable[[str], AcquisitionKeys],
     instrument: Instrument,
     exposure_of: Callable[[str], float | None] = lambda input_name: None,
-) -> list[str]:
+) -> tuple[list[str], list[Recording]]:
     """Return a line for everything that keeps `read_sources`, of equal arguments, from reading a recording.
 
-    Or its frames from being `accumulated` to exposures of ``exposure_of(input_name)``. Raises `NothingToDo`
-    for an input without recordings.
+    Or its frames from being `accumulated` to exposures of ``exposure_of(input_name)``. With them go the
+    recordings that are no darks as they are declared, their images dark. Raises `NothingToDo` for an input
+    without recordings.
     """
     found: list[tuple[str, str]] = []
+    recordings: list[Recording] = []
     for name, paths in inputs.items():
         for file in recording_files(paths):
             wrong = sidecar_problems(sidecar_path(file))
@@ -135,18 +138,38 @@ def source_problems(
                     resolved = resolve(raw, keys_for(name), then)
                     for line in (*raw.warnings, *image_doubts(raw, resolved, then)):
                         logging.getLogger(__name__).warning(line)
-                    if resolved.acquisition.role != "dark":
-                        _sums(Source(name, raw, resolved), exposure_of(name))
-    return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
+                    source = Source(name, raw, resolved)
+                    if source.role != "dark":
+                        _sums(source, exposure_of(name))
+                        recordings.append(_as_declared(source))
+    return list(dict.fromkeys(line for _, line in found)), recordings  # they may share a side-car
 
 
-def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:
+def _as_declared(source: Source) -> Recording:
+    """The recording without its counts."""
+    raw, every = source.raw, np.ones(source.raw.frames, bool)
+    return Recording(
+        name=raw.name,
+        input=source.input,
+        images_e=np.broadcast_to(np.float32(0), raw.adu.shape),
+        used=every,
+        reason=np.full(raw.frames, ""),
+        good=np.ones(raw.window, bool),
+        time_s=np.zeros(raw.frames),
+        frame_counter=raw.frame_counter,
+        introduced_defocus_nm=source.resolved.introduced_defocus_nm,
+        acquisition=source.resolved.acquisition,
+        start_unix_s=raw.start_unix_s,
+    )
+
+
+def with_darks(sources: Sequence[Source], log: logging.Logger) -> tuple[list[Source], list[Source]]:
     """Give recordings without a dark the mean of a dark recording of the same input and window.
 
-    Returns the stars and the darks.
+    Of the nearest exposure; another one is named in the `log`. Returns the stars and the darks.
     """
     darks = [source for source in sources if source.role == "dark"]
-    return [_with_dark(source, darks) for source in sources if source.role != "dark"], darks
+    return [_with_dark(source, darks, log) for source in sources if source.role != "dark"], darks
 
 
 SAMPLED_PX = 2.0  # pixels per λ/D from which an image holds all detail that the optics make
@@ -186,11 +209,17 @@ def _instrument_then(instrument: Instrument, unix_s: float) -> Instrument:
     return instrument.on(datetime.fromtimestamp(unix_s, UTC).date().isoformat())
 
 
-def _with_dark(source: Source, darks: Sequence[Source]) -> Source:
+def _with_dark(source: Source, darks: Sequence[Source], log: logging.Logger) -> Source:
     fitting = [dark for dark in darks if dark.input == source.input and dark.raw.window == source.raw.window]
     if source.raw.calibration.dark_adu is not None or not fitting:
         return source
     nearest = min(fitting, key=lambda dark: _exposures_apart_s(dark, source))
+    dark_s, own_s = (one.resolved.acquisition.exposure_s for one in (nearest, source))
+    if _exposures_apart_s(nearest, source) > OTHER_EXPOSURE * (own_s or 0.0):
+        log.warning(
+            "%s: the dark %s is of %g s, the frames of %g s: its dark current is another",
+            *(source.raw.name, nearest.raw.name, dark_s, own_s),
+        )
     frames = nearest.raw.adu
     maps = replace(
         source.raw.calibration,

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import NothingToDo
 from irlos_pipe.frames.bad_pixels import Thresholds
+from irlos_pipe.frames.recording import Recording
 from irlos_pipe.frames.screening import Limits
 from irlos_pipe.frames.series import DECLARED
 from irlos_pipe.frames.told import Constant
@@ -19,7 +20,7 @@ from irlos_pipe.product.results import DITTO, Number, Observed, ResultsPart, Sta
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.base import StageConfig, run_of
 
-VERSION = 13
+VERSION = 14
 ARRAYS_ONLY = True
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 Part = TypeVar("Part", Thresholds, Limits)
@@ -189,8 +190,10 @@ def files_of(root: Path) -> list[Path]:
     return []
 
 
-def problems(inputs: Mapping[str, Sequence[Path]], config: Config, instrument: Instrument) -> list[str]:
-    """Return a line for everything that is wrong with the recordings of `inputs` and their side-cars."""
-    from irlos_pipe.stages.ingest.sources import source_problems
+def examined(
+    inputs: Mapping[str, Sequence[Path]], config: Config, instrument: Instrument
+) -> tuple[list[str], list[Recording]]:
+    """Return what is wrong with the recordings of `inputs` and their side-cars, and these as declared."""
+    from irlos_pipe.stages.ingest.sources import examined
 
-    return source_problems(inputs, config.keys_for, instrument, config.exposure_of)
+    return examined(inputs, config.keys_for, instrument, config.exposure_of)

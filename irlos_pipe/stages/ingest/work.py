@@ -38,7 +38,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     used; the message states the first reason.
     """
     sources, failures = read_sources(ctx.inputs, ctx.config.keys_for, ctx.instrument, ctx.log)
-    stars, darks = with_darks(sources)
+    stars, darks = with_darks(sources, ctx.log)
     arrays: dict[str, Quantity] = {}
     rows: list[RecordingRow] = []
     quality: list[Check] = []
@@ -142,7 +142,9 @@ def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
     cleaned = clean(raw, acquisition.detector, sampling, config.part(Thresholds), limits, plane)
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
-        raise InputDataError(f"{raw.path}: none of the {raw.frames} frames can be used: {counts}")
+        overflow = next(of_counts(raw.adu))  # it brings values to the end of their type as well
+        why = f"; {overflow.text}" if overflow.value else ""
+        raise InputDataError(f"{raw.path}: none of the {raw.frames} frames can be used: {counts}{why}")
     if np.sum(cleaned.reasons == REPEATED_IMAGE) == raw.frames - 1 > 0:
         raise InputDataError(
             f"{raw.path}: all {raw.frames} frames are the same image, which tells nothing of their noise; "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.declaration import Conditions
 from irlos_pipe.effects.wavefront import BROAD_NM, ChromaticNcpa, FilterNcpa
@@ -17,7 +17,7 @@ from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
-from irlos_pipe.product.results import results_of
+from irlos_pipe.product.results import Observed, results_of
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import IngestResults
@@ -30,6 +30,7 @@ from irlos_pipe.stages.model.effects import (
     model_effects,
     with_colour,
 )
+from irlos_pipe.stages.model.groups import require_ramp
 from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings, used_in_time_order
 
 
@@ -49,21 +50,13 @@ class Ramp:
         return self.recordings[0].acquisition
 
 
-ROLES = ("defocus_ramp", "psf")
-
-
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
     """Return all used frames of the recipe input `input_name`, in order of time; `ctx` has the products.
 
     Raises `InputDataError` for recordings whose role is none of `ROLES`.
     """
     recordings = used_in_time_order(ctx.products["ingest"], input_name)
-    for one in recordings:
-        if one.acquisition.role not in ROLES:
-            raise InputDataError(
-                f"{one.name}: its role is {one.acquisition.role}; LIFT takes recordings of role "
-                f"{' or '.join(ROLES)}: give another one, or correct the role in the side-car"
-            )
+    require_ramp(recordings)
     introduced_nm = np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float)
     images_e, good, noise = pooled_images(recordings)
     listed = good_pixels(model_effects(ctx.instrument, ctx.model, recordings[0]), recordings[0].window)
@@ -152,6 +145,7 @@ def ramp_start(
 # (`filter_ncpa`). Other things that a model may lack change with the focus in another way, and are hardly
 # imitated.
 
+TURNED_DEG = 1.0  # angle of the derotator from which a calibration is of another one
 ALIKE = 0.01  # relative difference of mean wavelengths up to which they are of one filter
 EXCUSED = 3.0  # standard errors up to which a wavefront of filter or lens may be one of the calibration
 EXPLAINED = 0.5  # part of the excess of χ²/ν to be explained: less, and the model lacks something else
@@ -167,13 +161,31 @@ def has_other_light(ctx: StageContext[Config], acquisition: Acquisition) -> bool
         return False
     calibrated_nm = results_of(CalibrateResults, ctx.products["calibrate"]).wavelength_nm
     own_nm, source = acquisition.wavelength_nm, acquisition.diversity_source
+    others = (one.diversity_source != source for one in _calibrated_with(ctx))
+    return abs(own_nm / calibrated_nm - 1) > ALIKE or any(others)
+
+
+def _calibrated_with(ctx: StageContext) -> list[Observed]:
+    """How the recordings of the calibration were taken."""
     cubes = ctx.products["calibrate"].config.get("input")
-    seen = [
-        one.observed.diversity_source
-        for one in results_of(IngestResults, ctx.products["ingest"]).inputs
-        if one.input == cubes
-    ]
-    return abs(own_nm / calibrated_nm - 1) > ALIKE or any(one != source for one in seen)
+    rows = results_of(IngestResults, ctx.products["ingest"]).inputs
+    return [one.observed for one in rows if one.input == cubes]
+
+
+def turned_text(ctx: StageContext[Config], acquisition: Acquisition) -> str:
+    """Return what is said of NCPAs that were calibrated at another angle of the derotator; else nothing."""
+    if not ctx.config.calibrated or "calibrate" not in ctx.products:
+        return ""
+    own_deg = acquisition.derotator_angle_deg
+    angles = sorted({one.derotator_angle_deg for one in _calibrated_with(ctx)})
+    apart = [math.remainder(angle - own_deg, 360.0) for angle in angles]
+    if not any(abs(angle) > TURNED_DEG for angle in apart):
+        return ""
+    there = ", ".join(f"{angle:g}°" for angle in angles)
+    return (
+        f"the ramp was taken at {own_deg:g}° of the derotator, its calibration at {there}: of the NCPAs the "
+        "part before it is turned"
+    )
 
 
 def with_own_wavefront(effects: Sequence[Effect], conditions: Conditions) -> list[Effect]:

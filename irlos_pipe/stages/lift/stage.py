@@ -12,9 +12,10 @@ from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
 from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.results import DITTO, ByNoll, EffectValues, Number, ResultsPart, StageResults, item
-from irlos_pipe.stages.base import StageConfig, run_of
+from irlos_pipe.stages.base import Declared, StageConfig, run_of
+from irlos_pipe.stages.model.groups import require_line, require_parts, require_ramp
 
-VERSION = 18
+VERSION = 19
 NEEDS = ("ingest",)
 READS = ("prior", "calibrate")
 Mode = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
@@ -124,12 +125,24 @@ class Config(StageConfig):
     )
 
     @model_validator(mode="after")
-    def _common_modes_are_not_estimated_twice(self) -> "Config":
-        twice = sorted({*self.common_modes} & {*self.modes})
+    def _modes_are_not_estimated_twice(self) -> "Config":
+        named = (*self.modes, *self.common_modes)
+        twice = sorted({noll for noll in named if named.count(noll) > 1})
         if twice:
-            raise ValueError(f"mode {twice[0]} is both in 'modes' and in 'common_modes'; name it once")
+            raise ValueError(f"mode {twice[0]} stands twice in 'modes' and 'common_modes'; name it once")
         if min(self.common_modes, default=2) < 2:
             raise ValueError("'common_modes' are Noll modes from 2 on")
+        return self
+
+    @model_validator(mode="after")
+    def _the_prior_has_modes(self) -> "Config":
+        if self.estimator == "map" and not {*self.modes} - {2, 3, 4}:
+            raise ValueError(
+                "estimator 'map' leaves tip, tilt and defocus free, and 'modes' has no others; take 'ml'"
+            )
+        default = type(self).model_fields["prior_scale"].default
+        if self.estimator == "ml" and self.prior_scale != default:
+            raise ValueError("'prior_scale' is that of estimator 'map'; set that as well")
         return self
 
     @model_validator(mode="after")
@@ -224,6 +237,13 @@ class LiftResults(StageResults):
 
 Results = LiftResults
 run = run_of("irlos_pipe.stages.lift.work")
+
+
+def require(declared: Declared[Config]) -> None:
+    """See `Stage`."""
+    require_ramp(declared.recordings)
+    require_line(declared.recordings)
+    require_parts(declared)
 
 
 def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.estimate.calibration_errors import KEPT_SIGMA, widening
 from irlos_pipe.estimate.lift_errors import (
     FrameErrors,
     excess_scatter_nm,
@@ -23,12 +24,12 @@ from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.lift.fit import fit_frames
-from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp
+from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp, turned_text
 from irlos_pipe.stages.lift.stage import ARRAYS, Config, LiftResults, Offset, Point, Twin, own_text
 from irlos_pipe.stages.model.effects import model_effects
+from irlos_pipe.stages.model.groups import is_ramp
 from irlos_pipe.stages.model.untested import BY_RAMP
 
-OFFSET_SIGMA = 3.0  # standard errors from which an offset is not taken for chance
 SIGMA = 5.0  # standard errors that a slope may be off, and an RMS may rise, by chance
 WITHOUT_NCPAS = "without NCPAs"
 TURNED = "the sign of the diversity or of the offsets, or the orientation of the images, is wrong"
@@ -58,12 +59,12 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         curve = focus_curve(fit.model, data.images_e[typical], data.good, data.noise, modes_nm)
     errors, photon_nm = _frame_errors(ramp, fit), fit.result.mode(4)[1].numpy()
     optics_nm = _optics_nm(ctx, ramp, fit)
-    summary = replace(
-        summary, offset_sigma_nm=float(np.hypot(summary.offset_sigma_nm, np.nanmedian(optics_nm)))
-    )
-    offset_nm = unexplained_offset_nm(summary) if _is_calibrated(ctx) else 0.0
+    of_optics_nm = float(np.nanmedian(optics_nm))
+    offset_nm = unexplained_offset_nm(summary, of_optics_nm) if _is_calibrated(ctx) else 0.0
+    summary = replace(summary, offset_sigma_nm=math.hypot(summary.offset_sigma_nm, of_optics_nm))
     sigma_nm = errors.sigma_nm(photon_nm, np.hypot(optics_nm, offset_nm))
-    for text in (offset_text(summary) if offset_nm else "", older_text(fit, _wavefront_nm(ctx))):
+    turned = turned_text(ctx, ramp.acquisition)
+    for text in (offset_text(summary) if offset_nm else "", older_text(fit, _wavefront_nm(ctx)), turned):
         if text:
             ctx.log.warning(text)
     converged = float(fit.result.solution.converged.double().mean())
@@ -182,8 +183,7 @@ def _typical(fit: RampFit) -> int | None:
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
     try:
-        roles = {recording.acquisition.role for recording in ramp.recordings}
-        if roles == {"psf"} and np.ptp(ramp.data.introduced_nm) == 0:
+        if not is_ramp(ramp.recordings):
             return summarise_one_offset(ramp.data.introduced_nm, fit.defocus_nm)
         return summarise(ramp.data.introduced_nm, fit.defocus_nm)
     except ValueError as problem:
@@ -225,10 +225,18 @@ def checks_of(
     return checks
 
 
-def unexplained_offset_nm(summary: RampSummary) -> float:
-    """Return the size of the offset in a `summary`, or 0 where its own error excuses it [nm]."""
-    offset_nm = abs(summary.offset_nm)
-    return offset_nm if offset_nm > OFFSET_SIGMA * summary.offset_sigma_nm else 0.0
+def unexplained_offset_nm(summary: RampSummary, optics_nm: float = 0.0) -> float:
+    """Return the size of the offset in a `summary`, or 0 where its errors excuse it [nm].
+
+    These are that of the line, by scatter, and that by the error of the known wavefront, `optics_nm`.
+    """
+    offset_nm, line_nm = abs(summary.offset_nm), chance(summary.freedom) * summary.offset_sigma_nm
+    return offset_nm if offset_nm > math.hypot(line_nm, KEPT_SIGMA * optics_nm) else 0.0
+
+
+def chance(freedom: float) -> float:
+    """Return the standard errors, from scatter with so many degrees of `freedom`, that are chance."""
+    return KEPT_SIGMA * widening(freedom)
 
 
 def offset_text(summary: RampSummary) -> str:
@@ -241,7 +249,7 @@ def offset_text(summary: RampSummary) -> str:
 
 def _slope(config: Config, summary: RampSummary) -> Check:
     """The slope, which the straight line's own error may excuse."""
-    allowed = max(config.max_slope_error, SIGMA * summary.slope_sigma)
+    allowed = max(config.max_slope_error, max(SIGMA, chance(summary.freedom)) * summary.slope_sigma)
     why = f": {TURNED}" if summary.slope < 0 else f": {SCALED}" if abs(summary.slope - 1) > allowed else ""
     message = (
         f"estimated over introduced defocus rises by {summary.slope:.3f} ± {summary.slope_sigma:.3f}{why}"

@@ -22,6 +22,7 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
+from irlos_pipe.stages.model.groups import elements_of
 from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
@@ -56,16 +57,6 @@ def conditions_of(
         ncpa_wavelength_nm=ncpa_wavelength_nm,
         refraction=refraction_of(recording.acquisition, settings.mean_nm / 1e3),
     )
-
-
-def elements_of(acquisition: Acquisition) -> tuple[str, str]:
-    """Return the names of the filter and of the source of the diversity, of an `acquisition`.
-
-    A filter without a name goes by its mean wavelength and the width of its band.
-    """
-    wavelengths_nm, weights = np.array(acquisition.spectrum, float).T
-    band = f"{np.average(wavelengths_nm, weights=weights):.0f} nm, {np.ptp(wavelengths_nm):.0f} nm wide"
-    return acquisition.filter or band, acquisition.diversity_source
 
 
 def model_effects(

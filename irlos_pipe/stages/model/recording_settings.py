@@ -20,11 +20,8 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.model.groups import require_one_setup
 from irlos_pipe.stages.model.section import ModelConfig
-
-SETUP_KEYS = {
-    key: key for key in ("pixel_scale_mas", "spectrum", "diversity", "pupil_rotation_deg", "lenslets")
-}
 
 
 def psf_settings(
@@ -97,37 +94,6 @@ def seeing_arcsec(instrument: Instrument, acquisition: Acquisition) -> float:
 # -- recordings that belong together -----------------------------------------------------------
 
 
-def require_one_setup(recordings: Sequence[Recording]) -> None:
-    """Raise InputDataError unless all recordings share window, pixel scale, spectrum and diversity."""
-    for other in recordings[1:]:
-        differing = differences(recordings[0], other, SETUP_KEYS)
-        if differing:
-            raise InputDataError(
-                f"{other.name}: {', '.join(differing)} differ from those of {recordings[0].name}; "
-                "reduce recordings of different set-ups separately"
-            )
-
-
-def require_common(recordings: Sequence[Recording], terms: Mapping[str, str], together: str) -> None:
-    """Raise InputDataError, which says what may differ `together`, unless all have the numbers of `terms`."""
-    for other in recordings[1:]:
-        differing = differences(recordings[0], other, terms)
-        if differing:
-            raise InputDataError(
-                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; {together}"
-            )
-
-
-def differences(one: Recording, other: Recording, terms: Mapping[str, str]) -> list[str]:
-    """Return what differs between recordings `one` and `other`.
-
-    `terms` names the numbers of the acquisition that may differ; the window is compared as well.
-    """
-    here, there = one.acquisition, other.acquisition
-    differing = [term for key, term in terms.items() if getattr(here, key) != getattr(there, key)]
-    return differing if one.window == other.window else [*differing, "window"]
-
-
 def used_in_time_order(ingest: Product, input_name: str) -> list[Recording]:
     """Return the used frames of the input `input_name` of `ingest`, in order of time, of one set-up."""
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
@@ -154,12 +120,12 @@ def pooled_frames(
 
 
 def pooled_images(recordings: Sequence[Recording]) -> tuple[torch.Tensor, torch.Tensor, NoiseModel]:
-    """Frames of all recordings one after the other, pixels good in all of them, and their noise."""
+    """Frames of all recordings one after the other, pixels good in all of them, and their mean noise."""
     images = [r.images_e for r in recordings]  # those of a single recording are not copied
     return (
         torch.as_tensor(images[0] if len(images) == 1 else np.concatenate(images)),
         torch.as_tensor(np.all([r.good for r in recordings], axis=0)),
-        NoiseModel.of(recordings[0]),
+        NoiseModel.pooled(recordings),
     )
 
 
