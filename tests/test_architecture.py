@@ -77,10 +77,10 @@ SCIENCE_MAY_USE = {
 }  # fmt: skip
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
-    "api": 530, "commands": 1920, "control": 490, "conventions": 1010, "diagnosis": 5680, "effects": 4090,
-    "esorex": 110, "estimate": 7080, "files": 1050, "focus": 2360, "frames": 2030, "instrument": 860,
-    "night": 3380, "numerics": 960, "optics": 3690, "paper": 5610, "pipeline": 1190, "product": 2460,
-    "readers": 2500, "recipe": 390, "reference": 280, "report": 4230, "simulate": 4190, "stages": 6600,
+    "api": 530, "commands": 1920, "control": 490, "conventions": 1000, "diagnosis": 5660, "effects": 4060,
+    "esorex": 100, "estimate": 7130, "files": 1040, "focus": 2360, "frames": 2010, "instrument": 850,
+    "night": 3350, "numerics": 1000, "optics": 3700, "paper": 5590, "pipeline": 1200, "product": 2420,
+    "readers": 2480, "recipe": 380, "reference": 280, "report": 4180, "simulate": 4140, "stages": 6440,
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

@@ -182,7 +182,7 @@ def test_counts_that_have_overflowed_are_not_only_called_saturated(tmp_path):
     detector = {"e_per_adu": 0.5, "read_noise_e": 1.0, "saturation_adu": 5e4}
     write_recorder(tmp_path / "rec", adu.astype(np.uint16), keys={"detector": detector})
     with pytest.raises(InputDataError, match=r"x saturated; .* counts have overflowed an integer"):
-        run(tmp_path / "rec", config={"max_saturated_px": 0})
+        ingest.run(stage_context(ingest.Config(max_saturated_px=0), inputs={"cube": (tmp_path / "rec",)}))
 
 
 @pytest.mark.parametrize("where", ["", "detector."])
