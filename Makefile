@@ -14,7 +14,7 @@ TORCH_INDEX ?=
 PIP = $(BIN)/python -m pip install --quiet -c constraints.txt
 PIP_INSTALL = $(if $(TORCH_INDEX),$(PIP) --no-deps --index-url $(TORCH_INDEX) torch && )$(PIP)
 
-PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 8
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 8 --dist loadgroup
 
 # Inputs of the recipes; ARGS=--samples takes the simulated samples for those that are not given.
 CALIBRATION ?=

@@ -70,6 +70,7 @@ STYLE: dict[Any, Any] = {
     "errorbar.capsize": 1.5,
     "savefig.dpi": 200,  # of what is drawn as pixels
 }
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MANY = 2000  # marks, beyond which they are better drawn as pixels
 # What matplotlib writes and a page must not have: a header, rules for all its elements, a size in points.
 UNWANTED = re.compile(
@@ -184,6 +185,11 @@ def renamed(drawing: Markup, prefix: str) -> Markup:
     return Markup(REFERENCE.sub(lambda found: f"{prefix}-{found[0]}", text))
 
 
+def power_of_ten(value: float, _: float = 0.0) -> str:
+    """Return a number as a power of ten, which is laid out sooner than a formula."""
+    return f"10{str(round(np.log10(value))).translate(RAISED)}" if value > 0 else ""
+
+
 def log_y(axes: Axes, *values: np.ndarray, small: bool = False) -> None:
     """Make the y axis of `axes` logarithmic, unless none of the `values` drawn is positive.
 
@@ -193,6 +199,7 @@ def log_y(axes: Axes, *values: np.ndarray, small: bool = False) -> None:
     positive = drawn[drawn > 0]
     if positive.size:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(power_of_ten)
         axes.yaxis.set_minor_formatter(NullFormatter())
         if positive.max() < (10 if small else 100) * positive.min():
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import EngFormatter, ScalarFormatter
 
 from irlos_pipe.report.content import Figure, Views, Width
-from irlos_pipe.report.drawing import FAINT, INK, OnAxes, own_style, svg
+from irlos_pipe.report.drawing import FAINT, INK, OnAxes, own_style, power_of_ten, svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
@@ -161,9 +161,9 @@ def _short(value: float) -> str:
     """A tick of an asinh scale, written out where that is short."""
     if value == 0 or 1e-2 <= abs(value) < MANY_DIGITS:
         return _short_number(value)
-    power = math.floor(math.log10(abs(value)) + 1e-9)
-    factor = round(abs(value) / 10**power)
-    return f"{'−' if value < 0 else ''}{'' if factor == 1 else f'{factor}·'}$10^{{{power}}}$"
+    power = 10.0 ** math.floor(math.log10(abs(value)) + 1e-9)
+    factor = round(abs(value) / power)
+    return f"{'−' if value < 0 else ''}{'' if factor == 1 else f'{factor}·'}{power_of_ten(power)}"
 
 
 def panel_axes(canvas: Canvas | OnAxes) -> tuple[Axes, Axes]:

@@ -40,6 +40,7 @@ from irlos_pipe.report.drawing import (
     figure,
     log_y,
     plot,
+    power_of_ten,
 )
 from irlos_pipe.report.first_screen import advice, applicable, effect_link
 from irlos_pipe.report.images import (
@@ -377,6 +378,7 @@ def _in_time(of: Calibration) -> Figure | None:
                 power, hertz = (np.asarray(one)[1:] for one in psd)
                 row[1].plot(hertz, power, color=BLUE, linewidth=0.9)
                 row[1].set_xscale("log")
+                row[1].xaxis.set_major_formatter(power_of_ten)
                 log_y(row[1], power, small=True)
                 row[1].set_title("power [nm²/Hz]", loc="left", pad=2)
         for axes, label in zip(grid[-1], (x_label, "frequency [Hz]"), strict=False):

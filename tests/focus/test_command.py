@@ -22,7 +22,7 @@ from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.recordings import Replay
 from irlos_pipe.focus.ring import RingWriter
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("focus")]  # its fixtures take long
 
 
 @pytest.fixture(scope="module")

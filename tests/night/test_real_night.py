@@ -14,7 +14,7 @@ from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of, written
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.trend import read_trend
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("night")]  # its fixtures take long
 
 TRUTH_NM = {4: 40.0, 7: -30.0, 11: 20.0}
 SMALL = {

@@ -24,7 +24,7 @@ from irlos_pipe.reference import COMMANDS, RESULTS
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 from maintenance.schema import commands_schema, results_schema, text_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("results")]  # its fixtures take long
 
 RAMP = """\
 recipe: ramp
