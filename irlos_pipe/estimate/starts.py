@@ -40,6 +40,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import noll_to_nm
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
+ALIKE_AT_ONCE = 8  # images that are compared with all templates at once
 FEW_FRAMES = 10  # single frames whose median is a start
 FEW_FRAMES_ITERATIONS = 60
 START_HIGHEST_NOLL = 30  # modes of a start from single frames
@@ -111,7 +112,7 @@ def _most_alike(
         shifts = [_signed(at // columns, rows), _signed(at % columns, columns)]
         return best[:, 0].cpu(), torch.cat(shifts, dim=1).double()
 
-    best, shifts = joined_map(peaks, images.split(at_once(1, templates.device.type)), len(images))
+    best, shifts = joined_map(peaks, images.split(at_once(ALIKE_AT_ONCE, templates.device.type)), len(images))
     return best, shifts
 
 

@@ -166,19 +166,22 @@ def forked_map(
     items: Iterable[Item],
     report: Callable[[Item], Any] = ignored,
     begin: Callable[[], None] = ignored,
+    meanwhile: Callable[[], Any] = ignored,
 ) -> list[Result]:
     """Return what `function` makes of all `items`, in order, with up to `count` processes of one thread each.
 
     They are forked, know all that the caller knows, and send back results only; they take some hundredths of
-    a second to start. `report` gets each item that is done. What is left where a system does not fork, or
-    when a process was killed, is done here.
+    a second to start. `report` gets each item that is done; `meanwhile` is called here while they work. What
+    is left where a system does not fork, or when a process was killed, is done here.
     """
     items, results = list(items), {}
-    count = min(count, len(items))
-    if count > 1 and FORKS:
-        token = _work.set((function, items))
+    if count == 1 or not FORKS or len(items) < (2 if meanwhile is ignored else 1):
+        meanwhile()
+    else:
+        token, tasks = _work.set((function, items)), [(place,) for place in range(len(items))]
         try:
-            with in_processes(count, _worked, [(i,) for i in range(len(items))], "fork", begin) as futures:
+            with in_processes(min(count, len(items)), _worked, tasks, "fork", begin) as futures:
+                meanwhile()
                 places = {future: place for place, future in enumerate(futures)}
                 for future in as_completed(futures):
                     results[places[future]] = pickle.loads(future.result())

@@ -21,8 +21,8 @@ import torch
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 # Returns what a function makes of items, in order, from processes that know all that the caller knows; calls
-# the third argument with each that is done, and the last one in every process first.
-ForkedMap = Callable[[Callable, list, Callable, Callable[[], None]], list]
+# the third argument with each that is done, the fourth in every process first, and the last here meanwhile.
+ForkedMap = Callable[[Callable, list, Callable, Callable[[], None], Callable[[], Any]], list]
 
 PROCESSOR_BYTES = 2**29  # memory that a piece for a processor takes, at most; those for a GPU fill its own
 
@@ -62,16 +62,25 @@ def process_map(
     function: Callable[[Item], Result],
     items: Iterable[Item],
     report: Callable[[Item], Any] = lambda item: None,
+    meanwhile: Callable[[], Any] | None = None,
 ) -> list[Result]:
     """Return what `function` makes of all `items`, in order, from processes; `report` gets each that is done.
 
+    A call of `meanwhile`, which has threads only, is done here while the processes work.
     There are none beside threads, whose locks a fork would keep, within processes, nor where gradients are
     recorded; then there are threads. A GPU in use does not survive a fork, and needs one thread only.
     """
     forked_map, items = _forked.get(), list(items)
     on_gpu = torch.cuda.is_initialized()
-    if forked_map and len(items) > 1 and not (torch.is_grad_enabled() or on_gpu):
-        return forked_map(function, items, report, _begin_process)
+    few = len(items) < (2 if meanwhile is None else 1)
+    here = meanwhile or (lambda: None)
+    if forked_map and not (few or torch.is_grad_enabled() or on_gpu):
+        token = _forked.set(None)
+        try:
+            return forked_map(function, items, report, _begin_process, here)
+        finally:
+            _forked.reset(token)
+    here()
     results = []
     for item, result in zip(items, (map if on_gpu else _results)(function, items), strict=True):
         results.append(result)

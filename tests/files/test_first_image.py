@@ -140,6 +140,14 @@ def test_what_a_killed_worker_had_to_do_is_done_by_the_caller(caplog):
     assert "a worker process was killed" in caplog.text
 
 
+@pytest.mark.parametrize("processes", [1, 2])
+def test_the_caller_has_work_of_its_own_meanwhile(processes):
+    caller, here = os.getpid(), []
+    found = forked_map(processes, lambda _: os.getpid(), [0], meanwhile=lambda: here.append(os.getpid()))
+    assert here == [caller]
+    assert (found == [caller]) == (processes == 1)
+
+
 FORKING = """
     import os, sys, time
     from pathlib import Path

@@ -308,7 +308,7 @@ def test_no_process_is_forked_while_threads_are_at_work():
     """A lock that another thread holds would never be released in the process."""
     forked = []
 
-    def forked_map(function, items, report, begin):
+    def forked_map(function, items, report, begin, meanwhile):
         forked.append(items)
         return [function(item) for item in items]
 

@@ -1,6 +1,6 @@
 """Stage `calibrate`: static aberrations (NCPAs) from cubes of short narrow-band exposures."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_n
 from irlos_pipe.estimate.methods import scheme_of
 from irlos_pipe.estimate.setups import calibrate_setups
 from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.numerics.parallel import process_map
 from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.product.product import Quantity, declared
@@ -66,16 +67,26 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     first = recordings[0].acquisition
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
     cube = cube_input(ctx, recordings, options)
-    result = _calibrate(ctx, recordings, options, cube)
-    others = [
-        _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law, method))
-        for method in ctx.config.compare
-        if method != ctx.config.method
-    ]
-    output = _with_causes(ctx, _joint_output(ctx, result, others, first), cube.conditions, result)
+
+    def compared(method: str) -> tuple[Calibration, list[str]]:
+        """The result of another method, as far as it is compared, and lines for the log."""
+        lines = list[str]()
+        of_method = ctx.config.options(ctx.instrument.facility.ncpa_law, method)
+        return replace(_calibrate(ctx, recordings, of_method, note=lines.append), fit=None), lines
+
+    adopted = list[Calibration]()
+    others = process_map(
+        compared,
+        [method for method in ctx.config.compare if method != ctx.config.method],
+        meanwhile=lambda: adopted.append(_calibrate(ctx, recordings, options, cube)),
+    )
+    for line in (line for _, lines in others for line in lines):
+        ctx.log.info(line)
+    joint = _joint_output(ctx, adopted[0], [result for result, _ in others], first)
+    output = _with_causes(ctx, joint, cube.conditions, adopted[0])
     if first.lenslets == 1:
         return output
-    row = _lenslets(ctx, result, cube)
+    row = _lenslets(ctx, adopted[0], cube)
     results = output.results.model_copy(update={"lenslets": row})
     return replace(output, results=results, summary=[*output.summary, *_lenslet_lines(row)])
 
@@ -112,21 +123,21 @@ def _calibrate(
     recordings: list[Recording],
     options: CalibrationOptions,
     cube: CubeInput | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> Calibration:
-    """One method on all frames of the recordings, on their `cube` where that is made already."""
+    """One method on all frames of the recordings, on their `cube` where that is made already.
+
+    Without a `note` that takes lines, they go to the log, and a progress bar is shown.
+    """
     cube = cube or cube_input(ctx, recordings, options)
-    total = scheme_of(options).fits(cube.frames)
-    with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
-        context = {"device": ctx.device, "report": bar.update, "note": ctx.log.info}
+    shown: dict[str, Any] = {"disable": True} if note else {}
+    note, total = note or ctx.log.info, scheme_of(options).fits(cube.frames)
+    with ctx.progress(total=total, desc=f"calibrate {options.method}", **shown) as bar:
+        context = {"device": ctx.device, "report": bar.update, "note": note}
         result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
-    ctx.log.info(
-        "%s, %s: %.1f nm RMS, chi2/nu %.2f, %.1f s",
-        recordings[0].name,
-        options.method,
-        wfe_nm(result.nolls, result.zernike_nm),
-        result.chi2_nu,
-        result.seconds,
-    )
+    rms_nm = wfe_nm(result.nolls, result.zernike_nm)
+    fitted = f"{rms_nm:.1f} nm RMS, chi2/nu {result.chi2_nu:.2f}, {result.seconds:.1f} s"
+    note(f"{recordings[0].name}, {options.method}: {fitted}")
     return result
 
 
