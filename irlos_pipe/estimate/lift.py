@@ -105,9 +105,7 @@ def lift(
         close, device = near and near.of(some), images_e.device
         return _lift(model, close, images_e, good.to(device), noise, start_nm[some], options.of(some))
 
-    pieces = zip(
-        *(in_pieces(one, model, near) for one in (torch.arange(len(images_e)), images_e)), strict=True
-    )
+    pieces = in_pieces(model, near, torch.arange(len(images_e)), images_e)
     result = LiftResult.joined(process_map(piece, pieces, lambda own: report(len(own[0]))))
     stuck = model.at_limit(result.zernike_nm)
     if not (beyond and stuck.any()):
@@ -116,10 +114,13 @@ def lift(
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def in_pieces(images: torch.Tensor, model: ImageModel, near: NearModel | None) -> tuple[torch.Tensor, ...]:
-    """Split `images`, or their numbers, into those that a `model` estimates at once, and one `near` them."""
+def in_pieces(
+    model: ImageModel, near: NearModel | None, numbers: torch.Tensor, images: torch.Tensor
+) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """Split `numbers` and `images` into those that a `model` estimates at once, and one `near` them."""
     size = at_once(IMAGES_AT_ONCE if near is None else NEAR_AT_ONCE, model.psf.device)
-    return images.tensor_split(max(1, math.ceil(len(images) / size)))
+    count = max(1, math.ceil(len(images) / size))
+    return list(zip(numbers.tensor_split(count), images.tensor_split(count), strict=True))
 
 
 def _lift(model: ImageModel, near, images_e, good, noise, start_nm, options) -> LiftResult:

@@ -165,8 +165,8 @@ def scan(
         one = configurations[number]
         images_e = torch.cat(ordered_map(lambda index: dimmed(one.signal_e, index), group), dim=1)
         own = torch.arange(frames).repeat_interleave(images_e.shape[1])
-        split = (in_pieces(each, one.model, close_to[number]) for each in (own, images_e.flatten(0, 1)))
-        return [(number, *piece) for piece in zip(*split, strict=True)]
+        split = in_pieces(one.model, close_to[number], own, images_e.flatten(0, 1))
+        return [(number, *piece) for piece in split]
 
     def errors_of(piece: tuple[int, torch.Tensor, torch.Tensor]) -> np.ndarray:
         number, own, images_e = piece

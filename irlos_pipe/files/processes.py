@@ -166,7 +166,7 @@ def forked_map(
     items: Iterable[Item],
     report: Callable[[Item], Any] = ignored,
     begin: Callable[[], None] = ignored,
-    meanwhile: Callable[[], Any] = ignored,
+    meanwhile: Callable[[], Any] | None = None,
 ) -> list[Result]:
     """Return what `function` makes of all `items`, in order, with up to `count` processes of one thread each.
 
@@ -175,13 +175,14 @@ def forked_map(
     is left where a system does not fork, or when a process was killed, is done here.
     """
     items, results = list(items), {}
-    if count == 1 or not FORKS or len(items) < (2 if meanwhile is ignored else 1):
-        meanwhile()
+    here = ignored if meanwhile is None else meanwhile
+    if count == 1 or not FORKS or len(items) + (meanwhile is not None) < 2:
+        here()
     else:
         token, tasks = _work.set((function, items)), [(place,) for place in range(len(items))]
         try:
             with in_processes(min(count, len(items)), _worked, tasks, "fork", begin) as futures:
-                meanwhile()
+                here()
                 places = {future: place for place, future in enumerate(futures)}
                 for future in as_completed(futures):
                     results[places[future]] = pickle.loads(future.result())

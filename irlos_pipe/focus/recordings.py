@@ -234,7 +234,10 @@ class WatchedFolder:
 
 def _changed_ns(path: Path) -> int:
     """When a file changed; 0 where there is none."""
-    return path.stat().st_mtime_ns if path.exists() else 0
+    try:
+        return path.stat().st_mtime_ns
+    except (FileNotFoundError, NotADirectoryError):  # perhaps taken away just now
+        return 0
 
 
 class _Reading:

@@ -22,7 +22,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 # Returns what a function makes of items, in order, from processes that know all that the caller knows; calls
 # the third argument with each that is done, the fourth in every process first, and the last here meanwhile.
-ForkedMap = Callable[[Callable, list, Callable, Callable[[], None], Callable[[], Any]], list]
+ForkedMap = Callable[[Callable, list, Callable, Callable[[], None], Callable[[], Any] | None], list]
 
 PROCESSOR_BYTES = 2**29  # memory that a piece for a processor takes, at most; those for a GPU fill its own
 
@@ -66,21 +66,21 @@ def process_map(
 ) -> list[Result]:
     """Return what `function` makes of all `items`, in order, from processes; `report` gets each that is done.
 
-    A call of `meanwhile`, which has threads only, is done here while the processes work.
     There are none beside threads, whose locks a fork would keep, within processes, nor where gradients are
-    recorded; then there are threads. A GPU in use does not survive a fork, and needs one thread only.
+    recorded; then there are threads. A GPU in use does not survive a fork, and needs one thread only. What is
+    called `meanwhile`, here while the processes work, has threads only.
     """
     forked_map, items = _forked.get(), list(items)
     on_gpu = torch.cuda.is_initialized()
-    few = len(items) < (2 if meanwhile is None else 1)
-    here = meanwhile or (lambda: None)
-    if forked_map and not (few or torch.is_grad_enabled() or on_gpu):
+    several = len(items) + (meanwhile is not None) > 1
+    if forked_map and several and not (torch.is_grad_enabled() or on_gpu):
         token = _forked.set(None)
         try:
-            return forked_map(function, items, report, _begin_process, here)
+            return forked_map(function, items, report, _begin_process, meanwhile)
         finally:
             _forked.reset(token)
-    here()
+    if meanwhile is not None:
+        meanwhile()
     results = []
     for item, result in zip(items, (map if on_gpu else _results)(function, items), strict=True):
         results.append(result)

@@ -1,6 +1,6 @@
 """Which recordings can be reduced together, by how they were taken; it needs no frame, and no PyTorch."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 
 import numpy as np
@@ -38,33 +38,35 @@ def elements_of(acquisition: Acquisition) -> tuple[str, str]:
 
 def require_one_setup(recordings: Sequence[Recording]) -> None:
     """Raise InputDataError unless all recordings share window, pixel scale, spectrum and diversity."""
-    for other in recordings[1:]:
-        differing = differences(recordings[0], other, SETUP_KEYS)
-        if differing:
-            raise InputDataError(
-                f"{other.name}: {', '.join(differing)} differ from those of {recordings[0].name}; "
-                "reduce recordings of different set-ups separately"
-            )
+    for other, differing in _unlike_the_first(recordings, SETUP_KEYS):
+        raise InputDataError(
+            f"{other.name}: {', '.join(differing)} differ from those of {recordings[0].name}; "
+            "reduce recordings of different set-ups separately"
+        )
 
 
 def require_common(recordings: Sequence[Recording], terms: Mapping[str, str], together: str) -> None:
     """Raise InputDataError, which says what may differ `together`, unless all have the numbers of `terms`."""
-    for other in recordings[1:]:
-        differing = differences(recordings[0], other, terms)
-        if differing:
-            raise InputDataError(
-                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; {together}"
-            )
+    for other, differing in _unlike_the_first(recordings, terms):
+        raise InputDataError(
+            f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; {together}"
+        )
 
 
-def differences(one: Recording, other: Recording, terms: Mapping[str, str]) -> list[str]:
-    """Return what differs between recordings `one` and `other`.
+def _unlike_the_first(
+    recordings: Sequence[Recording], terms: Mapping[str, str]
+) -> Iterator[tuple[Recording, list[str]]]:
+    """Recordings that differ from the first one, and in what.
 
     `terms` names the numbers of the acquisition that may differ; the window is compared as well.
     """
-    here, there = one.acquisition, other.acquisition
-    differing = [term for key, term in terms.items() if getattr(here, key) != getattr(there, key)]
-    return differing if one.window == other.window else [*differing, "window"]
+    for other in recordings[1:]:
+        here, there = recordings[0].acquisition, other.acquisition
+        differing = [term for key, term in terms.items() if getattr(here, key) != getattr(there, key)]
+        if recordings[0].window != other.window:
+            differing.append("window")
+        if differing:
+            yield other, differing
 
 
 def by_setup(recordings: Sequence[Recording]) -> list[list[Recording]]:
@@ -83,9 +85,7 @@ def by_setup(recordings: Sequence[Recording]) -> list[list[Recording]]:
 def of_several_setups(recordings: Sequence[Recording]) -> bool:
     """Return whether frames differ in what is known of wavefront or light, and are fitted jointly."""
     introduced_nm = np.concatenate([one.introduced_defocus_nm for one in recordings])
-    return len(np.unique(introduced_nm)) > 1 or any(
-        differences(recordings[0], other, SETUP_KEYS) for other in recordings[1:]
-    )
+    return len(np.unique(introduced_nm)) > 1 or any(_unlike_the_first(recordings, SETUP_KEYS))
 
 
 def require_joint(model: ModelConfig, groups: Sequence[Sequence[Recording]], method: str) -> None:
@@ -113,23 +113,24 @@ def require_joint(model: ModelConfig, groups: Sequence[Sequence[Recording]], met
 
 def require_calibration(recordings: Sequence[Recording]) -> None:
     """Raise InputDataError for `recordings` that are no cubes of one static wavefront."""
+    takes = f"a calibration takes recordings of role {', '.join(OF_CALIBRATIONS)}"
+    _require_role(recordings, OF_CALIBRATIONS, takes)
+
+
+def _require_role(recordings: Sequence[Recording], roles: Sequence[str], takes: str) -> None:
+    """Raise InputDataError, which says what a stage `takes`, for a recording of none of the `roles`."""
     for one in recordings:
-        if one.acquisition.role not in OF_CALIBRATIONS:
+        if one.acquisition.role not in roles:
             raise InputDataError(
-                f"{one.name}: its role is {one.acquisition.role}; a calibration takes recordings of role "
-                f"{', '.join(OF_CALIBRATIONS)}: give another one, or correct the role in the side-car"
+                f"{one.name}: its role is {one.acquisition.role}; {takes}: give another one, or correct the "
+                "role in the side-car"
             )
 
 
 def require_ramp(recordings: Sequence[Recording]) -> None:
     """Raise InputDataError unless `recordings` are frames of one set-up that LIFT takes."""
     require_one_setup(recordings)
-    for one in recordings:
-        if one.acquisition.role not in OF_RAMPS:
-            raise InputDataError(
-                f"{one.name}: its role is {one.acquisition.role}; LIFT takes recordings of role "
-                f"{' or '.join(OF_RAMPS)}: give another one, or correct the role in the side-car"
-            )
+    _require_role(recordings, OF_RAMPS, f"LIFT takes recordings of role {' or '.join(OF_RAMPS)}")
 
 
 def require_line(recordings: Sequence[Recording]) -> None:
