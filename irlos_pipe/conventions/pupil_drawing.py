@@ -145,9 +145,10 @@ def with_sizes(
 ) -> PupilGeometry:
     """Return the pupil `geometry` with a hole of `obscuration_m` and vanes `vane_width_m` wide on average.
 
-    What is not given stays; all vanes are wider in the same ratio.
+    What is not given stays; all vanes are wider in the same ratio, which a pupil without vanes has not.
     """
-    wider = 1.0 if vane_width_m is None else vane_width_m / geometry.vane_width_m
+    given = vane_width_m is not None and geometry.vane_width_m > 0
+    wider = (vane_width_m or 0.0) / geometry.vane_width_m if given else 1.0
     return replace(
         geometry,
         obscuration_m=geometry.obscuration_m if obscuration_m is None else obscuration_m,

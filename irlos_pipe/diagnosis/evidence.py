@@ -36,8 +36,7 @@ from irlos_pipe.diagnosis.posterior import (
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.scores import Family, Score, score_family, scored, whitened_shapes
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, in_other_forms
-from irlos_pipe.effects.colour import PlateScale, Spectrum
+from irlos_pipe.effects import Effect, FixedEffect, everyday, in_other_forms
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
 from irlos_pipe.estimate.score_test import LinearEstimate
@@ -472,24 +471,3 @@ def _refined(laplace: Laplace, score: Score) -> Score:
         else:
             best, at = better, better.candidate.all_values(better.candidate.null_values).numpy()
     return replace(best, trials=score.trials, log_odds=best.log_odds - math.log(score.trials))
-
-
-def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> list[Effect]:
-    """Facts of the instrument and mild effects, their values free, but for those that a mode imitates.
-
-    They are stated for the first of the `recordings`. Of the two that scale the image one is free, the pixels
-    unless it is `present` as the wavelength: jointly they drift far from what is true, a little here and a
-    little there. The other is a rival in the end.
-    """
-    model, found = {effect.name for effect in present}, []
-    held = PlateScale.name if Spectrum.name in model else Spectrum.name
-    for name, kind in CATALOGUE.items():
-        if not (kind.fact or kind.mild) or name in model or name == held:
-            continue
-        try:
-            effect = kind.under(recordings[0])
-        except ValueError:
-            continue  # it means nothing for this instrument
-        if not effect.imitated_in(recordings):
-            found.append(effect)
-    return found

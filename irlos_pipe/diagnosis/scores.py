@@ -1,9 +1,4 @@
-"""Which families of effects the residual calls for: score tests at the optimum of the current model.
-
-A displaced copy of the star is scored for every shift by whole pixels at once. A companion adds the displaced
-image; what it takes from the star the flux makes good. Scalar products of all displaced images with the
-residual, with themselves and with the derivatives of the fitted parameters are correlations, done by FFT.
-"""
+"""Which families of effects the residual calls for: score tests at the optimum of the current model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,12 +9,10 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
-from irlos_pipe.conventions.units import MAS
 from irlos_pipe.diagnosis.null_model import FittedModel, significance_of
 from irlos_pipe.diagnosis.view import Placement
 from irlos_pipe.effects import Effect, FixedEffect
-from irlos_pipe.effects.companion import INNER_MAS
-from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
+from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, brightest_copies, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
 
 BUNDLED = 32  # candidates in the pupil or of the OTF that share one light path
@@ -112,7 +105,7 @@ def score_family(optimum: FittedModel, family: Family) -> Score:
     ]
     trials = len(tried) * family.positions * len(family.placements)
     if family.effect.copies_star:
-        tried = [*brightest_copies(optimum, family.effect), *around(family.effect)]
+        tried = [*copies_in(optimum, family.effect), *around(family.effect)]
     bundled = family.effect.plane in ("pupil", "otf") and not family.effect.copies_star
     size = BUNDLED if bundled else 1  # candidates whose derivatives are computed in one go
     bundles = [tried[i : i + size] for i in range(0, len(tried), size)]
@@ -261,29 +254,17 @@ class _Bundle(Effect):
         return [every[index] for index in wanted]
 
 
-POSITIONS = 3  # candidates to look at more closely
-APART_PX = 4  # distance between two of them, as neighbours of a peak are the same copy
-RESOLVED = 1.5  # in λ/D; closer to a known copy another one is not resolved
 RING_MAS, DIRECTIONS = 150.0, 8  # a ring of positions that say how faint a copy can be seen
 
 
-def brightest_copies(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
-    """The most promising positions of `effect` at an `optimum`, of any on the pixel grid of the window."""
-    settings = optimum.settings
-    gain, scale = companion_gains(optimum, effect), settings.pixel_scale_mas
-    rows, columns = (np.fft.fftfreq(n, 1 / n) for n in gain.shape)
-    y, x = (axis * scale for axis in np.meshgrid(rows, columns, indexing="ij"))
-    inside = (np.abs(y) < settings.window[0] / 2 * scale) & (np.abs(x) < settings.window[1] / 2 * scale)
-    gain[~inside | (np.hypot(x, y) < INNER_MAS)] = 0
-    resolution_mas = settings.shortest_m / settings.geometry.diameter_m / MAS
-    for x_mas, y_mas in _copies(optimum, effect):  # two that cannot be resolved are one that is no copy
-        gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * resolution_mas] = 0
-    found = []
-    for _ in range(POSITIONS):
-        best = np.unravel_index(np.argmax(gain), gain.shape)
-        found.append(effect.displaced(x[best], y[best]))
-        gain[np.hypot(x - x[best], y - y[best]) < APART_PX * scale] = 0
-    return found
+def copies_in(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
+    """The most promising positions of `effect`, a copy of the star, which need not be in all recordings."""
+    window, fitted = optimum.settings.window, optimum.fitted
+    backgrounds = torch.cat([x[0, -1:].expand(window[0] * window[1]) for _, x in fitted.recordings])
+    stars = (fitted.image_e - backgrounds).reshape(-1, *window)
+    acting = [float(effect.acting(view.moment)) for view in fitted.views]
+    stars = stars * torch.tensor(acting, dtype=torch.float64)[:, None, None]
+    return brightest_copies(optimum, stars, optimum.settings, effect, _copies(optimum, effect))
 
 
 def _copies(optimum: FittedModel, wanted: Effect) -> list[tuple[float, float]]:
@@ -301,28 +282,3 @@ def around(effect: Effect) -> list[FixedEffect]:
     """Positions of `effect` on all sides, which say how faint a copy of the star can be seen there."""
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     return [effect.displaced(RING_MAS * np.cos(angle), RING_MAS * np.sin(angle)) for angle in angles]
-
-
-def companion_gains(optimum: FittedModel, effect: Effect | None = None) -> np.ndarray:
-    """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size.
-
-    `effect` is the copy of the star, which need not be in all recordings.
-    """
-    window, fitted = optimum.settings.window, optimum.fitted
-    padded = [2 * n for n in window]
-    backgrounds = torch.cat([x[0, -1:].expand(window[0] * window[1]) for _, x in fitted.recordings])
-    stars = (fitted.image_e - backgrounds).reshape(-1, *window)
-    root = optimum.root
-    if effect is not None:
-        acting = [float(effect.acting(view.moment)) for view in fitted.views]
-        stars = stars * torch.tensor(acting, dtype=torch.float64)[:, None, None]
-
-    def correlate(weights: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
-        """Correlation of the parts of every recording, summed over the recordings."""
-        spectra = [torch.fft.rfft2(one.reshape(-1, *window), s=padded) for one in (weights, images)]
-        return torch.fft.irfft2(spectra[0] * spectra[1].conj(), s=padded).sum(0)
-
-    projection, power = correlate(optimum.residual * root, stars), correlate(root**2, stars**2)
-    imitated = sum(correlate(column * root, stars) ** 2 for column in optimum.basis.mT)
-    left = (power - imitated).clamp_min(1e-3 * power.max())
-    return (projection.clamp_min(0) ** 2 / left).numpy()

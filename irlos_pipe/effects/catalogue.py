@@ -57,6 +57,27 @@ def in_other_forms(
     return found
 
 
+def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> list[Effect]:
+    """Facts of the instrument and mild effects, their values free, but for those that a mode imitates.
+
+    They are stated for the first of the `recordings`. Of the two that scale the image one is free, the pixels
+    unless it is `present` as the wavelength: jointly they drift far from what is true, a little here and a
+    little there. The other is a rival in the end.
+    """
+    model, found = {effect.name for effect in present}, []
+    held = colour.PlateScale.name if colour.Spectrum.name in model else colour.Spectrum.name
+    for name, kind in CATALOGUE.items():
+        if not (kind.fact or kind.mild) or name in model or name == held:
+            continue
+        try:
+            effect = kind.under(recordings[0])
+        except ValueError:
+            continue  # it means nothing for this instrument
+        if not effect.imitated_in(recordings):
+            found.append(effect)
+    return found
+
+
 HEAD = """# Effects
 
 The names, units and limits that recipes, models, simulation specifications, products and reports use. This

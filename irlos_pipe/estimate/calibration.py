@@ -21,6 +21,7 @@ from irlos_pipe.estimate.calibration_errors import (
     nominal_power,
 )
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
+from irlos_pipe.estimate.causes import EXPLAINED
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of, silent
 from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
@@ -81,6 +82,7 @@ class Calibration:
     left_nominal: np.ndarray | None = None
     fit: Fit | None = None  # of one star's mean image, for `causes`
     setups: Sequence[SetupFit] = ()  # where several were fitted together
+    adjusted: bool = False  # whether facts of the instrument were free
     introduced_accuracy: float = math.nan  # of their introduced defoci, as a part of them; see `setups`
 
     @property
@@ -95,6 +97,7 @@ def calibrate(
     options: CalibrationOptions,
     effects: Sequence[Effect] = (),
     *,
+    adjusted: Sequence[Effect] = (),
     start_nm: np.ndarray | None = None,
     device: str = "cpu",
     report: Report = silent,
@@ -108,6 +111,9 @@ def calibrate(
     ----------
     effects : sequence of Effect
         Of the model; methods of the paper leave them out.
+    adjusted : sequence of Effect
+        What of the instrument is free jointly with all modes, for an open basis. Where all this leaves more
+        than nominal, a ghost or companion enters that explains most of it.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
@@ -135,55 +141,51 @@ def calibrate(
     if (
         not frames.show_scatter
         and METHODS[options.method].effects
-        and not _explained_by_tail(options, effects, fit)
+        and not _explained_by_tail(task, effects, fit)
     ):
         task, fit = _weighted_by_misfit(task, steady, fit)
     for effect in effects:
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    closed, opened = fit, _all_modes(options, effects, fit)
+    closed, opened = fit, _all_modes(task, effects, fit, adjusted)
     if opened is not None and any(starts_as_told(effect) for effect in steady):
-        closed, opened = _from_found_effects(task, closed, opened)
+        closed, opened = _from_found_effects(task, closed, opened, adjusted)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
+        for image in (effect for effect in adjusted if effect.copies_star):
+            opened = _with_second_image(task, opened, image)
+            note(f"a {image.name} looked for")
     nominal = None
     if opened is not None and start_nm is None:
         nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
-        found = likelier_minimum(task, closed, opened, nominal.most)
+        # where all is adjusted, an AO residual of another shape leaves more as well
+        most = nominal.most_behind_ao if adjusted else nominal.most
+        found = likelier_minimum(task, closed, opened, most)
         opened, nominal = found, nominal if found is opened else None
         note("other minima compared")
     twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
-        fit, tail = (opened.problem, opened.solution), opened.law
+        fit, tail = opened.fit, opened.law
     known = nominal if task.frames is frames else None
     result = _result(frames, options, fit, twin, tail, time.perf_counter() - began, known)
+    result = replace(result, adjusted=bool(adjusted))
     further = None
     if result.fit and result.errors_from == "frames" and result.nominal.excess(result.chi2_nu) > 0:
         further = uneven(frames, *result.fit)
     if further is None:
         return result
     note("the AO residual is uneven over the pupil: fitted again with it")
-    fit, tail = _with_one_more(task, fit, tail, further)
+    if opened is None:
+        fit = task.fit([*fit[0].model.effects.effects, further], fit)
+    else:
+        opened = _with_one_more(task, opened, further)
+        fit, tail = opened.fit, opened.law
     seconds = time.perf_counter() - began
     other = _result(frames, options, fit, twin, tail, seconds)
-    return replace(min(result, other, key=lambda one: one.chi2_nu), seconds=seconds)
-
-
-def _with_one_more(
-    task: CubeFit, fit: Fit, tail: TailLaw | None, further: Effect
-) -> tuple[Fit, TailLaw | None]:
-    """The fit with a `further` effect, from where it is; its tail has the law `tail`."""
-    problem, solution = fit
-    effects = [*problem.model.effects.effects, further]
-    if tail is None:
-        return task.fit(effects, fit), None
-    closed, values = task.released(effects, fit)
-    found_nm = dict(zip(problem.layout.nolls, solution.values[0].tolist(), strict=False))
-    limit = task.options.max_iterations
-    opened = open_basis(closed, values, beyond_nm=found_nm, law=tail, max_iterations=limit)
-    return (fit, tail) if opened is None else ((opened.problem, opened.solution), opened.law)
+    best = min(result, other, key=lambda one: one.chi2_nu)
+    return replace(best, seconds=seconds, adjusted=result.adjusted)
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
@@ -201,14 +203,50 @@ def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
     return fit
 
 
-def _all_modes(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> Opened | None:
-    """The fit of all visible modes, where it is requested and possible."""
-    if not options.open or any(isinstance(effect, HighOrderNcpa) for effect in effects):
+def _all_modes(
+    task: CubeFit, effects: Sequence[Effect], fit: Fit, adjusted: Sequence[Effect] = ()
+) -> Opened | None:
+    """The fit of all visible modes and what is `adjusted`, where it is requested and possible."""
+    if not task.options.open or any(isinstance(effect, HighOrderNcpa) for effect in effects):
         return None
-    return open_basis(fit[0], fit[1].values, max_iterations=options.max_iterations)
+    return _opened(task, fit[0].model.effects.effects, fit, adjusted)
 
 
-def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:
+def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, adjusted: Sequence[Effect]) -> Opened | None:
+    """The fit of all modes with these effects and what is `adjusted`, from one with some of them, `held`."""
+    everywhere = [effect for effect in adjusted if not effect.copies_star]
+    problem, values = task.released([*effects, *everywhere], held)
+    return open_basis(problem, values, max_iterations=task.options.max_iterations)
+
+
+def _with_one_more(task: CubeFit, opened: Opened, further: Effect) -> Opened:
+    """The fit of all modes with a `further` effect, from where it is."""
+    problem, solution = opened.fit
+    closed, values = task.released([*problem.model.effects.effects, further], opened.fit)
+    found_nm = dict(zip(problem.layout.nolls, solution.values[0].tolist(), strict=False))
+    limit = task.options.max_iterations
+    return open_basis(closed, values, beyond_nm=found_nm, law=opened.law, max_iterations=limit) or opened
+
+
+def _with_second_image(task: CubeFit, opened: Opened, image: Effect) -> Opened:
+    """The fit of all modes, or one with a second `image` of the star that explains most of what it misses."""
+    problem, x = opened.problem, opened.solution.values[:1]
+    nominal, chi2_nu = nominal_of(task.frames, problem, x), _chi2_nu(opened.fit)
+    if chi2_nu <= nominal.most:
+        return opened
+    other = _with_one_more(task, opened, best_start(problem, x, image))
+    if _chi2_nu(other.fit) - nominal.value > EXPLAINED * (chi2_nu - nominal.value):
+        return opened
+    return likelier_side(other, task.options.max_iterations)
+
+
+def _chi2_nu(fit: Fit) -> float:
+    return float(fit[0].reduced_chi2(fit[1].values[:1])[0])
+
+
+def _from_found_effects(
+    task: CubeFit, closed: Fit, opened: Opened, adjusted: Sequence[Effect]
+) -> tuple[Fit, Opened]:
     """The likelier of two fits of all modes: from `closed`, which is `opened`, and from the effects as found.
 
     Jointly with few modes, or none, effects that a diagnosis found may diverge. Here they stay where it found
@@ -216,19 +254,18 @@ def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit
     """
     effects = closed[0].model.effects.effects
     held = task.fit([effect.expected() if starts_as_told(effect) else effect for effect in effects])
-    problem, values = task.released(effects, held)
-    other = open_basis(problem, values, max_iterations=task.options.max_iterations)
+    other = _opened(task, effects, held, adjusted)
     if other is None or float(opened.solution.objective[0]) <= float(other.solution.objective[0]):
         return closed, opened
     return held, other
 
 
-def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> bool:
+def _explained_by_tail(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> bool:
     """Whether modes beyond the closed basis are all that the model misses."""
-    if float(fit[0].reduced_chi2(fit[1].values[:1])[0]) < MISFIT:
+    if _chi2_nu(fit) < MISFIT:
         return True
-    opened = _all_modes(options, effects, fit)
-    return opened is not None and float(opened.problem.reduced_chi2(opened.solution.values[:1])[0]) < MISFIT
+    opened = _all_modes(task, effects, fit)
+    return opened is not None and _chi2_nu(opened.fit) < MISFIT
 
 
 def _weighted_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> tuple[CubeFit, Fit]:
@@ -237,7 +274,7 @@ def _weighted_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> t
     Weights of known noise alone would have modes follow what is no wavefront, against any prior.
     """
     for _ in range(MISFIT_ROUNDS):
-        factor = float(fit[0].reduced_chi2(fit[1].values[:1])[0])
+        factor = _chi2_nu(fit)
         if factor < MISFIT:
             break
         task = replace(task, frames=replace(task.frames, misfit=task.frames.misfit * factor))

@@ -174,6 +174,9 @@ FIRST = DEFOCUS - REPORTED_NOLLS[0]  # place of the first mode that is no tilt
 SLOWEST, DISTINCT = 2, 2.0  # frequencies over the whole series; standard deviations that are chance
 CORRELATED = 2.3  # λ/D to the first zero of the correlation of the model's error: an Airy core
 BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
+# χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as
+# others do: behind other AO systems it leaves 1.3 to 3.3, of wrong instruments one in a hundred is below.
+OTHER_RESIDUAL = 2.0
 NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14
 SHARED = 0.15  # part of χ²/ν by the noise of the dark, which the frames show to a fifth of their scatter
 LONGEST = 512  # frames of which all pairs are compared; of more, runs of neighbours are averaged
@@ -195,6 +198,11 @@ class NominalChi2:
     def most(self) -> float:
         """Above this χ²/ν is neither by chance nor by errors of the discretisation."""
         return (1 + NUMERICAL) * self.value + BY_CHANCE * self.sigma
+
+    @property
+    def most_behind_ao(self) -> float:
+        """Above this it is not by an AO residual of another shape either, which the errors count."""
+        return max(self.most, OTHER_RESIDUAL * self.value + BY_CHANCE * self.sigma)
 
     def excess(self, chi2_nu: float) -> float:
         """Return what a χ²/ν has more than this one and chance; 0 if nothing."""

@@ -65,6 +65,10 @@ class Opened:
     solution: Solution
     law: TailLaw  # prior of the modes beyond the closed basis, as fitted
 
+    @property
+    def fit(self) -> tuple[OpenFit, Solution]:
+        return self.problem, self.solution
+
 
 class OpenFit(CheapGradientProblem, ImageFit):
     """An `ImageFit` of so many modes that steps with an older Hessian pay."""

@@ -6,6 +6,10 @@ add. Of D only the part counts that the fitted parameters, with derivatives B, c
 large it is. One linear step lowers χ² by ``2 s·p - s·N s``, with the sizes s, the projections p and the
 normal matrix N (Rao 1948, Proc. Camb. Phil. Soc. 44, 50). Everything is in units of the standard error of
 the images; the last word has a fit.
+
+A displaced copy of the star is scored for every shift by whole pixels at once. A companion adds the displaced
+image; what it takes from the star the flux makes good. Scalar products of all displaced images with the
+residual, with themselves and with the derivatives of the fitted parameters are correlations, done by FFT.
 """
 
 from __future__ import annotations
@@ -16,11 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect
+from irlos_pipe.effects.companion import INNER_MAS
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect, PupilEffect
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, PupilMode
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 ABSORBED = 0.003  # part of a derivative's power below which the fitted parameters imitate the effect
 # Of the largest derivative: below it a parameter has no meaning, as a colour of one wavelength.
@@ -120,9 +127,16 @@ def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> FixedEffec
     settings = problem.model.psf.settings
     null = null_model(problem, x)
     frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
+    if effect.copies_star:
+        star = problem.predict(x)[0].cpu() - x[0, -1]
+        candidates: Sequence[Effect] = brightest_copies(
+            null, star.reshape(1, *settings.window), settings, effect
+        )
+    else:
+        candidates = effect.candidates(settings.window, settings.pixel_scale_mas)
     estimates = [
         LinearEstimate.of(null, one, (derivatives(problem, x, frozen, one) * null.root).mT)
-        for one in effect.candidates(settings.window, settings.pixel_scale_mas)
+        for one in candidates
     ]
     best = max(estimates, key=lambda one: one.gain)
     values = best.candidate.all_values(best.sizes).numpy()
@@ -136,6 +150,61 @@ def null_model(problem: ImageFit, x: torch.Tensor) -> NullModel:
     residual = (problem.images[0].double().mean(0) - image[0]).cpu() * root
     basis = torch.linalg.qr((columns[0].cpu().double() * root).mT)[0]
     return NullModel(residual, root, basis, basis.mT @ residual)
+
+
+# -- copies of the star ----------------------------------------------------------------------------
+
+POSITIONS = 3  # candidates to look at more closely
+APART_PX = 4  # distance between two of them, as neighbours of a peak are the same copy
+RESOLVED = 1.5  # in λ/D; closer to a known copy another one is not resolved
+
+
+def brightest_copies(
+    null: NullModel,
+    stars: torch.Tensor,
+    settings: PsfSettings,
+    effect: Effect,
+    known_mas: Sequence[tuple[float, float]] = (),
+) -> list[FixedEffect]:
+    """The most promising positions of `effect`, a copy of the star, of any on the pixel grid of the window.
+
+    `stars` are the images of the star where the copy acts, (recordings, rows, columns) [e-], those of the
+    model `null`, which has copies at `known_mas` (x, y) already.
+    """
+    gain, scale = copy_gains(null, stars), settings.pixel_scale_mas
+    rows, columns = (np.fft.fftfreq(n, 1 / n) for n in gain.shape)
+    y, x = (axis * scale for axis in np.meshgrid(rows, columns, indexing="ij"))
+    inside = (np.abs(y) < settings.window[0] / 2 * scale) & (np.abs(x) < settings.window[1] / 2 * scale)
+    gain[~inside | (np.hypot(x, y) < INNER_MAS)] = 0
+    resolution_mas = settings.shortest_m / settings.geometry.diameter_m / MAS
+    for x_mas, y_mas in known_mas:  # two that cannot be resolved are one that is no copy
+        gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * resolution_mas] = 0
+    found = []
+    for _ in range(POSITIONS):
+        best = np.unravel_index(np.argmax(gain), gain.shape)
+        found.append(effect.displaced(x[best], y[best]))
+        gain[np.hypot(x - x[best], y - y[best]) < APART_PX * scale] = 0
+    return found
+
+
+def copy_gains(null: NullModel, stars: torch.Tensor) -> np.ndarray:
+    """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size.
+
+    For `stars` see `brightest_copies`.
+    """
+    window = stars.shape[1:]
+    padded = [2 * n for n in window]
+
+    def correlate(weights: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
+        """Correlation of the parts of every recording, summed over the recordings."""
+        spectra = [torch.fft.rfft2(one.reshape(-1, *window), s=padded) for one in (weights, images)]
+        return torch.fft.irfft2(spectra[0] * spectra[1].conj(), s=padded).sum(0)
+
+    root = null.root
+    projection, power = correlate(null.residual * root, stars), correlate(root**2, stars**2)
+    imitated = sum(correlate(column * root, stars) ** 2 for column in null.basis.mT)
+    left = (power - imitated).clamp_min(1e-3 * power.max())
+    return (projection.clamp_min(0) ** 2 / left).numpy()
 
 
 # -- effects that do not change while candidates are tried ---------------------------------------
@@ -186,15 +255,13 @@ class _FrozenPupil(PupilEffect):
 
 
 def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
-    """`effects` held at `values`, computed once; all as they are where wavelengths may move."""
+    """`effects` held at `values`, computed once; the wavelengths are those that these make."""
     held = effects.held(values)
-    if held.at("sampling"):
-        return list(held.effects)
-    grids = held.grids
-    grid = grids.pupil.at(grids.sampling.wavelengths_m)
+    optics = held()
+    sampling = held.grids.sampling if optics.sampling is None else optics.sampling
+    grid = held.grids.pupil.at(sampling.wavelengths_m)
     fixed = [effect for effect in held.effects if effect.plane not in ("pupil", "otf") or effect.joins]
     fixed += [_FrozenPupil(effect, grid) for effect, _ in held.at("pupil") if not effect.joins]
-    optics = held()
     if optics.transfer is None:
         return fixed
     pairs = zip(optics.copies, held.defocus_nm(NOTHING), strict=True)

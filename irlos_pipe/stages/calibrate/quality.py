@@ -12,7 +12,7 @@ from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.effects import CATALOGUE, Conditions
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.calibration_errors import BY_CHANCE, LEAST_FRAMES
+from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
 from irlos_pipe.estimate.causes import (
     ENOUGH,
     EXPLAINED,
@@ -38,6 +38,7 @@ from irlos_pipe.frames.told import (
     cutoff_ratio,
 )
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
@@ -52,9 +53,6 @@ LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of
 NEARER = 0.5  # part of the distance of neighbouring planes
 MISFIT, ERROR = "chi2 of the mean image", "error of the wavefront"
 COUNTED = ": the model lacks something, which the errors count"
-# χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as
-# others do: behind other AO systems it leaves 1.3 to 3.3, of wrong instruments one in a hundred is below.
-OTHER_RESIDUAL = 2.0
 
 
 def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
@@ -77,6 +75,8 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
         checks.append(_frames(limits, result))
     if result.twin is not None:
         checks.append(_twin(result))
+    if result.adjusted and result.fit is not None:
+        checks.append(_facts(*result.fit))
     if len({one.introduced_nm for one in result.setups}) > 1:
         checks.append(_planes(result.setups))
     if result.mirrored is not None and result.mirrored.tells:
@@ -104,7 +104,7 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
     nominal = result.nominal
     high = nominal.most
     if error_is_known(result):
-        high = max(high, OTHER_RESIDUAL * nominal.value + BY_CHANCE * nominal.sigma)
+        high = nominal.most_behind_ao
     low = nominal.least if len(result.frames_nm) >= LEAST_FRAMES else 0.0
     if limits.max_chi2_nu is not None:
         high, low = limits.max_chi2_nu, 0.0
@@ -123,6 +123,16 @@ def unexcused(check: Check, result: Calibration) -> Check:
     """Return the `check` of χ²/ν of a `result` without the allowance for another AO residual."""
     high = result.chi2_nu - result.nominal.excess(result.chi2_nu)
     return replace(check, high=high, message=check.message.removesuffix(COUNTED))
+
+
+def _facts(problem: ImageFit, solution: Solution) -> Check:
+    """Facts of the instrument that were adjusted, against what any instrument has."""
+    effects, own = problem.model.effects, problem.layout.effect_values
+    found = zip(effects.effects, effects.pieces(solution.values[0, own]), strict=True)
+    facts = [(one.base, one.all_values(free).numpy()) for one, free in found if one.base.fact]
+    odd = [fact.phrase(fact.shown(values)) for fact, values in facts if not fact.ordinary(values)]
+    message = "; ".join(odd) or f"{len(facts)} adjusted facts of the instrument differ by no more than usual"
+    return Check("facts", float(len(odd)), "", None, 0.0, message).because("not as declared")
 
 
 def _noise(result: Calibration) -> Check:

@@ -41,7 +41,7 @@ from irlos_pipe.stages.model.groups import (
     require_parts,
 )
 
-VERSION = 30
+VERSION = 31
 NEEDS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 CUBES = "cubes"  # group of the arrays of every recording, with `each`
@@ -94,6 +94,11 @@ CHECKS = {
     ),
     "twin solution": (
         "whether the sign of the even modes is known: 1 if the twin, which has it reversed, is excluded",
+        "",
+    ),
+    "facts": (
+        "with calibrate.adjust, facts of the instrument that differ from the declared ones by more than "
+        "those of any instrument do",
         "",
     ),
     "planes": (
@@ -150,6 +155,12 @@ class Config(Limits):
     max_iterations: int = item(
         CalibrationOptions.max_iterations, "largest number of iterations of a fit", ge=1, le=10000
     )
+    adjust: bool = item(
+        False,
+        "let facts of the instrument (pupil, pixels, diversity) and mild effects follow the images, each "
+        "within its tolerance, and add a ghost that explains most of a misfit: half a minute instead of "
+        "seconds, for instruments that are not quite as declared",
+    )
     compare: tuple[MethodName, ...] = item((), "further methods to run, for comparison in the report only")
 
     @model_validator(mode="after")
@@ -158,6 +169,12 @@ class Config(Limits):
             raise ValueError(
                 f"'highest_noll: open' is not for method '{self.method}'; give a number, or null"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _adjusts_all_modes(self) -> "Config":
+        if self.adjust and (isinstance(self.highest_noll, int) or not METHODS[self.method].open):
+            raise ValueError("'adjust' is for all modes that the window shows: leave out 'highest_noll'")
         return self
 
     @model_validator(mode="after")
@@ -313,7 +330,7 @@ def require(declared: Declared[Config]) -> None:
     config, recordings = declared.config, declared.recordings
     require_calibration(recordings)
     if not config.each and of_several_setups(recordings):
-        require_joint(declared.model, by_setup(recordings), config.method)
+        require_joint(declared.model, by_setup(recordings), config.method, adjust=config.adjust)
     require_parts(declared)
 
 

@@ -9,13 +9,14 @@ import torch
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL, TIP_TILT
-from irlos_pipe.effects import Conditions
+from irlos_pipe.effects import Conditions, everyday
 from irlos_pipe.effects.base import labels_of
+from irlos_pipe.effects.companion import Ghost
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import mean_of, measured, rows_of
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_errors import errors_of_mean
-from irlos_pipe.estimate.calibration_options import CalibrationOptions, NcpaPrior
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, NcpaPrior
 from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.methods import scheme_of
 from irlos_pipe.estimate.setups import calibrate_setups
@@ -94,7 +95,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
 def _joint_fit(ctx: StageContext[Config], recordings: list[Recording]) -> Calibration:
     """One wavefront, and what of it belongs to wavelength, filter or lens, from several set-ups."""
     groups, options = by_setup(recordings), ctx.config.options(ctx.instrument.facility.ncpa_law)
-    require_joint(ctx.model, groups, options.method)
+    require_joint(ctx.model, groups, options.method, adjust=ctx.config.adjust)
     result = calibrate_setups(setups_of(ctx, groups, options), options, device=ctx.device, note=ctx.log.info)
     ctx.log.info("%d set-ups together: chi2/nu %.2f, %.1f s", len(groups), result.chi2_nu, result.seconds)
     return result
@@ -133,7 +134,9 @@ def _calibrate(
     shown: dict[str, Any] = {"disable": True} if note else {}
     note, total = note or ctx.log.info, scheme_of(options).fits(cube.frames)
     with ctx.progress(total=total, desc=f"calibrate {options.method}", **shown) as bar:
+        adjusted = [*everyday([cube.conditions], cube.effects), Ghost.under(cube.conditions)]
         context = {"device": ctx.device, "report": bar.update, "note": note}
+        context["adjusted"] = adjusted if ctx.config.adjust and METHODS[options.method].open else ()
         result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
     rms_nm = wfe_nm(result.nolls, result.zernike_nm)
     fitted = f"{rms_nm:.1f} nm RMS, chi2/nu {result.chi2_nu:.2f}, {result.seconds:.1f} s"
@@ -172,7 +175,7 @@ def _with_causes(
 
 # -- what is reported --------------------------------------------------------------------------------
 
-NOTHING_EXPLAINS = "nothing that was tried explains it; irlos run diagnose tries more"
+NOTHING_EXPLAINS = "nothing that was tried explains it; calibrate.adjust=true tries all facts together, irlos run diagnose more"
 NOT_TESTED = "causes are computed for the mean image of one star only; irlos run diagnose tries more"
 SETUPS_NOT_TESTED = "causes are not computed for several set-ups together; calibrate.each looks for them"
 INACCURATE = 0.1  # part of introduced defoci; stages are better calibrated than that

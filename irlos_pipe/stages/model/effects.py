@@ -12,11 +12,10 @@ from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import MAS_PER_RAD
 from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect, SeeingHalo
-from irlos_pipe.effects.base import labels_of
+from irlos_pipe.effects.base import kind_of, labels_of
 from irlos_pipe.effects.colour import AtmosphericDispersion, Spectrum
 from irlos_pipe.effects.declaration import Refraction
 from irlos_pipe.effects.public_values import components
-from irlos_pipe.effects.seeing_halo import UnevenResidual
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product
@@ -25,8 +24,6 @@ from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.model.groups import elements_of
 from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
-
-UNEVEN = EffectEntry.of(UnevenResidual.name)
 
 
 def conditions_of(
@@ -128,15 +125,17 @@ def calibrated_effects(
 
     Each effect says what it is then, see `Effect.handed_on`. What belongs to the star, its light or the
     moment stays behind, unless the recipe gives it or the recording is of the same star. `product` is that of
-    the calibration, which may have found the AO residual uneven, listed or not; `instrument`, `model` and
-    `recording` are as of `conditions_of`.
+    the calibration, which may have found more of the instrument than what is listed; `instrument`, `model`
+    and `recording` are as of `conditions_of`.
     """
     conditions = conditions_of(instrument, model, recording, ncpa_wavelength_nm=ncpa_wavelength_nm)
     known: dict[str, FixedEffect] = {}
     then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
     entries = model.entries()
-    if f"effects/{UNEVEN.name}" in product.arrays and UNEVEN.name not in {one.name for one in entries}:
-        entries.append(UNEVEN)
+    listed = labels_of([_effect(entry, conditions, recording.name) for entry in entries])
+    found_too = {name.removeprefix("effects/") for name in product.arrays if name.startswith("effects/")}
+    further = sorted(kind_of(label) for label in found_too.difference(listed))
+    entries += [EffectEntry.of(name) for name in further if CATALOGUE[name].instrumental]
     effects = [_effect(entry, conditions, recording.name) for entry in entries]
     for label, entry, effect in zip(labels_of(effects), entries, effects, strict=True):
         found: Effect | None = effect

@@ -88,19 +88,26 @@ def of_several_setups(recordings: Sequence[Recording]) -> bool:
     return len(np.unique(introduced_nm)) > 1 or any(_unlike_the_first(recordings, SETUP_KEYS))
 
 
-def require_joint(model: ModelConfig, groups: Sequence[Sequence[Recording]], method: str) -> None:
+def require_joint(
+    model: ModelConfig, groups: Sequence[Sequence[Recording]], method: str, *, adjust: bool
+) -> None:
     """Refuse groups of recordings that cannot be calibrated together.
 
     Raises `InputDataError` if they differ in more than band, filter, diversity and focus;
-    `ConfigurationError` for a `method` of one set-up, and a `filter_ncpa` that does not say of which filter
-    or lens.
+    `ConfigurationError` for a `method` of one set-up, as one that can `adjust` the instrument, and a
+    `filter_ncpa` that does not say of which filter or lens.
     """
     together = "set-ups calibrated together may differ in band, filter, diversity and introduced defocus only"
     require_common([recording for group in groups for recording in group], COMMON, together)
-    if method != DEFAULT_METHOD:
+    if method != DEFAULT_METHOD or adjust:
+        other = (
+            ("calibrate.adjust", "leave it out")
+            if adjust
+            else (f"calibrate.method {method}", f"use {DEFAULT_METHOD}")
+        )
         raise ConfigurationError(
-            f"calibrate.method {method} takes frames of one set-up, and those given differ in band, "
-            f"filter, diversity or introduced defocus; use {DEFAULT_METHOD}"
+            f"{other[0]} takes frames of one set-up, and those given differ in band, filter, diversity or "
+            f"introduced defocus; {other[1]}"
         )
     names = sorted({name for group in groups for name in elements_of(group[0].acquisition) if name})
     for entry in model.entries():
