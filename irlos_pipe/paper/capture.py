@@ -192,7 +192,6 @@ LISTINGS = [
         CELLS,
         where=f"bands == '{H_ALONE}'",
         caption=CAPTION + ", their NCPAs known exactly: for H the paper states ±{paper_nm:.0f} nm from zero.",
-        page="capture_h",
     ),
 ]  # fmt: skip
 
