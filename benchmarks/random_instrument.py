@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -295,7 +295,7 @@ def _norm(values: Iterable[float]) -> float:
 
 
 def tables(outcomes: Sequence[Outcome], *_) -> str:
-    """Return what came of the `outcomes`, together and by seeing."""
+    """Return what came of the `outcomes`."""
     both = [one for one in outcomes if one["diagnosed"]]
     columns = {
         f"as declared, {len(outcomes)} draws": _all(outcomes, "plain"),
@@ -303,8 +303,7 @@ def tables(outcomes: Sequence[Outcome], *_) -> str:
         f"with `diagnose`, {len(both)} draws": _all(both, "diagnosed"),
     }
     rows = [[what, asked, *map(text, columns.values())] for what, asked, text in ROWS]
-    together = markdown(["", "asked with `diagnose`", *columns], rows)
-    return f"{together}\n\n{markdown(SEEING_HEAD, _by_seeing(outcomes))}"
+    return markdown(["", "asked with `diagnose`", *columns], rows)
 
 
 def _all(outcomes: Sequence[Outcome], which: str) -> pd.DataFrame:
@@ -369,15 +368,6 @@ ROWS: tuple[tuple[str, str, Callable[[pd.DataFrame], str]], ...] = (
     ("… where good", "", lambda some: _rate(some.red[~some.bad.astype(bool)])),
     ("the light is right", "", lambda some: _rate(some.red == some.bad)),
 )
-SEEING_HEAD = "seeing", "calibration", "draws", "error, median", "pull, RMS", "bad", "red"
-
-
-def _by_seeing(outcomes: Sequence[Outcome]) -> Iterator[list[Any]]:
-    for seeing in SEEINGS_ARCSEC:
-        for which, name in (("plain", "as declared"), ("diagnosed", "with `diagnose`")):
-            some = _all([one for one in outcomes if one["seeing_arcsec"] == seeing and one[which]], which)
-            error, pull = _number("error_nm", np.median)(some), _number("pull", _rms)(some)
-            yield [f"{seeing:g}″", name, len(some), error, pull, sum(some.bad), sum(some.red)]
 
 
 SUITE = Suite(outcome_of, key_of, tables, "diagnosis_tests.md", "random instrument", slim=slim)
