@@ -194,10 +194,8 @@ def _machine() -> dict:
 COLUMNS: dict[str, Callable[[dict], str]] = {
     "threads": lambda entry: str(entry["threads"]),
     "frames": lambda entry: str(entry["frames"]),
-    "wall s": lambda entry: f"{entry['wall_s']:.2f}",
     "CPU ms/frame": lambda entry: f"{1e3 * entry['cpu_s'] / entry['frames']:.2f}",
     "speed-up": lambda entry: f"{entry['speed_up']:.1f}" if "speed_up" in entry else "",
-    "peak MiB": lambda entry: f"{entry['peak_mib']:.0f}",
     "error nm": lambda entry: f"{entry['error_nm']:.1f}" if "error_nm" in entry else "",
 }
 TITLES = {"ncpa": "29 modes: ", "ncpa_60": "60 modes: ", "lift": "ramp: ", "others": ""}

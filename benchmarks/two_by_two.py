@@ -245,7 +245,6 @@ def comparison_table(points: Sequence[dict[str, float]]) -> str:
     """Return the comparison in Markdown."""
     columns = {
         "J": ("mag_j", ".0f"),
-        "photons": ("photons", ".2g"),
         "full pupil, LIFT": ("full_nm", ".1f"),
         "bound": ("full_bound_nm", ".1f"),
         "lost": ("full_lost", ".0%"),

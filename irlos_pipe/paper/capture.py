@@ -186,7 +186,7 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
 LISTINGS = [
     ex.Listing("starts", "Starts compared",
         CELLS,
-        where=f"bands == '{BOTH}'", caption=CAPTION + ".", page="capture",
+        where=f"bands == '{BOTH}'", caption=CAPTION + ".",
     ),
     ex.Listing("starts", "Starts compared in H",
         CELLS,

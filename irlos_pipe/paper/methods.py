@@ -193,7 +193,6 @@ LISTINGS = [
         },
         caption="Median Δ-WFE in Noll 2–30, also where the residual's power spectrum is not of the "
         "modelled family. Speckle floor: the part of the default's error that falls as 1/√frames.",
-        page="residual_shapes",
     ),
     ex.Listing("parts", "What each part of the default contributes",
         {"calibration": "{label}"},
