@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -90,15 +90,14 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
 @click.option("--quick", is_flag=True, help="Few frames, half a minute; results.json is left alone.")
 @click.option("--write-docs", is_flag=True, help="Put the results into docs/performance.md.")
 def main(quick: bool, write_docs: bool) -> None:
-    """Time irlos_pipe beside other implementations, on the same frames in the same run."""
+    """Time irlos_pipe next to other implementations, on the same frames in the same run."""
     with tempfile.TemporaryDirectory() as folder:
         results = measure_all(Path(folder), quick)
     if not quick:
         RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     click.echo(f"{render(results)}\n\n{breakdown(results)}")
     if write_docs:
-        parts = {"table": f"```text\n{render(results)}\n```", "breakdown": breakdown(results)}
-        put(DOCS / "performance.md", parts)
+        put(DOCS / "performance.md", {"table": render(results)})
 
 
 def measure_all(folder: Path, quick: bool) -> dict:
@@ -190,67 +189,31 @@ def _machine() -> dict:
     }
 
 
-# -- results as aligned text -------------------------------------------------------------------
+# -- results as tables -------------------------------------------------------------------------
 
 COLUMNS: dict[str, Callable[[dict], str]] = {
     "threads": lambda entry: str(entry["threads"]),
     "frames": lambda entry: str(entry["frames"]),
-    "wall s": lambda entry: f"{entry['wall_s']:.2f}",
-    "CPU s": lambda entry: f"{entry['cpu_s']:.2f}",
-    "serial": lambda entry: f"{entry['caller_s'] / entry['cpu_s']:.0%}" if entry["threads"] > 1 else "",
-    f"s for {CUBE}": lambda entry: f"{'' if entry['frames'] == CUBE else '~'}{entry['cube_s']:.1f}",
     "CPU ms/frame": lambda entry: f"{1e3 * entry['cpu_s'] / entry['frames']:.2f}",
-    "speed-up": lambda entry: f"{entry['speed_up']:.1f}",
-    "peak MiB": lambda entry: f"{entry['peak_mib']:.0f}",
+    "speed-up": lambda entry: f"{entry['speed_up']:.1f}" if "speed_up" in entry else "",
     "error nm": lambda entry: f"{entry['error_nm']:.1f}" if "error_nm" in entry else "",
-    "on common": lambda entry: f"{entry['common_error_nm']:.1f}",
 }
-TABLES = {  # title, and the columns that it lacks
-    "ncpa": ("NCPAs, 29 modes", ("CPU ms/frame",)),
-    "ncpa_60": ("NCPAs, 60 modes", ("CPU ms/frame",)),
-    "lift": ("LIFT, ramp, J+H at 6 wavelengths", (f"s for {CUBE}",)),
-    "others": ("other", (f"s for {CUBE}", "speed-up", "on common")),
-}
+TITLES = {"ncpa": "29 modes: ", "ncpa_60": "60 modes: ", "lift": "ramp: ", "others": ""}
 
 
 def render(results: dict) -> str:
-    """All tables, the machine above."""
+    """Markdown table of all cases, the machine below."""
+    rows = [
+        [title + entry["label"], *(text(entry) for text in COLUMNS.values())]
+        for group, title in TITLES.items()
+        for entry in results[group]
+    ]
     machine = results["machine"]
-    lines = [
+    return (
+        f"{markdown(['', *COLUMNS], rows, 'l' + 'r' * len(COLUMNS))}\n\n"
         f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, torch {machine['torch']}, "
-        f"solvephase {machine['solvephase']}, {results['date']}"
-    ]
-    for group, (title, lacking) in TABLES.items():
-        columns = {name: text for name, text in COLUMNS.items() if name not in lacking}
-        rows = [[one["label"], *(text(one) for text in columns.values())] for one in results[group]]
-        lines += ["", *_align([[title, *columns], *rows])]
-    return "\n".join([*lines, "", *_notes(results)])
-
-
-def _notes(results: dict) -> list[str]:
-    latency = next(entry for entry in results["others"] if "median_ms" in entry)
-    common = results["common_frames"]
-    return [
-        f"~ extrapolated linearly to {CUBE} frames from those that were fitted.",
-        "serial: part of the processor time in the thread that gives the workers their pieces.",
-        "speed-up: processor time per frame of the first line over that of the line.",
-        f"CUDA: {results['cuda']}, by wall clock." if results["cuda"] else "CUDA: no device here, no line.",
-        "error: total RMS of Noll 2-30 of the mean estimate against the truth, over all frames of the line",
-        f"and over the first {common}, which all lines have fitted; LIFT: RMS of the defocus over all",
-        "images of the line and over those that all lines have fitted.",
-        f"single-frame LIFT: median {latency['median_ms']:.1f} ms, "
-        f"99th percentile {latency['p99_ms']:.1f} ms.",
-    ]
-
-
-def _align(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))]
-        )
-        for row in rows
-    ]
+        f"solvephase {machine['solvephase']}, {results['cuda'] or 'no CUDA device'}, {results['date']}."
+    )
 
 
 def breakdown(results: dict) -> str:

@@ -60,6 +60,7 @@ class Suite:
     # page, mark: page of the documentation, and the mark there; none where tables are not put into one.
     page: str = ""
     mark: str = ""
+    full: Callable[[Sequence[Outcome]], str] | None = None  # what the page sums up, for docs/MARK.csv
     inside: str = ""  # folder of the outcomes within that of the suite
     slim: Callable[[Outcome], Outcome] = dict  # what of an outcome is kept with the project
     present: Callable[[Outcome], Outcome] = dict  # an outcome of an earlier version as it is written now
@@ -150,6 +151,8 @@ def run(
     click.echo("\n".join([text, *(f"stopped by an error: {name}: {why}" for name, why in broken.items())]))
     if docs:
         put(DOCS / suite.page, {suite.mark: text})
+        if suite.full is not None:
+            write_bytes(DOCS / f"{suite.mark}.csv", suite.full(outcomes).encode())
     raise SystemExit(1 if broken else 0)
 
 

@@ -41,9 +41,7 @@ HEAD = (
     "quoted",
     "pull",
     "χ² of the covariance",
-    "ramp: error",
-    "quoted",
-    "pull",
+    "pull of a ramp",
     "of its mean",
 )
 
@@ -161,7 +159,6 @@ def _row(name: str, some: Sequence[Outcome]) -> list[str]:
         *(f"{_total(cubes, key):.1f} nm" for key in ("error_nm", "sigma_nm")),
         _with_interval(cubes),
         f"{chi2:.2f}",
-        *(f"{_rms(ramps, key):.1f} nm" for key in ("error_nm", "sigma_nm")),
         _with_interval(ramps),
         f"{np.sqrt(np.mean([_optics_pull(one) ** 2 for one in ramps])):.2f}",
     ]
@@ -177,10 +174,6 @@ def _optics_pull(ramp: Outcome) -> float:
 def _total(cubes: Sequence[Outcome], key: str) -> float:
     """RMS over the cubes of the sum in quadrature over their modes."""
     return float(np.sqrt(np.mean([np.sum(np.square(one[key])) for one in cubes])))
-
-
-def _rms(ramps: Sequence[Outcome], key: str) -> float:
-    return float(np.sqrt(np.nanmean(np.square([one[key] for one in ramps]))))
 
 
 def _with_interval(some: Sequence[Outcome]) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -269,10 +269,9 @@ def judged(outcome: Outcome, which: str) -> dict[str, Any]:
     """Judge the calibration `which` of an `outcome`, ``plain`` or ``diagnosed``.
 
     ``error_nm`` is the RMS of Noll 2–30 against the mean wavefront of the frames, which is all that the
-    images have beyond the declared diversity; ``shape_nm`` that of Noll 4–30, without the star's place;
-    ``strict_nm`` has the error of the diversity in it; ``defocus_nm`` is that of Noll 4. ``pull`` is the RMS
-    of the errors of Noll 4–30 against the static wavefront over the quoted ones. ``bad``: the result should
-    not be used; ``red``: the run said so.
+    images have beyond the declared diversity; ``strict_nm`` has the error of the diversity in it;
+    ``defocus_nm`` is that of Noll 4. ``pull`` is the RMS of the errors of Noll 4–30 against the static
+    wavefront over the quoted ones. ``bad``: the result should not be used; ``red``: the run said so.
     """
     found, truth = outcome[which], outcome["truth"]
     error_nm, static_error_nm = (
@@ -283,7 +282,6 @@ def judged(outcome: Outcome, which: str) -> dict[str, Any]:
     pulls = np.array([static_error_nm[noll] / found["sigma_nm"][str(noll)] for noll in SHAPES])
     numbers = {
         "error_nm": _norm(error_nm.values()),
-        "shape_nm": _norm(error_nm[noll] for noll in SHAPES),
         "strict_nm": _norm(error + missed_nm.get(str(noll), 0.0) for noll, error in error_nm.items()),
         "defocus_nm": error_nm[DEFOCUS],
         "pull": float(_rms(pulls)),
@@ -297,7 +295,7 @@ def _norm(values: Iterable[float]) -> float:
 
 
 def tables(outcomes: Sequence[Outcome], *_) -> str:
-    """Return what came of the `outcomes`: together, by seeing, and one by one where they were diagnosed."""
+    """Return what came of the `outcomes`."""
     both = [one for one in outcomes if one["diagnosed"]]
     columns = {
         f"as declared, {len(outcomes)} draws": _all(outcomes, "plain"),
@@ -305,14 +303,11 @@ def tables(outcomes: Sequence[Outcome], *_) -> str:
         f"with `diagnose`, {len(both)} draws": _all(both, "diagnosed"),
     }
     rows = [[what, asked, *map(text, columns.values())] for what, asked, text in ROWS]
-    together = markdown(["", "asked with `diagnose`", *columns], rows)
-    return "\n\n".join(
-        [together, markdown(SEEING_HEAD, _by_seeing(outcomes)), markdown(HEAD, _one_by_one(both))]
-    )
+    return markdown(["", "asked with `diagnose`", *columns], rows)
 
 
 def _all(outcomes: Sequence[Outcome], which: str) -> pd.DataFrame:
-    columns = ["error_nm", "shape_nm", "strict_nm", "defocus_nm", "pull", "bad", "red"]
+    columns = ["error_nm", "strict_nm", "defocus_nm", "pull", "bad", "red"]
     return pd.DataFrame([judged(one, which) for one in outcomes], columns=columns)
 
 
@@ -364,44 +359,18 @@ def _rate(events: Iterable[bool]) -> str:
 ROWS: tuple[tuple[str, str, Callable[[pd.DataFrame], str]], ...] = (
     ("error of Noll 2–30, median", "≤ 5 nm", _number("error_nm", np.median)),
     ("… 90 % are below", "12 nm", _number("error_nm", _ninth)),
-    ("… of Noll 4–30, median", "", _number("shape_nm", np.median)),
     ("… with the error of the diversity, median", "", _number("strict_nm", np.median)),
     ("error of the defocus, RMS", "", _number("defocus_nm", _rms)),
     ("pull of Noll 4–30, RMS", "0.7–1.5", _number("pull", _rms)),
-    ("pull of a draw, median", "", _number("pull", np.median)),
     (f"bad: above {BAD_NM:g} nm, or pull above {BAD_PULL:g}", "", lambda some: _rate(some.bad)),
     ("red light: the run ends with exit code 4", "", lambda some: _rate(some.red)),
     ("… where bad", "", lambda some: _rate(some.red[some.bad.astype(bool)])),
     ("… where good", "", lambda some: _rate(some.red[~some.bad.astype(bool)])),
     ("the light is right", "", lambda some: _rate(some.red == some.bad)),
 )
-SEEING_HEAD = "seeing", "calibration", "draws", "error, median", "pull, RMS", "bad", "red"
-HEAD = "draw", "seeing", "residual", "error", "pull", "light", "names, grade"
 
 
-def _by_seeing(outcomes: Sequence[Outcome]) -> Iterator[list[Any]]:
-    for seeing in SEEINGS_ARCSEC:
-        for which, name in (("plain", "as declared"), ("diagnosed", "with `diagnose`")):
-            some = _all([one for one in outcomes if one["seeing_arcsec"] == seeing and one[which]], which)
-            error, pull = _number("error_nm", np.median)(some), _number("pull", _rms)(some)
-            yield [f"{seeing:g}″", name, len(some), error, pull, sum(some.bad), sum(some.red)]
-
-
-def _one_by_one(outcomes: Sequence[Outcome]) -> Iterator[list[Any]]:
-    for one in outcomes:
-        found, both = one["diagnosed"], [judged(one, which) for which in ("plain", "diagnosed")]
-        yield [
-            one["index"],
-            f"{one['seeing_arcsec']:g}″",
-            one["shape"].replace("_", " "),
-            " → ".join(f"{each['error_nm']:.1f}" for each in both) + " nm",
-            " → ".join(f"{each['pull']:.1f}" for each in both),
-            " → ".join("red" if each["red"] else "green" for each in both),
-            f"{', '.join(found['names']) or 'none'}; {found['grade']}",
-        ]
-
-
-SUITE = Suite(outcome_of, key_of, tables, "random_instrument.md", "random instrument", slim=slim)
+SUITE = Suite(outcome_of, key_of, tables, "diagnosis_tests.md", "random instrument", slim=slim)
 
 
 @click.command()

@@ -1,8 +1,8 @@
 """Renew the tables of docs/results.md: ``python -m maintenance.paper_tables``.
 
 The numbers are those of docs/paper, where ``--take`` puts those of a run. A table that an experiment lists
-with ``page`` stands between ``<!-- paper:NAME -->`` and ``<!-- /paper:NAME -->``, those of the states of the
-code and of the checks under the names ``code`` and ``checks``; the text around the tables is kept.
+with ``page`` stands between ``<!-- paper:NAME -->`` and ``<!-- /paper:NAME -->``, what came of the checks
+under the name ``checks``; the text around the tables is kept.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read_tables(path: Path) -> dict[str, pd.DataFrame]:
 def tables(root: Path) -> dict[str, str]:
     """Return the tables of the page in Markdown by name, from the numbers of a source tree."""
     runs, checks = (read(root / NUMBERS / name) for name in (RUNS, CHECKS))
-    found = {"code": table_of_states(runs), "checks": table_of_checks(checks)}
+    found = {"checks": table_of_checks(checks)}
     for run in runs.itertuples():
         for listing in getattr(STAGES[run.stage], "listings", ()):
             if listing.page:
@@ -47,33 +47,17 @@ def tables(root: Path) -> dict[str, str]:
     return {f"paper:{name}": text for name, text in found.items()}
 
 
-def table_of_states(runs: pd.DataFrame) -> str:
-    """Return the states of the code, the days of their last experiments, and which these are."""
-    rows = [
-        (code, own.finished.max()[:10], ", ".join(f"`{name}`" for name in own.experiment))
-        for code, own in runs.groupby("code", sort=False)
-    ]
-    return markdown(("code", "finished", "experiments"), rows)
-
-
 def table_of_checks(checks: pd.DataFrame) -> str:
-    """Return the experiments, how many of their checks were kept, and which were missed."""
+    """Return how many checks of the experiments were kept, and a table of those that were missed."""
     rows = []
-    for name, group in checks.groupby("experiment", sort=False):
-        own = [
-            Check(
-                one.name,
-                one.value,
-                one.unit or "",
-                *(None if pd.isna(x) else x for x in (one.low, one.high)),
-                "",
-            )
-            for one in group.fillna({"unit": ""}).itertuples(index=False)
-        ]
-        missed = [one for one in own if not one.passed]
-        named = [f"{one.name}: {one.value:.3g} {one.unit}".rstrip() + f" ({one.limits})" for one in missed]
-        rows.append((f"`{name}`", f"{len(own) - len(missed)} of {len(own)}", "<br>".join(named) or "–"))
-    return markdown(("experiment", "kept", "missed"), rows)
+    for one in checks.fillna({"unit": ""}).itertuples():
+        limits = (None if pd.isna(limit) else limit for limit in (one.low, one.high))
+        check = Check(one.name, one.value, one.unit, *limits, "")
+        if not check.passed:
+            value = f"{one.value:.3g} {one.unit}".rstrip()
+            rows.append((f"`{one.experiment}`", one.name, value, check.limits))
+    kept = f"{len(checks) - len(rows)} of {len(checks)} checks are kept."
+    return f"{kept}\n\n{markdown(('experiment', 'missed check', 'value', 'limit'), rows, 'llrr')}"
 
 
 def take(root: Path, source: Path, others_stay: bool) -> None:
@@ -88,7 +72,7 @@ def take(root: Path, source: Path, others_stay: bool) -> None:
     if not others_stay and new[RUNS].code.nunique() > 1:
         raise SystemExit(
             f"{source}: experiments of {new[RUNS].code.nunique()} states of the code; repeat them with one, "
-            "in a new folder, or give --beside, which adds them to those of others, as the page says then"
+            "in a new folder, or give --beside, which adds them to those of others, as runs.csv says then"
         )
     if others_stay:
         for name, rows in new.items():

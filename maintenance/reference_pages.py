@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import EXIT_MEANINGS
+from irlos_pipe.effects.catalogue import catalogue_page
 from irlos_pipe.files.shipped import RECIPES, SIMULATIONS, shipped_folder, shipped_names
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.reference import COMMANDS, RESULTS
@@ -57,6 +58,7 @@ def pages() -> dict[str, str]:
         "schema": _schema("results.json", _SCHEMA, RESULTS),
         "schema_commands": _schema("what commands print", _SCHEMA_COMMANDS, COMMANDS),
         "exit_codes": _exit_codes(),
+        "effects": catalogue_page(),
         "glossary": GLOSSARY.read_text(encoding="utf-8"),
     }
 
@@ -104,7 +106,7 @@ def _profile(entries: Sequence[Entry]) -> str:
     return "\n\n".join(
         [
             "# Instrument profiles",
-            "What a profile may state; [how to write one](../instruments.md) is taught with an example.",
+            "What a profile may state; [how to write one](../instruments.md) has an example.",
             "## Sections",
             _table(keys, "profile."),
             "## Facts",

@@ -304,15 +304,15 @@ def failed(verdict: Outcome) -> bool:
     return bool(verdict["commanded_wrongly"] or verdict["refused"] or verdict["problem"])
 
 
-def table(verdicts: Sequence[Outcome], *, used_only: bool = False) -> str:
-    """Return the table of families in Markdown, or of those of which anything was used or is not as asked."""
+def table(verdicts: Sequence[Outcome], *, failed_only: bool = False) -> str:
+    """Return the table of families in Markdown, or of those of which anything is not as asked."""
     groups: dict[tuple[bool, str, str], list[Outcome]] = {}
     for one in verdicts:
         family = "damaged in one place" if one["kind"] == FILES else one["family"]
         groups.setdefault((not one["known"], one["kind"], family), []).append(one)
     rows = []
     for (_, kind, family), found in sorted(groups.items(), key=lambda item: item[0]):
-        if used_only and not any(one["commanded_right"] or failed(one) for one in found):
+        if failed_only and not any(map(failed, found)):
             continue
         counts = (
             sum(one[name] for one in found)
@@ -341,33 +341,24 @@ def summary(verdicts: Sequence[Outcome]) -> str:
 
 
 def hours_table(found: Sequence[Outcome]) -> str:
-    """Return the table of hours of right exposures in Markdown."""
-    head = (
-        'seeing ["]',
-        "m_J",
-        "exposures",
-        "refused",
-        "beyond 3 σ, 5 nm",
-        "residual [nm RMS]",
-        "median σ [nm]",
-    )
-    rows = [
-        [
-            one["seeing"],
-            f"{one['mag_j']:g}",
-            one["exposures"],
-            f"{one['refused']}{' (' + ', '.join(one['reasons']) + ')' if one['reasons'] else ''}",
-            one["wrong"],
-            f"{one['residual_nm']:.1f}",
-            f"{one['sigma_nm']:.1f}",
-        ]
+    """Return the table of hours of right exposures in Markdown, and how many of these were refused."""
+    cells = {
+        (one["seeing"], one["mag_j"]): f"{one['residual_nm']:.1f}, {one['sigma_nm']:.1f}; {one['wrong']}"
         for one in found
-    ]
-    return markdown(head, rows, "r" * len(head))
+    }
+    seeings, mags = (sorted(set(values)) for values in zip(*cells, strict=True))
+    head = ['seeing ["]', *(f"m_J {mag:g}" for mag in mags)]
+    rows = [[seeing, *(cells.get((seeing, mag), "") for mag in mags)] for seeing in seeings]
+    refused, all_of_them = (sum(one[name] for one in found) for name in ("refused", "exposures"))
+    return (
+        f"{markdown(head, rows, 'r' * len(head))}\n\n"
+        "Residual and median σ [nm RMS]; exposures off by more than 3 σ and 5 nm. "
+        f"{refused} of {all_of_them} right exposures refused."
+    )
 
 
 def report(outcomes: Sequence[Outcome], broken: Mapping[str, str], output: Path) -> str:
-    """Write ``verdicts.json``, print the whole table, and return what stands in docs/focus_tests.md."""
+    """Write ``verdicts.json``, print the whole table, and return what stands in docs/focus.md."""
     verdicts = [one for one in outcomes if one["kind"] != HOURS]
     of_hours = [one for one in outcomes if one["kind"] == HOURS]
     (output / "verdicts.json").write_text(json.dumps(verdicts, indent=1))
@@ -376,13 +367,11 @@ def report(outcomes: Sequence[Outcome], broken: Mapping[str, str], output: Path)
         click.echo(
             f"{one['case']}: {one['commanded_wrongly']} wrong, {one['refused']} refused {one['problem']}"
         )
-    tables = [summary(verdicts), table(verdicts, used_only=True)]
+    tables = [summary(verdicts), table(verdicts, failed_only=True)]
     return "\n\n".join([*tables, hours_table(of_hours)] if of_hours else tables)
 
 
-SUITE = Suite(
-    outcome_of, itemgetter("seed", "case"), report, "focus_tests.md", "focus_faults", inside="outcomes"
-)
+SUITE = Suite(outcome_of, itemgetter("seed", "case"), report, "focus.md", "focus_faults", inside="outcomes")
 
 
 @click.command()

@@ -86,7 +86,7 @@ def actions_of(other: Path) -> dict:
 
 
 def summary_of(outcome: Outcome) -> dict:
-    """Numbers of docs/focus_tests.md."""
+    """Numbers of docs/focus.md."""
     exposures = outcome.night.exposures
     valid = [one for one in outcome.records if one["valid"]]
     latency = [one["latency_ms"] for one in outcome.records if "late" not in one["reasons"]]

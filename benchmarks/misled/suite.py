@@ -12,6 +12,7 @@ from benchmarks import harness
 from benchmarks.harness import Outcome, Suite, markdown
 from benchmarks.misled.cases import NIGHT, all_cases
 from benchmarks.misled.reducing import outcome_of
+from irlos_pipe.paper.common.table import csv_text
 
 REPORTED_SEED = 14142135  # of the reported runs; no limit may rest on its cases, 16180339 is for trials
 WRONG_SIGMA = 5.0
@@ -44,36 +45,32 @@ def _beyond(outcome: Outcome) -> bool:
     return outcome["sigmas"] is not None and outcome["sigmas"] > WRONG_SIGMA
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
-    """Return the table of families in Markdown, right ones together."""
-    groups: dict[tuple[str, bool, str], list[str]] = {}
+def counted(outcomes: Sequence[Outcome], right: str, wrong: str) -> list[dict[str, Any]]:
+    """Return how often each verdict was given, by kind and `right`, or the key `wrong` of wrong inputs."""
+    groups: dict[tuple[str, str], list[str]] = {}
     for one in outcomes:
-        family = "right" if one["right"] else one["family"]
-        groups.setdefault((one["kind"], not one["right"], family), []).append(verdict(one))
-    rows = [
-        [kind, family, len(found), *map(found.count, VERDICTS)]
-        for (kind, _, family), found in sorted(groups.items())
+        family = right if one["right"] else one.get(wrong, wrong)
+        groups.setdefault((one["kind"], family), []).append(verdict(one))
+    return [
+        {"kind": kind, "input": family, "cases": len(found)} | {one: found.count(one) for one in VERDICTS}
+        for (kind, family), found in sorted(groups.items())
     ]
-    return markdown(("kind", "family", "cases", *VERDICTS), rows, "ll" + "r" * (1 + len(VERDICTS)))
-
-
-def summary(outcomes: Sequence[Outcome]) -> str:
-    """Return the totals in one line each."""
-    lines = []
-    for name, right in (("right", True), ("wrong", False)):
-        found = [verdict(one) for one in outcomes if one["right"] == right]
-        counts = ", ".join(f"{found.count(column)} {column}" for column in VERDICTS)
-        lines.append(f"{len(found)} {name} inputs: {counts}.")
-    beyond = sum(_beyond(one) for one in outcomes if one["right"] and not one["accused"])
-    return "\n".join([*lines, f"{beyond} right inputs that passed have a number beyond {WRONG_SIGMA:g} σ."])
 
 
 def report(outcomes: Sequence[Outcome], *_: Any) -> str:
-    """Return table and totals."""
-    return f"{table(outcomes)}\n\n{summary(outcomes)}"
+    """Return the table of kinds, and how many right inputs are far from the truth."""
+    rows = counted(outcomes, "right", "wrong")
+    table = markdown(list(rows[0]), [list(row.values()) for row in rows], "ll" + "r" * (1 + len(VERDICTS)))
+    beyond = sum(_beyond(one) for one in outcomes if one["right"] and not one["accused"])
+    return f"{table}\n\n{beyond} right inputs that passed have a number beyond {WRONG_SIGMA:g} σ."
 
 
-SUITE = Suite(outcome_of, itemgetter("suite_seed", "case"), report, "reliability.md", "misled")
+def families(outcomes: Sequence[Outcome]) -> str:
+    """Return the table of families, right ones together, as CSV."""
+    return csv_text(counted(outcomes, "right", "family"))
+
+
+SUITE = Suite(outcome_of, itemgetter("suite_seed", "case"), report, "reliability.md", "misled", families)
 
 
 @click.command()

@@ -100,8 +100,8 @@ def said_before(outcome: Outcome) -> bool:
 
 
 def report(outcomes: Sequence[Outcome], *_: Any) -> str:
-    """Return the table of mistakes, and the rates over those that were noticed."""
-    rows = []
+    """Return the table of mistakes, those that are always named first in one row, and the rates of all."""
+    rows, always = [], []
     for mistake in MISTAKES:
         group = [one for one in outcomes if one["mistake"] == mistake]
         noticed = [one for one in group if one["failed"]]
@@ -109,11 +109,14 @@ def report(outcomes: Sequence[Outcome], *_: Any) -> str:
         silent = [said_before(one) for one in group if looks_right(one)]
         harmless = len(group) - len(noticed) - len(silent)
         counts = len(group), len(noticed), first, three, sum(silent), len(silent) - sum(silent), harmless
-        rows.append((mistake, *counts))
+        (always if len(group) == first else rows).append((mistake, *counts))
     head = (
         "mistake", "cubes", "noticed", "named first", "among three", "wrong, said before",
         "wrong without a word", "harmless",
     )  # fmt: skip
+    if always:
+        names, *columns = zip(*always, strict=True)
+        rows.append((", ".join(names), *map(sum, columns)))
     noticed = [one for one in outcomes if one["failed"] and one["true"]]
     rates = [Rate.of(named(one, most) for one in noticed).text for most in (1, 3)]
     words = f"is named first in {rates[0]}, among the first three in {rates[1]}."

@@ -81,7 +81,7 @@ def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> lis
 HEAD = """# Effects
 
 The names, units and limits that recipes, models, simulation specifications, products and reports use. This
-page is made from the classes in `irlos_pipe/effects`; `docs/extending.md` describes how to add one.
+page is made from the classes in `irlos_pipe/effects`; [Extending](../extending.md) describes how to add one.
 
 A recipe lists effects in `model.effects`: by name to estimate them, with their values to hold them
 (`tip_tilt_jitter: {sigma_mas: 8}`), or with their values and `fit: true` to start there. Values in brackets

@@ -186,13 +186,12 @@ def checks(tables: ex.Tables) -> list[ex.Check]:
 LISTINGS = [
     ex.Listing("starts", "Starts compared",
         CELLS,
-        where=f"bands == '{BOTH}'", caption=CAPTION + ".", page="capture",
+        where=f"bands == '{BOTH}'", caption=CAPTION + ".",
     ),
     ex.Listing("starts", "Starts compared in H",
         CELLS,
         where=f"bands == '{H_ALONE}'",
         caption=CAPTION + ", their NCPAs known exactly: for H the paper states ±{paper_nm:.0f} nm from zero.",
-        page="capture_h",
     ),
 ]  # fmt: skip
 

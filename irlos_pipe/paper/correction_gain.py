@@ -31,7 +31,6 @@ LISTING = ex.Listing("stars", "Strehl ratio",
         "this pipeline": f"{{{DEFAULT}:.3f}}", "limit": "{ideal:.3f}", "stars": "{samples}",
     },
     caption="Strehl ratio of the averaged star at 1600 nm, Noll 4–30 corrected, limit: no NCPAs; medians.",
-    page="correction_gain",
 )  # fmt: skip
 
 

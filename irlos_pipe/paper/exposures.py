@@ -18,7 +18,6 @@ LISTING = ex.Listing("methods", "Exposures",
     {"{exposure_s:g} s": "{modes_nm:.1f}"},
     caption="Δ-WFE in Noll 2–30 [nm RMS], medians over {cubes} cubes of {total_s:.0f} s at each seeing; "
     "m_J 7.",
-    page="exposures",
 )  # fmt: skip
 
 

@@ -133,7 +133,6 @@ LISTING = ex.Listing("ways", "Variants of LIFT",
     caption="Medians over {samples} draws of the NCPAs, against the defocus there was in every exposure; "
     "last column: against the introduced defocus alone, so that the AO residual's own defocus counts as "
     'an error and, without NCPAs, theirs as well; −300…300 nm, J+H, 1 s, m_J 12, 0.35".',
-    page="focus_ramp",
 )  # fmt: skip
 
 

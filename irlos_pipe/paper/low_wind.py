@@ -166,7 +166,7 @@ LISTING = ex.Listing("rows", "Sizes of the effect",
     },
     caption="RMS over the pupil of true minus estimated wavefront, medians over {samples} patterns; "
     'worst: whole waves apart in narrow H, as it is in J+H. 10 s of light, m_J 7, 0.5".',
-    limit=("worst_nm", "asked_nm"), page="low_wind",
+    limit=("worst_nm", "asked_nm"),
 )  # fmt: skip
 
 

@@ -189,11 +189,10 @@ LISTINGS = [
             "AO residual": "{shape}", 'seeing ["]': "{seeing_arcsec}",
             "this pipeline [nm]": f"{{{DEFAULT}_nm:.1f}}", "DIP global [nm]": f"{{{PAPER_CHOICE}_nm:.1f}}",
             "ratio": "{ratio_to_dip_global:.2f}", "cubes": "{samples}",
-            "speckle floor [nm]": "{speckle_floor_nm:.1f}", "beside it": "{beside_floor_nm:.1f}",
+            "speckle floor [nm]": "{speckle_floor_nm:.1f}", "remainder": "{beside_floor_nm:.1f}",
         },
         caption="Median Δ-WFE in Noll 2–30, also where the residual's power spectrum is not of the "
         "modelled family. Speckle floor: the part of the default's error that falls as 1/√frames.",
-        page="residual_shapes",
     ),
     ex.Listing("parts", "What each part of the default contributes",
         {"calibration": "{label}"},

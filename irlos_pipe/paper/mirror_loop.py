@@ -324,7 +324,7 @@ LISTINGS = [
         },
         caption="True wavefront in Noll 4–30, medians over {samples} sets of NCPAs; Strehl ratio at 1600 "
         "nm.",
-        limit=("worst_nm", "asked_nm"), page="mirror_loop",
+        limit=("worst_nm", "asked_nm"),
     ),
     ex.Listing("alone", "The mirror alone",
         {
@@ -335,7 +335,6 @@ LISTINGS = [
         },
         caption="True wavefront in Noll 4–30 where every estimate is the truth, medians over all biases "
         "and sets of NCPAs.",
-        page="mirror_alone",
     ),
     ex.Listing("causes", "Causes",
         {"calibration": "{method}", "diversity": "{diversity}", "bias [nm]": "{bias_nm:g}"},

@@ -312,7 +312,7 @@ LISTINGS = [
         "the wavelength of the calibration; last column: against the introduced defocus alone, so that "
         "the AO residual's own defocus counts as an error and, without NCPAs, theirs as well. Ranges of "
         'three samples hold the truth in some 75 %. −300…300 nm, m_J 12, 1 s, 0.35".',
-        limit=("true_rms_nm", "asked_nm"), page="ramp_conditions",
+        limit=("true_rms_nm", "asked_nm"),
     ),
     ex.Listing("modes", "All modes of a ramp",
         {

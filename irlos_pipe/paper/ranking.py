@@ -117,7 +117,7 @@ LISTINGS = [
         caption="Error in Noll 2–30 [nm RMS], medians over {cubes} cubes of {frames} frames at each "
         "seeing, ranges of 90 % by bootstrap over cubes; NCPAs {introduced_nm:.0f} ± "
         "{introduced_scatter_nm:.0f} nm RMS.",
-        where=f"tail_nm == 0 and fitted != '{OWN}'", page="ranking",
+        where=f"tail_nm == 0 and fitted != '{OWN}'",
     ),
     ex.Listing("methods", "Modes beyond those that are fitted",
         {'seeing ["]': "{seeing_arcsec}", "tail per mode [nm]": "{tail_nm:.0f}", "cubes": "{cubes}"},
@@ -127,14 +127,13 @@ LISTINGS = [
             "LIFT slices, 50 modes", "DIP global, 29 modes", "DIP global, 50 modes",
         ),
         where="tail_nm > 0", caption="The same, with further modes from Noll 52 to 200.",
-        page="ranking_tails",
     ),
     ex.Listing("methods", "Frames",
         {"method": "{label}"},
         {'{seeing_arcsec}", {frames} frames': "{error_nm:.1f}"},
         caption="The same without a tail by the number of frames, with the modes that each method has by "
         "itself, against the wavefront averaged over these frames; {cubes} cubes at each seeing.",
-        where=f"fitted == '{OWN}'", page="ranking_frames",
+        where=f"fitted == '{OWN}'",
     ),
 ]  # fmt: skip
 

@@ -25,7 +25,6 @@ from helpers.reference_psf import reference
 from test_effects_images import petal_of, xy_m
 
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.effects.catalogue import catalogue_page
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
@@ -133,7 +132,7 @@ def test_a_bent_response_is_found_without_the_brightest_pixels(darker_than):
     assert error_nm(result, NCPA_NM) < 1.0
 
 
-# The worked example of docs/extending.md is run, and the page that lists all effects is that of the classes.
+# The worked example of docs/extending.md is run.
 # Truth of the example: finite differences, and its own image.
 
 
@@ -177,11 +176,3 @@ def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     )
     assert list(result.effect_values["dark_spot"]) == pytest.approx(SPOT.tolist(), rel=0.05)
     assert result.chi2_nu < 1.3
-
-
-MAKE = "python -c 'from irlos_pipe.effects.catalogue import catalogue_page as p; print(p(), end=\"\")'"
-
-
-def test_the_page_lists_what_the_classes_declare():
-    page = (REPOSITORY / "docs" / "effects.md").read_text()
-    assert page == catalogue_page(), f"write it again: {MAKE} > docs/effects.md"

@@ -177,7 +177,7 @@ def bench_in_four(**changes):
 @pytest.mark.parametrize("name", TWO_BY_TWO)
 def test_four_images_show_the_defocus_that_the_simulator_put_in(name):
     """The simulator shares no optics with the sensors. Centroids above a threshold have a gain of their own,
-    7 % off without NCPAs (docs/two_by_two_tests.md); a fit has none."""
+    7 % off without NCPAs (docs/two_by_two.md); a fit has none."""
     defocus = np.array([-60.0, -20.0, 0.0, 20.0, 60.0])
     star = bench_in_four(introduced_nm=tuple(defocus))
     images_e = expose(star).mean_e
