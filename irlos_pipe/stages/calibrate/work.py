@@ -175,7 +175,7 @@ def _with_causes(
 
 # -- what is reported --------------------------------------------------------------------------------
 
-NOTHING_EXPLAINS = "nothing that was tried explains it; calibrate.adjust=true tries all facts together, irlos run diagnose more"
+NOTHING_EXPLAINS = "nothing by itself explains it; calibrate.adjust=true or irlos run diagnose try more"
 NOT_TESTED = "causes are computed for the mean image of one star only; irlos run diagnose tries more"
 SETUPS_NOT_TESTED = "causes are not computed for several set-ups together; calibrate.each looks for them"
 INACCURATE = 0.1  # part of introduced defoci; stages are better calibrated than that
