@@ -1,8 +1,8 @@
 """The random instrument: everything a little wrong at once, declared nominal; how far results hold.
 
-A calibration cube of every draw is reduced as if its instrument were the nominal one, with and without
-`diagnose`. Quantities with a sign are uniform within their limits; the others have their size in every draw.
-Directions, places and patterns are random.
+A calibration cube of every draw is reduced as if its instrument were the nominal one: as declared, with
+`calibrate.adjust`, and with the model of `diagnose`. Quantities with a sign are uniform within their limits;
+the others have their size in every draw. Directions, places and patterns are random.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Case:
     seed: int
     index: int
     frames: int
-    diagnosed: bool = False  # whether it is calibrated again with what `diagnose` finds
+    ways: tuple[str, ...] = ("plain",)  # how it is calibrated, some of `WAYS`
     without: str = ""  # name of the error that the instrument does not have; empty: it has all
     window: int = 64
 
@@ -71,13 +71,13 @@ class Case:
     def name(self) -> str:
         """Of its file."""
         without = f"without_{self.without}" if self.without else ""
-        parts = (f"{self.index:04d}", "diagnosed" if self.diagnosed else "", without)
+        parts = (f"{self.index:04d}", *self.ways, without)
         return ".".join(part for part in parts if part)
 
     @property
     def key(self) -> tuple:
         """What its outcome must say of it."""
-        return self.seed, self.index, self.diagnosed, self.without, self.frames
+        return self.seed, self.index, self.ways, self.without, self.frames
 
     @property
     def seeing_arcsec(self) -> float:
@@ -120,9 +120,17 @@ class Case:
         return planned
 
 
-def all_cases(seed: int, draws: int, diagnosed: int, frames: int) -> list[Case]:
-    """Return `draws` cases, the first `diagnosed` of them diagnosed; further draws change nothing."""
-    return [Case(seed, index, frames, index < diagnosed) for index in range(draws)]
+WAYS = {  # of calibrating a cube: title of the column
+    "plain": "as declared",
+    "adjusted": "with `calibrate.adjust`",
+    "diagnosed": "with `diagnose`",
+}
+
+
+def all_cases(seed: int, draws: dict[str, int], frames: int) -> list[Case]:
+    """Return the cases, the first `draws` of every way calibrated in it; further ones change nothing."""
+    cases = [tuple(way for way in WAYS if index < draws[way]) for index in range(max(draws.values()))]
+    return [Case(seed, index, frames, ways) for index, ways in enumerate(cases)]
 
 
 def drawn_errors(setting: Setting, rng: np.random.Generator) -> dict[str, tuple[str, dict[str, Any]]]:
@@ -205,8 +213,7 @@ def outcome_of(case: Case, *_) -> Outcome:
             "shape": planned.scene.sky.shape,
             "truth": truth,
             "simulate_s": made - began,
-            "plain": _calibrated(scratch, "plain"),
-            "diagnosed": _diagnosed(scratch) if case.diagnosed else None,
+            **{way: _reduced(scratch, way) for way in case.ways},
         }
 
 
@@ -214,6 +221,13 @@ def _diversity_error_nm(scene: Scene) -> dict[int, float]:
     """What the diversity has beyond the declared one, Noll: nm RMS; part of the wavefronts of the truth."""
     errors = [effect for effect in scene.acting("static_zernike_nm") if isinstance(effect, DiversityError)]
     return dict(errors[0].static_zernike_nm(scene.diversity_nm)) if errors else {}
+
+
+def _reduced(scratch: Path, way: str) -> dict[str, Any]:
+    """Calibrate in one of `WAYS`."""
+    if way == "diagnosed":
+        return _diagnosed(scratch)
+    return _calibrated(scratch, way, *(["calibrate.adjust=true"] if way == "adjusted" else []))
 
 
 def _calibrated(scratch: Path, name: str, *settings: str) -> dict[str, Any]:
@@ -248,8 +262,8 @@ def _diagnosed(scratch: Path) -> dict[str, Any]:
 
 def key_of(outcome: Outcome) -> tuple:
     """Return what an outcome says of its case."""
-    diagnosed = outcome["diagnosed"] is not None
-    return outcome["seed"], outcome["index"], diagnosed, outcome["without"], outcome["frames"]
+    ways = tuple(way for way in WAYS if outcome.get(way))
+    return outcome["seed"], outcome["index"], ways, outcome["without"], outcome["frames"]
 
 
 def slim(outcome: Outcome) -> Outcome:
@@ -266,7 +280,7 @@ def slim(outcome: Outcome) -> Outcome:
 
 
 def judged(outcome: Outcome, which: str) -> dict[str, Any]:
-    """Judge the calibration `which` of an `outcome`, ``plain`` or ``diagnosed``.
+    """Judge the calibration `which` of an `outcome`, one of `WAYS`.
 
     ``error_nm`` is the RMS of Noll 2–30 against the mean wavefront of the frames, which is all that the
     images have beyond the declared diversity; ``strict_nm`` has the error of the diversity in it;
@@ -296,14 +310,10 @@ def _norm(values: Iterable[float]) -> float:
 
 def tables(outcomes: Sequence[Outcome], *_) -> str:
     """Return what came of the `outcomes`."""
-    both = [one for one in outcomes if one["diagnosed"]]
-    columns = {
-        f"as declared, {len(outcomes)} draws": _all(outcomes, "plain"),
-        f"as declared, the {len(both)} diagnosed": _all(both, "plain"),
-        f"with `diagnose`, {len(both)} draws": _all(both, "diagnosed"),
-    }
+    by_way = {way: [one for one in outcomes if one.get(way)] for way in WAYS}
+    columns = {f"{WAYS[way]}, {len(some)} draws": _all(some, way) for way, some in by_way.items() if some}
     rows = [[what, asked, *map(text, columns.values())] for what, asked, text in ROWS]
-    return markdown(["", "asked with `diagnose`", *columns], rows)
+    return markdown(["", "asked but as declared", *columns], rows)
 
 
 def _all(outcomes: Sequence[Outcome], which: str) -> pd.DataFrame:
@@ -375,14 +385,14 @@ SUITE = Suite(outcome_of, key_of, tables, "diagnosis_tests.md", "random instrume
 
 @click.command()
 @harness.options(REPORTED_SEED)
-@click.option("--draws", default=200, show_default=True, help="Number of instruments, each with a cube.")
-@click.option(
-    "--diagnosed", default=30, show_default=True, help="How many of them, the first, are diagnosed."
-)
+@click.option("--plain", default=200, show_default=True, help="Instruments calibrated as declared.")
+@click.option("--adjusted", default=60, show_default=True, help="How many, the first, with calibrate.adjust.")
+@click.option("--diagnosed", default=30, show_default=True, help="How many, the first, are diagnosed.")
 @click.option("--frames", default=200, show_default=True, help="Of every cube, 0.1 s each.")
-def main(draws: int, diagnosed: int, frames: int, seed: int, **how) -> None:
-    """Calibrate cubes of random instruments, with and without `diagnose`; print errors, pulls and lights."""
-    harness.run(SUITE, all_cases(seed, draws, min(diagnosed, draws), frames), **how)
+def main(plain: int, adjusted: int, diagnosed: int, frames: int, seed: int, **how) -> None:
+    """Calibrate cubes of random instruments in up to three ways; print errors, pulls and lights."""
+    draws = {"plain": plain, "adjusted": adjusted, "diagnosed": diagnosed}
+    harness.run(SUITE, all_cases(seed, draws, frames), **how)
 
 
 if __name__ == "__main__":

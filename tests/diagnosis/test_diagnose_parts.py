@@ -34,7 +34,7 @@ from irlos_pipe.diagnosis.null_model import gaussian_sigma, threshold
 from irlos_pipe.diagnosis.records import Gap
 from irlos_pipe.diagnosis.scores import (
     Family,
-    brightest_copies,
+    copies_in,
     score_family,
     whitened_shapes,
 )
@@ -163,7 +163,7 @@ def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_th
 def test_the_quick_search_finds_the_companion_that_the_exact_score_prefers():
     place = (-58.2, 77.6)  # whole pixels
     stack = cube(image(effect=Companion(), values=[0.02, *place])).training
-    best = brightest_copies(optimum(stack), Companion.under(CONDITIONS))[0]
+    best = copies_in(optimum(stack), Companion.under(CONDITIONS))[0]
     assert best.values[1:] == pytest.approx(place, abs=9.8)
 
 

@@ -14,7 +14,6 @@ from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, cube, fitted, image
 from irlos_pipe.diagnosis.acceptance import Options, choose
 from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
 from irlos_pipe.diagnosis.effect_sizes import Covariances
-from irlos_pipe.diagnosis.evidence import everyday
 from irlos_pipe.diagnosis.fitting import Fitter, begun_at
 from irlos_pipe.diagnosis.null_model import SURELY, Optimum, gaussian_sigma, surely_exceeding
 from irlos_pipe.diagnosis.opposite import open_facts, opposite_side, other_side
@@ -22,7 +21,7 @@ from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.scores import Family, score_family
 from irlos_pipe.diagnosis.verdict import Adjusted
 from irlos_pipe.diagnosis.view import View
-from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects import CATALOGUE, FixedEffect, everyday
 from irlos_pipe.optics.psf_settings import KnownWavefront
 from irlos_pipe.stages.diagnose.output import model_entries
 

@@ -157,6 +157,23 @@ def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
     assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
 
 
+def test_frozen_effects_have_the_wavelengths_and_pixels_that_some_of_them_make():
+    """Truth: the same effects held, and their derivatives with one more."""
+    pairs = [
+        made(name) for name in ("plate_scale", "spectrum", "pupil_misregistration", "seeing_halo", "ghost")
+    ]
+    effects = EffectSet([effect for effect, _ in pairs], psf().grids)
+    values = {effect.name: start for effect, start in pairs}
+    at = torch.cat([values[effect.name] for effect in effects.effects])
+    further, null = made("amplitude_aberration")
+    both = [
+        ImageModel(psf(), [*some, further]).predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, null)
+        for some in (effects.held(at).effects, frozen_effects(effects, at))
+    ]
+    for held, frozen in zip(*both, strict=True):
+        assert frozen.numpy() == pytest.approx(held.numpy(), rel=1e-6, abs=1e-9 * float(held.abs().max()))
+
+
 def amplitude(
     distance_m: float, direction_rad: float, rotation_deg: float, hole_m: float, vane_m: float
 ) -> np.ndarray:

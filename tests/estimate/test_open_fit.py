@@ -13,6 +13,8 @@ from helpers.simulated_scenes import image
 from scipy.special import jnp_zeros
 
 from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.colour import PlateScale
+from irlos_pipe.effects.companion import Ghost
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration
 from irlos_pipe.estimate.calibration import Calibration, calibrate
@@ -295,3 +297,44 @@ def test_a_fit_on_the_wrong_side_goes_over_to_the_right_one(wrong):
     found = likelier_side(wrong, max_iterations=30)
     assert found.solution.objective[0] < wrong.solution.objective[0]
     assert stop_of(found) == pytest.approx(TRUE_M, abs=0.01)
+
+
+# -- an instrument that is not quite as declared, and a ghost -----------------------------------------
+
+
+@pytest.fixture(scope="module")
+def unlike() -> tuple[Frames, dict[int, float]]:
+    """Frames of an instrument with other pixels, a displaced stop, turned vanes and a ghost; its NCPAs."""
+    true_nm = cases.ncpa_nm(5)
+    effects = {
+        "plate_scale": {"fraction": 0.005},
+        "pupil_misregistration": {"dx_m": 0.04, "dy_m": -0.03, "rotation_deg": 2.0},
+        "ghost": {"flux_ratio": 0.004, "sep_mas": 130.0, "pa_deg": 40.0, "defocus_nm": 60.0},
+    }
+    image_e = image(window=(WINDOW, WINDOW), ncpa_nm=true_nm, effects=effects) * OPEN_MINIMA_FLUX_E
+    images = cases.draw_frames(image_e, OPEN_MINIMA_FRAMES, seed=8)
+    return Frames(images, cases.everything(images), cases.READ_NOISE), true_nm
+
+
+@pytest.mark.slow
+def test_an_instrument_that_is_not_quite_as_declared_is_followed(unlike):
+    frames, true_nm = unlike
+    options = CalibrationOptions(prior=cases.PRIOR)
+    adjusted = [PlateScale(cases.SCALE_MAS), STOP, Ghost()]
+    found = calibrate(frames, cases.settings(WINDOW), options, adjusted=adjusted)
+    assert found.adjusted and found.chi2_nu < found.nominal.most
+    assert error_nm(found, true_nm) < 2
+    assert found.effects["plate_scale"]["fraction"] == pytest.approx(0.005, abs=5e-4)
+    stop, ghost = found.effects["pupil_misregistration"], found.effects["ghost"]
+    assert [stop["dx_m"], stop["dy_m"]] == pytest.approx([0.04, -0.03], abs=0.005)
+    assert stop["rotation_deg"] == pytest.approx(2.0, abs=0.3)
+    assert [ghost["sep_mas"], ghost["pa_deg"]] == pytest.approx([130.0, 40.0], abs=2.0)
+    assert ghost["flux_ratio"] == pytest.approx(0.004, rel=0.1)
+
+
+@pytest.mark.slow
+def test_the_same_instrument_taken_as_declared_is_far_off(unlike):
+    frames, true_nm = unlike
+    options = CalibrationOptions(prior=cases.PRIOR, highest_noll=66)
+    found = calibrate(frames, cases.settings(WINDOW), options)
+    assert error_nm(found, true_nm) > 6 and found.chi2_nu > 2 * found.nominal.most

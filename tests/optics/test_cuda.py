@@ -22,7 +22,7 @@ from irlos_pipe.diagnosis.cube import without_blocks_of_time
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import families
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.scores import companion_gains, scores
+from irlos_pipe.diagnosis.scores import scores
 from irlos_pipe.diagnosis.view import Exposures, Moment, Moments
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
@@ -32,6 +32,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
+from irlos_pipe.estimate.score_test import copy_gains
 from irlos_pipe.estimate.sensitivity import cramer_rao_nm
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.numerics import parallel
@@ -195,7 +196,7 @@ def diagnosed(device: str) -> np.ndarray:
     ]
     gains = [score.gain for score in scores(optimum, some)]
     drift = measure_drift(parts.training, fitted, sure=5.0)
-    companions = companion_gains(optimum).max()
+    companions = copy_gains(optimum, fitted.image_e.reshape(1, *CONDITIONS.settings.window)).max()
     gap = HeldOutEvaluation(parts.held_out, fitted).gap
     return np.array([*fitted.modes_nm, *gains, companions, *drift.change_nm, gap])
 

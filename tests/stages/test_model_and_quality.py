@@ -50,6 +50,7 @@ GOOD = {
     "effects": {"seeing_halo": {}},
     "setups": (),
     "fit": (),
+    "adjusted": False,
     "nolls": range(2, 67),
     "sigma_nm": np.ones(65),
 }

@@ -89,7 +89,7 @@ def of_several_setups(recordings: Sequence[Recording]) -> bool:
 
 
 def require_joint(
-    model: ModelConfig, groups: Sequence[Sequence[Recording]], method: str, *, adjust: bool
+    model: ModelConfig, groups: Sequence[Sequence[Recording]], method: str, *, adjust: bool = False
 ) -> None:
     """Refuse groups of recordings that cannot be calibrated together.
 
