@@ -24,7 +24,7 @@ from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOp
 from irlos_pipe.estimate.causes import EXPLAINED
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of, silent
-from irlos_pipe.estimate.open_fit import Opened, TailLaw, open_basis
+from irlos_pipe.estimate.open_fit import Opened, TailLaw, finished, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
 from irlos_pipe.estimate.records import OneSetup, TwinCheck
 from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
@@ -154,9 +154,6 @@ def calibrate(
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
-        for image in (effect for effect in adjusted if effect.copies_star):
-            opened = _with_second_image(task, opened, image)
-            note(f"a {image.name} looked for")
     nominal = None
     if opened is not None and start_nm is None:
         nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
@@ -214,30 +211,37 @@ def _all_modes(
 
 def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, adjusted: Sequence[Effect]) -> Opened | None:
     """The fit of all modes with these effects and what is `adjusted`, from one with some of them, `held`."""
-    everywhere = [effect for effect in adjusted if not effect.copies_star]
+    limit, everywhere = task.options.max_iterations, [one for one in adjusted if not one.copies_star]
     problem, values = task.released([*effects, *everywhere], held)
-    return open_basis(problem, values, max_iterations=task.options.max_iterations)
+    found = open_basis(problem, values, max_iterations=limit, settle=not adjusted)
+    if found is None or not adjusted:
+        return found
+    found = likelier_side(found, limit, settle=False)
+    for image in (effect for effect in adjusted if effect.copies_star):
+        found = _with_second_image(task, found, image)
+    return finished(found, limit)
 
 
-def _with_one_more(task: CubeFit, opened: Opened, further: Effect) -> Opened:
+def _with_second_image(task: CubeFit, rough: Opened, image: Effect) -> Opened:
+    """A rough fit of all modes, or one with a second `image` that explains most of what it misses."""
+    problem, x = rough.problem, rough.solution.values[:1]
+    nominal, chi2_nu = nominal_of(task.frames, problem, x), _chi2_nu(rough.fit)
+    if chi2_nu <= nominal.most:
+        return rough
+    other = _with_one_more(task, rough, best_start(problem, x, image), settle=False)
+    return other if _chi2_nu(other.fit) - nominal.value < EXPLAINED * (chi2_nu - nominal.value) else rough
+
+
+def _with_one_more(task: CubeFit, opened: Opened, further: Effect, *, settle: bool = True) -> Opened:
     """The fit of all modes with a `further` effect, from where it is."""
     problem, solution = opened.fit
     closed, values = task.released([*problem.model.effects.effects, further], opened.fit)
     found_nm = dict(zip(problem.layout.nolls, solution.values[0].tolist(), strict=False))
     limit = task.options.max_iterations
-    return open_basis(closed, values, beyond_nm=found_nm, law=opened.law, max_iterations=limit) or opened
-
-
-def _with_second_image(task: CubeFit, opened: Opened, image: Effect) -> Opened:
-    """The fit of all modes, or one with a second `image` of the star that explains most of what it misses."""
-    problem, x = opened.problem, opened.solution.values[:1]
-    nominal, chi2_nu = nominal_of(task.frames, problem, x), _chi2_nu(opened.fit)
-    if chi2_nu <= nominal.most:
-        return opened
-    other = _with_one_more(task, opened, best_start(problem, x, image))
-    if _chi2_nu(other.fit) - nominal.value > EXPLAINED * (chi2_nu - nominal.value):
-        return opened
-    return likelier_side(other, task.options.max_iterations)
+    found = open_basis(
+        closed, values, beyond_nm=found_nm, law=opened.law, max_iterations=limit, settle=settle
+    )
+    return found or opened
 
 
 def _chi2_nu(fit: Fit) -> float:

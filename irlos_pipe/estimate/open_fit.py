@@ -74,14 +74,23 @@ class OpenFit(CheapGradientProblem, ImageFit):
     """An `ImageFit` of so many modes that steps with an older Hessian pay."""
 
     def hastened(self) -> OpenFit:
-        """Return the same fit, the Hessian of its steps of a coarse light path, unless the loss is robust."""
-        if self.reweighted:
+        """Return the same fit, the Hessian of its steps of a coarse light path.
+
+        Unless the loss is robust, or pupil or pixels are free: there steps of a coarse one lead nowhere.
+        """
+        effects = self.model.effects
+        if self.reweighted or effects.free_at("pupil") or effects.free_at("sampling"):
             return self
         psf = self.model.psf
         settings = psf.settings.with_fewer_colours(JOINED)
         options = {"device": psf.device, "dtype": psf.dtype, "rough_derivatives": True}
         coarse = light_path(settings, psf.nolls, **options)
         return self._with(few_colours=ImageModel(coarse, self.model.effects.effects))
+
+    @property
+    def exact(self) -> OpenFit:
+        """The same fit, the Hessian of its steps that of all colours."""
+        return self._with(few_colours=None)
 
     def roughly(self) -> OpenFit:
         """Return the same fit to a loose tolerance."""
@@ -109,13 +118,14 @@ def open_basis(
     beyond_nm: Mapping[int, float] | None = None,
     law: TailLaw | None = None,
     max_iterations: int = 60,
+    settle: bool = True,
 ) -> Opened | None:
     """Fit all modes that the window shows, or return None where it shows no more or no more can be fitted.
 
     The fit starts where the mean image by modes from Noll 2 on, `closed`, stands at `values` (1, parameters);
     the modes beyond begin at `beyond_nm`, Noll index to nm RMS, or at nothing. Their law is fitted from the
     `law` of a fit near by, or from one of any instrument. Each of the two fits, before and after that of the
-    law, has `max_iterations`.
+    law, has `max_iterations`; the second is left out unless the fit is to `settle`.
     """
     psf = closed.model.psf
     nolls = range(2, last_noll_of(visible_order(psf.settings)) + 1)
@@ -129,21 +139,25 @@ def open_basis(
     layout = Layout(wider.nolls, model.effects.parameters, prior_sigma_nm=sigma)
     variance_e2 = closed.root_weight.double() ** -2
     law = law or TailLaw(psf.nolls[-1] + 1)
-    problem = OpenFit(model, layout, closed.images, variance_e2, loss=closed.loss).with_law(law).roughly()
+    problem = OpenFit(model, layout, closed.images, variance_e2, loss=closed.loss).with_law(law)
     start = widened(values, closed.layout, problem.layout, beyond_nm or {})
-    return fitted_from(problem, problem.hastened(), start, law, max_iterations)
+    found = fitted_from(problem, start, law, max_iterations)
+    return finished(found, max_iterations) if settle and found is not None else found
 
 
-def fitted_from(
-    problem: OpenFit, quick: OpenFit, start: torch.Tensor, law: TailLaw, max_iterations: int
-) -> Opened | None:
-    """Fit all modes from a `start`, (1, parameters), roughly by a `law`, and then as `settled` does."""
+def fitted_from(problem: OpenFit, start: torch.Tensor, law: TailLaw, max_iterations: int) -> Opened | None:
+    """Fit all modes roughly by a `law`, from a `start` (1, parameters); None where numbers are not finite."""
+    quick = problem.roughly().hastened()
     rough = solve(quick, start, max_iterations=max_iterations)
-    if rough.status[0] == INVALID:
-        return None
+    return None if rough.status[0] == INVALID else Opened(quick, rough, law)
+
+
+def finished(rough: Opened, max_iterations: int) -> Opened | None:
+    """What `fitted_from` left, settled; None where numbers are not finite."""
+    quick, x = rough.problem, rough.solution.values
     # the step from the place of the last derivatives was negligible
-    near = rough.values if quick.few_colours is None or quick.known is None else quick.known[0]
-    return settled(problem, quick, rough.values, law, max_iterations, near)
+    near = x if quick.few_colours is None or quick.known is None else quick.known[0]
+    return settled(quick.exact, quick, x, rough.law, max_iterations, near)
 
 
 def settled(

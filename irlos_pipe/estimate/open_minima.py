@@ -31,7 +31,7 @@ import torch
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
 from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit
-from irlos_pipe.estimate.open_fit import Opened, OpenFit, fitted_from, settled, widened
+from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, finished, fitted_from, settled, widened
 from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
@@ -60,20 +60,20 @@ class Softening:
         return problem.reweighed((variance**-0.5).to(problem.root_weight.dtype))
 
 
-def likelier_side(opened: Opened, max_iterations: int) -> Opened:
+def likelier_side(opened: Opened, max_iterations: int, *, settle: bool = True) -> Opened:
     """Return a fit of all modes, or a likelier one with a fact of the instrument on another side.
 
-    For `max_iterations` see `open_basis`.
+    For `max_iterations` and `settle` see `open_basis`.
     """
     problem, best = opened.problem, opened
     sides = on_other_sides(problem.model.effects, problem.layout.effect_values, opened.solution.values[:1])
-    starts = [start for effect, start, _ in sides if effect.base.fact]
-    if not starts:
-        return opened
-    rough = problem.roughly()
-    quick = rough.hastened()
-    for start in starts:
-        found = fitted_from(rough, quick, start, opened.law, max_iterations)
+    for start in [start for effect, start, _ in sides if effect.base.fact]:
+        found = fitted_from(problem.exact, start, opened.law, max_iterations)
+        # what a rough fit leaves to gain is less than this
+        if settle and found is not None:
+            ahead = ROUGHLY * len(problem.layout.nolls)
+            hopeless = _objective(found.solution) > _objective(best.solution) + ahead
+            found = None if hopeless else finished(found, max_iterations)
         if found is not None and _objective(found.solution) < _objective(best.solution):
             best = found
     return best
