@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+from scipy.optimize import brentq
 
 from irlos_pipe.conventions.units import NM, resolution_px, tilt_nm
 from irlos_pipe.effects import Effect, FixedEffect
@@ -24,7 +25,7 @@ from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOp
 from irlos_pipe.estimate.causes import EXPLAINED
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of, silent
-from irlos_pipe.estimate.open_fit import Opened, TailLaw, finished, open_basis
+from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, finished, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
 from irlos_pipe.estimate.records import OneSetup, TwinCheck
 from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
@@ -151,6 +152,8 @@ def calibrate(
     closed, opened = fit, _all_modes(task, effects, fit, adjusted)
     if opened is not None and any(starts_as_told(effect) for effect in steady):
         closed, opened = _from_found_effects(task, closed, opened, adjusted)
+    if opened is not None and adjusted:
+        task, opened = _settled(task, opened, adjusted)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
@@ -210,16 +213,37 @@ def _all_modes(
 
 
 def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, adjusted: Sequence[Effect]) -> Opened | None:
-    """The fit of all modes with these effects and what is `adjusted`, from one with some of them, `held`."""
-    limit, everywhere = task.options.max_iterations, [one for one in adjusted if not one.copies_star]
+    """The fit of all modes with these effects and what is `adjusted`, from one with some of them, `held`.
+
+    It is a rough one where something is adjusted.
+    """
+    everywhere = [effect for effect in adjusted if not effect.copies_star]
     problem, values = task.released([*effects, *everywhere], held)
-    found = open_basis(problem, values, max_iterations=limit, settle=not adjusted)
-    if found is None or not adjusted:
-        return found
-    found = likelier_side(found, limit, settle=False)
+    return open_basis(problem, values, max_iterations=task.options.max_iterations, settle=not adjusted)
+
+
+def _settled(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple[CubeFit, Opened]:
+    """The end of a rough fit with what is `adjusted`, and the task with the weights that it has.
+
+    What the model still misses, where that is not much, counts as an error of every pixel in proportion to
+    its light, or the cores of bright stars would bend all that is free.
+    """
+    limit = task.options.max_iterations
+    rough = likelier_side(rough, limit, settle=False)
     for image in (effect for effect in adjusted if effect.copies_star):
-        found = _with_second_image(task, found, image)
-    return finished(found, limit)
+        rough = _with_second_image(task, rough, image)
+    problem, x = rough.problem, rough.solution.values[:1]
+    nominal, chi2_nu = nominal_of(task.frames, problem, x), _chi2_nu(rough.fit)
+    if nominal.excess(chi2_nu) > 0 and chi2_nu <= nominal.most_behind_ao:
+
+        def weighted(part: float) -> tuple[Frames, OpenFit]:
+            frames = replace(task.frames, light_error=part)
+            return frames, problem.reweighed(frames.root.to(problem.root_weight)[None, None])
+
+        part = brentq(lambda part: float(weighted(part)[1].reduced_chi2(x)[0]) - nominal.value, 0.0, 1.0)
+        frames, problem = weighted(part)
+        task, rough = replace(task, frames=frames), replace(rough, problem=problem)
+    return task, finished(rough, limit) or rough
 
 
 def _with_second_image(task: CubeFit, rough: Opened, image: Effect) -> Opened:

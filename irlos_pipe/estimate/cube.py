@@ -35,6 +35,7 @@ class Frames:
     noise: NoiseModel
     # by which the variance of the mean is larger because a model misfits, see `few_frames`
     misfit: float = 1.0
+    light_error: float = 0.0  # part of the light around a pixel by which flat and model err there
     motion: Motion | None = None  # of the star before the frames were `steadied`; None where it did not move
 
     @cached_property
@@ -102,11 +103,13 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
     the variance and lower χ². A single frame has no scatter: its noise is that of the noise model.
     """
     photons = frames.noise.scatter_e2(frames.mean_e)
+    light = local_mean(frames.mean_e, frames.good.double()) if frames.light_error else 0.0
+    model_e2 = (frames.light_error * light) ** 2
     if len(frames.images_e) == 1:
-        return frames.misfit * (photons + frames.noise.shared_e2)
+        return frames.misfit * (photons + frames.noise.shared_e2) + model_e2
     ratio = local_mean(frames.scatter_e2 / photons, frames.good.double())
     own = photons * ratio.clamp_min(1.0) / len(frames.images_e)
-    return frames.misfit * (own + frames.noise.shared_e2)
+    return frames.misfit * (own + frames.noise.shared_e2) + model_e2
 
 
 def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
