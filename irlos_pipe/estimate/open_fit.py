@@ -38,6 +38,7 @@ MOST_ORDERS = 20  # radial orders, up to Noll 231: what the time allows
 # Falls of χ² per mode still ahead at which the law may be fitted, and at which the fit is done: RMS steps of
 # one standard error, and of a sixth.
 ROUGHLY, SETTLED = 1.0, 0.03
+IMITATED = 0.1  # of these where pupil or pixels are free: modes imitate them, and χ² hardly falls on the way
 FINISHING = 2  # last iterations, with a Hessian of their own, which the errors need
 JOINED = 0.5  # λ/D at the edge of the window: colours in the Hessian that lie less apart are one
 
@@ -73,13 +74,18 @@ class Opened:
 class OpenFit(CheapGradientProblem, ImageFit):
     """An `ImageFit` of so many modes that steps with an older Hessian pay."""
 
+    @property
+    def imitated(self) -> bool:
+        """Whether modes can nearly imitate something else that is free: a pupil, or pixels."""
+        effects = self.model.effects
+        return bool(effects.free_at("pupil") or effects.free_at("sampling"))
+
     def hastened(self) -> OpenFit:
         """Return the same fit, the Hessian of its steps of a coarse light path.
 
         Unless the loss is robust, or pupil or pixels are free: there steps of a coarse one lead nowhere.
         """
-        effects = self.model.effects
-        if self.reweighted or effects.free_at("pupil") or effects.free_at("sampling"):
+        if self.reweighted or self.imitated:
             return self
         psf = self.model.psf
         settings = psf.settings.with_fewer_colours(JOINED)
@@ -92,9 +98,10 @@ class OpenFit(CheapGradientProblem, ImageFit):
         """The same fit, the Hessian of its steps that of all colours."""
         return self._with(few_colours=None)
 
-    def roughly(self) -> OpenFit:
-        """Return the same fit to a loose tolerance."""
-        return self.with_tolerance(ROUGHLY * len(self.layout.nolls))
+    def to(self, fall: float) -> OpenFit:
+        """Return the same fit, done where less than this `fall` of χ² per mode is ahead."""
+        part = IMITATED if self.imitated else 1.0
+        return self.with_tolerance(fall * part * len(self.layout.nolls))
 
     def with_law(self, law: TailLaw) -> OpenFit:
         """Return the same fit with the modes beyond the closed basis as a `law` expects."""
@@ -147,7 +154,7 @@ def open_basis(
 
 def fitted_from(problem: OpenFit, start: torch.Tensor, law: TailLaw, max_iterations: int) -> Opened | None:
     """Fit all modes roughly by a `law`, from a `start` (1, parameters); None where numbers are not finite."""
-    quick = problem.roughly().hastened()
+    quick = problem.to(ROUGHLY).hastened()
     rough = solve(quick, start, max_iterations=max_iterations)
     return None if rough.status[0] == INVALID else Opened(quick, rough, law)
 
@@ -173,12 +180,11 @@ def settled(
     The fit `problem` has a `law`, `quick` is the same hastened, which ended at `values`, (1, parameters).
     None where numbers are not finite.
     """
-    modes = len(problem.layout.nolls)
     # the law by evidence at a solution with another one
     hessian = problem.normal_equations(values, torch.zeros(1, dtype=torch.int64))[2][0].numpy()
     precision = problem.prior_precision[0].numpy()
     law = fit_tail_law(law, problem.layout.nolls, values[0].numpy(), hessian, precision)
-    problem, quick = (one.with_law(law).with_tolerance(SETTLED * modes) for one in (problem, quick))
+    problem, quick = (one.with_law(law).to(SETTLED) for one in (problem, quick))
     near = solve(quick, start, max_iterations=max_iterations)
     if near.status[0] == INVALID:
         return None

@@ -71,8 +71,7 @@ def likelier_side(opened: Opened, max_iterations: int, *, settle: bool = True) -
         found = fitted_from(problem.exact, start, opened.law, max_iterations)
         # what a rough fit leaves to gain is less than this
         if settle and found is not None:
-            ahead = ROUGHLY * len(problem.layout.nolls)
-            hopeless = _objective(found.solution) > _objective(best.solution) + ahead
+            hopeless = _objective(found.solution) > _objective(best.solution) + found.problem.tolerance
             found = None if hopeless else finished(found, max_iterations)
         if found is not None and _objective(found.solution) < _objective(best.solution):
             best = found
@@ -98,7 +97,7 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     chi2_nu = float(problem.reduced_chi2(values)[0])
     if chi2_nu <= most or chi2_nu > LEFT * float(closed[0].reduced_chi2(closed[1].values[:1])[0]):
         return opened
-    rough = problem.roughly()
+    rough = problem.to(ROUGHLY)
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))
     begun, _ = task.released(problem.model.effects.effects, closed)  # the closed basis may hold some of them
     starts = [widened(x, begun.layout, problem.layout, {}) for x in task.starts(begun)]

@@ -293,7 +293,7 @@ def _wrong_facts(
     Modes imitate a wrong scale of the pixels until little is left, and are as wrong.
     """
     excused = error_is_known(result) and ctx.config.max_chi2_nu is None
-    if conditions is None or not excused or result.nominal.excess(result.chi2_nu) <= 0:
+    if conditions is None or not excused or result.adjusted or result.nominal.excess(result.chi2_nu) <= 0:
         return []
     facts = causes_of_misfit(*_asked(ctx, conditions, result), facts_only=True)
     return [one for one in facts if one.explains > EXPLAINED]
