@@ -174,7 +174,10 @@ class Config(Limits):
     @model_validator(mode="after")
     def _adjusts_all_modes(self) -> "Config":
         if self.adjust and (isinstance(self.highest_noll, int) or not METHODS[self.method].open):
-            raise ValueError("'adjust' is for all modes that the window shows: leave out 'highest_noll'")
+            raise ValueError(
+                "'adjust' is for all modes that the window shows: leave out 'highest_noll', or take "
+                f"method {DEFAULT_METHOD}"
+            )
         return self
 
     @model_validator(mode="after")
