@@ -123,10 +123,3 @@ def test_a_mistake_in_a_recipe_option_is_reported_in_one_line(bench, recipe, mes
     bench.record(MORNING)
     result = invoke("night", str(bench.archive), "--output", str(bench.tree), "--recipe", recipe)
     assert result.exit_code == 2 and message in result.stderr and result.stderr.count("\n") == 1
-
-
-def test_a_recipe_with_an_input_that_its_group_does_not_have_is_refused(bench):
-    bench.record(MORNING)
-    result = night(bench, "--recipe", f"calibration={bench.folder / 'ramp.yaml'}")
-    assert result.exit_code == 2
-    assert "needs input 'ramp', but a group of kind 'calibration' has only" in result.stderr

@@ -12,7 +12,7 @@ from helpers import focus_loop as made
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.conventions.errors import ExitCode, InputDataError, Locked
 from irlos_pipe.focus import service as service_module
-from irlos_pipe.focus.calibration import CalibrationWatch, require_exchangeable
+from irlos_pipe.focus.calibration import CalibrationWatch
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.service import LoopSettings, Service
 from irlos_pipe.focus.source import Fault
@@ -156,13 +156,6 @@ def test_one_that_cannot_be_used_leaves_the_loop_with_what_it_has(tmp_path, foun
     watch, news = exchanged(tmp_path, found)
     assert watch.current.name == "first"
     assert re.search(words, news)
-
-
-def test_a_calibration_for_other_frames_is_not_exchangeable():
-    old = made.calibration()
-    other = replace(old, acquisition=replace(old.acquisition, pixel_scale_mas=12.0))
-    with pytest.raises(InputDataError, match=r"pixel_scale_mas 12, not 9\.7"):
-        require_exchangeable(old, other)
 
 
 # -- recordings, rings and faults -----------------------------------------------------------------------

@@ -1,7 +1,6 @@
 """`irlos night` on stand-in stages: what is reduced, what is reported, and what survives errors."""
 
 import contextlib
-import json
 import os
 import shutil
 import sqlite3
@@ -13,7 +12,7 @@ import pytest
 from helpers.fake_stages import COUNTS
 from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
-from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.conventions.errors import NothingToDo
 from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.run import plan_night, run_night
 
@@ -108,12 +107,6 @@ def test_a_night_with_nothing_to_reduce_has_a_page_that_says_so(bench, role):
         bench.run(bench.night("2024-02-10"))
     page = bench.page()
     assert "Nothing to process" in page and ">empty<" in page and ("science" in page) == bool(role)
-
-
-def test_a_folder_that_does_not_exist_is_reported_on_the_page_too(bench):
-    with pytest.raises(InputDataError, match="no such file or folder"):
-        bench.run(bench.night("2024-02-10"))
-    assert "no such file or folder" in bench.page()
 
 
 def test_a_night_with_nothing_but_a_ramp_without_calibration_needs_a_look(bench):
@@ -234,23 +227,6 @@ def test_a_foreign_folder_in_the_place_of_a_group_is_not_touched(bench):
     state = bench.run()
     assert "is in the way" in state.nights["2024-02-10"].failures[0]
     assert os.listdir(bench.run_folder()) == ["mine.txt"]
-
-
-def test_stages_run_one_by_one_leave_the_same_as_one_task(bench):
-    bench.record(MORNING)
-
-    def stage_by_stage(work, tasks):
-        for task in tasks:
-            done = None
-            for stage in task.load().stages:
-                assert not task.folder.exists()
-                done = work(task, last=stage, before=done)
-            yield done
-
-    run_night(bench.request(), stage_by_stage)
-    by_stages = json.loads((bench.run_folder() / "results.json").read_text())
-    assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 1
-    assert list(by_stages["stages"]) == ["ingest", "calibrate", "lift"]
 
 
 # -- what is known, what is a copy, what hangs --------------------------------------------------
