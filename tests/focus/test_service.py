@@ -48,16 +48,6 @@ def test_every_exposure_has_a_record_and_the_command_is_that_of_the_last(tmp_pat
     assert (command.number, command.offset_nm, command.counter) == (4, records[-1]["offset_nm"], 6)
 
 
-def test_started_again_it_goes_on_and_does_nothing_twice(tmp_path):
-    served(tmp_path, reads(0, 5))  # the third exposure is cut short
-    served(tmp_path, reads(0, 12))
-    records, events = lines(tmp_path)
-    assert [one["exposure"] for one in records] == [0, 1, 2, 3, 4, 5]
-    assert [one["sequence"] for one in records] == [1, 2, 3, 4, 5, 6]
-    assert records[2]["reads_missing"] == 1
-    assert "started again after record 3, calibration first" in events
-
-
 @pytest.mark.parametrize(
     "changes", [{"every_exposure_counts": True}, {"settings": replace(SETTINGS, shadow=True)}]
 )

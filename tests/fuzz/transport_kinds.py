@@ -30,12 +30,6 @@ CARDS = (
     "HIERARCH ESO SEQ NGS MAG = 7.0.1", "HIERARCH ESO DET NDIT = 1e300", "COADDS  = 3.5", "EGAIN   = 'x'",
     "UT      = nan",
 )  # fmt: skip
-DATES = (
-    "2021-05-01T03:00:00", "2021-05-01", "01/05/21", "2021-02-31T00:00:00", "24:00", "nan", "",
-    "99999-01-01", "2021-05-01T25:61:61", "0000-00-00", "-4712-01-01", "2021-05-01 03:00:00Z", "J2000",
-    "1e300",
-)  # fmt: skip
-NUMBERS = (59335.125, 0.0, -1.0, 1e300, float(2**63), -1e300, 1e-300)
 ELSE = (
     b"<!DOCTYPE html><html>", b"<?xml version='1.0'?>", b"version https://git-lfs.github.com/spec/v1\n",
     b"", b"\0" * 2880, b"\xef\xbb\xbfSIMPLE  = T", b"PK\x03\x04", b"\x1f\x9d\x90", b"\x1f\x8b", b"BZh9",
@@ -103,19 +97,6 @@ def extensions(folder: Path, rng: np.random.Generator) -> Case:
 
 
 @kind
-def file_end(folder: Path, rng: np.random.Generator) -> Case:
-    """Lose or add padding, or something else, at the end of a file with checksums."""
-    content = _cube(folder)
-    data_end = BLOCK + pristine.adu().nbytes
-    ends = [content[:at] for at in (data_end, data_end - 1, -1, BLOCK, BLOCK - 1)]
-    ends += [content + more for more in (b" " * 100, bytes(BLOCK), b"\n", content, b"XTENSION")]
-    which = int(rng.integers(len(ends)))
-    packer = pick(rng, [bytes, bytes, *PACKERS.values()])
-    (folder / "in" / "cube.fits").write_bytes(packer(ends[which]))
-    return Case(f"end {which}", _command(folder, rng, "cube.fits"), "cube")
-
-
-@kind
 def lone_sidecar(folder: Path, rng: np.random.Generator) -> Case:
     """Lose one of two recordings whose side-car stays, or leave something else in its place."""
     path = pristine.write("recorder", folder / "in" / "sky")
@@ -140,17 +121,6 @@ def lone_sidecar(folder: Path, rng: np.random.Generator) -> Case:
             pick(rng, [b"", b"\xff\xfe", b"role: [", b"role: ncpa_calibration", b"role: x", b"- 1\n"])
         )
     return Case(f"{side.name}: {instead}", _command(folder, rng, ""))
-
-
-@kind
-def times(folder: Path, rng: np.random.Generator) -> Case:
-    """Date a recording in one of many ways."""
-    content = _cube(folder)
-    header = [f"DATE-OBS= '{pick(rng, list(DATES))}'", f"MJD-OBS = {pick(rng, list(NUMBERS))!r}".upper(),
-              f"TIME-OBS= '{pick(rng, list(DATES))}'"]  # fmt: skip
-    chosen = [card for card in header if rng.random() < 0.7]
-    (folder / "in" / "cube.fits").write_bytes(_with_cards(content, chosen))
-    return Case(f"{chosen}", _command(folder, rng, "cube.fits"), "cube")
 
 
 def _cube(folder: Path) -> bytes:

@@ -47,7 +47,7 @@ def test_a_second_run_works_only_on_what_is_new_or_changed_and_changes_no_other_
 
 @pytest.mark.parametrize(
     ("behaviour", "message"),
-    [("ingest.bad", "ingest: no star"), ("calibrate.crash", "unexpected ZeroDivisionError: a bug")],
+    [("ingest.bad_data", "HDU 1 is truncated"), ("calibrate.crash", "unexpected ZeroDivisionError: a bug")],
 )
 def test_a_reduction_that_fails_is_named_and_the_others_continue(bench, behaviour, message):
     (bench.record(MORNING, "poor") / behaviour).touch()
