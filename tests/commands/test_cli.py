@@ -148,19 +148,6 @@ def test_each_kind_of_failure_has_its_exit_code(bench, behaviour, code):
     assert products(bench.output) == whole[: 3 * (code in (4, 5)) or behaviour.startswith("calibrate")]
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        "run",
-        "run x.yaml --output o --jobs 0",
-        "run x.yaml --output o -v -q",
-        "simulate nothing.yaml --output o",
-    ],
-)
-def test_wrong_usage_exits_with_2(arguments):
-    assert invoke(*arguments.split()).exit_code == 2
-
-
 def test_a_missing_cuda_device_is_reported(bench, monkeypatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     result = bench.run("--device", "cuda")
@@ -212,10 +199,6 @@ def completed(typed: list[str]) -> list[str]:
     [
         ("run ncpa", "ncpa_calibration"),
         ("run defocus_ramp --input cal", "calibration="),
-        ("run defocus_ramp --from li", "lift"),
-        ("run defocus_ramp --set calibrate.highest", "calibrate.highest_noll="),
-        ("run diagnose_bench --input c", "cube="),
-        ("run --seed 1 diagnose_bench --set diagnose.hi", "diagnose.highest_noll="),
         ("simulate on", "on_sky"),
         ("explain seeing", "seeing_halo"),
     ],

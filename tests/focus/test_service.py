@@ -72,12 +72,8 @@ def test_what_is_damaged_is_named_and_the_offset_held(tmp_path):
     [
         ({"window": (20, 24)}, r"20x24 px.*32x32"),
         ({"instrument_name": "nirc2_narrow"}, "nirc2_narrow, not irlos"),
-        (
-            {"acquisition": replace(made.calibration().acquisition, spectrum=((2200.0, 1.0),))},
-            "2200 nm",
-        ),
     ],
-    ids=["window", "instrument", "spectrum"],
+    ids=["window", "instrument"],
 )
 def test_a_source_whose_frames_are_not_those_of_the_calibration_is_refused(tmp_path, foreign, words):
     source = made.Listed([])
@@ -225,14 +221,6 @@ def test_a_loop_whose_offsets_nothing_answers_stops_and_says_so(tmp_path):
 def test_old_frames_command_nothing_where_that_is_asked_for(tmp_path, arrivals, shadow, reasons):
     served(tmp_path, list(arrivals), replace(SETTINGS, stale_frames_s=900.0, shadow=shadow))
     assert lines(tmp_path)[0][0]["reasons"] == reasons
-
-
-def test_frames_exposed_otherwise_are_told(tmp_path):
-    found, source = made.calibration(), made.Listed([])
-    source.acquisition = replace(found.acquisition, exposure_s=4.0)
-    found = replace(found, acquisition=replace(found.acquisition, exposure_s=1.0))
-    said = made.served(tmp_path, source, SETTINGS, found)
-    assert "frames exposed otherwise than the calibration says: exposure_s 4, not 1" in said
 
 
 def test_a_wild_counter_is_an_event_and_no_number_of_missing_reads(tmp_path):

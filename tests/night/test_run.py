@@ -14,7 +14,7 @@ from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.conventions.errors import NothingToDo
 from irlos_pipe.night.database import NAME, opened
-from irlos_pipe.night.run import plan_night, run_night
+from irlos_pipe.night.run import run_night
 
 MORNING = "2024-02-11T03:00:00"
 
@@ -162,21 +162,6 @@ def test_after_a_change_exactly_the_stages_that_depend_on_it_are_redone_with_the
         assert reduced.action == "redone"
         assert reduced.reasons == ("lift: redone because stage version 1 -> 2",)
         assert "stage version 1 -&gt; 2" in bench.page(night.date)
-
-
-def test_a_dry_run_lists_stages_with_reasons_and_writes_nothing(bench, monkeypatch):
-    bench.record(MORNING)
-    _, plan = plan_night(bench.request())
-    assert [steps for _, steps in plan] == [None] and not bench.tree.exists()
-    bench.run()
-    before = contents(bench.run_folder())
-    change_model(monkeypatch)
-    _, ((job, steps),) = plan_night(bench.request())
-    assert job.task.name == "2024-02-10/030000_cube/cube"
-    assert [(step.name, step.reason) for step in steps if not step.current] == [
-        ("calibrate", "stage version 1 -> 2")
-    ]
-    assert contents(bench.run_folder()) == before and COUNTS["calibrate"] == 1
 
 
 @pytest.mark.slow
