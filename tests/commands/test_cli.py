@@ -200,7 +200,6 @@ def completed(typed: list[str]) -> list[str]:
         ("run ncpa", "ncpa_calibration"),
         ("run defocus_ramp --input cal", "calibration="),
         ("simulate on", "on_sky"),
-        ("explain seeing", "seeing_halo"),
     ],
 )
 def test_the_shell_completes_values(typed, expected):

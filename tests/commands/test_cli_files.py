@@ -149,7 +149,6 @@ def test_show_says_what_a_file_is_and_what_to_do_with_it(tmp_path):
         (["run", "full_reduction", "a.fits"], "--input calibration=a.fits or --input ramp=a.fits"),
         (["calibrate", "a.fits"], "irlos run ncpa_calibration"),
         (["diagnose"], "irlos run diagnose"),
-        (["validate", "ncpa_calibration", "--set", "higest_noll=66"], "'calibrate.highest_noll'?"),
         (["validate", "ncpa_calibration", "--set", "pupil_sampels=96"], "'model.pupil_samples'?"),
         (["explain", "corection"], "did you mean 'correction'?"),
     ],

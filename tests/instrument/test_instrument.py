@@ -128,7 +128,6 @@ def test_the_facts_of_a_profile_that_ships_have_the_units_of_their_names(path):
     [
         ("pupil_diameter_m", "mm", "m"),
         ("ao_residual_nm_per_arcsec", "nm", "nm/arcsec"),
-        ("vibration_lines", "1/min, 1, 1", "Hz, 1, 1"),
         ("apd_gain_high", "e-/ADU", "1"),
     ],
 )

@@ -209,7 +209,6 @@ def test_a_mistake_gives_one_line_before_anything_runs(paper, option, value):
     [
         ("zetta: {calibrate.samples: 1}", ":1: no recipe 'zetta'; did you mean 'zeta'?"),
         ("zeta: {calibrate.sampels: 1}", ": calibrate.sampels: unknown key 'calibrate.sampels'; did you"),
-        ("zeta: {calibrate.samples: 0}", ": calibrate.samples: calibrate.samples = 0"),
     ],
 )
 def test_a_mistake_in_the_quick_settings_is_reported_with_its_line(paper, content, message):

@@ -113,7 +113,6 @@ def zipped() -> bytes:
     ("content", "what"),
     [
         (b"", "empty"),
-        (b"these are not the data", "not a FITS file"),
         (b"\x1f\x9d\x90" + bytes(50), r"packed by compress \(\.Z\).*gzip -d"),
         (zipped(), "a zip archive"),
         (b"\n<!DOCTYPE html><html>", "a web page"),
