@@ -111,8 +111,3 @@ def test_recordings_are_read_and_cleaned():
     (recording,) = irlos_pipe.read_recordings(SAMPLE, acquisition={"target": "a star"})
     assert recording.images_e.shape == (6, 64, 64) and recording.used.all()
     assert recording.acquisition.target == "a star" and np.ptp(recording.introduced_defocus_nm) == 0
-
-
-def test_a_wrong_setting_is_told_as_on_the_command_line():
-    with pytest.raises(ConfigurationError, match="did you mean 'highest_noll'"):
-        irlos_pipe.calibrate(SAMPLE, settings={"calibrate.highest_nol": 66})

@@ -36,10 +36,3 @@ def test_a_simulation_that_the_disk_cannot_hold_is_refused_before_it_begins(spec
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=100))
     result = invoke("simulate", spec, "--output", str(tmp_path / "out"))
     assert result.exit_code == 2 and "the recordings take 0.0 GB, 0.0 are free" in result.stderr
-
-
-def test_a_folder_with_files_of_others_exits_with_2(spec, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "thesis.tex").touch()
-    result = invoke("simulate", spec, "--output", str(tmp_path / "out"))
-    assert result.exit_code == 2 and "holds other files (thesis.tex)" in result.stderr

@@ -54,12 +54,3 @@ def test_an_error_that_the_user_can_mend_opens_no_debugger(bench, monkeypatch):
     bench.make("calibrate.bad_data")
     assert bench.run("--pdb").exit_code == 3
     assert invoke("--pdb", "validate", "no_such_recipe").exit_code == 2
-
-
-def test_a_fault_outside_a_run_opens_it_too(bench, monkeypatch):
-    opened = []
-    monkeypatch.setattr("irlos_pipe.commands.exits._at_terminal", lambda: True)
-    monkeypatch.setattr("pdb.post_mortem", opened.append)
-    monkeypatch.setattr("irlos_pipe.recipe.load_recipe", lambda *_, **__: 1 / 0)
-    assert invoke("validate", str(bench.recipe), "--pdb").exit_code == 1
-    assert [frames.tb_frame.f_globals["__name__"] for frames in opened]

@@ -6,11 +6,9 @@ from typing import Any
 
 import jsonschema
 import pytest
-from astropy.io import fits
 from conftest import invoke
 from helpers import made_run
 from helpers.result_schema import without_unknown_keys
-from helpers.sparta_files import counts, star
 
 from irlos_pipe.reference import COMMANDS
 
@@ -128,19 +126,6 @@ def test_comparison_of_two_runs(bench):
     ]
     total = next(one for one in found["numbers"] if one["name"] == "total")
     assert (total["difference"], total["sigmas"]) == (total["first"], None)  # counts are doubled
-
-
-def test_show_of_a_file_with_recordings(tmp_path):
-    fits.writeto(tmp_path / "cube.fits", counts(star(32, 32), 3))
-    found = printed("show", str(tmp_path / "cube.fits"), "--json")
-    assert found["schema"] == "irlos-show-recordings" and "3 of 32x32 px" in found["recordings"][0]["frames"]
-
-
-def test_the_plan_of_a_run(bench):
-    plan = json.loads(bench.run("--dry-run", "--json").stdout)
-    assert [one["stage"] for one in plan] == ["ingest", "calibrate", "lift"]
-    assert list(_of("irlos-run-plan").iter_errors(plan)) == []
-    assert list(_of("irlos-run-plan").iter_errors([{"stage": "ingest"}])) != []
 
 
 def test_the_schemas_are_printed():

@@ -141,10 +141,3 @@ def test_an_output_without_a_name_that_can_be_shown_is_refused(bench, output):
     """An unset variable gives the empty name, which would be the current folder."""
     result = invoke("run", str(bench.recipe), "--output", os.fsdecode(output))
     assert (result.exit_code == 2 and "give a path" in result.output) or "cannot be shown" in result.output
-
-
-def test_without_a_home_a_tilde_is_a_name_like_others(bench, monkeypatch):
-    monkeypatch.delenv("HOME")
-    monkeypatch.setattr("pwd.getpwuid", lambda _: (_ for _ in ()).throw(KeyError()))
-    result = bench.run("--input", "cube=~/nothing")
-    assert result.exit_code == 2 and "no such file or folder" in result.output

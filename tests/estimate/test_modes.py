@@ -169,12 +169,6 @@ def _without_tilt(map_nm: np.ndarray) -> np.ndarray:
     return map_nm[LIT] - plane @ np.linalg.lstsq(plane, map_nm[LIT], rcond=None)[0]
 
 
-@pytest.mark.parametrize("twice", [np.eye(18)[[0, 1, 0]], np.vstack([np.eye(18)[:2], np.zeros(18)])])
-def test_modes_that_depend_on_one_another_are_refused(twice):
-    with pytest.raises(ValueError, match="3 modes are only 2 different shapes"):
-        offsets(table(twice))
-
-
 def test_holes_outside_the_pupil_are_no_matter_and_inside_they_are_refused():
     maps_nm = table(np.eye(18))
     outside = np.where(LIT, maps_nm, np.nan)

@@ -68,12 +68,14 @@ def test_what_cannot_be_is_said_in_one_line_with_its_exit_code(run, tmp_path):
     replay = ("--replay", run)
     for arguments, code, words in (
         ((run, "--ring", tmp_path / "text"), 3, f"{tmp_path}/text: not a ring of frames"),
+        ((run, "--ring", tmp_path / "none", "--wait", 0.1), 3, "cannot be read as a ring of frames"),
         ((run, "--ring", tmp_path / "ring"), 3, "20x24 px, and the calibration"),
         ((run, "--folder", tmp_path / "none"), 3, "no such folder"),
         ((run, *replay, "--input", "calibratoin"), 3, "no recordings of input 'calibratoin'"),
         ((run, *replay, "--acquisition", "none.yaml"), 3, "no such file"),
         ((tmp_path, *replay), 3, "not the folder of a run"),
         ((run, *replay, "--gain", 1.5), 2, "stable between 0 and 1.000"),
+        ((run, *replay, "--wait", "nan"), 2, "--wait nan: give a finite number"),
         ((run, *replay, "--page-port", 0, "--page-address", "0.0.0.0"), 2, "needs a token"),
     ):
         found, line = failure(*arguments, "--output", tmp_path / "loop")
@@ -87,16 +89,6 @@ def test_frames_may_be_described_by_a_side_car(run, tmp_path):
     points = json.loads((run / "results.json").read_text())["stages"]["lift"]["points"]
     for mine, theirs in zip(records(tmp_path / "loop"), points, strict=True):
         assert mine["defocus_nm"] == pytest.approx(theirs["defocus_nm"], abs=1.0)
-
-
-NUMBERS = "limit-nm jump-nm max-misfit gain leak speed stale-after stale-frames silent-after wait"
-
-
-@pytest.mark.parametrize("option", [f"--{name}" for name in NUMBERS.split()])
-@pytest.mark.parametrize("value", ["nan", "inf"])
-def test_what_is_no_finite_number_is_refused_in_one_line(tmp_path, option, value):
-    code, line = failure("run", "--replay", "run", "--output", tmp_path / "loop", option, value)
-    assert (code, line) == (2, f"irlos: error: {option} {value}: give a finite number")
 
 
 @pytest.fixture
@@ -138,14 +130,6 @@ def test_a_calibration_with_frames_of_a_2x2_mode_asks_for_those_of_the_full_pupi
     monkeypatch.setattr(CalibrationRequest, "_frames", two_by_two)
     with pytest.raises(ConfigurationError, match=r"2x2 mode.*full pupil.*--acquisition FILE"):
         CalibrationRequest(run, despite_qc=True).load()
-
-
-def test_a_ring_that_does_not_come_is_waited_for_and_then_an_error(tmp_path):
-    ring = tmp_path / "ring"
-    result = invoke("focus", "run", "--ring", str(ring), "--output", str(tmp_path / "loop"), "--wait", "0.1")
-    assert result.exit_code == 3
-    assert f"waiting 0.1 s for the ring {ring}" in result.stdout
-    assert f"{ring}: cannot be read as a ring of frames" in result.stderr
 
 
 # -- as processes -----------------------------------------------------------------------------------

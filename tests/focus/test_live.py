@@ -89,8 +89,6 @@ def test_it_listens_on_the_loopback_and_answers_no_other_name(page):
     ("address", "token", "words"),
     [
         ("0.0.0.0", "", "token of at least 16"),
-        ("192.0.2.1", "short", "token of at least 16"),
-        ("::", "", "token of at least 16"),
         ("example.org", "", "IP address"),
     ],
 )

@@ -12,7 +12,7 @@ from helpers import focus_loop as made
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.conventions.errors import ExitCode, InputDataError, Locked
 from irlos_pipe.focus import service as service_module
-from irlos_pipe.focus.calibration import CalibrationWatch, require_exchangeable
+from irlos_pipe.focus.calibration import CalibrationWatch
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.service import LoopSettings, Service
 from irlos_pipe.focus.source import Fault
@@ -48,16 +48,6 @@ def test_every_exposure_has_a_record_and_the_command_is_that_of_the_last(tmp_pat
     assert (command.number, command.offset_nm, command.counter) == (4, records[-1]["offset_nm"], 6)
 
 
-def test_started_again_it_goes_on_and_does_nothing_twice(tmp_path):
-    served(tmp_path, reads(0, 5))  # the third exposure is cut short
-    served(tmp_path, reads(0, 12))
-    records, events = lines(tmp_path)
-    assert [one["exposure"] for one in records] == [0, 1, 2, 3, 4, 5]
-    assert [one["sequence"] for one in records] == [1, 2, 3, 4, 5, 6]
-    assert records[2]["reads_missing"] == 1
-    assert "started again after record 3, calibration first" in events
-
-
 @pytest.mark.parametrize(
     "changes", [{"every_exposure_counts": True}, {"settings": replace(SETTINGS, shadow=True)}]
 )
@@ -82,12 +72,8 @@ def test_what_is_damaged_is_named_and_the_offset_held(tmp_path):
     [
         ({"window": (20, 24)}, r"20x24 px.*32x32"),
         ({"instrument_name": "nirc2_narrow"}, "nirc2_narrow, not irlos"),
-        (
-            {"acquisition": replace(made.calibration().acquisition, spectrum=((2200.0, 1.0),))},
-            "2200 nm",
-        ),
     ],
-    ids=["window", "instrument", "spectrum"],
+    ids=["window", "instrument"],
 )
 def test_a_source_whose_frames_are_not_those_of_the_calibration_is_refused(tmp_path, foreign, words):
     source = made.Listed([])
@@ -156,13 +142,6 @@ def test_one_that_cannot_be_used_leaves_the_loop_with_what_it_has(tmp_path, foun
     watch, news = exchanged(tmp_path, found)
     assert watch.current.name == "first"
     assert re.search(words, news)
-
-
-def test_a_calibration_for_other_frames_is_not_exchangeable():
-    old = made.calibration()
-    other = replace(old, acquisition=replace(old.acquisition, pixel_scale_mas=12.0))
-    with pytest.raises(InputDataError, match=r"pixel_scale_mas 12, not 9\.7"):
-        require_exchangeable(old, other)
 
 
 # -- recordings, rings and faults -----------------------------------------------------------------------
@@ -242,14 +221,6 @@ def test_a_loop_whose_offsets_nothing_answers_stops_and_says_so(tmp_path):
 def test_old_frames_command_nothing_where_that_is_asked_for(tmp_path, arrivals, shadow, reasons):
     served(tmp_path, list(arrivals), replace(SETTINGS, stale_frames_s=900.0, shadow=shadow))
     assert lines(tmp_path)[0][0]["reasons"] == reasons
-
-
-def test_frames_exposed_otherwise_are_told(tmp_path):
-    found, source = made.calibration(), made.Listed([])
-    source.acquisition = replace(found.acquisition, exposure_s=4.0)
-    found = replace(found, acquisition=replace(found.acquisition, exposure_s=1.0))
-    said = made.served(tmp_path, source, SETTINGS, found)
-    assert "frames exposed otherwise than the calibration says: exposure_s 4, not 1" in said
 
 
 def test_a_wild_counter_is_an_event_and_no_number_of_missing_reads(tmp_path):

@@ -6,4 +6,4 @@ an undocumented exit code, a hang, more than 2 GB, a file outside the output fol
 differs from that of the unspoiled input without a word.
 """
 
-from fuzz import fits_kinds, name_kinds, product_kinds, transport_kinds, tree_kinds, yaml_kinds  # noqa: F401
+from fuzz import fits_kinds, name_kinds, product_kinds, tree_kinds, yaml_kinds  # noqa: F401

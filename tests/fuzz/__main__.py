@@ -2,15 +2,13 @@
 
 import argparse
 import multiprocessing
-import shutil
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 
 from fuzz import pristine
-from fuzz.case import KINDS, draw
+from fuzz.case import KINDS
 from fuzz.judge import TIME_S, Verdict, judged
 
 NO_ANSWER_S = 30 * TIME_S  # a process that was killed, or hangs where no signal reaches it
@@ -19,8 +17,6 @@ NO_ANSWER_S = 30 * TIME_S  # a process that was killed, or hangs where no signal
 def main() -> int:
     """Judge cases, all kinds in turn; returns 1 if any input brought about what it must not."""
     options = _options()
-    if options.show:
-        return _show(*options.show)
     kinds = options.kind or sorted(KINDS)
     numbers = range(options.seed, options.seed + -(-options.cases // len(kinds)))
     cases = [(kind, number) for number in numbers for kind in kinds][: options.cases]
@@ -46,9 +42,6 @@ def _options() -> argparse.Namespace:
         "--kind", action="append", choices=sorted(KINDS), help="only this kind; may be repeated"
     )
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument(
-        "--show", nargs=2, metavar=("KIND", "SEED"), help="make one case in ./fuzz-case and run it"
-    )
     return parser.parse_args()
 
 
@@ -64,17 +57,6 @@ def _all_judged(cases: list[tuple[str, int]], jobs: int) -> Iterator[Verdict]:
             if verdict.finding:
                 print(f"{kind} {seed} ({verdict.summary}): {verdict.finding}", flush=True)
             yield verdict
-
-
-def _show(kind: str, seed: str) -> int:
-    """Leave the files of a case for a look, and print how it is judged."""
-    folder = Path("fuzz-case").absolute()
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    print(f"irlos {' '.join(draw(kind, int(seed), folder).arguments)}")
-    verdict = judged(kind, int(seed))
-    print(f"{verdict.summary}\n{verdict.output}\nexit {verdict.exit_code}\n{verdict.finding or 'no finding'}")
-    return int(bool(verdict.finding))
 
 
 def _table(verdicts: list[Verdict], kinds: list[str]) -> str:

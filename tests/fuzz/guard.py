@@ -1,8 +1,7 @@
-"""Limits on time and memory, and a witness of every file that is opened for writing."""
+"""A limit on memory, and a witness of every file that is opened for writing."""
 
 import os
 import resource
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,38 +11,10 @@ from unittest.mock import patch
 from irlos_pipe.commands import night
 
 GIB = 2**30
-PATIENCE = 20
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 CHANGING = {"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree"}
 _seen: list[str] | None = None
 _installed = False
-
-
-class Hang(BaseException):
-    """A case took too long; no ``except Exception`` of the code under test stops it."""
-
-
-@contextmanager
-def limited_time(seconds: float) -> Iterator[None]:
-    """Raise `Hang` in the block after so many seconds of the processor, or `PATIENCE` times that in all."""
-
-    def stop(*_: object) -> None:
-        raise Hang
-
-    timers = {
-        signal.ITIMER_PROF: (signal.SIGPROF, seconds),
-        signal.ITIMER_REAL: (signal.SIGALRM, PATIENCE * seconds),
-    }
-    before = {number: signal.signal(number, stop) for number, _ in timers.values()}
-    for timer, (_, limit) in timers.items():
-        signal.setitimer(timer, limit)
-    try:
-        yield
-    finally:
-        for timer in timers:
-            signal.setitimer(timer, 0)
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from click.testing import CliRunner, Result
+from helpers.patience import Hang, within
 
 from fuzz import pristine
 from fuzz.case import Case, draw
-from fuzz.guard import GIB, Hang, limited_memory, limited_time, nights_in_this_process, witnessed_writes
+from fuzz.guard import GIB, limited_memory, nights_in_this_process, witnessed_writes
 from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import IrlosError
 
@@ -33,7 +34,6 @@ class Verdict:
     summary: str
     exit_code: int
     finding: str  # what must not happen; empty if all is well
-    output: str = ""
     compared: bool = False  # whether the result was compared with that of the unspoiled input
 
 
@@ -50,16 +50,16 @@ def _judged(kind: str, seed: int, folder: Path) -> Verdict:
         result, writes = _run(case)
     finding = result if isinstance(result, str) else _finding(case, result, folder)
     finding = finding or _strays(folder, before, writes)
-    code, output = (-1, "") if isinstance(result, str) else (result.exit_code, result.output)
+    code = -1 if isinstance(result, str) else result.exit_code
     compared = code == 0 and bool(case.reference) and (folder / "out" / PRODUCT).exists()
-    return Verdict(kind, seed, case.summary, code, finding, output, compared)
+    return Verdict(kind, seed, case.summary, code, finding, compared)
 
 
 def _run(case: Case) -> tuple[Result | str, list[str]]:
     """Run the command; returns its result, or what stopped it, and what it wrote."""
     with witnessed_writes() as writes:
         try:
-            with limited_memory(MEMORY), limited_time(TIME_S):
+            with limited_memory(MEMORY), within(TIME_S, patience=20):
                 return CliRunner().invoke(cli, case.arguments), writes
         except Hang:
             return f"hang: more than {TIME_S:.0f} s of the processor", writes

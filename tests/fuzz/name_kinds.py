@@ -1,4 +1,4 @@
-"""Names that lead elsewhere or cannot be shown: of files, inputs, recipes, recordings."""
+"""Names that lead elsewhere or cannot be shown: of files, inputs, recipes."""
 
 import os
 from pathlib import Path
@@ -14,8 +14,6 @@ ODD = (
     "a\nb", "a\tb", "a'b\"c", "%s%n", "{x}", "<script>alert(1)</script>", "\x1b[31mred", "\u202egnp", "ł€😀",
     "n" * 250, "NUL", "COM1", "a=b", "results.json", "..\\..\\x", "arrays", "*", "a\0b", "\udcff\udcfe", "",
 )  # fmt: skip
-RECORDING = {"role": "ncpa_calibration", "mag_j": 7.0, "frames": 1, "exposure_s": 0.01, "frame_rate_hz": 10}
-RECORDING |= {"window": [8, 8], "bands": "narrow_h"}
 PRINTABLE = [name for name in ODD if "\0" not in name]
 
 
@@ -52,22 +50,6 @@ def recipe_name(folder: Path, rng: np.random.Generator) -> Case:
     )
     (folder / "recipe.yaml").write_text(yaml.safe_dump(content))
     return Case(f"{content}", run_of(folder), "recorder")
-
-
-@kind
-def simulated_name(folder: Path, rng: np.random.Generator) -> Case:
-    """Name a recording of a simulation oddly: it becomes a folder."""
-    name = pick(rng, list(ODD))
-    content = {
-        "simulation": pick(rng, ["x", name]),
-        "diversity": {"source": "lens", "zernike": {6: -170.0}},
-        "recordings": {name: RECORDING},
-    }
-    (folder / "spec.yaml").write_text(yaml.safe_dump(content))
-    return Case(
-        f"recording {name!r}",
-        ("simulate", str(folder / "spec.yaml"), "--output", str(folder / "out"), "--dry-run"),
-    )
 
 
 @kind

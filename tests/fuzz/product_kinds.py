@@ -1,6 +1,5 @@
 """Products and folders of runs: damaged, with links to elsewhere, with sections that make no sense."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -72,18 +71,6 @@ def run_files(folder: Path, rng: np.random.Generator) -> Case:
         how, content = "odd JSON", pick(rng, list(ODD_JSON)).encode()
     path.write_bytes(content)
     return _looked_at(run, folder, f"{path.name}: {how}", rng)
-
-
-@kind
-def truth(folder: Path, rng: np.random.Generator) -> Case:
-    """Compare a run with a truth that makes no sense."""
-    run = pristine.write_run(folder)
-    sane = json.dumps({"mean_zernike_nm": {str(noll): 1.0 for noll in range(2, 31)}})
-    content = pick(rng, [*ODD_JSON, sane.replace("1.0", "[]", 1), sane.replace("mean", "mad")]).encode()
-    if rng.random() < 0.5:
-        content = damaged(sane.encode(), rng)[1]
-    (folder / "sky.json").write_bytes(content)
-    return Case(f"truth {content[:40]!r}", ("score", str(run), "--truth", str(folder / "sky.json")))
 
 
 def _external_link(file: h5py.File, name: str, folder: Path) -> None:

@@ -20,17 +20,22 @@ from irlos_pipe.commands.main import cli
 from irlos_pipe.night.database import NAME
 
 NIGHT_RECIPE = "recipe: fuzz\ninputs: {calibration: in}\nstages: [ingest]\n"
-SQL = (
+ROWS = (
     "UPDATE recordings SET description = 'x'",
-    "UPDATE recordings SET description = replace(description, '2023', '../..')",
+    "UPDATE recordings SET description = '[]'",
+    "UPDATE recordings SET description = replace(description, '202', '../..')",
     "UPDATE recordings SET stamp = x'00ff'",
     "UPDATE runs SET effects = '{', verdict = 'effect'",
     "UPDATE runs SET night = '../../x', verdict = 'none', effects = '[]'",
     "UPDATE runs SET start_unix_s = 1e300",
     "UPDATE runs SET run = 'no slash', verdict = 'none'",
-    "INSERT INTO numbers SELECT run, 'noll_4_nm', 'many', NULL FROM runs",
+    "UPDATE numbers SET value = 'many', sigma = x'00'",
+    "INSERT INTO numbers SELECT run, 'noll_9_nm', 'many', NULL FROM runs",
     "INSERT INTO numbers SELECT run, '<script>$', 1e308, -1 FROM runs",
     "DELETE FROM runs",
+)
+SQL = (
+    *ROWS,
     "DROP TABLE numbers",
     "PRAGMA user_version = 99",
     "PRAGMA user_version = -1",

@@ -1,4 +1,4 @@
-"""Side-cars, recipes, instrument profiles and simulation specs: slips of the pen, damage, bombs."""
+"""Side-cars, recipes, instrument profiles and simulation specs: slips of the pen, damage."""
 
 import re
 from pathlib import Path
@@ -82,48 +82,6 @@ def spec(folder: Path, rng: np.random.Generator) -> Case:
     return Case(
         f"{source.name}: {summary}", ("simulate", str(path), "--output", str(folder / "out"), "--dry-run")
     )
-
-
-@kind
-def bomb(folder: Path, rng: np.random.Generator) -> Case:
-    """Let a small file stand for a huge one, for code, or for something that is no file."""
-    pristine.write("recorder", folder / "in" / "sky")
-    recipe = pristine.write_recipe(folder)
-    target = pick(rng, [recipe, folder / "in" / "sky" / "acquisition.yaml"])
-    name = pick(rng, list(BOMBS))
-    target.write_bytes(BOMBS[name]().encode("utf-8", "surrogatepass"))
-    return Case(f"{target.name}: {name}", run_of(folder, recipe=recipe), "recorder")
-
-
-def _laughs() -> str:
-    lines = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
-    return "\n".join(lines)
-
-
-BOMBS = {
-    "billion laughs": _laughs,
-    "deep lists": lambda: "a: " + "[" * 20_000,
-    "deep mappings": lambda: "\n".join(" " * i + f"k{i}:" for i in range(1000)),
-    "many keys": lambda: "\n".join(f"key{i}: {i}" for i in range(300_000)),
-    "long list": lambda: "introduced_defocus_nm: [" + "1.0, " * 700_000 + "1.0]",
-    "long text": lambda: "target: " + "x" * 3_900_000,
-    "long number": lambda: "mag_j: " + "9" * 1_000_000,
-    "python object": lambda: "role: !!python/object/apply:os.system ['touch /tmp/irlos-was-here']",
-    "merge key": lambda: "base: &b {role: dark}\n<<: *b",
-    "merge without alias": lambda: "<<: {role: dark}",
-    "two documents": lambda: "role: dark\n---\nrole: psf\n",
-    "directive": lambda: "%YAML 9.9\n---\nrole: dark\n",
-    "null bytes": lambda: "role: dark\0\0\0",
-    "surrogates": lambda: 'target: "\\ud800\\udfff"\n',
-    "recursion": lambda: "a: &a [*a]",
-    "complex key": lambda: "? {a: b}\n: c\n",
-    "equals": lambda: "role: =\n=: 1\n",
-    "regular expression": lambda: "frame_rate_hz: " + "1_" * 50_000,
-    "binary": lambda: "target: !!binary " + "AAAA" * 100_000,
-    "only comments": lambda: "# nothing\n" * 100_000,
-    "empty": lambda: "",
-}
 
 
 def _copy(source: Path, folder: Path) -> Path:

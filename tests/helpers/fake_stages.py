@@ -100,7 +100,7 @@ def _lose_exposure(output: StageOutput) -> StageOutput:
     return StageOutput(output.arrays, output.results, failures=["exposure 3: no star"])
 
 
-def _misbehave(name: str, folder: Path) -> None:
+def misbehave(name: str, folder: Path) -> None:
     wanted = {path.suffix[1:] for path in folder.glob(f"{name}.*")}
     errors = {
         "crash": ZeroDivisionError("a bug"),
@@ -121,7 +121,7 @@ def _module(name: str, config: type[StageConfig], work, **extra) -> ModuleType:
 
     def run(ctx: StageContext) -> StageOutput:
         COUNTS[name] += 1
-        _misbehave(name, data_folder(ctx))
+        misbehave(name, data_folder(ctx))
         output = work(ctx)
         for behaviour, change in {"fail_qc": _fail_qc, "lose_exposure": _lose_exposure}.items():
             if (data_folder(ctx) / f"{name}.{behaviour}").exists():

@@ -16,7 +16,6 @@ from helpers import fake_stages
 from helpers.fake_stages import COUNTS
 from helpers.patience import within
 from helpers.sparta_files import counts, star, write_recorder
-from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.ramp import Line
 from irlos_pipe.night import trend_plots
 from irlos_pipe.night.run import Request, run_night
@@ -52,13 +51,7 @@ def _folder(ctx: StageContext) -> Path:
 
 def _begin(name: str, ctx: StageContext) -> None:
     COUNTS[name] += 1
-    for behaviour, error in {
-        "bad": InputDataError(f"{name}: no star"),
-        "crash": ZeroDivisionError("a bug"),
-        "interrupt": KeyboardInterrupt(),
-    }.items():
-        if (_folder(ctx) / f"{name}.{behaviour}").exists():
-            raise error
+    fake_stages.misbehave(name, _folder(ctx))
 
 
 def ingest(ctx: StageContext) -> StageOutput:

@@ -10,16 +10,20 @@ class Hang(BaseException):
 
 
 @contextmanager
-def within(seconds: int) -> Iterator[None]:
-    """Raise `Hang` in the block after so many seconds."""
+def within(seconds: float, patience: int = 1) -> Iterator[None]:
+    """Raise `Hang` in the block after so many seconds of the processor, or `patience` times that in all."""
 
     def stop(*_: object) -> None:
         raise Hang(f"not done within {seconds} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(seconds)
+    limits = {signal.ITIMER_PROF: seconds, signal.ITIMER_REAL: patience * seconds}
+    before = {number: signal.signal(number, stop) for number in (signal.SIGPROF, signal.SIGALRM)}
+    for timer, limit in limits.items():
+        signal.setitimer(timer, limit)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        for timer in limits:
+            signal.setitimer(timer, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -69,25 +69,15 @@ GONE = object()
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
-        ("facts.pupil_diameter_m.unit", GONE, r"yaml:\d+: key 'facts\.pupil_diameter_m\.0\.unit' is missing"),
         (
             "facts.pupil_diameter_m.status",
             "adoptd",
             r"mine\.yaml:\d+: facts\.pupil_diameter_m\.0\.status = 'adoptd'.*did you mean 'adopted'",
         ),
         ("facts.photons_per_s_m15", GONE, "fact 'photons_per_s_m15' is missing"),
-        ("facts.pupil_diameter_m.value", "eight", "fact 'pupil_diameter_m' = 'eight' should be a number"),
-        ("facts.pupil_vanes_m.value", [[0, 1, 2]], r"should be a list of \[\[x, y\], \[x, y\]\]"),
-        ("facts.vibration_lines.value", [[48.3, 0.1]], r"should be a list of \[Hz, share_x, share_y\]"),
         ("facts.seeing_ratio_mass_dimm.value", -1, "seeing scale 'mass_dimm': ratio -1 should be positive"),
         ("facts.seeing_arcsec.since", "2020-01-02", "since 2020-01-02 is not before until 2020-01-01"),
-        ("facts.pixel_scale_small_mas", [], "fact 'pixel_scale_small_mas' has 0 values on the present day"),
         ("defaults.seeing_arcsec", "seing_arcsec", "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
-        (
-            "defaults.pixel_scale",
-            "pixel_scale_mas",
-            "side-car key 'pixel_scale'; did you mean",
-        ),
     ],
 )
 def test_a_mistake_in_a_profile_is_told_with_the_file(tmp_path, profile, where, value, message):
@@ -137,21 +127,7 @@ def test_the_facts_of_a_profile_that_ships_have_the_units_of_their_names(path):
     ("fact", "unit", "wanted"),
     [
         ("pupil_diameter_m", "mm", "m"),
-        ("pupil_vanes_m", "cm", "m"),
-        ("ao_cutoff_per_m", "m", "1/m"),
-        ("ao_cutoff_per_m", "1/mm", "1/m"),
-        ("ncpa_amplitude_nm", "um", "nm"),
         ("ao_residual_nm_per_arcsec", "nm", "nm/arcsec"),
-        ("seeing_arcsec", "mas", "arcsec"),
-        ("photons_per_s_m15", "1/min", "1/s"),
-        ("pixel_scale_full_pupil_mas", "arcsec", "mas"),
-        ("amplifier_e_per_adu", "ADU/e-", "e-/ADU"),
-        ("read_exposure_s", "ms", "s"),
-        ("dark_current_e_per_s", "e-/h", "e-/s"),
-        ("recorder_rate_hz", "kHz", "Hz"),
-        ("site_pressure_hpa", "Pa", "hPa"),
-        ("site_temperature_c", "K", "C"),
-        ("vibration_lines", "1/min, 1, 1", "Hz, 1, 1"),
         ("apd_gain_high", "e-/ADU", "1"),
     ],
 )

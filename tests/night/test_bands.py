@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from helpers.stored_nights import bands, dates, measured, put
 
-from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.night.bands import History, band_of, excess_scatter, wavefront_test
-from irlos_pipe.night.settings import BandSettings, load_settings
+from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.trend import read_trend
 
 RULE, LOOSE = BandSettings(), BandSettings(false_alarm=1e-2, nights=60, least_nights=5)
@@ -123,17 +122,3 @@ def test_limits_of_the_configuration_alarm_from_the_first_night_and_for_the_sky_
         f"{run}: noll_4_nm = 25 outside the limits -20 to 20",
         f"{run}: seeing_arcsec = 2 outside the limits to 1.5",
     ]
-
-
-@pytest.mark.parametrize(
-    ("limits", "message"),
-    [
-        ("{ncpa_nmm: [0, 20]}", "is no number of a trend; did you mean 'ncpa_nm'"),
-        ("{noll_4_nm: [20, -20]}", "not below"),
-        ("{noll_4_nm: [null, null]}", "leave it out"),
-    ],
-)
-def test_wrong_limits_are_refused(tmp_path, limits, message):
-    (tmp_path / "night.yaml").write_text(f"band:\n  limits: {limits}\n")
-    with pytest.raises(ConfigurationError, match=message):
-        load_settings(tmp_path / "night.yaml")

@@ -183,13 +183,6 @@ def test_without_dask_the_error_names_the_package_to_install(tmp_path, monkeypat
     assert result.exit_code == 2 and "pip install 'irlos-pipe[dask]'" in result.output
 
 
-@pytest.mark.parametrize("options", [["--engine", "dask"], ["--scheduler", "tcp://127.0.0.1:9"]])
-def test_engine_and_address_need_each_other(tmp_path, options):
-    (night := tmp_path / "night").mkdir()
-    result = invoke("night", str(night), "--output", str(tmp_path / "tree"), *options)
-    assert result.exit_code == 2 and "need each other" in result.output
-
-
 @pytest.mark.parametrize(
     ("address", "is_open"),
     [("10.0.0.1:8786", True), ("tls://10.0.0.1:8786", False), ("localhost:8786", False)],

@@ -4,6 +4,7 @@ import os
 import sqlite3
 
 import pytest
+from fuzz.tree_kinds import ROWS
 from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
@@ -112,26 +113,12 @@ def test_a_database_that_another_program_holds_is_waited_for_and_then_named(tmp_
             found.descriptions()
 
 
-SPOILT_ROWS = (
-    "UPDATE recordings SET description = 'x'",
-    "UPDATE recordings SET description = '[]'",
-    """UPDATE recordings SET description = replace(description, '2024-02-10', '../../out')""",
-    "UPDATE numbers SET value = 'many'",
-    "UPDATE numbers SET sigma = x'00'",
-    "UPDATE runs SET verdict = 'effect', effects = '{'",
-    "UPDATE runs SET verdict = 'effect', effects = '5'",
-    "UPDATE runs SET verdict = 'none', run = 'no slash'",
-    "UPDATE runs SET verdict = 'none', night = '../../out'",
-    "UPDATE runs SET start_unix_s = 1e300",
-)
-
-
 def test_a_row_that_makes_no_sense_is_made_again_or_left_out(bench):
     bench.record(MORNING)
     bench.run()
     path = bench.tree / database.NAME
     sound = path.read_bytes()
-    for spoil in SPOILT_ROWS:
+    for spoil in ROWS:
         path.write_bytes(sound)
         with sqlite3.connect(path) as connection:
             connection.execute(spoil)

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from helpers import optics_cases as cases
-from helpers.experiment_stage import drawn, missed, run_on, tables_of
 
-from irlos_pipe.paper import exposures
 from irlos_pipe.paper.common.calibrations import ObservedCube
 from irlos_pipe.paper.common.scenes import cube_scene
 from irlos_pipe.paper.exposures import summed
@@ -32,18 +30,3 @@ def test_a_sum_has_one_noise_of_its_own(shortest):
     expected = long.exposed.mean_e + long.scene.detector.read_noise_e**2
     assert np.var(noise / np.sqrt(expected)) == pytest.approx(1, abs=0.06)
     assert not np.allclose(noise[0], (shortest.frames.images_e.numpy() - shortest.exposed.mean_e)[:3].sum(0))
-
-
-@pytest.mark.parametrize(("long_nm", "kept"), [(2.2, True), (4.0, False)])
-def test_a_default_that_depends_on_the_exposure_fails_its_check(monkeypatch, long_nm, kept):
-    def rows(star):
-        for method, short_nm, later_nm in (("long_exposure", 2.0, long_nm), ("dip_global", 20.0, 40.0)):
-            yield {"method": method, "exposure_s": 0.02, "modes_nm": short_nm}
-            yield {"method": method, "exposure_s": 0.2, "modes_nm": later_nm}
-
-    output = run_on(monkeypatch, exposures, rows, samples=2, seeings_arcsec=(0.35,))
-    assert (not missed(output)) is kept
-    assert output.checks[0].value == pytest.approx(long_nm / 2.0)
-    assert tables_of(output)["methods"].modes_nm.tolist() == [2.0, long_nm, 20.0, 40.0]
-    *_, table = drawn(output, exposures).blocks
-    assert table.rows[0][-1] == f"{long_nm:.1f} ({long_nm:.1f}…{long_nm:.1f})"

@@ -6,7 +6,7 @@ Truth: the simulator, which shares no optics with the model; arithmetic for the 
 import numpy as np
 import pytest
 import torch
-from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
+from helpers.experiment_stage import sample
 
 from irlos_pipe.effects import SeeingHalo
 from irlos_pipe.instrument.instrument import load_instrument
@@ -15,7 +15,7 @@ from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.paper import methods
 from irlos_pipe.paper.common.calibrations import DEFAULT, partial_halo
-from irlos_pipe.paper.methods import METHODS, PARTS, speckle_floor_nm
+from irlos_pipe.paper.methods import speckle_floor_nm
 
 FACILITY = load_instrument("irlos").facility
 
@@ -46,26 +46,3 @@ def test_a_residual_without_direction_has_a_round_transfer_function():
     factor = halo.apply(values, torch.ones((), dtype=torch.float64), grid)[0].numpy()
     along_x, along_y = -np.log(factor[0, 1:20]), -np.log(factor[1:20, 0])
     assert along_x == pytest.approx(along_y, rel=1e-3)
-
-
-def test_conditions_methods_and_parts_stand_apart(monkeypatch):
-    def rows(one):
-        for name in one["variants"]:
-            error_nm = 2.0 if name == DEFAULT else 40.0
-            own = {"modes_nm": error_nm, "pupil_nm": 2 * error_nm, "chi2_nu": 1.0}
-            yield {"variant": name, "part": 1.0, "introduced_nm": 142.0, **own}
-        for part in one.sizes.fractions if one["dissected"] else ():
-            yield {"variant": DEFAULT, "part": part, "modes_nm": 2.0 / np.sqrt(part)}
-
-    output = run_on(
-        monkeypatch, methods, rows, samples=3, samples_of_parts=2, samples_of_shapes=1, samples_between=1
-    )
-    found = tables_of(output)
-    conditions = found["conditions"]
-    assert conditions.samples.tolist() == [3, 3, 1, 1] + [1] * 6
-    assert conditions.speckle_floor_nm[:2].tolist() == pytest.approx([2.0, 2.0]) and not missed(output)[2:]
-    assert conditions.ratio_to_dip_global.tolist() == [0.05] * 10
-    assert set(found["methods"].variant) == set(METHODS) and set(found["parts"].variant) == set(PARTS)
-    assert found["parts"].samples.tolist() == [2] * 2 * len(PARTS)
-    _, _, table, shapes, _ = drawn(output, methods).blocks
-    assert table.rows[1][:2] == ["DIP global", "40.0 (40.0…40.0) (40.0–40.0)"] and len(shapes.rows) == 10

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import drawn, missed, run_on, sample, tables_of
+from helpers.experiment_stage import run_on, sample, tables_of
 
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper import mode_number, mode_statistics
@@ -52,27 +52,3 @@ def test_the_introduced_number_beats_fewer_and_unseen_frames_recommend_it():
     assert error_nm["lift_avg", 16.0, 51] > error_nm["lift_avg", 7.0, 51]
     few, right = (row for row in rows if row["method"] == mode_number.HELD_OUT)
     assert right["recommended_noll"] == 51 and few["held_out_chi2_nu"] > right["held_out_chi2_nu"]
-
-
-def made_errors(star):
-    """Errors that are least at 51 for the bright star and at 21 for the others."""
-    for method, magnitudes in mode_number.magnitudes_of(star.sizes).items():
-        for mag_j in magnitudes:
-            for noll in star.sizes.numbers:
-                error_nm = 2.0 + abs(noll - (51 if mag_j == magnitudes[0] else 21))
-                yield {"method": method, "mag_j": mag_j, "highest_noll": noll, "error_nm": error_nm}
-    for noll in star.sizes.numbers:
-        found = {"held_out_chi2_nu": 1.0 + abs(noll - 51), "recommended_noll": 51}
-        yield {"method": mode_number.HELD_OUT, "mag_j": 7.0, "highest_noll": noll, **found}
-
-
-def test_the_best_number_is_found_for_every_method_and_magnitude(monkeypatch):
-    output = run_on(monkeypatch, mode_number, made_errors, cubes=2)
-    assert not missed(output)
-    curves = tables_of(output)["curves"]
-    best = curves.loc[curves.groupby(["method", "mag_j"]).median_nm.idxmin()]
-    assert best.query("method == 'lift_avg'").highest_noll.tolist() == [51, 21, 21, 21]
-    assert best.query("method == 'dip_global'").mag_j.tolist() == [7.0]
-    *figures, _, cubes = drawn(output, mode_number).blocks
-    assert [figure.title for figure in figures] == ["Calibration", "LIFT avg."]
-    assert cubes.rows == [["cube 0", "Noll 2–51"], ["cube 1", "Noll 2–51"]]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.experiment_stage import context, drawn, run_on, tables_of
+from helpers.experiment_stage import context, run_on, tables_of
 from scipy.stats import lognorm
 
 from irlos_pipe.conventions.errors import ConfigurationError
@@ -53,13 +53,3 @@ def test_what_cannot_be_drawn_is_refused():
     for monitor in ("mass_dim", "sparta"):
         with pytest.raises(ConfigurationError, match=f"monitor = '{monitor}': .* known: mass_dimm"):
             draws(monitor=monitor)
-
-
-@pytest.mark.slow
-def test_the_section_shows_the_relation_both_scales_and_every_condition(monkeypatch):
-    output = run_on(monkeypatch, seeing_scales, seeing_scales.rows, on_sky_arcsec=(0.65,))
-    section = drawn(output, seeing_scales, on_sky_arcsec=(0.65,))
-    *figures, table = section.blocks
-    assert len(figures) == 3
-    assert "SPARTA = 0.80 · mass_dimm +0.00 arcsec (assumed:" in section.lead
-    assert [row[1:3] for row in table.rows] == [["0.35", "0.44"], ["1.00", "1.25"], ["0.52", "0.65"]]

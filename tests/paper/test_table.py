@@ -1,25 +1,14 @@
 """Tables of the experiments. Truth: numbers by hand, Monte Carlo, standard errors of normal values."""
 
-import math
-
 import numpy as np
 import pytest
 
 from irlos_pipe.paper.common.table import (
-    Listing,
     csv_of_tables,
-    frame,
     median_in_range,
     rms_in_range,
 )
 from maintenance.paper_tables import read_tables
-
-ROWS = [
-    {"method": "a", "size": 1, "error_nm": 1.26, "error_nm_p16": 1.0, "error_nm_p84": 2.0},
-    {"method": "a", "size": 2, "error_nm": 3.0, "error_nm_p16": None, "error_nm_p84": None},
-    {"method": "b", "size": 2, "error_nm": math.nan, "error_nm_p16": None, "error_nm_p84": None},
-]
-TABLES = {"rows": frame(ROWS)}
 
 
 def test_the_range_of_an_rms_holds_it_and_closes_on_equal_values():
@@ -44,19 +33,3 @@ def test_csv_keeps_every_digit_and_kind(tmp_path):
     assert found["first"].x.tolist() == [0.1 + 0.2, 1e-300]
     assert found["first"].n.dtype.kind == "i" and found["first"].text[0] == "a, b"
     assert found["first"].none.isna().all() and found["second"].m[0] == 1.0
-
-
-def test_a_listing_fills_its_cells_and_a_spread_stands_in_brackets():
-    cells = {"method": "{method}", "error": "{error_nm:.1f} nm", "unknown": "{nothing}"}
-    table = Listing("rows", "Errors", cells, caption="of {size}").table(TABLES)
-    assert table.columns == ["method", "error", "unknown"] and table.caption == "of 1"
-    assert [row[1] for row in table.rows] == ["1.3 (1.0…2.0) nm", "3.0 nm", "– nm"]
-    assert table.rows[0][2] == "–"
-
-
-def test_what_differs_stands_side_by_side():
-    listing = Listing("rows", "", {"method": "{method}"}, {"size {size}": "{error_nm:.0f}"}, where="size < 9")
-    found = listing.table(TABLES, ranges=False)
-    assert (found.columns, found.rows) == (["method", "size 1", "size 2"], [["a", "1", "3"], ["b", "–", "–"]])
-    chosen = Listing("rows", "", {"method": "{method}"}, {"size {size}": "{error_nm:.0f}"}, heads=["size 2"])
-    assert list(chosen.table(TABLES).rows) == [["a", "3"], ["b", "–"]]

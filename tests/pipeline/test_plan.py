@@ -137,13 +137,6 @@ def test_a_product_of_another_stage_in_its_place_is_made_again(bench):
     assert run(bench)[1] == ["ingest", "lift"]
 
 
-def test_a_missing_further_file_is_made_again(bench):
-    run(bench)
-    (bench.output / "table.csv").unlink()
-    assert reasons(bench)["calibrate"] == "table.csv is missing"
-    assert run(bench)[1] == ["calibrate"] and (bench.output / "table.csv").is_file()
-
-
 def test_an_empty_input_is_nothing_to_process(bench):
     (bench.folder / "empty").mkdir()
     with pytest.raises(NothingToDo, match="input 'cube': no recordings under"):

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -113,15 +112,6 @@ def test_deliverables_of_stages_that_were_not_run_again_do_not_stand_beside_othe
     assert "table.csv" in visible(bench)
 
 
-def test_a_deliverable_that_a_stage_no_longer_makes_is_set_aside(bench, monkeypatch):
-    run(bench)
-    stage = sys.modules["irlos_pipe.stages.calibrate.stage"]
-    true = stage.run
-    monkeypatch.setattr(stage, "run", lambda ctx: replace(true(ctx), files={}))
-    assert bench.run("--set", "calibrate.jitter_sigma_mas=6").exit_code == 0
-    assert "table.csv" not in visible(bench)
-
-
 # Versions of a reduction side by side: what is there is not changed, the link leads to what is whole.
 
 
@@ -166,17 +156,6 @@ def test_a_version_that_stopped_is_continued_and_the_link_stays_until_it_is_whol
     # what made it crash was an input file, so that ingest differs: a version that stopped early is kept
     assert numbered(bench, *changed) == 0
     assert there(bench)[-1] == os.readlink(bench.output / "latest")
-
-
-@pytest.mark.parametrize("make", ["file", "run"])
-def test_a_folder_of_something_else_is_refused(bench, make):
-    if make == "run":
-        bench.run()
-    else:
-        bench.output.mkdir()
-        (bench.output / "mine.txt").touch()
-    result = bench.run("--numbered")
-    assert result.exit_code == 2 and "holds other files" in result.stderr
 
 
 def test_a_folder_of_versions_is_no_run_and_the_message_says_where_one_is(bench):

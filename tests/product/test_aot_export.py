@@ -50,17 +50,3 @@ def test_a_recording_that_is_written_and_read_again_is_the_same(tmp_path):
         assert told[1][key] == told[0][key]
     defocus = after.arrays["recordings/cube/aot/introduced_defocus_nm"].value
     assert defocus == pytest.approx(12.5)
-
-
-@pytest.mark.slow
-def test_what_cannot_be_written_is_said_in_one_line(tmp_path):
-    adu = sparta_files.counts(sparta_files.star(32, 32), frames=5)
-    sparta_files.write_recorder(tmp_path / "cube", adu)
-    product = str(ingested(tmp_path, tmp_path / "cube"))
-    for options, message in (
-        (("--aot", "cubes", "--output", str(tmp_path / "x.fits")), "did you mean 'cube/cube'?"),
-        (("--aot", "cube", "--output", str(tmp_path / "x.h5")), "ends in .fits"),
-        (("--output", str(tmp_path / "x.fits")), "--array NAME or --aot RECORDING"),
-    ):
-        result = invoke("export", product, *options)
-        assert result.exit_code == 2 and message in result.stderr

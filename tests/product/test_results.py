@@ -7,11 +7,9 @@ import pytest
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnosis.records import FineStructure
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import read_run_results, results_of
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
-from irlos_pipe.stages.diagnose.stage import DiagnoseResults
 from irlos_pipe.stages.ingest.stage import IngestResults
 from irlos_pipe.stages.lift.stage import LiftResults, Twin
 
@@ -50,11 +48,3 @@ def test_a_file_that_is_not_results_is_refused_with_its_name(tmp_path, content):
     path.write_text(content)
     with pytest.raises(InputDataError, match=r"results\.json: .*run the recipe again"):
         read_run_results(path)
-
-
-def test_a_part_that_science_declares_is_written_and_read_like_the_others():
-    results = DiagnoseResults(fine_structure=FineStructure(ratio=math.nan, significance=2.0))
-    assert results.as_json() == {"fine_structure": {"ratio": None, "significance": 2.0}}
-    content = {"fine_structure": {"ratio": None, "unheard_of": 1}}
-    read = results_of(DiagnoseResults, Product("diagnose", {}, content)).fine_structure
-    assert math.isnan(read.ratio) and read.significance == 0.0

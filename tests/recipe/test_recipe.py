@@ -42,27 +42,13 @@ def test_all_mistakes_are_reported_at_once_in_the_order_of_the_file(bench):
     [
         ("instrumnt: x", "recipe.yaml:8: unknown key 'instrumnt'; did you mean 'instrument'?"),
         (
-            "  solver: {iteration: 2}",
-            "recipe.yaml:8: unknown key 'calibrate.solver.iteration'; did you mean 'iterations'?",
-        ),
-        (
-            "  jitter_sigma_mas: 500",
-            "recipe.yaml:8: calibrate.jitter_sigma_mas = 500: should be less than or equal to 100 "
-            "(image motion [mas])",
-        ),
-        (
             "  jitter_sigma_mas: 5 mas",
             "recipe.yaml:8: calibrate.jitter_sigma_mas = '5 mas': should be a valid number, unable to parse "
-            "string as a number; give a plain number, its unit is in the name of the key "
-            "(image motion [mas])",
+            "string as a number; give a plain number, its unit is in the name of the key",
         ),
         ("seed: 1\nsamples: {cub: ramp}", "recipe.yaml:9: unknown input 'cub'"),
         ("lift: 3", "recipe.yaml:8: lift = 3: should be a section of 'key: value' lines"),
         ("correct: {}", "recipe.yaml:8: section 'correct' has no effect: no such stage under 'stages'"),
-        (
-            "model: {pupil_sampels: 64}",
-            "recipe.yaml:8: unknown key 'model.pupil_sampels'; did you mean 'pupil_samples'?",
-        ),
         ("instrument: irlso", "recipe.yaml:8: unknown instrument 'irlso'; did you mean 'irlos'?"),
     ],
 )
@@ -98,16 +84,10 @@ def test_wrong_stages_are_reported(bench, stages, expected):
             "--set calibrat.method: unknown key 'calibrat'; did you mean 'calibrate'?",
         ),
         (
-            "calibrate.solver.iterations=0",
-            "--set calibrate.solver.iterations: calibrate.solver.iterations = 0: ",
-        ),
-        (
             "calibrate.method=dip_globl",
             "--set calibrate.method: calibrate.method = 'dip_globl': should be 'dip_avg' or 'dip_global'; "
             "did you mean 'dip_global'?",
         ),
-        ("calibrate.method", "--set calibrate.method: expected stage.key=VALUE"),
-        ("calibrate.method=[a", "--set calibrate.method: the value '[a' is not valid YAML"),
         ("recipe.name=x", "--set recipe.name: there is a plain value"),
         ("seed=x", "--set seed: seed = 'x': should be a valid integer"),
     ],
@@ -128,6 +108,15 @@ def test_a_wrong_setting_is_reported_by_its_option(bench, setting, expected):
 def test_a_wrong_input_is_reported_by_its_option(bench, inputs, expected):
     (line,) = error_lines(bench, inputs=inputs)
     assert line.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    "setting", ["lift.modes=[4,100000]", "sensitivity.mag_step=1e-300", "model.pupil_samples=1000000"]
+)
+def test_what_would_take_all_memory_or_time_is_refused_before_work_begins(setting):
+    with pytest.raises(ConfigurationError) as found:
+        load_recipe("sensitivity", [setting], samples=True)
+    assert all(line.startswith(f"--set {setting.split('=')[0]}: ") for line in str(found.value).splitlines())
 
 
 def test_settings_are_yaml_and_the_last_one_counts(bench):

@@ -76,21 +76,6 @@ def test_the_results_of_every_stage_keep_to_the_schema(runs):
     assert [problem for one in found for problem in schema_problems(one)] == []
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "path"),
-    [
-        ("wfe_nm", "12", "$.stages.calibrate.wfe_nm"),
-        ("zernike_nm", {"4": "x"}, "$.stages.calibrate.zernike_nm['4']"),
-        ("frames", 3.5, "$.stages.calibrate.frames"),
-    ],
-)
-def test_the_schema_sees_a_wrong_value_where_it_stands(runs, key, value, path):
-    content = json.loads((runs[0] / "results.json").read_text())
-    content["stages"]["calibrate"][key] = value
-    (error,) = jsonschema.Draft202012Validator(json.loads(RESULTS.read_text())).iter_errors(content)
-    assert error.json_path.replace('["4"]', "['4']") in (path, path.replace("['4']", ".4"))
-
-
 def test_every_array_of_every_product_has_the_axes_that_are_declared(runs):
     products = [read_product(path) for run in runs for path in sorted(run.glob("*.h5"))]
     for product in products:

@@ -9,7 +9,6 @@ import pytest
 DRAW = """
 import hashlib, sys
 import numpy as np
-import {first}
 from irlos_pipe.report.drawing import svg
 from irlos_pipe.report.images import thumbnail
 drawn = svg("a", (3, 2), lambda figure: figure.subplots().plot([1, 2], [3, 4], label="x"))
@@ -26,10 +25,10 @@ image.cmap: nonsense
 """
 
 
-def drawn(folder, first: str = "irlos_pipe.report", **environment: str) -> str:
+def drawn(folder, **environment: str) -> str:
     own = {name: value for name, value in os.environ.items() if not name.startswith(("MPL", "MATPLOTLIB"))}
     ended = subprocess.run(
-        [sys.executable, "-c", DRAW.format(first=first)],
+        [sys.executable, "-c", DRAW],
         cwd=folder,
         env=own | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path)))} | environment,
         capture_output=True,
@@ -40,12 +39,10 @@ def drawn(folder, first: str = "irlos_pipe.report", **environment: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", ["irlos_pipe.report", "irlos_pipe.night.trend_plots"])
-def test_neither_a_backend_that_is_not_there_nor_a_matplotlibrc_changes_a_figure(tmp_path, first):
-    plain = drawn(tmp_path, first)
+def test_neither_a_backend_that_is_not_there_nor_a_matplotlibrc_changes_a_figure(tmp_path):
+    plain = drawn(tmp_path)
     (tmp_path / "matplotlibrc").write_text(RC)
-    for backend in ("module://not_installed.backend", "TkAgg", "nonsense"):
-        assert drawn(tmp_path, first, MPLBACKEND=backend) == plain
+    assert drawn(tmp_path, MPLBACKEND="module://not_installed.backend") == plain
 
 
 @pytest.mark.slow

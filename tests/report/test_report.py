@@ -1,6 +1,5 @@
 """The report as a whole: one file, complete, whatever stages and values there are."""
 
-import json
 import re
 import shutil
 from dataclasses import replace
@@ -114,17 +113,11 @@ def test_the_same_products_give_the_same_file(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", made_run.STAGES)
-def test_missing_numbers_never_stop_the_report(tmp_path, stage):
-    made = [made_run.ingest()] if stage != "ingest" else []
-    page = report(tmp_path, [*made, spoiled(made_run.STAGES[stage]())])
-    assert stage in page.sections
-    assert not re.search(r"\bnan\b|\bNone\b", page.text)
-
-
-@pytest.mark.parametrize("stage", made_run.STAGES)
-def test_products_without_arrays_and_results_still_have_a_section(tmp_path, stage):
-    page = report(tmp_path, [Product(stage, {}, {})])
-    assert page.sections == [stage, "origin"]
+def test_missing_numbers_arrays_and_results_never_stop_the_report(tmp_path, stage):
+    for made in (spoiled(made_run.STAGES[stage]()), Product(stage, {}, {})):
+        page = report(tmp_path, [made_run.ingest(), made] if stage != "ingest" else [made])
+        assert stage in page.sections
+        assert not re.search(r"\bnan\b|\bNone\b", page.text)
 
 
 CAUSE = {"says": "pixels of 9.7 mas instead of 10", "explains": 0.97, "figure": "cal-residual"}
@@ -210,25 +203,11 @@ def test_no_frames_are_read_for_the_page(tmp_path, monkeypatch):
 
 # -- what the data cannot tell is said before the numbers, in results.json first ----------------
 
-CAUSES = (
-    "sign of the even modes",
-    "size and mode of the diversity",
-    "transposed",
-    "180°",
-    "same factor",
-    "flat",
-)
-
 
 def test_results_begin_with_what_was_not_tested():
-    """Truth: an image stays the same when the wavefront is turned by 180° and its sign changes, which
-    reverses the even modes alone: their sign comes with that of the diversity.
-    """
-    results = CalibrateResults(wfe_nm=1.0, untested=untested_by_cubes({6: -170.0}))
-    first, lines = next(iter(results.as_json().items()))
-    assert first == "untested" and "Noll 6 -170 nm" in lines[0]
-    assert all(any(cause in line for line in lines) for cause in CAUSES)
-    assert json.dumps(results.as_json()).startswith('{"untested"')
+    lines = untested_by_cubes({6: -170.0})
+    first, *_ = CalibrateResults(wfe_nm=1.0, untested=lines).as_json().items()
+    assert first == ("untested", lines) and "Noll 6 -170 nm" in lines[0]
     assert "untested" not in CalibrateResults(wfe_nm=1.0).as_json()
 
 

@@ -1,4 +1,4 @@
-"""The parts of the report: numbers as text, names of modes, drawings."""
+"""The parts of the report: names of modes, drawings."""
 
 import numpy as np
 import pytest
@@ -11,54 +11,12 @@ from irlos_pipe.product.results import RunResults
 from irlos_pipe.report.curves import Look, normal_quantiles, quantile_band, quantile_figure
 from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_lift import prior_section, residual_limit
+from irlos_pipe.report.section_lift import prior_section
 from irlos_pipe.report.text import (
-    MISSING,
     mode_name,
-    parameter_rows,
-    rounded_by_error,
-    with_error,
 )
 
 NAN = float("nan")
-
-
-# -- text --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "expected"),
-    [
-        (1.25, 0.5, "+1.2 ± 0.5 nm"),
-        (1.25, None, "+1.2 nm"),
-        (-0.04, 0.5, "+0.0 ± 0.5 nm"),  # a zero has no minus
-        (None, 0.5, MISSING),
-        (NAN, NAN, MISSING),
-    ],
-)
-def test_an_error_is_shown_where_there_is_one(value, error, expected):
-    assert with_error(value, error, "+.1f", "nm") == expected
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "expected"),
-    [
-        (0.04, 2.17e-05, "0.040000 ± 0.000022"),
-        (-385.7013, 11.6092, "-386 ± 12"),
-        (12345.0, 678.0, "12340 ± 680"),
-        (0.0412345, None, "0.04123"),
-        (0.0412345, 0.0, "0.04123"),
-        (NAN, 1.0, MISSING),
-    ],
-)
-def test_a_measured_number_has_the_digits_that_its_error_allows(value, error, expected):
-    assert rounded_by_error(value, error) == expected
-
-
-def test_parts_of_one_are_in_per_cent_and_pixels_say_row_and_column():
-    assert parameter_rows({"fraction": 0.004}, {"fraction": 0.0002}) == [("fraction", "0.400 ± 0.020", "%")]
-    assert parameter_rows({"pixels": [[47, 15]]}) == [("pixel", "row 47, column 15", "")]
-    assert parameter_rows({"nm": None}) == [("size", MISSING, "nm")]
 
 
 # -- modes -------------------------------------------------------------------------------------
@@ -101,11 +59,6 @@ def test_numbers_beside_an_asinh_scale_have_room(limit, low):
     assert len(places) >= 3
     assert np.diff(places).min() > 0.07
     assert places.min() >= 0 and places.max() <= 1
-
-
-def test_the_residual_scale_is_relative_to_the_models_peak():
-    model = np.full((2, 4, 4), 50.0)
-    assert residual_limit(model + 5, model) == pytest.approx(0.1)
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from helpers.simulated_scenes import FACILITY, scene
 
-from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import ResidualScreens, Sky, aliasing_psd, von_karman_nm2_m2
 from irlos_pipe.simulate.camera import pupil_of
 from irlos_pipe.simulate.scene import Sampling
@@ -164,14 +163,3 @@ def test_the_residual_inside_the_band_lives_ten_milliseconds():
     astigmatism = telescope.fit_zernike_nm(stack, 8)[:, 3]
     correlation = np.mean(astigmatism[1:] * astigmatism[:-1]) / astigmatism.var()
     assert np.isclose(correlation, np.exp(-1.0), atol=0.1)
-
-
-def test_impossible_skies_are_refused_in_one_line():
-    with pytest.raises(SceneError, match="'servolag' is not known; did you mean 'servo_lag'"):
-        Sky(0.5, shape="servolag")
-    with pytest.raises(SceneError, match="needs wind"):
-        Sky(0.5, shape="servo_lag", wind_m_s=0.0)
-    with pytest.raises(SceneError, match="seeing_arcsec: 0 is not positive"):
-        Sky(0.0)
-    with pytest.raises(SceneError, match="less than the fitting error"):
-        screens(Sky(1.0, wfe_nm=40.0), 1)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from helpers.simulated_scenes import NCPA_NM, image, of_light, scene, tilt_nm_rms, worst
 
-from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import expose, with_effective_sky
 from irlos_pipe.simulate.light import Band
@@ -21,23 +20,6 @@ def moved(x_mas: float, y_mas: float, **changes) -> np.ndarray:
     tilted[2] += tilt_nm_rms(x_mas)
     tilted[3] += tilt_nm_rms(y_mas)
     return image(**{"ncpa_nm": tilted} | changes)
-
-
-@pytest.mark.parametrize(
-    ("effects", "message"),
-    [
-        ({"companions": {}}, "effects: 'companions' is not known; did you mean 'companion'"),
-        ({"phase_bump": {"nm": 1.0, "x": 0.0}}, "effects.phase_bump: 'x' is not known; did you mean 'x_m'"),
-        ({"companion": {"flux_ratio": 0.1}}, "effects.companion: pa_deg, sep_mas must be given"),
-        ({"vibration": {"sigma_mas": 3.0, "shape": "gausian"}}, "did you mean 'gaussian'"),
-        ({"low_wind_effect": {"piston_nm": [1.0]}}, "the pupil has 4 petals"),
-        ({"spectrum": {"weights": [1.0, 2.0]}}, "has 2 factors; give one per band, 1"),
-    ],
-)
-def test_what_is_not_known_or_does_not_fit_is_refused_in_one_line(effects, message):
-    with pytest.raises(ValueError, match=message):
-        expose(scene(effects=effects))
-    assert issubclass(SceneError, ValueError)
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ from helpers.simulated_scenes import FACILITY, image, of_light, scene, worst
 from scipy.signal import welch
 
 from irlos_pipe.conventions import bands
-from irlos_pipe.simulate import SceneError
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.camera import Camera, pupil_of
 from irlos_pipe.simulate.exposure import expose, exposures, telescope_of
@@ -219,8 +218,3 @@ def test_minus_the_aberration_on_the_mirror_gives_the_image_of_a_perfect_star():
     assert worse.mean_e.max() < 0.8 * peak
     assert worse.mean_zernike_nm()[4] == pytest.approx(150.0, abs=1e-6)  # a mirror at rest is flat
     assert abs(corrected.mean_zernike_nm()[4]) < 1.0
-
-
-def test_offsets_that_the_mirror_does_not_take_are_refused():
-    with pytest.raises(SceneError, match="no offsets of Noll 31"):
-        Mirror(FINE.actuators, offsets_nm={31: 1.0})

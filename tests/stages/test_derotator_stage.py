@@ -132,55 +132,6 @@ def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     assert error_nm(output.results.parts["rotating"], bench.ROTATING_NM) < 2
 
 
-# Stage `modes` on cubes made with the pipeline's own model. Truth: the modes put in, and arithmetic.
-
-
-MODES_STAGE_ANGLES = (0.0, 50.0, 120.0)
-NUMBERS = (6, 10, 15, 21)
-MODES_STAGE_EACH = {"input": "cube", "each": True, "highest_noll": 21, "prior_scale": None}
-
-
-@pytest.fixture(scope="module")
-def output():
-    """Three cubes with different wavefronts of 12 modes, 20 modes estimated."""
-    recordings = [
-        bench.recording(f"at_{angle:.0f}", angle, seed) for seed, angle in enumerate(MODES_STAGE_ANGLES)
-    ]
-    products = {"ingest": bench.ingest_product(recordings)}
-    products["calibrate"] = bench.run_stage(calibrate, products, **MODES_STAGE_EACH)[1]
-    return bench.run_stage(modes, products, numbers=NUMBERS, cubes=2)[0]
-
-
-def test_the_scatter_is_the_rms_over_the_cubes(output):
-    noll, std = (output.arrays[name].value for name in ("noll", "std_nm"))
-    for mode in bench.NOLLS:
-        true = np.sqrt(np.mean([bench.static_nm(angle)[mode] ** 2 for angle in MODES_STAGE_ANGLES]))
-        assert std[list(noll).index(mode)] == pytest.approx(true, abs=1.0)
-    assert output.results.draws == 3
-
-
-def test_modes_that_were_not_put_in_are_noise(output):
-    noll, std, noise = (output.arrays[name].value for name in ("noll", "std_nm", "noise_nm"))
-    absent = noll > 15
-    assert np.sqrt(np.mean((std / noise)[absent] ** 2)) == pytest.approx(1, abs=0.5)
-
-
-def test_unseen_frames_recommend_the_number_put_in(output):
-    numbers = output.results.numbers
-    assert numbers.recommended == 15
-    place = NUMBERS.index(15)
-    assert numbers.change_nm[place] == 0
-    assert numbers.change_nm[0] > 20 * numbers.halves_nm[place]
-    assert numbers.cubes == 2
-    assert output.arrays["numbers/misfit"].value.shape[:2] == (2, len(NUMBERS))
-
-
-@pytest.mark.parametrize("numbers", [(15,), (21, 15), (15, 15), (3, 15), (15, 300)])
-def test_numbers_rise_and_are_those_of_modes(numbers):
-    with pytest.raises(ValueError, match="at least two rising numbers"):
-        modes.Config(numbers=numbers)
-
-
 # A raw file of a 2x2 mode through ingest, calibrate and lift.
 # Truth: the wavefront in the images of the light path itself, with Poisson noise; they share its assumptions.
 
@@ -234,8 +185,3 @@ def test_a_raw_file_gives_its_low_orders_what_it_determines_and_the_focus_of_eve
     assert len(lift["points"]) == FRAMES and lift["summary"]["slope"] is None
     errors_nm = np.array([point["zernike_nm"]["4"] for point in lift["points"]])  # beyond the calibrated
     assert np.abs(errors_nm).max() < 6 * np.median([point["sigma_photon_nm"] for point in lift["points"]])
-
-
-def test_methods_are_not_compared_cube_by_cube():
-    with pytest.raises(ValueError, match="leave it out with 'each: true'"):
-        calibrate.Config(each=True, compare=("dip_avg",))

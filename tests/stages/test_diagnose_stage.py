@@ -109,19 +109,6 @@ def test_a_run_gives_what_it_found(tmp_path, stages, taken):
         assert Config(begin_near=str(path)).begin_near == taken
 
 
-@pytest.mark.parametrize(
-    ("value", "said"),
-    [
-        ("nowhere", "nowhere: No such file"),
-        ({1: 5.0}, "greater than or equal to 2"),
-        ({4: 1e5}, "less than or equal to 5000"),
-    ],
-)
-def test_what_is_no_wavefront_is_refused(value, said):
-    with pytest.raises(ValidationError, match=said):
-        Config(begin_near=value)
-
-
 @pytest.mark.parametrize("content", ["{", "[]", '{"stages": {"ingest": {}}}'])
 def test_a_run_without_a_wavefront_is_refused(tmp_path, content):
     (tmp_path / "results.json").write_text(content)

@@ -39,12 +39,8 @@ def test_every_effect_can_be_free_fixed_or_free_from_a_start(name):
 @pytest.mark.parametrize(("entry", "message"), [
     ("companoin", "did you mean 'companion'"),
     ({"companion": {"flux_ratio": 0.1}}, r"companion is fixed by \{flux_ratio, sep_mas, pa_deg\}"),
-    ({"companion": {"flux": 0.1}}, r"companion is fixed by \{flux_ratio, sep_mas, pa_deg\}"),
-    ({"companion": 3}, "companion is fixed by"),
     ({"tip_tilt_jitter": {"sigma_mas": -1}}, "tip_tilt_jitter.sigma_mas must lie between 0 and 60"),
-    ({"tip_tilt_jitter": {"sigma_mas": "8"}}, "sigma_mas must be a number"),
     ({"high_order_ncpa": {"zernike_nm": [1, 2]}}, "must be a table {Noll index: value}"),
-    ({"low_wind_effect": {"piston_nm": 1, "tip_nm": [0] * 4, "tilt_nm": [0] * 4}}, "list of numbers"),
     ({"low_wind_effect": {"piston_nm": [1], "tip_nm": [0] * 4, "tilt_nm": [0] * 4}}, "lists of 1 and 4"),
     ({"bad_pixels": {"pixels": [3, 4]}}, r"must be a list of \[row, column\]"),
     ({"vibration": {"speed": 3}}, r"options: \{shape\}"),

@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 from helpers import paths
 from helpers.sparta_files import (
-    TWO_BY_TWO,
     counts,
     frames_e,
-    quadrants,
     star,
-    write_muse,
     write_recorder,
-    write_sidecar,
 )
 from helpers.stage_context import stage_context
 
@@ -92,20 +88,6 @@ def test_spoilt_frames_are_kept_with_their_reason(tmp_path):
     assert output.results.as_json()["inputs"][0]["frames_rejected"] == 4
 
 
-def test_a_bad_pixel_and_a_hit_leave_the_rest_alone(tmp_path):
-    adu = counts(IMAGE, 20)
-    adu[:, 4, 5] = 5000.0
-    adu[7, 25, 6] += 3000
-    write_recorder(tmp_path / "rec", adu, maps={"DARK": np.full(IMAGE.shape, 50)})
-    output = run(tmp_path)
-    recording = only_recording(output)
-    assert np.argwhere(~recording.good).tolist() == [[4, 5]]
-    assert output.arrays["recordings/cube/rec/cosmic_hits"].value.tolist() == [[7, 25, 6]]
-    assert recording.used.all()
-    assert np.abs(recording.images_e[:, 4, 5] - IMAGE[4, 5]).max() < 100
-    assert np.abs(recording.images_e[7, 25, 6] - IMAGE[25, 6]) < 100
-
-
 def test_what_a_bad_pixel_showed_is_kept_unless_a_map_lists_it(tmp_path):
     """Hot by 5000 ADU over a dark of 50, of half the response: (5000 - 50) / 0.5 * 0.5 e-/ADU."""
     adu, dead, flat = counts(IMAGE, 20), np.zeros(IMAGE.shape), np.ones(IMAGE.shape)
@@ -140,17 +122,6 @@ def test_a_frame_with_a_row_that_no_light_makes_is_not_used(tmp_path, damage):
 
 
 PROFILE_NOISE = {"detector": {"e_per_adu": 0.5}}
-
-
-def test_one_frame_has_the_noise_that_its_corners_show(tmp_path):
-    """10 e- instead of the profile's 1 e-, to a tenth."""
-    adu = frames_e(star(64, 64, flux_e=1e5), 1, read_noise_e=10.0) / 0.5
-    write_recorder(tmp_path / "rec", adu.astype(np.float32), keys=PROFILE_NOISE)
-    output = run(tmp_path)
-    noise = output.results.as_json()["inputs"][0]["noise"]["detector.read_noise_e"]
-    assert noise["source"] == "measured"
-    assert noise["used"] == pytest.approx(10.0, rel=0.1)
-    assert only_recording(output).acquisition.detector.read_noise_e == noise["used"]
 
 
 def test_one_frame_without_a_noise_level_is_refused_unless_it_is_told(tmp_path):
@@ -195,28 +166,6 @@ def test_a_recording_with_a_key_of_another_version_is_refused_in_one_line(tmp_pa
     product.arrays[name] = Quantity(np.array(json.dumps(content)), "")
     with pytest.raises(InputDataError, match=rf"another version .*: {where}polarised: .*run ingest again"):
         recordings_from_product(product)
-
-
-def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
-    cubes = [
-        (frames_e(star(18, 18, flux_e=2e5, seed=seed), 8) / 0.5 + 200).astype(np.float32) for seed in range(4)
-    ]
-    write_muse(tmp_path / "m.fits", quadrants(cubes), TWO_BY_TWO)
-    write_sidecar(tmp_path / "m.yaml", pixel_scale_mas=78.0)
-    (recording,) = recordings_from_product(product_of(run(tmp_path / "m.fits")))
-    assert recording.acquisition.lenslets == 2
-    assert recording.window == (36, 36) and recording.used.all()
-    flux_e = recording.mean_e.reshape(2, 18, 2, 18).sum(axis=(1, 3))
-    assert flux_e == pytest.approx(np.full((2, 2), 2e5), rel=0.05)
-
-
-def test_one_bad_recording_does_not_cost_the_others(tmp_path):
-    write_recorder(tmp_path / "a", counts(IMAGE))
-    write_sidecar(write_recorder(tmp_path / "b", counts(IMAGE)).with_name("acquisition.yaml"), "role")
-    output = run(tmp_path)
-    assert [row["name"] for row in output.results.as_json()["inputs"]] == ["a"]
-    assert len(output.failures) == 1
-    assert "'role'" in output.failures[0]
 
 
 @pytest.mark.parametrize(
