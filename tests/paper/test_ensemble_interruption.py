@@ -83,6 +83,13 @@ def test_a_signal_to_all_processes_ends_them_with_one_line_and_the_next_run_goes
     goes_on(bench)
 
 
+def test_workers_end_when_the_run_is_killed_and_the_next_run_goes_on(bench):
+    process = end_while_a_sample_is_held(bench, lambda process: process.kill())
+    process.wait()
+    until(lambda: members(process.pid) == [])
+    goes_on(bench)
+
+
 def test_a_worker_that_is_killed_ends_the_run_with_one_line_and_the_next_run_goes_on(bench):
     process = end_while_a_sample_is_held(bench, kill_workers)
     _, errors = process.communicate(timeout=30)
