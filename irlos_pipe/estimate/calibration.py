@@ -152,7 +152,10 @@ def calibrate(
     closed, opened = fit, _all_modes(task, effects, fit, adjusted)
     if opened is not None and any(starts_as_told(effect) for effect in steady):
         closed, opened = _from_found_effects(task, closed, opened, adjusted)
-    if opened is not None and adjusted:
+    if adjusted and opened is None:  # a window that shows no more than the closed basis
+        fit = task.fit([*fit[0].model.effects.effects, *_everywhere(adjusted)], fit)
+        closed = fit
+    if adjusted and opened is not None:
         task, opened = _settled(task, opened, adjusted)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
@@ -217,9 +220,13 @@ def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, adjusted: Seque
 
     It is a rough one where something is adjusted.
     """
-    everywhere = [effect for effect in adjusted if not effect.copies_star]
-    problem, values = task.released([*effects, *everywhere], held)
+    problem, values = task.released([*effects, *_everywhere(adjusted)], held)
     return open_basis(problem, values, max_iterations=task.options.max_iterations, settle=not adjusted)
+
+
+def _everywhere(adjusted: Sequence[Effect]) -> list[Effect]:
+    """What is free from the start; copies of the star have a place to be looked for."""
+    return [effect for effect in adjusted if not effect.copies_star]
 
 
 def _settled(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple[CubeFit, Opened]:

@@ -135,7 +135,7 @@ class Backdrop(DetectorEffect):
         self.parameters = tuple(Parameter(f"e_{i}{j}", "e-", 0.0) for i, j in powers)
 
     def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
-        return images_e + torch.tensordot(values, self.maps, 1)
+        return images_e + torch.tensordot(values, self.maps, 1).to(images_e.device)
 
     def range_e(self, values: np.ndarray) -> float:
         """Return the largest difference in the window [e-]."""

@@ -5,6 +5,7 @@ counts that the propagation was asked of the device; the tests on a real one are
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -25,9 +26,12 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.scores import scores
 from irlos_pipe.diagnosis.view import Exposures, Moment, Moments
 from irlos_pipe.effects import Conditions, TipTiltJitter
+from irlos_pipe.effects.colour import PlateScale
+from irlos_pipe.effects.companion import Ghost
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.causes import Asked, causes_of_misfit
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
 from irlos_pipe.estimate.lift_options import LiftOptions
@@ -161,6 +165,22 @@ def calibrated_beside_a_companion(device: str) -> np.ndarray:
     return calibrate(cube(), SMALL, options, [made("companion")[0]], device=device).zernike_nm
 
 
+def adjusted(device: str) -> np.ndarray:
+    """Low NCPAs of an instrument with other pixels, which are followed; and what explains it otherwise."""
+    case = cases.settings(34, pupil_samples=48, pixel_scale_mas=9.75)
+    nolls = tuple(TRUE_NM)
+    image = PsfModel(cases.settings(34, pupil_samples=48), nolls).images(cases.vector(TRUE_NM, nolls))
+    images = cases.draw_frames(image.double().numpy() * 1e6, 16, seed=5)
+    frames = Frames(images, cases.everything(images), cases.READ_NOISE)
+    options = CalibrationOptions(max_iterations=3, prior=cases.PRIOR)
+    few, ghost = replace(options, highest_noll=HIGHEST_NOLL), Ghost((0.01, 60.0, 0.0))
+    found = calibrate(frames, case, options, adjusted=[PlateScale(9.75), ghost], device=device)
+    assert "plate_scale" in found.effects
+    problem, solution = calibrate(frames, case, few, device=device).fit
+    causes = causes_of_misfit(problem, solution.values[:1], Asked(CONDITIONS, 0.1, np.nan))
+    return np.array([*found.zernike_nm[:5], *(one.explains for one in causes)])
+
+
 def estimated_by_lift(device: str) -> np.ndarray:
     """Tip, tilt and defocus of a ramp, the size of the star fitted along."""
     model = PsfModel(SMALL, TTF, device=device)
@@ -221,6 +241,7 @@ CALCULATIONS = {
     "dip_global": lambda device: calibrated("dip_global", device),
     "dip_joint": lambda device: calibrated("dip_joint", device),
     "search": calibrated_beside_a_companion,
+    "adjusted": adjusted,
     "lift": estimated_by_lift,
     "bound": bounded,
     "diagnose": diagnosed,
