@@ -113,8 +113,8 @@ def calibrate(
     effects : sequence of Effect
         Of the model; methods of the paper leave them out.
     adjusted : sequence of Effect
-        What of the instrument is free jointly with all modes, for an open basis. Where all this leaves more
-        than nominal, a ghost or companion enters that explains most of it.
+        What of the instrument is free jointly with all modes, for an open basis. Copies of the star among
+        them enter where they explain most of what all else leaves above nominal.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
@@ -156,7 +156,7 @@ def calibrate(
         fit = task.fit([*fit[0].model.effects.effects, *_everywhere(adjusted)], fit)
         closed = fit
     if adjusted and opened is not None:
-        task, opened = _settled(task, opened, adjusted)
+        task, opened = _adjusted(task, opened, adjusted)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
@@ -229,7 +229,7 @@ def _everywhere(adjusted: Sequence[Effect]) -> list[Effect]:
     return [effect for effect in adjusted if not effect.copies_star]
 
 
-def _settled(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple[CubeFit, Opened]:
+def _adjusted(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple[CubeFit, Opened]:
     """The end of a rough fit with what is `adjusted`, and the task with the weights that it has.
 
     What the model still misses, where that is not much, counts as an error of every pixel in proportion to

@@ -158,7 +158,7 @@ class Config(Limits):
     adjust: bool = item(
         False,
         "let facts of the instrument (pupil, pixels, diversity) and mild effects follow the images, each "
-        "within its tolerance, and add a ghost that explains most of a misfit: half a minute instead of "
+        "within its tolerance, and add a ghost that explains most of a misfit: about a minute instead of "
         "seconds, for instruments that are not quite as declared",
     )
     compare: tuple[MethodName, ...] = item((), "further methods to run, for comparison in the report only")

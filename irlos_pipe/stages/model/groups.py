@@ -100,14 +100,11 @@ def require_joint(
     together = "set-ups calibrated together may differ in band, filter, diversity and introduced defocus only"
     require_common([recording for group in groups for recording in group], COMMON, together)
     if method != DEFAULT_METHOD or adjust:
-        other = (
-            ("calibrate.adjust", "leave it out")
-            if adjust
-            else (f"calibrate.method {method}", f"use {DEFAULT_METHOD}")
-        )
+        other_method = f"method {method}", f"use {DEFAULT_METHOD}"
+        what, instead = ("adjust", "leave it out") if adjust else other_method
         raise ConfigurationError(
-            f"{other[0]} takes frames of one set-up, and those given differ in band, filter, diversity or "
-            f"introduced defocus; {other[1]}"
+            f"calibrate.{what} takes frames of one set-up, and those given differ in band, filter, diversity "
+            f"or introduced defocus; {instead}"
         )
     names = sorted({name for group in groups for name in elements_of(group[0].acquisition) if name})
     for entry in model.entries():
