@@ -114,7 +114,8 @@ def calibrate(
         Of the model; methods of the paper leave them out.
     adjusted : sequence of Effect
         What of the instrument is free jointly with all modes, for an open basis. Copies of the star among
-        them enter where they explain most of what all else leaves above nominal.
+        them enter where they explain most of what all else leaves above nominal. Other minima than those
+        from the sides of a displaced stop are not looked for.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
@@ -161,11 +162,9 @@ def calibrate(
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
     nominal = None
-    if opened is not None and start_nm is None:
+    if opened is not None and start_nm is None and not adjusted:
         nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
-        # where all is adjusted, an AO residual of another shape leaves more as well
-        most = nominal.most_behind_ao if adjusted else nominal.most
-        found = likelier_minimum(task, closed, opened, most)
+        found = likelier_minimum(task, closed, opened, nominal.most)
         opened, nominal = found, nominal if found is opened else None
         note("other minima compared")
     twin, tail = scheme_of(options).twin(*closed, options.law), None
