@@ -24,7 +24,7 @@ from irlos_pipe.estimate.calibration_errors import (
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.causes import EXPLAINED
 from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.methods import CubeFit, Fit, Report, linear_estimates, scheme_of, silent
+from irlos_pipe.estimate.methods import CubeFit, Fit, Report, chi2_nu_of, linear_estimates, scheme_of, silent
 from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, finished, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
 from irlos_pipe.estimate.records import OneSetup, TwinCheck
@@ -172,22 +172,20 @@ def calibrate(
         fit, tail = opened.fit, opened.law
     known = nominal if task.frames is frames else None
     result = _result(frames, options, fit, twin, tail, time.perf_counter() - began, known)
-    result = replace(result, adjusted=bool(adjusted))
     further = None
     if result.fit and result.errors_from == "frames" and result.nominal.excess(result.chi2_nu) > 0:
         further = uneven(frames, *result.fit)
-    if further is None:
-        return result
-    note("the AO residual is uneven over the pupil: fitted again with it")
-    if opened is None:
-        fit = task.fit([*fit[0].model.effects.effects, further], fit)
-    else:
-        opened = _with_one_more(task, opened, further)
-        fit, tail = opened.fit, opened.law
-    seconds = time.perf_counter() - began
-    other = _result(frames, options, fit, twin, tail, seconds)
-    best = min(result, other, key=lambda one: one.chi2_nu)
-    return replace(best, seconds=seconds, adjusted=result.adjusted)
+    if further is not None:
+        note("the AO residual is uneven over the pupil: fitted again with it")
+        if opened is None:
+            fit = task.fit([*fit[0].model.effects.effects, further], fit)
+        else:
+            opened = _with_one_more(task, opened, further)
+            fit, tail = opened.fit, opened.law
+        other = _result(frames, options, fit, twin, tail, time.perf_counter() - began)
+        best = min(result, other, key=lambda one: one.chi2_nu)
+        result = replace(best, seconds=other.seconds)
+    return replace(result, adjusted=bool(adjusted))
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
@@ -239,7 +237,7 @@ def _adjusted(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple
     for image in (effect for effect in adjusted if effect.copies_star):
         rough = _with_second_image(task, rough, image)
     problem, x = rough.problem, rough.solution.values[:1]
-    nominal, chi2_nu = nominal_of(task.frames, problem, x), _chi2_nu(rough.fit)
+    nominal, chi2_nu = nominal_of(task.frames, problem, x), chi2_nu_of(rough.fit)
     if nominal.excess(chi2_nu) > 0 and chi2_nu <= nominal.most_behind_ao:
 
         def weighted(part: float) -> tuple[Frames, OpenFit]:
@@ -255,11 +253,11 @@ def _adjusted(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple
 def _with_second_image(task: CubeFit, rough: Opened, image: Effect) -> Opened:
     """A rough fit of all modes, or one with a second `image` that explains most of what it misses."""
     problem, x = rough.problem, rough.solution.values[:1]
-    nominal, chi2_nu = nominal_of(task.frames, problem, x), _chi2_nu(rough.fit)
+    nominal, chi2_nu = nominal_of(task.frames, problem, x), chi2_nu_of(rough.fit)
     if chi2_nu <= nominal.most:
         return rough
     other = _with_one_more(task, rough, best_start(problem, x, image), settle=False)
-    return other if _chi2_nu(other.fit) - nominal.value < EXPLAINED * (chi2_nu - nominal.value) else rough
+    return other if chi2_nu_of(other.fit) - nominal.value < EXPLAINED * (chi2_nu - nominal.value) else rough
 
 
 def _with_one_more(task: CubeFit, opened: Opened, further: Effect, *, settle: bool = True) -> Opened:
@@ -272,10 +270,6 @@ def _with_one_more(task: CubeFit, opened: Opened, further: Effect, *, settle: bo
         closed, values, beyond_nm=found_nm, law=opened.law, max_iterations=limit, settle=settle
     )
     return found or opened
-
-
-def _chi2_nu(fit: Fit) -> float:
-    return float(fit[0].reduced_chi2(fit[1].values[:1])[0])
 
 
 def _from_found_effects(
@@ -296,10 +290,10 @@ def _from_found_effects(
 
 def _explained_by_tail(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> bool:
     """Whether modes beyond the closed basis are all that the model misses."""
-    if _chi2_nu(fit) < MISFIT:
+    if chi2_nu_of(fit) < MISFIT:
         return True
     opened = _all_modes(task, effects, fit)
-    return opened is not None and _chi2_nu(opened.fit) < MISFIT
+    return opened is not None and chi2_nu_of(opened.fit) < MISFIT
 
 
 def _weighted_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> tuple[CubeFit, Fit]:
@@ -308,7 +302,7 @@ def _weighted_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> t
     Weights of known noise alone would have modes follow what is no wavefront, against any prior.
     """
     for _ in range(MISFIT_ROUNDS):
-        factor = _chi2_nu(fit)
+        factor = chi2_nu_of(fit)
         if factor < MISFIT:
             break
         task = replace(task, frames=replace(task.frames, misfit=task.frames.misfit * factor))

@@ -249,6 +249,12 @@ FIRST = torch.zeros(1, dtype=torch.int64)  # the only member of a batch of one
 Fit = tuple[ImageFit, Solution]
 
 
+def chi2_nu_of(fit: Fit) -> float:
+    """Return χ²/ν of the first member of a fit, by its own weights."""
+    problem, solution = fit
+    return float(problem.reduced_chi2(solution.values[:1])[0])
+
+
 @dataclass(frozen=True)
 class CubeFit:
     """The means to fit one cube, whatever the effects in the model."""
@@ -313,7 +319,7 @@ class CubeFit:
     def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
         """Whether the first solution is converged, with a nominal χ²/ν."""
         most = nominal_of(self.frames, problem, solution.values).most
-        return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] <= most)
+        return bool(solution.converged[0] and chi2_nu_of((problem, solution)) <= most)
 
     def problem(self, effects: Sequence[Effect]) -> ImageFit:
         """Return the problem with these effects, which begins nowhere."""

@@ -30,7 +30,7 @@ import torch
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
-from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit
+from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit, chi2_nu_of
 from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, finished, fitted_from, settled, widened
 from irlos_pipe.estimate.starts import on_other_sides
 from irlos_pipe.numerics.levenberg_marquardt import solve
@@ -94,8 +94,8 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     after `SHAKES` shakes of each at most.
     """
     problem, values = opened.problem, opened.solution.values[:1]
-    chi2_nu = float(problem.reduced_chi2(values)[0])
-    if chi2_nu <= most or chi2_nu > LEFT * float(closed[0].reduced_chi2(closed[1].values[:1])[0]):
+    chi2_nu = chi2_nu_of(opened.fit)
+    if chi2_nu <= most or chi2_nu > LEFT * chi2_nu_of(closed):
         return opened
     rough = problem.to(ROUGHLY)
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))

@@ -134,9 +134,10 @@ def _calibrate(
     shown: dict[str, Any] = {"disable": True} if note else {}
     note, total = note or ctx.log.info, scheme_of(options).fits(cube.frames)
     with ctx.progress(total=total, desc=f"calibrate {options.method}", **shown) as bar:
-        adjusted = [*everyday([cube.conditions], cube.effects), Ghost.under(cube.conditions)]
-        context = {"device": ctx.device, "report": bar.update, "note": note}
-        context["adjusted"] = adjusted if ctx.config.adjust and METHODS[options.method].open else ()
+        context: dict[str, Any] = {"device": ctx.device, "report": bar.update, "note": note}
+        if ctx.config.adjust and METHODS[options.method].open:
+            facts = everyday([cube.conditions], cube.effects)
+            context["adjusted"] = [*facts, Ghost.under(cube.conditions)]
         result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
     rms_nm = wfe_nm(result.nolls, result.zernike_nm)
     fitted = f"{rms_nm:.1f} nm RMS, chi2/nu {result.chi2_nu:.2f}, {result.seconds:.1f} s"

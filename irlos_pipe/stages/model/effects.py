@@ -132,11 +132,12 @@ def calibrated_effects(
     known: dict[str, FixedEffect] = {}
     then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
     entries = model.entries()
-    listed = labels_of([_effect(entry, conditions, recording.name) for entry in entries])
-    found_too = {name.removeprefix("effects/") for name in product.arrays if name.startswith("effects/")}
-    further = sorted(kind_of(label) for label in found_too.difference(listed))
-    entries += [EffectEntry.of(name) for name in further if CATALOGUE[name].instrumental]
     effects = [_effect(entry, conditions, recording.name) for entry in entries]
+    found_too = {name.removeprefix("effects/") for name in product.arrays if name.startswith("effects/")}
+    kinds = sorted(kind_of(label) for label in found_too.difference(labels_of(effects)))
+    further = [EffectEntry.of(name) for name in kinds if CATALOGUE[name].instrumental]
+    entries += further
+    effects += [_effect(entry, conditions, recording.name) for entry in further]
     for label, entry, effect in zip(labels_of(effects), entries, effects, strict=True):
         found: Effect | None = effect
         under = then
