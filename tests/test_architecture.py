@@ -78,7 +78,7 @@ SCIENCE_MAY_USE = {
 # Budget of lines of each package. It should only fall: a feature that needs more raises it and says why.
 LINES = {
     "api": 530, "commands": 1920, "control": 490, "conventions": 1000, "diagnosis": 5600, "effects": 4080,
-    "esorex": 100, "estimate": 7310, "files": 1040, "focus": 2370, "frames": 2010, "instrument": 850,
+    "esorex": 100, "estimate": 7320, "files": 1040, "focus": 2370, "frames": 2010, "instrument": 850,
     "night": 3350, "numerics": 1010, "optics": 3700, "paper": 5580, "pipeline": 1200, "product": 2420,
     "readers": 2480, "recipe": 380, "reference": 280, "report": 4180, "simulate": 4140, "stages": 6490,
 }  # fmt: skip

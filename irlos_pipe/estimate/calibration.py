@@ -98,7 +98,8 @@ def calibrate(
     options: CalibrationOptions,
     effects: Sequence[Effect] = (),
     *,
-    adjusted: Sequence[Effect] = (),
+    adjustable: Sequence[Effect] = (),
+    adjust_always: bool = False,
     start_nm: np.ndarray | None = None,
     device: str = "cpu",
     report: Report = silent,
@@ -112,10 +113,13 @@ def calibrate(
     ----------
     effects : sequence of Effect
         Of the model; methods of the paper leave them out.
-    adjusted : sequence of Effect
-        What of the instrument is free jointly with all modes, for an open basis. Copies of the star among
+    adjustable : sequence of Effect
+        What of the instrument may be free jointly with all modes, for an open basis. Copies of the star among
         them enter where they explain most of what all else leaves above nominal. Other minima than those
-        from the sides of a displaced stop are not looked for.
+        from the sides of a displaced stop are not looked for then.
+    adjust_always : bool
+        Adjust whatever the images say. By default they have to contradict the instrument as declared, and to
+        agree with one that any instrument could be.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
@@ -150,20 +154,20 @@ def calibrate(
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    closed, opened = fit, _all_modes(task, effects, fit, adjusted)
+    closed, opened, nominal, adjusted = fit, _all_modes(task, effects, fit), None, None
     if opened is not None and any(starts_as_told(effect) for effect in steady):
-        closed, opened = _from_found_effects(task, closed, opened, adjusted)
-    if adjusted and opened is None:  # a window that shows no more than the closed basis
-        fit = task.fit([*fit[0].model.effects.effects, *_everywhere(adjusted)], fit)
-        closed = fit
-    if adjusted and opened is not None:
-        task, opened = _adjusted(task, opened, adjusted)
+        closed, opened = _from_found_effects(task, closed, opened)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
-    nominal = None
-    if opened is not None and start_nm is None and not adjusted:
+    if opened is not None and (adjust_always or start_nm is None):
         nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
+        if adjust_always or chi2_nu_of(opened.fit) > nominal.most_behind_ao:
+            adjusted = _adjusted(task, closed, opened, adjustable, adjust_always)
+    if adjusted is not None:
+        (task, opened), nominal = adjusted, None
+        note("facts of the instrument adjusted")
+    elif opened is not None and nominal is not None:
         found = likelier_minimum(task, closed, opened, nominal.most)
         opened, nominal = found, nominal if found is opened else None
         note("other minima compared")
@@ -185,7 +189,7 @@ def calibrate(
         other = _result(frames, options, fit, twin, tail, time.perf_counter() - began)
         best = min(result, other, key=lambda one: one.chi2_nu)
         result = replace(best, seconds=other.seconds)
-    return replace(result, adjusted=bool(adjusted))
+    return replace(result, adjusted=adjusted is not None)
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
@@ -203,41 +207,42 @@ def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
     return fit
 
 
-def _all_modes(
-    task: CubeFit, effects: Sequence[Effect], fit: Fit, adjusted: Sequence[Effect] = ()
-) -> Opened | None:
-    """The fit of all visible modes and what is `adjusted`, where it is requested and possible."""
+def _all_modes(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> Opened | None:
+    """The fit of all visible modes, where it is requested and possible."""
     if not task.options.open or any(isinstance(effect, HighOrderNcpa) for effect in effects):
         return None
-    return _opened(task, fit[0].model.effects.effects, fit, adjusted)
+    return _opened(task, fit[0].model.effects.effects, fit)
 
 
-def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, adjusted: Sequence[Effect]) -> Opened | None:
-    """The fit of all modes with these effects and what is `adjusted`, from one with some of them, `held`.
-
-    It is a rough one where something is adjusted.
-    """
-    problem, values = task.released([*effects, *_everywhere(adjusted)], held)
-    return open_basis(problem, values, max_iterations=task.options.max_iterations, settle=not adjusted)
+def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, *, settle: bool = True) -> Opened | None:
+    """The fit of all modes with these effects, from one with some of them, `held`."""
+    problem, values = task.released(effects, held)
+    return open_basis(problem, values, max_iterations=task.options.max_iterations, settle=settle)
 
 
-def _everywhere(adjusted: Sequence[Effect]) -> list[Effect]:
-    """What is free from the start; copies of the star have a place to be looked for."""
-    return [effect for effect in adjusted if not effect.copies_star]
+def _adjusted(
+    task: CubeFit, closed: Fit, opened: Opened, adjustable: Sequence[Effect], always: bool
+) -> tuple[CubeFit, Opened] | None:
+    """The fit of all modes and what is `adjustable`, and the task with the weights that it has.
 
-
-def _adjusted(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple[CubeFit, Opened]:
-    """The end of a rough fit with what is `adjusted`, and the task with the weights that it has.
-
-    What the model still misses, where that is not much, counts as an error of every pixel in proportion to
-    its light, or the cores of bright stars would bend all that is free.
+    The fit as declared is `opened`, from `closed`. What the model still misses, where that is not much,
+    counts as an error of every pixel in proportion to its light, or the cores of bright stars would bend all
+    that is free. None where nothing is adjustable, or, unless it is to be adopted `always`, where much is
+    missed or facts are not those of any instrument.
     """
     limit = task.options.max_iterations
+    everywhere = [effect for effect in adjustable if not effect.copies_star]
+    effects = opened.problem.model.effects.effects
+    rough = _opened(task, [*effects, *everywhere], closed, settle=False) if adjustable else None
+    if rough is None:
+        return None
     rough = likelier_side(rough, limit, settle=False)
-    for image in (effect for effect in adjusted if effect.copies_star):
+    for image in (effect for effect in adjustable if effect.copies_star):
         rough = _with_second_image(task, rough, image)
     problem, x = rough.problem, rough.solution.values[:1]
     nominal, chi2_nu = nominal_of(task.frames, problem, x), chi2_nu_of(rough.fit)
+    if chi2_nu > nominal.most_behind_ao and not always:
+        return None
     if nominal.excess(chi2_nu) > 0 and chi2_nu <= nominal.most_behind_ao:
 
         def weighted(part: float) -> tuple[Frames, OpenFit]:
@@ -247,7 +252,17 @@ def _adjusted(task: CubeFit, rough: Opened, adjusted: Sequence[Effect]) -> tuple
         part = brentq(lambda part: float(weighted(part)[1].reduced_chi2(x)[0]) - nominal.value, 0.0, 1.0)
         frames, problem = weighted(part)
         task, rough = replace(task, frames=frames), replace(rough, problem=problem)
-    return task, finished(rough, limit) or rough
+    found = likelier_side(finished(rough, limit) or rough, limit)  # less is missing: sides show apart
+    ordinary = all(fact.ordinary(values) for fact, values in facts_of(found.fit))
+    return (task, found) if always or ordinary else None
+
+
+def facts_of(fit: Fit) -> list[tuple[Effect, np.ndarray]]:
+    """Return the facts of the instrument among the effects of a fit, and their values (parameters,)."""
+    problem, solution = fit
+    effects, own = problem.model.effects, problem.layout.effect_values
+    found = zip(effects.effects, effects.pieces(solution.values[0, own]), strict=True)
+    return [(one.base, one.all_values(free).numpy()) for one, free in found if one.base.fact]
 
 
 def _with_second_image(task: CubeFit, rough: Opened, image: Effect) -> Opened:
@@ -272,9 +287,7 @@ def _with_one_more(task: CubeFit, opened: Opened, further: Effect, *, settle: bo
     return found or opened
 
 
-def _from_found_effects(
-    task: CubeFit, closed: Fit, opened: Opened, adjusted: Sequence[Effect]
-) -> tuple[Fit, Opened]:
+def _from_found_effects(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:
     """The likelier of two fits of all modes: from `closed`, which is `opened`, and from the effects as found.
 
     Jointly with few modes, or none, effects that a diagnosis found may diverge. Here they stay where it found
@@ -282,7 +295,7 @@ def _from_found_effects(
     """
     effects = closed[0].model.effects.effects
     held = task.fit([effect.expected() if starts_as_told(effect) else effect for effect in effects])
-    other = _opened(task, effects, held, adjusted)
+    other = _opened(task, effects, held)
     if other is None or float(opened.solution.objective[0]) <= float(other.solution.objective[0]):
         return closed, opened
     return held, other

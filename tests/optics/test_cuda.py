@@ -174,7 +174,8 @@ def adjusted(device: str) -> np.ndarray:
     frames = Frames(images, cases.everything(images), cases.READ_NOISE)
     options = CalibrationOptions(max_iterations=3, prior=cases.PRIOR)
     few, ghost = replace(options, highest_noll=HIGHEST_NOLL), Ghost((0.01, 60.0, 0.0))
-    found = calibrate(frames, case, options, adjusted=[PlateScale(9.75), ghost], device=device)
+    free = {"adjustable": [PlateScale(9.75), ghost], "adjust_always": True}
+    found = calibrate(frames, case, options, **free, device=device)
     assert "plate_scale" in found.effects
     problem, solution = calibrate(frames, case, few, device=device).fit
     causes = causes_of_misfit(problem, solution.values[:1], Asked(CONDITIONS, 0.1, np.nan))

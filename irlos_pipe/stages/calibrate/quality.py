@@ -11,7 +11,7 @@ from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL
 from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.effects import CATALOGUE, Conditions
 from irlos_pipe.effects.base import kind_of
-from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.estimate.calibration import Calibration, facts_of
 from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
 from irlos_pipe.estimate.causes import (
     ENOUGH,
@@ -24,6 +24,7 @@ from irlos_pipe.estimate.causes import (
 )
 from irlos_pipe.estimate.cube import Motion
 from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.methods import Fit
 from irlos_pipe.estimate.records import Cause, OneSetup
 from irlos_pipe.estimate.residual import Mirrored
 from irlos_pipe.frames.measured_noise import SIGNIFICANT
@@ -38,7 +39,6 @@ from irlos_pipe.frames.told import (
     cutoff_ratio,
 )
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
@@ -76,7 +76,7 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
     if result.twin is not None:
         checks.append(_twin(result))
     if result.adjusted and result.fit is not None:
-        checks.append(_facts(*result.fit))
+        checks.append(_facts(result.fit))
     if len({one.introduced_nm for one in result.setups}) > 1:
         checks.append(_planes(result.setups))
     if result.mirrored is not None and result.mirrored.tells:
@@ -125,13 +125,12 @@ def unexcused(check: Check, result: Calibration) -> Check:
     return replace(check, high=high, message=check.message.removesuffix(COUNTED))
 
 
-def _facts(problem: ImageFit, solution: Solution) -> Check:
+def _facts(fit: Fit) -> Check:
     """Facts of the instrument that were adjusted, against what any instrument has."""
-    effects, own = problem.model.effects, problem.layout.effect_values
-    found = zip(effects.effects, effects.pieces(solution.values[0, own]), strict=True)
-    facts = [(one.base, one.all_values(free).numpy()) for one, free in found if one.base.fact]
+    facts = facts_of(fit)
     odd = [fact.phrase(fact.shown(values)) for fact, values in facts if not fact.ordinary(values)]
-    message = "; ".join(odd) or f"{len(facts)} adjusted facts of the instrument differ by no more than usual"
+    usual = f"{len(facts)} facts of the instrument follow the images and are off by no more than usual"
+    message = "; ".join(odd) or usual
     return Check("facts", float(len(odd)), "", None, 0.0, message).because("not as declared")
 
 

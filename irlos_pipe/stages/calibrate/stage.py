@@ -97,8 +97,8 @@ CHECKS = {
         "",
     ),
     "facts": (
-        "with calibrate.adjust, facts of the instrument that differ from the declared ones by more than "
-        "those of any instrument do",
+        "where facts of the instrument follow the images (calibrate.adjust), those that differ from the "
+        "declared ones by more than those of any instrument do",
         "",
     ),
     "planes": (
@@ -155,11 +155,12 @@ class Config(Limits):
     max_iterations: int = item(
         CalibrationOptions.max_iterations, "largest number of iterations of a fit", ge=1, le=10000
     )
-    adjust: bool = item(
-        False,
+    adjust: bool | Literal["auto"] = item(
+        "auto",
         "let facts of the instrument (pupil, pixels, diversity) and mild effects follow the images, each "
-        "within its tolerance, and add a ghost that explains most of a misfit: about a minute instead of "
-        "seconds, for instruments that are not quite as declared",
+        "within its tolerance, and add a ghost that explains most of a misfit, about a minute instead of "
+        "seconds; auto: where the images contradict the declared instrument, and agree with one that differs "
+        "from it by ordinary tolerances",
     )
     compare: tuple[MethodName, ...] = item((), "further methods to run, for comparison in the report only")
 
@@ -173,7 +174,7 @@ class Config(Limits):
 
     @model_validator(mode="after")
     def _adjusts_all_modes(self) -> "Config":
-        if self.adjust and (isinstance(self.highest_noll, int) or not METHODS[self.method].open):
+        if self.adjust is True and (isinstance(self.highest_noll, int) or not METHODS[self.method].open):
             raise ValueError(
                 "'adjust' is for all modes that the window shows: leave out 'highest_noll', or take "
                 f"method {DEFAULT_METHOD}"
@@ -333,7 +334,7 @@ def require(declared: Declared[Config]) -> None:
     config, recordings = declared.config, declared.recordings
     require_calibration(recordings)
     if not config.each and of_several_setups(recordings):
-        require_joint(declared.model, by_setup(recordings), config.method, adjust=config.adjust)
+        require_joint(declared.model, by_setup(recordings), config.method, adjust=config.adjust is True)
     require_parts(declared)
 
 

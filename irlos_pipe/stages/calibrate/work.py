@@ -95,7 +95,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
 def _joint_fit(ctx: StageContext[Config], recordings: list[Recording]) -> Calibration:
     """One wavefront, and what of it belongs to wavelength, filter or lens, from several set-ups."""
     groups, options = by_setup(recordings), ctx.config.options(ctx.instrument.facility.ncpa_law)
-    require_joint(ctx.model, groups, options.method, adjust=ctx.config.adjust)
+    require_joint(ctx.model, groups, options.method, adjust=ctx.config.adjust is True)
     result = calibrate_setups(setups_of(ctx, groups, options), options, device=ctx.device, note=ctx.log.info)
     ctx.log.info("%d set-ups together: chi2/nu %.2f, %.1f s", len(groups), result.chi2_nu, result.seconds)
     return result
@@ -137,7 +137,8 @@ def _calibrate(
         context: dict[str, Any] = {"device": ctx.device, "report": bar.update, "note": note}
         if ctx.config.adjust and METHODS[options.method].open:
             facts = everyday([cube.conditions], cube.effects)
-            context["adjusted"] = [*facts, Ghost.under(cube.conditions)]
+            context["adjustable"] = [*facts, Ghost.under(cube.conditions)]
+            context["adjust_always"] = ctx.config.adjust is True
         result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
     rms_nm = wfe_nm(result.nolls, result.zernike_nm)
     fitted = f"{rms_nm:.1f} nm RMS, chi2/nu {result.chi2_nu:.2f}, {result.seconds:.1f} s"
@@ -176,8 +177,9 @@ def _with_causes(
 
 # -- what is reported --------------------------------------------------------------------------------
 
-NOTHING_EXPLAINS = "nothing by itself explains it; calibrate.adjust=true or irlos run diagnose try more"
+NOTHING_EXPLAINS = "nothing by itself explains it; irlos run diagnose tries more"
 NOT_TESTED = "causes are computed for the mean image of one star only; irlos run diagnose tries more"
+ADJUSTED = "  facts of the instrument, not quite as declared, follow the images (calibrate.adjust)"
 SETUPS_NOT_TESTED = "causes are not computed for several set-ups together; calibrate.each looks for them"
 INACCURATE = 0.1  # part of introduced defoci; stages are better calibrated than that
 LABEL_WIDTH = 24  # letters before the numbers in lines for the terminal; the longest effect has 22
@@ -404,6 +406,7 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
         f"nominal {result.nominal.value:.2f})",
         *(few if result.errors_from != "frames" else []),
         *([] if result.motion is None else [f"  {motion_line(result.motion)}"]),
+        *([ADJUSTED] if result.adjusted else []),
         *_tail_lines(result),
         *_effect_lines(result.effects, result.effects_sigma),
         *(
