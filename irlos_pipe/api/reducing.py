@@ -16,6 +16,7 @@ from typing import Any
 from weakref import finalize
 
 import numpy as np
+from astropy.units import Quantity
 
 from irlos_pipe.api.running import Run
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
@@ -302,11 +303,12 @@ def _recordings(several: Any, keys: Values) -> list[Any]:
 
 def _require_units(stage: str, window: Sequence[int], side: Values, diameter_m: float) -> None:
     """Raise ConfigurationError where pixels are too large or too small for units as they are meant."""
-    nm = min((point["wavelength_nm"] for point in side.get("spectrum", ())), default=np.nan)
-    in_pixel = 1 / resolution_px(nm * NM, diameter_m, side["pixel_scale_mas"])
+    nm = min((float(point["wavelength_nm"]) for point in side.get("spectrum", ())), default=np.nan)
+    scale_mas = float(side["pixel_scale_mas"])  # numbers may be text, as in a side-car
+    in_pixel = 1 / resolution_px(nm * NM, diameter_m, scale_mas)
     if in_pixel > COARSEST or in_pixel * min(window) < NARROWEST:
         raise ConfigurationError(
-            f"{stage}(): pixel_scale_mas = {side['pixel_scale_mas']:g} is {in_pixel:.2g} λ/D at {nm:g} nm "
+            f"{stage}(): pixel_scale_mas = {scale_mas:g} is {in_pixel:.2g} λ/D at {nm:g} nm "
             f"and {diameter_m:g} m, the window {in_pixel * min(window):.2g} λ/D; check the units"
         )
 
@@ -353,7 +355,12 @@ def _cube(images: Any, where: str) -> np.ndarray:
 
 
 def plain(value: Any) -> Any:
-    """Return `value` in the types of YAML: NumPy's numbers and arrays become Python's, tuples lists."""
+    """Return `value` in the types of YAML: NumPy's numbers and arrays become Python's, tuples lists.
+
+    Raises `ConfigurationError` for an Astropy quantity.
+    """
+    if isinstance(value, Quantity):
+        raise ConfigurationError(f"{value}: give plain numbers, their unit is in the name of the keyword")
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     if isinstance(value, Mapping):

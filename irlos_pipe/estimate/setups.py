@@ -206,7 +206,7 @@ def calibrate_setups(
         nominal,
         min((one.noise_ratio for one in frames if len(one.images_e) > 1), default=math.nan),
         window_resolutions(setups[0].settings),
-        kurtosis_of_frames(frames[0]),
+        min((k for k in map(kurtosis_of_frames, frames) if math.isfinite(k)), default=math.nan),
         twin,
         None,
         time.perf_counter() - began,

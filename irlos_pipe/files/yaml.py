@@ -157,15 +157,17 @@ def _refuse_aliases_and_tags(text: str) -> None:
 
 def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> Any:
     if isinstance(node, yaml.MappingNode):
-        data = {}
+        data, written = {}, dict[str, int]()
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
                 raise _Refused(line, "a key must be a plain word or number")
             key = _scalar(key_node, loader)
-            if key in data:
-                raise _Refused(line, f"key '{key}' is given twice (first on line {lines[(*key_path, key)]})")
-            lines[(*key_path, key)] = line
+            # 6, 6.0 and '6' are one mode
+            same = str(int(key)) if isinstance(key, float) and key.is_integer() else str(key)
+            if same in written:
+                raise _Refused(line, f"key '{key}' is given twice (first on line {written[same]})")
+            lines[(*key_path, key)] = written[same] = line
             data[key] = _build(value_node, (*key_path, key), lines, loader)
         return data
     if isinstance(node, yaml.SequenceNode):

@@ -6,6 +6,7 @@ import re
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from astropy.units import um
 from helpers import own_camera
 from helpers.paths import REPOSITORY
 
@@ -150,6 +151,8 @@ def test_a_list_of_frames_is_one_recording_and_keys_reach_side_cars_and_settings
         ([], {}, "no images"),
         ({"image": IMAGES}, {}, "unknown key 'image'; did you mean 'images'"),
         (IMAGES, {"pixel_scale_mas": 0.02}, "0.02 is 0.00025 λ/D at 1600 nm and 4.2 m.*check the units"),
+        (IMAGES, {"wavelength_nm": "1600", "pixel_scale_mas": "0.02"}, "0.02 is 0.00025 λ/D at 1600 nm"),
+        (IMAGES, {"diversity": {6: -0.17 * um}}, r"^-0\.17 um: give plain numbers"),
         (IMAGES, {"diversity": None}, "diversity is missing: what was introduced"),
         (IMAGES, {"pupil": None}, "pupil is missing: 'circle' or an array with diameter_m"),
         (IMAGES, {"pupil": np.ones((20, 30)), "diameter_m": 4.2}, r"^pupil: map: shape \(20, 30\) should be"),

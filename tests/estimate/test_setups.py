@@ -4,6 +4,8 @@ One set-up is a narrow band with the diversity of a mirror, the other is J and H
 wavefront of its own; between them the optics' wavefront changes with wavelength.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -115,6 +117,16 @@ def test_errors_grow_by_what_modes_beyond_the_fitted_ones_leave():
     assert misfit > 5
     # without sky the scatter is white and the misfit is not: what is left of 4 stands in docs/performance.md
     assert pull < 6 and pull * np.sqrt(misfit) > 10
+
+
+@pytest.mark.slow
+def test_frames_of_two_kinds_are_seen_in_every_set_up(setups):
+    first, second = setups
+    images = second.frames.images_e.clone()
+    images[FRAMES // 2 :] = images[FRAMES // 2 :].flip(-1)
+    mixed = replace(second, frames=replace(second.frames, images_e=images))
+    quick = replace(OPTIONS, max_iterations=1)
+    assert calibrate_setups([first, mixed], quick).kurtosis < 1.1
 
 
 def test_gradients_are_those_of_finite_differences(setups):

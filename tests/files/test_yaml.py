@@ -66,6 +66,7 @@ def test_a_pipe_is_not_read(tmp_path):
     [
         ("a: 1\nb: {c: 2,\n    c: 3}", r"f\.yaml:3: key 'c' is given twice \(first on line 2\)"),
         ("1: a\n1.0: b", r"f\.yaml:2: key '1.0' is given twice"),
+        ("6: -170.0\n'6': 170.0", r"f\.yaml:2: key '6' is given twice \(first on line 1\)"),
         ("a: &a [*a]", r"f\.yaml:1: alias '\*a' is not accepted"),
         ("a: &x [1]\nb: *x", r"f\.yaml:2: alias '\*x' is not accepted"),
         ("a: !!python/object/apply:os.system [ls]", r"f\.yaml:1: tag .* is not accepted"),

@@ -32,6 +32,7 @@ from irlos_pipe.stages.model.recording_settings import (
     seeing_arcsec,
 )
 from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.model.untested import untested_by_cubes
 from irlos_pipe.stages.sensitivity import announce
 
 GOOD = {
@@ -315,3 +316,10 @@ def test_frames_of_recordings_with_other_noise_have_the_mean_noise_whichever_com
     for order in (both, both[::-1]):
         images_e, _, noise = pooled_images(order)
         assert noise.mean_variance_e2(0.0, 1) == pytest.approx(float(images_e.var()), rel=0.02)
+
+
+def test_planes_do_not_tell_their_sign_and_zero_point():
+    alone = untested_by_cubes({6: -170.0}, "", [0.0, 0.0])
+    assert alone == untested_by_cubes({6: -170.0}) and alone[0].endswith("Noll 6 -170 nm")
+    planes = untested_by_cubes({}, "", [0.0, -200.0, 200.0])
+    assert planes[0].endswith("defoci from -200 to +200 nm") and planes[-1].startswith("zero point")

@@ -197,7 +197,9 @@ def _joint_output(
         seeing_arcsec=seeing_arcsec(ctx.instrument, acquisition),
         wavelength_nm=acquisition.wavelength_nm,
         twin=result.twin,
-        untested=untested_by_cubes(acquisition.diversity, _undetermined(result)),
+        untested=untested_by_cubes(
+            acquisition.diversity, _undetermined(result), [one.introduced_nm for one in result.setups]
+        ),
         compare=[Estimate(**_estimate(other)) for other in others],
         setups=list(result.setups),
         introduced_accuracy=result.introduced_accuracy,
