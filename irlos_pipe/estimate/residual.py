@@ -129,19 +129,20 @@ def _not_followed(change: torch.Tensor, columns: torch.Tensor, precision: torch.
     return change - columns @ (steps / scale)
 
 
-FRAMES_OF_A_KIND = (
-    20  # Gaussian scatter of 16 has a kurtosis below 1.3 in one of 1000 cubes, of 20 in one of 5000
-)
+FRAMES_OF_A_KIND = 20  # Gaussian scatter of so many has a kurtosis below 1.3 in one of 100 000 cubes
+FEWEST_OF_A_KIND = 6  # from so many two kinds in halves, which have 1, are no chance
+CLEAR = 0.3  # by which it exceeds 1 where fewer than `FRAMES_OF_A_KIND` would tell, times their part squared
 LEADING = 0.3  # part of the variance from which a single direction is examined
 
 
 def kurtosis_of_frames(frames: Frames) -> float:
     """Return the kurtosis of the frames along the direction in which they differ most.
 
-    NaN for fewer than `FRAMES_OF_A_KIND`, or where no direction leads.
+    NaN where no direction leads, and of fewer than `FRAMES_OF_A_KIND` unless they clearly are of two kinds:
+    by chance Gaussian scatter is taken for that in one of 5000 cubes at most.
     """
     some = frames.sample_e
-    if len(some) < FRAMES_OF_A_KIND:
+    if len(some) < FEWEST_OF_A_KIND:
         return float("nan")
     variance = mean_variance_e2(frames).flatten()
     usable = frames.good.flatten() & torch.isfinite(variance) & torch.isfinite(some).all(0)
@@ -152,4 +153,6 @@ def kurtosis_of_frames(frames: Frames) -> float:
     if not values[-1] > LEADING * values.sum():
         return float("nan")
     along = vectors[:, -1] - vectors[:, -1].mean()
-    return float(len(along) * np.sum(along**4) / np.sum(along**2) ** 2)
+    kurtosis = float(len(along) * np.sum(along**4) / np.sum(along**2) ** 2)
+    clear = kurtosis < 1 + CLEAR * (len(some) / FRAMES_OF_A_KIND) ** 2
+    return kurtosis if clear or len(some) >= FRAMES_OF_A_KIND else float("nan")
