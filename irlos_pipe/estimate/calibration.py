@@ -154,23 +154,18 @@ def calibrate(
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    closed, opened, nominal, adjusted = fit, _all_modes(task, effects, fit), None, None
+    closed, opened, nominal, adjusted = fit, _all_modes(task, effects, fit), None, False
     if opened is not None and any(starts_as_told(effect) for effect in steady):
         closed, opened = _from_found_effects(task, closed, opened)
     if opened is not None:
         opened = likelier_side(opened, options.max_iterations)
         note("all modes fitted")
     if opened is not None and (adjust_always or start_nm is None):
-        nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
-        if adjust_always or chi2_nu_of(opened.fit) > nominal.most_behind_ao:
-            adjusted = _adjusted(task, closed, opened, adjustable, adjust_always)
-    if adjusted is not None:
-        (task, opened), nominal = adjusted, None
-        note("facts of the instrument adjusted")
-    elif opened is not None and nominal is not None:
-        found = likelier_minimum(task, closed, opened, nominal.most)
-        opened, nominal = found, nominal if found is opened else None
-        note("other minima compared")
+        declared, nominal = opened, nominal_of(task.frames, opened.problem, opened.solution.values[:1])
+        task, opened = _likeliest(task, closed, declared, nominal, adjustable, adjust_always)
+        adjusted = opened.problem.model.effects.labels != declared.problem.model.effects.labels
+        nominal = nominal if opened is declared else None
+        note("facts of the instrument adjusted" if adjusted else "other minima compared")
     twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
         fit, tail = opened.fit, opened.law
@@ -189,7 +184,7 @@ def calibrate(
         other = _result(frames, options, fit, twin, tail, time.perf_counter() - began)
         best = min(result, other, key=lambda one: one.chi2_nu)
         result = replace(best, seconds=other.seconds)
-    return replace(result, adjusted=adjusted is not None)
+    return replace(result, adjusted=adjusted)
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
@@ -220,20 +215,38 @@ def _opened(task: CubeFit, effects: Sequence[Effect], held: Fit, *, settle: bool
     return open_basis(problem, values, max_iterations=task.options.max_iterations, settle=settle)
 
 
+def _likeliest(
+    task: CubeFit,
+    closed: Fit,
+    opened: Opened,
+    nominal: NominalChi2,
+    adjustable: Sequence[Effect],
+    always: bool,
+) -> tuple[CubeFit, Opened]:
+    """The fit as declared, `opened` from `closed`, or a likelier one, and the task with its weights.
+
+    Where facts explain the images that are not those of any instrument, no other minima are looked for.
+    """
+    if adjustable and (always or chi2_nu_of(opened.fit) > nominal.most_behind_ao):
+        found = _adjusted(task, closed, opened, adjustable, always)
+        if found is not None:
+            return found
+    return task, likelier_minimum(task, closed, opened, nominal.most)
+
+
 def _adjusted(
     task: CubeFit, closed: Fit, opened: Opened, adjustable: Sequence[Effect], always: bool
 ) -> tuple[CubeFit, Opened] | None:
     """The fit of all modes and what is `adjustable`, and the task with the weights that it has.
 
-    The fit as declared is `opened`, from `closed`. What the model still misses, where that is not much,
-    counts as an error of every pixel in proportion to its light, or the cores of bright stars would bend all
-    that is free. None where nothing is adjustable, or, unless it is to be adopted `always`, where much is
-    missed or facts are not those of any instrument.
+    What the model still misses, where that is not much, counts as an error of every pixel in proportion to
+    its light, or the cores of bright stars would bend all that is free. Unless it is to be adopted `always`:
+    None where much is missed, and the fit as declared where facts are not those of any instrument.
     """
     limit = task.options.max_iterations
     everywhere = [effect for effect in adjustable if not effect.copies_star]
     effects = opened.problem.model.effects.effects
-    rough = _opened(task, [*effects, *everywhere], closed, settle=False) if adjustable else None
+    rough = _opened(task, [*effects, *everywhere], closed, settle=False)
     if rough is None:
         return None
     rough = likelier_side(rough, limit, settle=False)
@@ -243,6 +256,8 @@ def _adjusted(
     nominal, chi2_nu = nominal_of(task.frames, problem, x), chi2_nu_of(rough.fit)
     if chi2_nu > nominal.most_behind_ao and not always:
         return None
+    if not always and not all(fact.ordinary(values) for fact, values in facts_of(rough.fit)):
+        return task, opened
     if nominal.excess(chi2_nu) > 0 and chi2_nu <= nominal.most_behind_ao:
 
         def weighted(part: float) -> tuple[Frames, OpenFit]:
@@ -252,9 +267,7 @@ def _adjusted(
         part = brentq(lambda part: float(weighted(part)[1].reduced_chi2(x)[0]) - nominal.value, 0.0, 1.0)
         frames, problem = weighted(part)
         task, rough = replace(task, frames=frames), replace(rough, problem=problem)
-    found = likelier_side(finished(rough, limit) or rough, limit)  # less is missing: sides show apart
-    ordinary = all(fact.ordinary(values) for fact, values in facts_of(found.fit))
-    return (task, found) if always or ordinary else None
+    return task, likelier_side(finished(rough, limit) or rough, limit)  # less is missing: sides show apart
 
 
 def facts_of(fit: Fit) -> list[tuple[Effect, np.ndarray]]:

@@ -7,9 +7,10 @@ set-up, and the effects of star and sky to each source: planes of one recording 
 An error of the model makes set-ups contradict each other: errors grow by the scatter of what each of them
 by itself wants, over its expectation (the covariance of clusters; Liang & Zeger 1986, Biometrika 73, 13).
 
-An introduced defocus d_i is off by e_i, Gaussian of standard deviation a d_i, a parameter of its own. The
-accuracy a that makes the images likeliest is ``a² = Σ (e_i / d_i)² / Σ (1 − var(e_i) / (a d_i)²)``: squares
-of the errors over how many of them the images determine (MacKay 1992, Neural Computation 4, 415).
+An introduced defocus d_i is off by e_i, Gaussian of standard deviation a s_i, a parameter of its own; s_i is
+d_i, or the RMS of all where that is larger, as what is set also has a zero point. The accuracy a that makes
+the images likeliest is ``a² = Σ (e_i / s_i)² / Σ (1 − var(e_i) / (a s_i)²)``: squares of the errors over how
+many of them the images determine (MacKay 1992, Neural Computation 4, 415).
 """
 
 import math
@@ -95,11 +96,16 @@ class SetupsFit(JoinedFit):
         columns: list[list[int]] = []
         changes: list[dict[int, int]] = [{} for _ in parts]
         self.accuracy, self.off_nm = accuracy, {}
+        introduced_nm = [setup.introduced_nm for setup in setups if setup.introduced_nm]
+        usual_nm = float(np.sqrt(np.mean(np.square(introduced_nm)))) if introduced_nm else 0.0
         for number, (setup, part) in enumerate(zip(setups, parts, strict=True)):
             columns.append([place.setdefault(key, len(place)) for key in _keys(number, setup, part)])
             if setup.introduced_nm:
                 off = place.setdefault(("off", number), len(place))
-                changes[number], self.off_nm[off] = {FOCUSED - 1: off}, setup.introduced_nm
+                changes[number], self.off_nm[off] = (
+                    {FOCUSED - 1: off},
+                    max(abs(setup.introduced_nm), usual_nm),
+                )
         sigma_nm = {column: accuracy * nm for column, nm in self.off_nm.items()}
         super().__init__(parts, columns, changes, sigma_nm)
         self.parts = tuple(

@@ -52,6 +52,7 @@ GOOD = {
     "setups": (),
     "fit": (),
     "adjusted": False,
+    "introduced_accuracy": float("nan"),
     "nolls": range(2, 67),
     "sigma_nm": np.ones(65),
 }

@@ -65,7 +65,7 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
         _misfit(limits, result),
         window.because("too much of the light lies outside"),
     ]
-    if error_is_known(result):
+    if error_is_known(result) or math.isfinite(result.introduced_accuracy):
         checks.append(_error(limits, result))
     if math.isfinite(result.noise_ratio):
         checks.append(_noise(result))

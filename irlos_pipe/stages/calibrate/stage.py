@@ -308,7 +308,8 @@ class CalibrateResults(Estimate, StageResults):
     compare: list[Estimate] = item([], "Estimates with other methods.")
     setups: list[OneSetup] = item([], "Set-ups that were fitted together; empty for one.")
     introduced_accuracy: Number = item(
-        nan, "Part of itself by which an introduced defocus is off, one standard deviation by all planes."
+        nan,
+        "Part of itself, or of the RMS of all, by which an introduced defocus is off, one sigma.",
     )
     cubes: list[CubeRow] = []
     causes: list[Cause] = item(
