@@ -12,7 +12,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
 from irlos_pipe.diagnosis.scores import Family, Score, scores
-from irlos_pipe.diagnosis.sharing import parted, sharing
+from irlos_pipe.diagnosis.sharing import parted, seen_in, sharing
 from irlos_pipe.diagnosis.view import Moments, Placement
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
@@ -106,7 +106,7 @@ class Task:
         found = sharing([label], fitted, self.fitter, self.cube, self.moments, self.options.sure)
         if found.finding != "differs" or found.chi2_fall < SPLIT * refit.excess.chi2:
             return [chosen]
-        own = self.fitter.explored(parted(found, fitted, label), fitted)
+        own = self.fitter.explored(parted(seen_in(found, self.moments), fitted, label), fitted)
         of_each = replace(refit, fitted=self.fitter.finished(own))
         known = refit.origin.fitted.problem.effects.labels
         labels = [label for label in of_each.fitted.problem.effects.labels if label not in known]

@@ -310,9 +310,9 @@ def _where(diagnosis: Diagnosis, step: Step) -> str:
         return ""
     named = step.found_in(together.moments)
     where = f"in {' and '.join(named)}" if named else f"in all {len(together.moments.by_number)} recordings"
-    for one in together.sharing:
-        if step.label in one.labels:
-            alone = len(one.labels) == 1 and step.effect.acts_in is not None
+    for labels, one in together.sharing.items():
+        if step.label in labels:
+            alone = len(labels) == 1 and step.effect.acts_in is not None
             words = {
                 "common": "one value for all",
                 "differs": "not in the others" if alone else "each recording has its own",
