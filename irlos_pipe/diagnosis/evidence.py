@@ -317,7 +317,7 @@ class _Final:
         linear = self.laplace.linear()
         labels = [one for one in self.all_modes.problem.effects.labels if one not in declared]
         training, right = self.task.cube.training, ""
-        if training.in_time:
+        if training.held_out == "frames":
             right = "motion" if motion_ratio(training, self.all_modes) > MOVING else "detector"
 
         def worth(label: str) -> tuple[bool, float]:

@@ -75,7 +75,7 @@ class Task:
     def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""
         known = any(effect.found_by == "frames" for effect in null.fitted.effects)
-        if known or not self.cube.training.in_time:
+        if known or self.cube.training.held_out == "pixels":
             return None, null
         drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
         if drift.significance < self.options.sure:
@@ -92,7 +92,7 @@ class Task:
         """Scores of all families that the model lacks; and what means nothing here."""
         present = current.fitted.effects
         missing, meaningless = families(self.moments, present)
-        if not self.cube.training.in_time:
+        if self.cube.training.held_out == "pixels":
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
 

@@ -102,7 +102,7 @@ def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> str:
 def _time(judge: HeldOutEvaluation) -> str:
     """Whether the two halves of the held-out frames of the first recording leave the same."""
     stack = judge.stack.parts[0]
-    if not judge.stack.in_time or len(stack) < 4:
+    if judge.stack.held_out == "pixels" or len(stack) < 4:
         return "not seen"
     images = stack.frames.images_e.double().flatten(1)
     images = images * (images.sum(1).mean() / images.sum(1, keepdim=True))
