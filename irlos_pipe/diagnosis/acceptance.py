@@ -27,7 +27,7 @@ class HeldOutEvaluation:
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels
         self.image, columns = fitted.linearised
-        recordings = range(len(fitted.problem.parts) if stack.own_refitted else 0)
+        recordings = range(len(fitted.problem.parts) if stack.held_out == "frames" else 0)
         own = columns[[column for number in recordings for column in fitted.problem.own_of(number)]].mT
         root = stack.root[:, None]
         self.basis, triangle = torch.linalg.qr(own * root)
@@ -183,7 +183,7 @@ def by_motion(ranked: Sequence[Refit], cube: Cube) -> Sequence[Refit]:
 
     This and the functions below return `ranked` in another order.
     """
-    if not cube.training.in_time or not ranked[0].effect.blurs:
+    if cube.training.held_out == "pixels" or not ranked[0].effect.blurs:
         return ranked
     rivals = _rivals(ranked, cube)
     if not any(one.effect.blurs for one in rivals):

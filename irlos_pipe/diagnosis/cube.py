@@ -134,10 +134,9 @@ class Stacks:
     """
 
     parts: tuple[Stack, ...]
+    # Frames, which show what changes with time and have tip, tilt, flux and background of their own, or
+    # pixels of the frames that fits see.
     held_out: ClassVar[HeldOutKind] = "frames"
-    in_time: ClassVar[bool] = True  # whether the frames show what changes with time
-    # Whether tip, tilt, flux and background of the held-out data are their own.
-    own_refitted: ClassVar[bool] = True
 
     @property
     def root(self) -> torch.Tensor:
@@ -383,8 +382,6 @@ class PixelStacks(Stacks):
     parts: tuple[PatchStack, ...]
     misfit: float = 1.0  # χ²/ν of the model at hand where it is more than 1, by which variances grow
     held_out: ClassVar[HeldOutKind] = "pixels"
-    in_time: ClassVar[bool] = False
-    own_refitted: ClassVar[bool] = False
 
     def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
         return self.misfit * shapes.mT @ shapes

@@ -26,12 +26,12 @@ from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, copies_in_a_row, share_at_i
 from irlos_pipe.diagnosis.null_model import FAR_OFF, Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.posterior import (
     Covariance,
-    Images,
     Laplace,
     Linear,
     Posterior,
     WavefrontLaw,
     fitted_as,
+    with_visible_modes,
 )
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
@@ -67,14 +67,14 @@ class EvidenceTask(Task):
         moving = [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
         declared = [*effects, *moving]
         conditions = [view.conditions for view in self.fitter.views]
-        images = Images.of(self.fitter.of(self.cube.training))
+        fitter, few_colours = with_visible_modes(self.fitter.of(self.cube.training))
         law = WavefrontLaw.of(self.conditions.ncpa_law, self.fitter.views[0].psf.nolls[-1])
-        covariance = Covariance.of(images.stack, images.views)
+        covariance = Covariance.of(fitter.stack, fitter.views)
 
         def begun(near: Fitted | None) -> Laplace:
             known_effects = declared if near is None else near.continued()
             whole = [*known_effects, *everyday(conditions, known_effects)]
-            posterior = Posterior(images, whole, covariance, law)
+            posterior = Posterior(fitter, few_colours, whole, covariance, law)
             return posterior.minimised(posterior.start(near), FIRST, roughly=True)
 
         starts = ordered_map(begun, (None, search.final.fitted))
@@ -317,7 +317,7 @@ class _Final:
         linear = self.laplace.linear()
         labels = [one for one in self.all_modes.problem.effects.labels if one not in declared]
         training, right = self.task.cube.training, ""
-        if training.in_time:
+        if training.held_out == "frames":
             right = "motion" if motion_ratio(training, self.all_modes) > MOVING else "detector"
 
         def worth(label: str) -> tuple[bool, float]:

@@ -12,7 +12,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import refits
 from irlos_pipe.diagnosis.scores import Family, Score, scores
-from irlos_pipe.diagnosis.sharing import parted, sharing
+from irlos_pipe.diagnosis.sharing import parted, seen_in, sharing
 from irlos_pipe.diagnosis.view import Moments, Placement
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
@@ -75,7 +75,7 @@ class Task:
     def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""
         known = any(effect.found_by == "frames" for effect in null.fitted.effects)
-        if known or not self.cube.training.in_time:
+        if known or self.cube.training.held_out == "pixels":
             return None, null
         drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
         if drift.significance < self.options.sure:
@@ -92,7 +92,7 @@ class Task:
         """Scores of all families that the model lacks; and what means nothing here."""
         present = current.fitted.effects
         missing, meaningless = families(self.moments, present)
-        if not self.cube.training.in_time:
+        if self.cube.training.held_out == "pixels":
             meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
 
@@ -106,7 +106,7 @@ class Task:
         found = sharing([label], fitted, self.fitter, self.cube, self.moments, self.options.sure)
         if found.finding != "differs" or found.chi2_fall < SPLIT * refit.excess.chi2:
             return [chosen]
-        own = self.fitter.explored(parted(found, fitted, label), fitted)
+        own = self.fitter.explored(parted(seen_in(found, self.moments), fitted, label), fitted)
         of_each = replace(refit, fitted=self.fitter.finished(own))
         known = refit.origin.fitted.problem.effects.labels
         labels = [label for label in of_each.fitted.problem.effects.labels if label not in known]

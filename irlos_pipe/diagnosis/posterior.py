@@ -228,39 +228,26 @@ class Covariance:
         return white
 
 
-@dataclass(frozen=True)
-class Images:
-    """The mean images with their light paths: of all colours, and of few for rough derivatives."""
+def with_visible_modes(fitter: Fitter) -> tuple[Fitter, list[View]]:
+    """Return the `fitter` with all modes that the window shows, and its views in few colours.
 
-    fitter: Fitter
-    coarse: Sequence[View]
-
-    @classmethod
-    def of(cls, fitter: Fitter) -> Images:
-        """With all modes that the window shows, of several recordings with those of the `fitter`."""
-        views = fitter.views
-        nolls: Sequence[int] = views[0].psf.nolls
-        if len(views) == 1:
-            visible = last_noll_of(visible_order(views[0].psf.settings))
-            nolls = range(2, max(visible, nolls[-1]) + 1)
-        exact = [view.with_modes(nolls) for view in views]
-        few = [view.with_modes(nolls, few_colours=True) for view in views]
-        return cls(fitter.of(fitter.stack, exact), few)
-
-    @property
-    def stack(self) -> Stacks:
-        return self.fitter.stack
-
-    @property
-    def views(self) -> Sequence[View]:
-        return self.fitter.views
+    Of several recordings they have the modes of the `fitter`.
+    """
+    views = fitter.views
+    nolls: Sequence[int] = views[0].psf.nolls
+    if len(views) == 1:
+        visible = last_noll_of(visible_order(views[0].psf.settings))
+        nolls = range(2, max(visible, nolls[-1]) + 1)
+    exact = [view.with_modes(nolls) for view in views]
+    return fitter.of(fitter.stack, exact), [view.with_modes(nolls, few_colours=True) for view in views]
 
 
 @dataclass(eq=False)
 class Posterior:
     """A model of the images with its priors."""
 
-    images: Images
+    fitter: Fitter  # with the mean images and their light paths, of all colours
+    few_colours: Sequence[View]  # the light paths for rough derivatives
     effects: Sequence[Effect]
     covariance: Covariance
     law: WavefrontLaw
@@ -270,8 +257,8 @@ class Posterior:
     prior_precision: torch.Tensor = field(init=False)  # (parameters,)
 
     def __post_init__(self):
-        fitter = self.images.fitter
-        exact, coarse = (fitter.problem(self.effects, v) for v in (self.images.views, self.images.coarse))
+        views = self.fitter.views, self.few_colours
+        exact, coarse = (self.fitter.problem(self.effects, some) for some in views)
         mean, precision = exact.prior_mean[0].clone(), exact.prior_precision[0].clone()
         precision[exact.layout.modes] = torch.as_tensor(self.law.sigma_nm(exact.layout.nolls)) ** -2
         begin = exact.layout.effect_values.start
@@ -296,15 +283,15 @@ class Posterior:
     def left(self, x: torch.Tensor) -> tuple[torch.Tensor, float]:
         """What is left of the images, whitened, and half of χ² and priors, infinite where it is not known."""
         try:
-            left = self.covariance.whiten((self.images.stack.mean_e - self.exact.predict(x))[:, None])[:, 0]
+            left = self.covariance.whiten((self.fitter.stack.mean_e - self.exact.predict(x))[:, None])[:, 0]
         except ValueError:  # a wavelength out of the grid
-            return torch.zeros_like(self.images.stack.mean_e), math.inf
+            return torch.zeros_like(self.fitter.stack.mean_e), math.inf
         value = 0.5 * (float(left @ left) + self.penalty(x))
         return left, value if math.isfinite(value) else math.inf
 
     def start(self, near: Fitted | None = None) -> torch.Tensor:
         """Where a fit begins: nothing but the star at its place and the effects, or all else `near` by."""
-        return self.images.fitter.start(self.exact, near).clamp(self.exact.lower, self.exact.upper)
+        return self.fitter.start(self.exact, near).clamp(self.exact.lower, self.exact.upper)
 
     def minimised(
         self, x: torch.Tensor, iterations: int, *, roughly: bool = False, slopes: torch.Tensor | None = None
@@ -366,7 +353,7 @@ class Posterior:
         image, columns = (self.coarse if coarse else self.exact).predict_and_jacobian(x)
         image = self.exact.predict(x) if coarse else image
         design = self.covariance.whiten(columns.mT)
-        left = self.covariance.whiten((self.images.stack.mean_e - image)[:, None])[:, 0]
+        left = self.covariance.whiten((self.fitter.stack.mean_e - image)[:, None])[:, 0]
         return image, columns, design, left, self.gradient(x, design, left), self.hessian(design)
 
     def gradient(self, x: torch.Tensor, design: torch.Tensor, left: torch.Tensor) -> torch.Tensor:
@@ -414,7 +401,7 @@ class Laplace(FittedModel):
 
     def __init__(self, posterior: Posterior, x: torch.Tensor, *, coarse: bool = False):
         self.posterior, self.x, self.coarse = posterior, x, coarse
-        self.stack = posterior.images.stack
+        self.stack = posterior.fitter.stack
         self.image, self.columns, design, residual, gradient, self.hessian = posterior.equations(x, coarse)
         self.factor, self.scale = factored = _factored(self.hessian)
         unconverged, basis = _inside(*factored, -gradient[None])[:, 0], _inside(*factored, design).mT
@@ -422,7 +409,7 @@ class Laplace(FittedModel):
         half = 0.5 * (float((residual**2).sum()) + posterior.penalty(x))
         value = torch.tensor([half], dtype=torch.float64)
         solution = Solution(x, self.covariance[None], [CONVERGED], torch.ones(1, dtype=torch.int64), value)
-        problem, views = posterior.coarse if coarse else posterior.exact, posterior.images.views
+        problem, views = posterior.coarse if coarse else posterior.exact, posterior.fitter.views
         self.fitted = fitted_as(problem, solution, self.stack, views, self.image, self.columns)
 
     @cached_property

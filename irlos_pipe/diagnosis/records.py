@@ -158,6 +158,29 @@ class Rest:
 
 
 @dataclass(frozen=True)
+class OwnValueRow:
+    """What one star and night has of an effect."""
+
+    recording: str = key("", "Name of the star and night.")
+    parameters: dict[str, Any] = key({}, "Values and standard errors by name of the parameter.")
+    sigma: dict[str, Any] = key({}, DITTO)
+    significance: Number = key(nan, "Of its presence there, in Gaussian σ.")
+
+
+@dataclass(frozen=True)
+class SharingRow:
+    """Whether stars and nights share an effect, see `diagnosis.sharing`."""
+
+    effect: str = key("", "Name of the effect.")
+    finding: str = key("", "``common``, ``differs``, or ``open`` where these data do not tell.")
+    significance: Number = key(nan, "Of the differences, in Gaussian σ.")
+    chi2_fall: Number = key(nan, "By which χ² falls with a value of each, for so many more `parameters`.")
+    parameters: int = key(0, "Further parameters that values of each take.")
+    held_out_z: Number = key(nan, "Vuong's statistic for a value of each against one for all.")
+    values: list[OwnValueRow] = key([], "What each star and night has of it.")
+
+
+@dataclass(frozen=True)
 class Star:
     """One star and night, and by how much its wavefront differs from the common one."""
 

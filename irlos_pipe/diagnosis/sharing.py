@@ -6,9 +6,8 @@ instrument's. A name that only one moment shows may still be in the others, too
 weak to be seen there: then neither is said.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from irlos_pipe.diagnosis.effect_sizes import Covariances, parameter_covariance
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum, gaussian_sigma
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.records import Star
+from irlos_pipe.diagnosis.records import OwnValueRow, SharingRow, Star
 from irlos_pipe.diagnosis.view import Moments
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.public_values import public_sigma
@@ -26,37 +25,6 @@ from irlos_pipe.effects.public_values import public_sigma
 SEEN = 5.0  # significance from which a moment by itself shows an effect
 MEASURED = 1e-9  # eigenvalue of a correlation matrix below which it is rounding
 PREFERRED = 3.0  # Vuong's statistic on held-out data from which moments differ
-Finding = Literal["common", "differs", "open"]
-
-
-@dataclass(frozen=True)
-class OwnValue:
-    """What one moment has of an effect."""
-
-    moment: str  # name of the moment
-    number: int
-    public: dict[str, Any]  # parameters under public names
-    sigma: dict[str, Any]  # their standard errors
-    significance: float  # of its presence, in Gaussian σ
-
-
-@dataclass(frozen=True)
-class Sharing:
-    """Whether moments share an effect."""
-
-    labels: Sequence[str]  # of the effect in the model: one for all moments, or several that act in some
-    finding: Finding  # open where fewer than two moments show it and the others do not exclude it
-    significance: float  # of the differences between the moments, in Gaussian σ
-    chi2_fall: float  # by which χ² falls with a value for each moment, for so many further `parameters`
-    parameters: int
-    preference: float  # Vuong's statistic on the held-out data for a value of each moment against one for all
-    values: Sequence[OwnValue]
-
-    @property
-    def seen(self) -> list[OwnValue]:
-        """Values of the moments that are alone enough to show the effect."""
-        largest = max(one.significance for one in self.values)
-        return [one for one in self.values if one.significance >= min(SEEN, largest)]
 
 
 @dataclass(frozen=True)
@@ -64,16 +32,19 @@ class Together:
     """What the moments of a multi-epoch diagnosis share."""
 
     moments: Moments
-    sharing: Sequence[Sharing]  # of every effect that was named, in the order of the steps
+    # Of every effect that was named, in the order of the steps, by its labels in the model: one for all
+    # moments, or several that act in some.
+    sharing: Mapping[tuple[str, ...], SharingRow]
     stars: Sequence[Star]  # how much the wavefront of every moment differs from the mean of all
 
 
 def sharing(
     labels: Sequence[str], fitted: Fitted, fitter: Fitter, cube: Cube, moments: Moments, sure: float
-) -> Sharing:
+) -> SharingRow:
     """Compare one value for all moments with a value for each; they differ from a significance of `sure` on.
 
-    In the model the effect has one of the `labels` for all moments, or several that act in some.
+    In the model the effect has one of the `labels` for all moments, or several that act in some. It is open
+    whether they share it where fewer than two moments show it and the others do not exclude it.
     """
     others = fitted.continued_by_label()
     chosen = [others.pop(label) for label in [*others] if label in labels]
@@ -95,19 +66,25 @@ def sharing(
         label = [
             one for one, effect in pairs if effect.name == chosen[0].name and effect.acts_in == {number}
         ][-1]
-        values.append(_value(number, moment.name, apart, label, covariances.of(label), stack))
+        values.append(_value(moment.name, apart, label, covariances.of(label), stack))
     z = preference(cube.held_out, apart, together)
     seen = sum(one.significance > SEEN for one in values)
     differs = significance > sure and z > PREFERRED
-    finding: Finding = "differs" if differs else "common" if seen > 1 else "open"
-    return Sharing(labels, finding, significance, together.chi2 - apart.chi2, more, z, values)
+    finding = "differs" if differs else "common" if seen > 1 else "open"
+    return SharingRow(labels[0], finding, significance, together.chi2 - apart.chi2, more, z, values)
 
 
-def parted(comparison: Sharing, fitted: Fitted, label: str) -> list[Effect]:
-    """Effects of a model with a value of its own for each moment that shows the effect `label`."""
+def seen_in(comparison: SharingRow, moments: Moments) -> list[int]:
+    """Return the numbers of the moments that are alone enough to show the effect."""
+    own = [one.significance for one in comparison.values]
+    return [number for number, one in zip(moments.by_number, own, strict=True) if one >= min(SEEN, max(own))]
+
+
+def parted(numbers: Sequence[int], fitted: Fitted, label: str) -> list[Effect]:
+    """Effects of a model with a value of its own of the effect `label` for each moment of the `numbers`."""
     others = fitted.continued_by_label()
     one = others.pop(label)
-    return [*others.values(), *(_own_of(value.number, [one]) for value in comparison.seen)]
+    return [*others.values(), *(_own_of(number, [one]) for number in numbers)]
 
 
 def _values_of(effect: Effect) -> np.ndarray:
@@ -127,9 +104,7 @@ def _own_of(number: int, chosen: Sequence[Effect]) -> FixedEffect:
     return FixedEffect(effect.base.only_in(frozenset({number})), values, [p.name for p in free])
 
 
-def _value(
-    number: int, moment: str, fitted: Fitted, label: str, covariance: np.ndarray, stack: Stacks
-) -> OwnValue:
+def _value(moment: str, fitted: Fitted, label: str, covariance: np.ndarray, stack: Stacks) -> OwnValueRow:
     """What a moment has of the effect with this `label`, whose parameters have a `covariance`."""
     effect, values = fitted.effect(label), fitted.values_of(label)
     sized = [i for i in effect.free if effect.base.parameters[i].null is not None]
@@ -137,7 +112,7 @@ def _value(
     frames = np.inf if stack.photon_limited else stack.independent
     significance = _wald(values[sized] - null, covariance[np.ix_(sized, sized)], frames)
     public = effect.base.describe(values), public_sigma(effect.base, values, covariance)
-    return OwnValue(moment, number, *public, significance)
+    return OwnValueRow(moment, *public, significance)
 
 
 def _wald(estimate: np.ndarray, covariance: np.ndarray, frames: float) -> float:
@@ -159,7 +134,10 @@ def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, optio
     for one in search.accepted:
         effect = fitted.effect(one.label)
         groups.setdefault(one.label if effect.repeatable else effect.name, []).append(one.label)
-    found = [sharing(labels, fitted, fitter, cube, moments, options.sure) for labels in groups.values()]
+    found = {
+        tuple(labels): sharing(labels, fitted, fitter, cube, moments, options.sure)
+        for labels in groups.values()
+    }
     return Together(moments, found, _stars(search, moments))
 
 

@@ -102,7 +102,7 @@ def _symmetry(left: np.ndarray, star_y: float, star_x: float) -> str:
 def _time(judge: HeldOutEvaluation) -> str:
     """Whether the two halves of the held-out frames of the first recording leave the same."""
     stack = judge.stack.parts[0]
-    if not judge.stack.in_time or len(stack) < 4:
+    if judge.stack.held_out == "pixels" or len(stack) < 4:
         return "not seen"
     images = stack.frames.images_e.double().flatten(1)
     images = images * (images.sum(1).mean() / images.sum(1, keepdim=True))
@@ -310,9 +310,9 @@ def _where(diagnosis: Diagnosis, step: Step) -> str:
         return ""
     named = step.found_in(together.moments)
     where = f"in {' and '.join(named)}" if named else f"in all {len(together.moments.by_number)} recordings"
-    for one in together.sharing:
-        if step.label in one.labels:
-            alone = len(one.labels) == 1 and step.effect.acts_in is not None
+    for labels, one in together.sharing.items():
+        if step.label in labels:
+            alone = len(labels) == 1 and step.effect.acts_in is not None
             words = {
                 "common": "one value for all",
                 "differs": "not in the others" if alone else "each recording has its own",

@@ -30,6 +30,7 @@ class Prediction:
     profile_before: np.ndarray
     profile_after: np.ndarray
     resolution_px: float  # λ/D at the mean wavelength
+    modes_before_nm: np.ndarray  # (modes,), those of `before`, tip and tilt of the whole wavefront taken out
 
 
 @dataclass(frozen=True)
@@ -54,18 +55,6 @@ def modal_offsets(
     return Offsets(corrected, values[:, 0], values[:, 1])
 
 
-def seen_and_left_nm(
-    nolls: Sequence[int], fitted_modes_nm: np.ndarray, zernike_nm: np.ndarray, gain: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the modes before and after a correction, tip and tilt of the whole wavefront taken out.
-
-    Arguments are those of `predict_correction`.
-    """
-    motion = np.isin(nolls, TIP_TILT)
-    now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
-    return now_nm, np.where(motion, now_nm, fitted_modes_nm - gain * zernike_nm)
-
-
 def predict_correction(
     settings: PsfSettings,
     nolls: Sequence[int],
@@ -81,8 +70,10 @@ def predict_correction(
     gives what AO residual, jitter and other effects make of the light path.
     """
     model = light_path(replace(settings, known=KnownWavefront()), nolls)
-    both_nm = seen_and_left_nm(nolls, fitted_modes_nm, zernike_nm, gain)
-    wavefronts = torch.as_tensor(np.stack(both_nm))
+    motion = np.isin(nolls, TIP_TILT)
+    now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
+    left_nm = np.where(motion, now_nm, fitted_modes_nm - gain * zernike_nm)
+    wavefronts = torch.as_tensor(np.stack([now_nm, left_nm]))
     images = model.images(wavefronts, make_optics(model)).double().numpy()
     perfect = model.images(torch.zeros(1, len(nolls)))[0].double().numpy()
     (rows, columns), peak = settings.window, perfect.max()
@@ -98,6 +89,7 @@ def predict_correction(
         profile_before=rings[0][1],
         profile_after=rings[1][1],
         resolution_px=settings.resolution_px,
+        modes_before_nm=now_nm,
     )
 
 

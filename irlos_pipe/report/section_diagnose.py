@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.diagnosis.records import Alternative, Ranked
+from irlos_pipe.diagnosis.records import Alternative, OwnValueRow, Ranked
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.public_values import rows_of
@@ -51,7 +51,7 @@ from irlos_pipe.report.text import (
     sizes,
     with_error,
 )
-from irlos_pipe.stages.diagnose.stage import DiagnoseResults, OwnValueRow, StepRow
+from irlos_pipe.stages.diagnose.stage import DiagnoseResults, StepRow
 
 Diagnosis = StageData[DiagnoseResults]
 Mark = Literal["good", "bad"]

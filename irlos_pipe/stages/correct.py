@@ -278,7 +278,7 @@ def _predict(
 ) -> tuple[Prediction, list[StrehlPart]]:
     """Images before and after the correction, and what every part of the model takes of the Strehl ratio."""
     from irlos_pipe.effects import fixed_optics
-    from irlos_pipe.estimate.correction import predict_correction, seen_and_left_nm, strehl_budget
+    from irlos_pipe.estimate.correction import predict_correction, strehl_budget
     from irlos_pipe.stages.model.effects import calibrated_effects
     from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
 
@@ -296,8 +296,7 @@ def _predict(
         gain,
         lambda model: fixed_optics(list(effects.values()), model.grids),
     )
-    now_nm, _ = seen_and_left_nm(nolls, fitted_nm, zernike_nm, gain)
-    parts = _parts(nolls, now_nm, ctx.config.highest_noll)
+    parts = _parts(nolls, prediction.modes_before_nm, ctx.config.highest_noll)
     return prediction, strehl_budget(settings, nolls, parts, effects)
 
 

@@ -14,7 +14,7 @@ from irlos_pipe.diagnosis.evidence import EvidenceTask
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Task
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.posterior import Covariance, Images, Linear, Posterior, WavefrontLaw
+from irlos_pipe.diagnosis.posterior import Covariance, Linear, Posterior, WavefrontLaw, with_visible_modes
 from irlos_pipe.diagnosis.view import Exposures, Moments, View
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
@@ -64,15 +64,15 @@ def test_whitened_shapes_have_the_products_of_the_dense_inverse_covariance(photo
 def test_the_evidence_between_two_laws_is_the_exact_one_of_the_linear_model():
     """Truth: the marginal likelihood N(d; J μ, C + J P⁻¹ Jᵀ) by SciPy; with a flat prior made a wide one."""
     found, exact, training = [], [], cube(with_tail()).training
-    images = Images.of(Fitter([View(model(), CONDITIONS)], training))
+    fitter, few_colours = with_visible_modes(Fitter([View(model(), CONDITIONS)], training))
     law = WavefrontLaw.of(CONDITIONS.ncpa_law, NOLLS[-1])
-    posterior = Posterior(images, (), Covariance.of(training, images.views), law)
+    posterior = Posterior(fitter, few_colours, (), Covariance.of(training, fitter.views), law)
     alone = posterior.minimised(posterior.start(), 16)
     whole, columns = dense(posterior.covariance), alone.columns.numpy().T
     data = (alone.stack.mean_e - alone.image).numpy() + columns @ alone.x[0].numpy()
     for scale in (1.0, 2.0):
         changed = law.changed(np.array([np.log(scale), np.log(6.0), 0.0]))
-        other = Posterior(posterior.images, (), posterior.covariance, changed)
+        other = Posterior(fitter, few_colours, (), posterior.covariance, changed)
         variance = np.where(other.prior_precision > 0, 1 / other.prior_precision.clamp_min(1e-30), 1e14)
         marginal = whole + (columns * variance) @ columns.T
         exact.append(multivariate_normal.logpdf(data, columns @ other.prior_mean.numpy(), marginal, True))

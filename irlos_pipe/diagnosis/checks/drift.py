@@ -118,7 +118,7 @@ def motion_ratio(stack: Stacks, fitted: Fitted) -> float:
     that blurs. Of several recordings, which `stack` and `fitted` hold, it is the mean. NaN where frames
     are too few to show it.
     """
-    if not stack.in_time:
+    if stack.held_out == "pixels":
         return float("nan")
     pairs = zip(stack.parts, fitted.recordings, strict=True)
     return float(np.mean([_ratio(one, *own) for one, own in pairs]))

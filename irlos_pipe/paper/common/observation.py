@@ -18,7 +18,7 @@ from irlos_pipe.effects import Conditions, Effect, SeeingHalo, TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.optics.psf_settings import FRAME_MARGIN_MAS, KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.simulate.exposure import Exposed
 from irlos_pipe.simulate.readout import electrons
@@ -26,7 +26,6 @@ from irlos_pipe.simulate.scene import Scene
 
 SIDE_CAR_POINTS = 3  # wavelengths per band that a side-car lists
 PHOTON_STREAM = 1  # child of the scene's seed that the detector noise is drawn from
-FRAME_MARGIN_MAS = 100.0  # field beyond the window that the model of single frames needs
 MONITOR = "mass_dimm"  # seeing monitor by which the paper states the seeing on sky
 NoiseOf = Literal["reads", "one_read"]
 """Noise of exposures: of all their reads with sky and dark, or of one read without."""

@@ -23,6 +23,7 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.product.product import Check
 from irlos_pipe.report.content import Figure, Table, Width
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, ORANGE, svg
+from irlos_pipe.report.text import MISSING
 
 try:
     import pandas as pd
@@ -34,7 +35,6 @@ except ImportError as error:
 Frame = Any  # pandas.DataFrame, which has no types
 Record = Mapping[str, Any]
 Tables = Mapping[str, Frame]
-MISSING = "–"
 DRAWS, BOOTSTRAP_SEED = 4000, 0
 TAIL = 0.05  # probability beyond each end of a range of 90 %
 ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ

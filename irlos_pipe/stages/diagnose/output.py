@@ -22,8 +22,6 @@ from irlos_pipe.stages.diagnose.stage import (
     DiagnoseResults,
     FrameCounts,
     ModesChange,
-    OwnValueRow,
-    SharingRow,
     StepRow,
 )
 from irlos_pipe.stages.model.section import ModelConfig
@@ -48,17 +46,7 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         tried=list(result.tried),
         untestable=list(result.untestable),
         recordings=list(result.together.stars) if result.together else [],
-        sharing=[
-            SharingRow.filled_from(
-                one,
-                effect=one.labels[0],
-                held_out_z=one.preference,
-                values=[
-                    OwnValueRow.filled_from(v, recording=v.moment, parameters=v.public) for v in one.values
-                ],
-            )
-            for one in (result.together.sharing if result.together else ())
-        ],
+        sharing=list(result.together.sharing.values()) if result.together else [],
         second_recording=dict(result.advice),
         model=MODEL_FILE,
         fine_structure=result.fine,

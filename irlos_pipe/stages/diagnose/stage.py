@@ -137,27 +137,6 @@ class StepRow(ResultsPart):
     )
 
 
-class OwnValueRow(ResultsPart):
-    """What one star and night has of an effect, see `diagnosis.sharing.OwnValue`."""
-
-    recording: str = item("", "Name of the star and night.")
-    parameters: EffectValues = item({}, "Values and standard errors by name of the parameter.")
-    sigma: EffectValues = item({}, DITTO)
-    significance: Number = item(nan, "Of its presence there, in Gaussian σ.")
-
-
-class SharingRow(ResultsPart):
-    """Whether stars and nights share an effect, see `diagnosis.sharing.Sharing`."""
-
-    effect: str = item("", "Name of the effect.")
-    finding: str = item("", "``common``, ``differs``, or ``open`` where these data do not tell.")
-    significance: Number = item(nan, "Of the differences, in Gaussian σ.")
-    chi2_fall: Number = item(nan, "By which χ² falls with a value of each, for so many more `parameters`.")
-    parameters: int = item(0, "Further parameters that values of each take.")
-    held_out_z: Number = item(nan, "Vuong's statistic for a value of each against one for all.")
-    values: list[OwnValueRow] = item([], "What each star and night has of it.")
-
-
 class Change(ResultsPart):
     """A number with the model as it was, and with what was found."""
 
@@ -212,7 +191,7 @@ class DiagnoseResults(StageResults):
     recordings: list[records.Star] = item(
         [], "Stars and nights, where there are several; `sharing` says what they share."
     )
-    sharing: list[SharingRow] = item([], "Which effects stars and nights share.")
+    sharing: list[records.SharingRow] = item([], "Which effects stars and nights share.")
     second_recording: dict[str, records.Advice] = item(
         {}, "A second recording that would show it, by effect of `untestable`."
     )
