@@ -7,6 +7,7 @@ BY_CUBES = (
     "size and mode of the diversity: an error of theirs is taken for one of the NCPAs",
     "images transposed or turned by 180°: they fit as well, with other modes",
     "wavelength and pixel scale wrong by the same factor",
+    "what is static in these frames alone, as petals of low wind: a cube of another night would differ",
     "a wrong flat or dark that is smooth",
     "a response of the detector that bends by some per cent: motion and modes imitate it",
 )
