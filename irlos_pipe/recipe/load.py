@@ -157,6 +157,9 @@ def load_recipe(
         problem = _stage_problem(name, head.stages[:index])
         if problem:
             errors.add(("stages", index), problem)
+        taken = getattr(configs.get(name), "input", None)
+        if head.inputs and taken is not None and taken not in head.inputs:
+            errors.add((name, "input"), f"unknown input '{taken}'{suggestion(taken, head.inputs)}")
     named = "instrument" in head.model_fields_set
     sources = _with_samples(head, errors) if samples else head.inputs
     paths = _check_inputs(sources, absolute(path).parent, errors, head.samples, complete)

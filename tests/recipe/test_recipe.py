@@ -61,6 +61,12 @@ def test_a_mistake_is_reported_with_file_line_and_suggestion(bench, monkeypatch,
     assert line.startswith(expected)
 
 
+def test_the_input_of_a_stage_is_one_of_the_recipe():
+    text = r"^--set calibrate.input: unknown input 'calibratoin'; did you mean 'calibration'\?$"
+    with pytest.raises(ConfigurationError, match=text):
+        load_recipe("ncpa_calibration", ["calibrate.input=calibratoin"], complete=False)
+
+
 @pytest.mark.parametrize(
     ("stages", "expected"),
     [
