@@ -41,7 +41,7 @@ from irlos_pipe.stages.model.groups import (
     require_parts,
 )
 
-VERSION = 31
+VERSION = 32
 NEEDS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 CUBES = "cubes"  # group of the arrays of every recording, with `each`
@@ -307,6 +307,7 @@ class CalibrateResults(Estimate, StageResults):
     twin: TwinCheck | None = item(None, "None without a twin solution, and for the mean over cubes.")
     compare: list[Estimate] = item([], "Estimates with other methods.")
     setups: list[OneSetup] = item([], "Set-ups that were fitted together; empty for one.")
+    adjusted: bool = item(False, "Whether facts of the instrument follow the images, see `calibrate.adjust`.")
     introduced_accuracy: Number = item(
         nan,
         "Part of itself, or of the RMS of all, by which an introduced defocus is off, one sigma.",

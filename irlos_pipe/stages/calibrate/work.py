@@ -202,6 +202,7 @@ def _joint_output(
         ),
         compare=[Estimate(**_estimate(other)) for other in others],
         setups=list(result.setups),
+        adjusted=result.adjusted,
         introduced_accuracy=result.introduced_accuracy,
     )
     if result.introduced_accuracy > INACCURATE:
