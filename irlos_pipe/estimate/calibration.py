@@ -165,7 +165,7 @@ def calibrate(
         task, opened = _likeliest(task, closed, declared, nominal, adjustable, adjust_always)
         adjusted = opened.problem.model.effects.labels != declared.problem.model.effects.labels
         nominal = nominal if opened is declared else None
-        note("facts of the instrument adjusted" if adjusted else "other minima compared")
+        note("facts of the instrument adjusted" if adjusted else "other explanations compared")
     twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
         fit, tail = opened.fit, opened.law

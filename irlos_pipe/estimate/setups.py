@@ -88,7 +88,7 @@ def is_common(effect: Effect) -> bool:
 class SetupsFit(JoinedFit):
     """Mean images of several set-ups, `parts` of the same modes, by one vector; one member.
 
-    Introduced defoci are known to a part of them, `accuracy`.
+    Introduced defoci are known to a part, `accuracy`, of them or of their RMS, whichever is larger: `off_nm`.
     """
 
     def __init__(self, setups: Sequence[Setup], parts: Sequence[ImageFit], accuracy: float = FIRST):
@@ -97,15 +97,13 @@ class SetupsFit(JoinedFit):
         changes: list[dict[int, int]] = [{} for _ in parts]
         self.accuracy, self.off_nm = accuracy, {}
         introduced_nm = [setup.introduced_nm for setup in setups if setup.introduced_nm]
-        usual_nm = float(np.sqrt(np.mean(np.square(introduced_nm)))) if introduced_nm else 0.0
+        usual_nm = float(np.sqrt(np.mean(np.square(introduced_nm or [0.0]))))
         for number, (setup, part) in enumerate(zip(setups, parts, strict=True)):
             columns.append([place.setdefault(key, len(place)) for key in _keys(number, setup, part)])
             if setup.introduced_nm:
                 off = place.setdefault(("off", number), len(place))
-                changes[number], self.off_nm[off] = (
-                    {FOCUSED - 1: off},
-                    max(abs(setup.introduced_nm), usual_nm),
-                )
+                changes[number] = {FOCUSED - 1: off}
+                self.off_nm[off] = max(abs(setup.introduced_nm), usual_nm)
         sigma_nm = {column: accuracy * nm for column, nm in self.off_nm.items()}
         super().__init__(parts, columns, changes, sigma_nm)
         self.parts = tuple(

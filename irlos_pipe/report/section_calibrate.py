@@ -111,7 +111,7 @@ def _lead(of: Calibration) -> str:
     if results.setups:
         mean = f"; {len(results.setups)} set-ups fitted together, images are those of the first"
     if results.adjusted:
-        mean = "; facts of the instrument, not quite as declared, follow the images"
+        mean += "; facts of the instrument, not quite as declared, follow the images"
     return (
         f"{results.method} on {plural(results.frames, 'used frame')}"
         f"{f' of {names}' if names else ''}{mean}; diversity not included in the coefficients."
