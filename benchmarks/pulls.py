@@ -7,7 +7,7 @@ hold where the RMS of error over quoted error is one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, get_args
 
@@ -24,7 +24,6 @@ from irlos_pipe.paper.common.calibrations import DEFAULT, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, knowledge_of, observe, ramp_scene
 from irlos_pipe.paper.common.scenes import COARSE, cube_scene
 from irlos_pipe.simulate.atmosphere import Shape
-from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
 REPORTED_SEED = 17724539  # of the reported run; by 14142135 the instant's error was defined
@@ -114,10 +113,9 @@ def _of_cube(cube: ObservedCube, calibration: Calibration) -> dict[str, Any]:
 def _of_ramp(cube: ObservedCube, calibration: Calibration) -> dict[str, Any]:
     """Errors of the defocus of every frame, and the parts of what is quoted for it."""
     offsets_nm = np.repeat(OFFSETS_NM, FRAMES_PER_OFFSET)
-    scene = replace(
-        ramp_scene(cube.scene, RAMP_MAG_J, offsets_nm.tolist()), sampling=COARSE, sky=cube.scene.sky
-    )
-    observed = observe(scene, expose(scene), {DEFAULT: knowledge_of(cube, calibration)})
+    changes = {"sampling": COARSE, "sky": cube.scene.sky}
+    scene = ramp_scene(cube.scene, RAMP_MAG_J, offsets_nm.tolist(), **changes)
+    observed = observe(scene, {DEFAULT: knowledge_of(cube, calibration)})
     fit, data = observed.estimate(LIFT_VARIANTS["default_3"]), observed.data
     photon_nm = fit.result.mode(DEFOCUS)[1].numpy()
     fitted = fit.result.solution.values.shape[1]

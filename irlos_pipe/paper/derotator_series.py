@@ -6,7 +6,7 @@ are split into what turns and what does not.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from pydantic import Field
@@ -103,8 +103,8 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 def rows(star: ex.Sample) -> ex.Rows:
     """Simulate one cube and calibrate it by both methods, each with its number of frames."""
+    cube = calibrations.ObservedCube.of(scene_of(star))
     frames = calibrations.frames_per_method(star.sizes.frames, star.sizes.published_frames)
-    cube = calibrations.ObservedCube.of(scene_of(star, max(frames.values())))
     for method, count in frames.items():
         own = cube.first(count)
         fit = own.calibrated(calibrations.VARIANTS[method].closed())
@@ -120,11 +120,11 @@ def rows(star: ex.Sample) -> ex.Rows:
         }
 
 
-def scene_of(star: ex.Sample, frames: int) -> Scene:
+def scene_of(star: ex.Sample) -> Scene:
     """Return the recording of one angle: a cube with diversity by the deformable mirror."""
-    truth = star["truth"]
-    return replace(
-        star.cube(star["sparta_arcsec"], frames, star.sizes.mag_j),
+    truth, of_cube = star["truth"], (star["sparta_arcsec"], star.sizes.frames, star.sizes.mag_j)
+    return star.cube(
+        *of_cube,
         role="derotator",
         ncpa_nm=truth.fixed_nm,
         rotating_nm=truth.rotating_nm,

@@ -6,8 +6,8 @@ It is a stage, so that a recipe runs it; `docs/extending.md` says how to add one
 need of the pipeline from here.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -67,9 +67,20 @@ class Sample:
     def __getitem__(self, key: str) -> Any:
         return self.of[key]
 
-    def cube(self, seeing_arcsec: float, frames: int, mag_j: float, shape: Shape = "power_law") -> Scene:
-        """Return the recording of a calibration cube, see `cube_scene`."""
-        return cube_scene(self.name, self.seed, self.facility, seeing_arcsec, frames, mag_j, shape)
+    def cube(
+        self,
+        seeing_arcsec: float,
+        frames: int,
+        mag_j: float,
+        shape: Shape = "power_law",
+        *,
+        without: Container[int] = (),
+        **changes: Any,
+    ) -> Scene:
+        """Return a cube, see `cube_scene`; its NCPAs are `without` some modes, `changes` are of the scene."""
+        cube = cube_scene(self.name, self.seed, self.facility, seeing_arcsec, frames, mag_j, shape)
+        kept_nm = {noll: value for noll, value in cube.ncpa_nm.items() if noll not in without}
+        return replace(cube, **{"ncpa_nm": kept_nm} | changes)
 
 
 Samples = Iterator[Sample]

@@ -43,9 +43,9 @@ def samples(ctx: ex.Context) -> ex.Samples:
 def rows(star: ex.Sample) -> ex.Rows:
     """Calibrate every sum of the exposures by every method."""
     sizes = star.sizes
-    scene = star.cube(star["seeing_arcsec"], sizes.frames, sizes.mag_j)
-    scene = replace(scene, exposure_s=sizes.shortest_s, frame_rate_hz=1 / sizes.shortest_s)
-    shortest = ObservedCube.of(scene)
+    of_cube = star["seeing_arcsec"], sizes.frames, sizes.mag_j
+    exposure = {"exposure_s": sizes.shortest_s, "frame_rate_hz": 1 / sizes.shortest_s}
+    shortest = ObservedCube.of(star.cube(*of_cube, **exposure))
     for count in sizes.sums:
         cube, exposure_s = summed(shortest, count), sizes.shortest_s * count
         for method in sizes.methods:

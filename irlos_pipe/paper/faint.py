@@ -5,7 +5,6 @@ Every variant of LIFT sees the same dimmed frames, and starts from zero defocus 
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,20 +15,11 @@ from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.sensitivity import Configuration, Criterion, curve_of, scan
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.observation import (
-    NoiseOf,
-    Read,
-    as_read,
-    exposure_noise,
-    noise_of,
-    on_spartas_scale,
-)
+from irlos_pipe.paper.common import observation
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, calibrated, narrow_ramp, observe, offsets_nm
 from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
 from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
 from irlos_pipe.report.section_sensitivity import Look, sensitivity_plot
-from irlos_pipe.simulate.exposure import expose
-from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow
 
 LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
@@ -53,9 +43,7 @@ class Sizes(ex.StageConfig):
     seeing_arcsec: float = Field(0.5, gt=0, le=3, description="by MASS-DIMM")
     limit_nm: float = Field(30.0, gt=0, description="limiting magnitude: largest median error [nm RMS]")
     limit_failures: float = Field(0.1, ge=0, le=1, description="limiting magnitude: largest part of failures")
-    noise: NoiseOf = Field(
-        "reads", description="of the dimmed frames: all reads of an exposure with sky and dark, or one read"
-    )
+    noise: observation.NoiseOf = "reads"
 
     @model_validator(mode="after")
     def _usable_magnitudes(self) -> "Sizes":
@@ -72,23 +60,26 @@ class Sizes(ex.StageConfig):
 
 def samples(ctx: ex.Context) -> ex.Samples:
     """One set of NCPAs each, at the seeing on SPARTA's scale."""
-    seeing = on_spartas_scale(ctx.instrument, ctx.config.seeing_arcsec)
-    read = Read.of(ctx.instrument, ctx.config.noise, "faint")
+    seeing = observation.on_spartas_scale(ctx.instrument, ctx.config.seeing_arcsec)
+    read = observation.Read.of(ctx.instrument, ctx.config.noise, "faint")
     return ex.each(ctx, ctx.config.samples, "sample {index}", sparta_arcsec=seeing, read=read)
 
 
 def rows(star: ex.Sample) -> ex.Rows:
     """Dim a ramp of every length of exposure, and estimate it by every variant at every magnitude."""
     sizes, read = star.sizes, star["read"]
-    cube = cube_of(star)
+    # Without defocus: a sensor that does not know the NCPAs measures theirs rightly, but errors count against
+    # the introduced defocus.
+    of_cube = star["sparta_arcsec"], sizes.cube_frames, sizes.mag_j
+    cube = star.cube(*of_cube, without=(DEFOCUS,), sampling=FINE, **BY_MIRROR)
     knowledge = calibrated(cube, [LIFT_VARIANTS[key].ncpa for key in COMPARED])
     for index, (exposure_s, faintest) in enumerate(zip(sizes.exposures_s, sizes.faintest_mag_j, strict=True)):
         ramp = narrow_ramp(cube, exposure_s, offsets_nm(sizes.reach_nm, sizes.offsets), index)
-        exposed = expose(ramp)
-        observed = observe(ramp, exposed, knowledge)
+        observed = observe(ramp, knowledge)
         data, signal_e = observed.data, observed.estimate(LIFT_VARIANTS[SIGNAL_VARIANT]).result.model_e
         magnitudes = faintest - np.arange(sizes.magnitudes)[::-1] * sizes.mag_step
-        faint = None if read is None else exposure_noise(as_read(ramp, read)).beyond(noise_of(ramp))
+        of_reads = observation.exposure_noise(observation.as_read(ramp, read))
+        faint = of_reads.beyond(observation.noise_of(ramp)) if read else None
         configurations = [
             Configuration(
                 ImageModel(observed.model(variant), observed.effects(variant)),
@@ -115,19 +106,10 @@ def rows(star: ex.Sample) -> ex.Rows:
                 "abs_error_nm": curve.abs_error_nm,
                 "crb_nm": curve.crb_nm,
                 "one_read_crb_nm": curve.one_read_crb_nm,
-                "residual_nm": exposed.zernike_nm[:, DEFOCUS - 2],  # of the AO residual, mean of a frame
+                "residual_nm": observed.exposed.zernike_nm[
+                    :, DEFOCUS - 2
+                ],  # of the AO residual, mean of a frame
             }
-
-
-def cube_of(star: ex.Sample) -> Scene:
-    """Return the calibration cube.
-
-    The NCPAs have no defocus of their own: a sensor that does not know them measures it rightly, but errors
-    count against the introduced defocus.
-    """
-    cube = star.cube(star["sparta_arcsec"], star.sizes.cube_frames, star.sizes.mag_j)
-    ncpa_nm = {noll: value_nm for noll, value_nm in cube.ncpa_nm.items() if noll != DEFOCUS}
-    return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE, **BY_MIRROR)
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:

@@ -30,7 +30,6 @@ from irlos_pipe.paper.common.scenes import BRIGHT_MAG_J, FINE
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
 from irlos_pipe.simulate.effects import effects_of
 from irlos_pipe.simulate.effects.wavefront import reached_nm
-from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
 
 WRONG_NM = 50.0  # an estimate this far from the best minimum lies in another one
@@ -128,10 +127,9 @@ def rows(star: ex.Sample) -> ex.Rows:
     """Simulate a ramp and estimate it by every variant, and by two of them from every start."""
     target = TARGETS[star["target"]]
     cube, ramp = scenes_of(star)
-    exposed, commanded_nm = expose(ramp), ramp.introduced_per_frame_nm
-    observed = ramps.observe(ramp, exposed, ramps.calibrated(cube, [DEFAULT]))
+    observed = ramps.observe(ramp, ramps.calibrated(cube, [DEFAULT]))
+    commanded_nm, true_nm = observed.data.introduced_nm, observed.true_nm[:, DEFOCUS - 2]
     introduced_nm = reached_nm(commanded_nm, effects_of(ramp.effects), ramp.rng("focus_stage"))
-    true_nm = ramps.true_modes_nm(ramp, exposed)[:, DEFOCUS - 2]
     for key, variant in variants_of(target).items():
         fit = observed.estimate(variant)
         line, found_nm = summarise(introduced_nm, fit.defocus_nm), fit.defocus_nm
@@ -163,10 +161,9 @@ def scenes_of(star: ex.Sample) -> tuple[Scene, Scene]:
     """Return calibration cube and ramp of a sample, both under the seeing of the target."""
     target, sizes = TARGETS[star["target"]], star.sizes
     ncpa_nm = draw_ncpa_nm(np.random.default_rng(star.seed), star.facility.ncpa_law, sizes.ncpa_nm)
-    cube = star.cube(star["sparta_arcsec"], sizes.cube_frames, BRIGHT_MAG_J)
-    cube = replace(cube, ncpa_nm=ncpa_nm, sampling=FINE)
-    ramp = ramps.ramp_scene(cube, target.mag_j, star["order_nm"])
-    return cube, replace(ramp, effects=target.stage_effects)
+    of_cube = star["sparta_arcsec"], sizes.cube_frames, BRIGHT_MAG_J
+    cube = star.cube(*of_cube, ncpa_nm=ncpa_nm, sampling=FINE)
+    return cube, ramps.ramp_scene(cube, target.mag_j, star["order_nm"], effects=target.stage_effects)
 
 
 def stage_error(target: Target, commanded_nm: np.ndarray, estimated_nm: np.ndarray) -> dict[str, float]:

@@ -4,7 +4,6 @@ The NCPAs of a sample are calibrated from a cube of the narrow H band; the ramp 
 has the same NCPAs and other residuals. Every variant of LIFT sees the same frames.
 """
 
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,18 +15,10 @@ from pydantic import Field
 from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.ramps import (
-    LIFT_VARIANTS,
-    RampSizes,
-    calibrated,
-    observe,
-    ramp_scene,
-    true_modes_nm,
-)
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, RampSizes, calibrated, observe, ramp_scene
 from irlos_pipe.paper.common.scenes import FINE
-from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YELLOW, svg
+from irlos_pipe.report.drawing import CYCLE, INK, svg
 from irlos_pipe.report.text import mode_label
-from irlos_pipe.simulate.exposure import expose
 
 ASKED_NM = 4.0  # requirement on the RMS error of a calibrated ramp
 SLOPE_WITHIN = 0.03  # largest deviation of the slope from 1, which tests sign and scale of the ramp
@@ -38,7 +29,7 @@ DRAWN = {
     "published_9": "NCPAs by DIP global",
     "default_9": "this pipeline",
 }
-COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW, INK)
+COLOURS = (*CYCLE, INK)
 
 
 class Sizes(RampSizes):
@@ -55,12 +46,12 @@ def samples(ctx: ex.Context) -> ex.Samples:
 def rows(star: ex.Sample) -> ex.Rows:
     """Simulate cube and ramp, and estimate the ramp by every variant of LIFT."""
     sizes = star.sizes
-    cube = replace(star.cube(*sizes.of_cube), sampling=FINE)
-    ramp = ramp_scene(cube, sizes.ramp_mag_j, sizes.introduced_nm)
-    exposed, variants = expose(ramp), {key: LIFT_VARIANTS[key] for key in sizes.ways}
-    observed = observe(ramp, exposed, calibrated(cube, [variant.ncpa for variant in variants.values()]))
-    introduced_nm, true_nm = ramp.introduced_per_frame_nm, true_modes_nm(ramp, exposed)
-    for key, variant in variants.items():
+    cube = star.cube(*sizes.of_cube, sampling=FINE)
+    knowledge = calibrated(cube, [LIFT_VARIANTS[key].ncpa for key in sizes.ways])
+    observed = observe(ramp_scene(cube, sizes.ramp_mag_j, sizes.introduced_nm), knowledge)
+    introduced_nm, true_nm = observed.data.introduced_nm, observed.true_nm
+    for key in sizes.ways:
+        variant = LIFT_VARIANTS[key]
         fit = observed.estimate(variant)
         modes_nm, converged = observed.modes_nm(variant, fit), fit.result.solution.converged.numpy()
         focus_nm = modes_nm[:, variant.modes.index(DEFOCUS)]

@@ -5,8 +5,6 @@ tip and tilt of every petal among its parameters, or knows nothing of petals. Al
 same NCPAs and the same pattern; they differ in the size of the pattern, in band and in exposure.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from pydantic import Field
 
@@ -81,19 +79,18 @@ def pattern(seed: tuple[int, ...], facility: Facility) -> np.ndarray:
 
 def scene(petals: ex.Sample, band: str, exposure_s: float, piston_nm: np.ndarray) -> Scene:
     """Return a cube through the narrow filter by the mirror, or in both broad bands through the lens."""
-    sizes = petals.sizes
-    cube = petals.cube(sizes.seeing_arcsec, max(2, round(sizes.total_s / exposure_s)), sizes.mag_j)
-    narrow = replace(
-        cube,
+    sizes, light = petals.sizes, {"bands": J_AND_H, "throughput": 1.0}
+    return petals.cube(
+        sizes.seeing_arcsec,
+        max(2, round(sizes.total_s / exposure_s)),
+        sizes.mag_j,
         exposure_s=exposure_s,
         frame_rate_hz=min(10.0, 1 / exposure_s),
         sampling=FINE,
         effects={"low_wind_effect": {"piston_nm": piston_nm.tolist()}} if piston_nm.any() else {},
         detector=COADDED,
+        **(BY_MIRROR if band == NARROW else light),
     )
-    if band == NARROW:
-        return replace(narrow, **BY_MIRROR)
-    return replace(narrow, bands=J_AND_H, throughput=1.0)
 
 
 def left_of(cube: ObservedCube, calibration: Calibration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

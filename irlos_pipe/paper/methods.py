@@ -12,19 +12,13 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.calibrations import (
-    DEFAULT,
-    METHOD_NAMES,
-    PAPER_CHOICE,
-    PUBLISHED,
-    VARIANTS,
-    ObservedCube,
-)
+from irlos_pipe.paper.common import calibrations
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, VARIANTS, ObservedCube
 from irlos_pipe.simulate.atmosphere import Shape
 
 MODEL_SHAPE: Shape = "power_law"  # what the model assumes, up to slope and direction
 OTHER_SHAPES: tuple[Shape, ...] = ("servo_lag", "aliasing", "non_stationary")
-PARTS = tuple(name for name in VARIANTS if name not in PUBLISHED)
+PARTS = tuple(name for name in VARIANTS if name not in calibrations.PUBLISHED)
 METHODS = tuple(METHOD_NAMES)
 OVER_FLOOR = 1.3  # requirement on the default's error over what the number of speckles allows
 SEVERAL_TIMES = 3.0  # factor by which a model with AO residual has to be better than the paper's choice
@@ -65,7 +59,7 @@ def samples(ctx: ex.Context) -> ex.Samples:
         for seeing in seeings:
             for index in range(count):
                 dissected = not place and index < sizes.samples_of_parts
-                tried = (*PARTS, *PUBLISHED) if dissected else variants
+                tried = (*PARTS, *calibrations.PUBLISHED) if dissected else variants
                 of = {"shape": shape, "seeing_arcsec": seeing, "dissected": dissected, "variants": tried}
                 yield ex.sample(ctx, f"{shape}, {seeing:g} arcsec, cube {index}", index, **of)  # fmt: skip
 

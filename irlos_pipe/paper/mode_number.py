@@ -1,7 +1,5 @@
 """Error of Noll 2–30 against the number of estimated modes, where 50 were introduced (paper, appendix B)."""
 
-from collections.abc import Mapping
-
 import numpy as np
 from pydantic import Field, field_validator
 
@@ -9,15 +7,8 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.calibrations import (
-    DEFAULT,
-    METHOD_NAMES,
-    PAPER_CHOICE,
-    ObservedCube,
-    PublishedFrames,
-    Variant,
-    frames_per_method,
-)
+from irlos_pipe.paper.common import calibrations
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, ObservedCube
 from irlos_pipe.paper.common.observation import NoiseOf, Read, as_read
 
 LIFT = "lift_avg"
@@ -26,7 +17,7 @@ LAST = MODES_INTRODUCED + 1  # highest Noll mode introduced
 HELD_OUT = "held-out frames"
 # The default has its prior; the others have none, as published.
 METHODS = {
-    name: Variant(name, CalibrationOptions(name), prior=name == DEFAULT)
+    name: calibrations.Variant(name, CalibrationOptions(name), prior=name == DEFAULT)
     for name in (DEFAULT, PAPER_CHOICE, LIFT)
 }
 
@@ -34,7 +25,7 @@ METHODS = {
 class Sizes(ex.StageConfig):
     cubes: int = Field(4, ge=1, le=1000, description="cubes, each with its own NCPAs of 50 modes")
     frames: int = Field(200, ge=32, le=10000, description="frames of a cube")
-    published_frames: PublishedFrames = 20
+    published_frames: calibrations.PublishedFrames = 20
     numbers: tuple[int, ...] = Field(
         (16, 21, 31, 41, 51, 61, 81, 101), min_length=2, description="highest Noll modes estimated"
     )
@@ -42,7 +33,7 @@ class Sizes(ex.StageConfig):
         (7.0, 14.0, 16.0, 18.0), min_length=1, description="of the star, in J"
     )
     seeing_arcsec: float = Field(0.5, gt=0, le=5, description="seeing on SPARTA's scale")
-    noise: NoiseOf = Field("reads", description="of exposures: all reads with sky and dark, or one read")
+    noise: NoiseOf = "reads"
 
     @field_validator("numbers")
     @classmethod
@@ -66,9 +57,10 @@ def rows(star: ex.Sample) -> ex.Rows:
     scene = star.cube(sizes.seeing_arcsec, sizes.frames, sizes.magnitudes[0])
     cube = ObservedCube.of(as_read(scene, star["read"]))
     options = METHODS[DEFAULT].options_with(star.facility.ncpa_law)
-    frames = frames_per_method(sizes.frames, sizes.published_frames) | {LIFT: sizes.frames}
-    for method, magnitudes in magnitudes_of(sizes).items():
-        for mag_j in magnitudes:
+    frames = calibrations.frames_per_method(sizes.frames, sizes.published_frames) | {LIFT: sizes.frames}
+    for method in METHODS:
+        # The paper's calibration is meant for bright stars only.
+        for mag_j in sizes.magnitudes[:1] if method == PAPER_CHOICE else sizes.magnitudes:
             own = cube.dimmed(mag_j).first(frames[method])
             if method == DEFAULT:
                 fits = fit_mode_numbers(own.frames, own.settings, options, sizes.numbers, own.effects)
@@ -83,11 +75,6 @@ def rows(star: ex.Sample) -> ex.Rows:
     for highest, misfit in zip(sizes.numbers, scan.misfit.mean(axis=1), strict=True):
         found = {"held_out_chi2_nu": misfit, "recommended_noll": recommended}
         yield {"method": HELD_OUT, "mag_j": sizes.magnitudes[0], "highest_noll": highest, **found}
-
-
-def magnitudes_of(sizes: Sizes) -> Mapping[str, tuple[float, ...]]:
-    """Return the stars of every method; the paper's calibration is meant for bright stars only."""
-    return {DEFAULT: sizes.magnitudes, PAPER_CHOICE: sizes.magnitudes[:1], LIFT: sizes.magnitudes}
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:

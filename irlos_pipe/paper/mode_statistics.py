@@ -10,15 +10,8 @@ from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.mode_number import ModeLaw, ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.calibrations import (
-    DEFAULT,
-    METHOD_NAMES,
-    PAPER_CHOICE,
-    ObservedCube,
-    PublishedFrames,
-    Variant,
-    frames_per_method,
-)
+from irlos_pipe.paper.common import calibrations
+from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, PAPER_CHOICE, ObservedCube
 from irlos_pipe.report.section_modes import Points, strength_plot
 from irlos_pipe.stages.modes import LawRow
 
@@ -31,7 +24,7 @@ NAMES = {TRUTH: TRUTH} | {method: METHOD_NAMES[method] for method in (DEFAULT, P
 class Sizes(ex.StageConfig):
     cubes: int = Field(20, ge=2, le=1000, description="cubes, each with its own NCPAs of 50 modes")
     frames: int = Field(100, ge=10, le=10000, description="frames of a cube")
-    published_frames: PublishedFrames = 20
+    published_frames: calibrations.PublishedFrames = 20
     highest_noll: int = Field(
         101, ge=INTRODUCED + 10, le=HIGHEST_NOLL, description="modes Noll 2 to this are estimated"
     )
@@ -48,9 +41,9 @@ def rows(star: ex.Sample) -> ex.Rows:
     sizes = star.sizes
     cube = ObservedCube.of(star.cube(sizes.seeing_arcsec, sizes.frames, sizes.mag_j))
     introduced_nm = np.array([cube.scene.ncpa_nm.get(noll, 0.0) for noll in range(2, sizes.highest_noll + 1)])
-    for method, count in frames_per_method(sizes.frames, sizes.published_frames).items():
+    for method, count in calibrations.frames_per_method(sizes.frames, sizes.published_frames).items():
         options = CalibrationOptions(method, highest_noll=sizes.highest_noll)
-        fit = cube.first(count).calibrated(Variant(method, options, prior=False))
+        fit = cube.first(count).calibrated(calibrations.Variant(method, options, prior=False))
         yield {
             "method": method,
             "introduced_nm": introduced_nm,

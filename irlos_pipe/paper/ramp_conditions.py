@@ -5,7 +5,7 @@ J and H through the lens. All ramps of a sample have the same NCPAs, AO residual
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -26,7 +26,6 @@ from irlos_pipe.paper.common import ramps
 from irlos_pipe.paper.common.calibrations import DEFAULT
 from irlos_pipe.paper.common.observation import conditions_of, settings_of
 from irlos_pipe.paper.common.scenes import BY_MIRROR, FINE
-from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene, draw_ncpa_nm
 from irlos_pipe.stages.model.effects import star_colour
 
@@ -36,7 +35,8 @@ HELD_NM = 1e-3  # width of a prior that fixes a parameter
 ASKED_NM = 4.0
 
 BOTH_FRONTS: dict[str, Any] = {"chromatic_nm": 60.0, "filter_nm": 30.0}
-DISPERSED: dict[str, Any] = {"dispersion_mas_per_um": 100.0, "angle_deg": 45.0}
+# The slope of the star's photons is relative, beyond that which is assumed [1/µm].
+REDDER, BLUER = {"spectrum": {"slope": 0.5}}, {"spectrum": {"slope": -0.5}}
 NARROW_EXPOSURE_S, NARROW_MAG_J = 0.1, 7.1  # exposure and star of the paper's second ramp on sky
 
 
@@ -75,9 +75,9 @@ WAYS = {
 class Condition:
     """What is true of a ramp and of no calibration in a narrow band, and the ways in which it is estimated.
 
-    `chromatic_nm` is the wavefront between the centres of J and H, `filter_nm` that of the lens of the ramp
-    [nm RMS]; `colour_per_um` the relative slope of the star's photons beyond that which is assumed.
-    `asked_nm` is the error of the defocus asked of the first way. A ramp in ``narrow H`` is by the mirror.
+    `effects` are those of the simulator; `chromatic_nm` is the wavefront between the centres of J and H,
+    `filter_nm` that of the lens of the ramp [nm RMS]. `asked_nm` is the error of the defocus asked of the
+    first way. A ramp in ``narrow H`` is by the mirror.
     """
 
     label: str
@@ -86,9 +86,11 @@ class Condition:
     bands: Literal["J+H", "narrow H"] = "J+H"
     chromatic_nm: float = 0.0
     filter_nm: float = 0.0
-    dispersion_mas_per_um: float = 0.0
-    angle_deg: float = 0.0
-    colour_per_um: float = 0.0
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+def dispersion(mas_per_um: float, angle_deg: float) -> dict[str, dict[str, float]]:
+    return {"atmospheric_dispersion": {"mas_per_um": mas_per_um, "angle_deg": angle_deg}}
 
 
 COLOURS, FRONTS, NARROW_WAYS = ("default", "plain"), ("wavefronts", "default"), ("plain", *list(WAYS)[-3:])
@@ -102,15 +104,15 @@ CONDITIONS = {
     ),
     **{
         f"dispersion_{size}_at_{angle}": Condition(
-            f"dispersion of {size} mas/µm at {angle}°", COLOURS, dispersion_mas_per_um=size, angle_deg=angle
+            f"dispersion of {size} mas/µm at {angle}°", COLOURS, effects=dispersion(size, angle)
         )
         for size, angle in ((50, 0), (50, 45), (100, 0), (100, 45), (100, 90))
     },
-    "redder": Condition("star redder by 0.5 per µm", COLOURS, colour_per_um=0.5),
-    "bluer": Condition("star bluer by 0.5 per µm", COLOURS, colour_per_um=-0.5),
+    "redder": Condition("star redder by 0.5 per µm", COLOURS, effects=REDDER),
+    "bluer": Condition("star bluer by 0.5 per µm", COLOURS, effects=BLUER),
     "all": Condition(
-        "60 nm chromatic, lens 30 nm, 100 mas/µm at 45°, redder", FRONTS, **BOTH_FRONTS, **DISPERSED,
-        colour_per_um=0.5,
+        "60 nm chromatic, lens 30 nm, 100 mas/µm at 45°, redder", FRONTS, **BOTH_FRONTS,
+        effects=dispersion(100.0, 45.0) | REDDER,
     ),
     "narrow_h": Condition("narrow H alone, 0.1 s, by the mirror", NARROW_WAYS, None, "narrow H"),
 }  # fmt: skip
@@ -132,19 +134,14 @@ def effects_of(
         norm = float(np.linalg.norm(list(kept.values())))
         return {noll: value * total_nm / norm for noll, value in kept.items()}
 
-    found: dict[str, Mapping[str, Any]] = {}
+    found: dict[str, Any] = {}
     if condition.chromatic_nm:
         per_um = condition.chromatic_nm / (bands.H.centre_nm - bands.J.centre_nm) * 1e3
         slopes = drawn_nm(CHROMATIC_STREAM, DEFOCUS, per_um)
         found["chromatic_ncpa"] = {"zernike_nm_per_um": slopes, "reference_nm": bands.NARROW_H.centre_nm}
     if condition.filter_nm:
         found["filter_ncpa"] = {"zernike_nm": drawn_nm(FILTER_STREAM, DEFOCUS + 1, condition.filter_nm)}
-    if condition.dispersion_mas_per_um:
-        vector = {"mas_per_um": condition.dispersion_mas_per_um, "angle_deg": condition.angle_deg}
-        found["atmospheric_dispersion"] = vector
-    if condition.colour_per_um:
-        found["spectrum"] = {"slope": condition.colour_per_um}
-    return found
+    return found | dict(condition.effects)
 
 
 def fit_way(ramp: ramps.ObservedRamp, way: Way) -> RampFit:
@@ -192,19 +189,16 @@ def rows(star: ex.Sample) -> ex.Rows:
     knowledge = ramps.calibrated(cube, [DEFAULT])
     for key in star.sizes.conditions:
         condition = CONDITIONS[key]
-        ramp = ramp_of(cube, condition, star.sizes)
-        exposed = expose(ramp)
-        observed = ramps.observe(ramp, exposed, knowledge)
-        true_nm, introduced_nm = ramps.true_modes_nm(ramp, exposed), ramp.introduced_per_frame_nm
+        observed = ramps.observe(ramp_of(cube, condition, star.sizes), knowledge)
         for name in condition.ways:
             way = WAYS[name]
             fit = fit_way(observed, way)
-            there_nm, found_nm = true_nm[:, [noll - 2 for noll in way.modes]], observed.modes_nm(way, fit)
-            given_nm = observed.given_nm(way).get(DEFOCUS, 0.0)
+            there_nm = observed.true_nm[:, [noll - 2 for noll in way.modes]]
+            modes_nm = there_nm, observed.modes_nm(way, fit), observed.given_nm(way).get(DEFOCUS, 0.0)
             yield {
                 "condition": key,
                 "way": name,
-                **mode_errors(way.modes, introduced_nm, there_nm, found_nm, given_nm),
+                **mode_errors(way.modes, observed.data.introduced_nm, *modes_nm),
                 "sigma_nm": np.nanmedian(fit.result.sigma_nm.numpy(), axis=0),
                 "converged": float(np.mean(fit.result.solution.converged.numpy())),
             }
@@ -212,14 +206,14 @@ def rows(star: ex.Sample) -> ex.Rows:
 
 def cube_of(star: ex.Sample) -> Scene:
     """Return the calibration cube, through the narrow filter by the mirror."""
-    return replace(star.cube(*star.sizes.of_cube), sampling=FINE, **BY_MIRROR)
+    return star.cube(*star.sizes.of_cube, sampling=FINE, **BY_MIRROR)
 
 
 def ramp_of(cube: Scene, condition: Condition, sizes: Sizes) -> Scene:
     """Return the ramp under a condition, through the lens with frames of a second, or through the filter."""
     if condition.bands == "J+H":
-        ramp = ramps.ramp_scene(cube, sizes.ramp_mag_j, sizes.introduced_nm)
-        return replace(ramp, effects=effects_of(condition, cube.seed, cube.facility))
+        effects = effects_of(condition, cube.seed, cube.facility)
+        return ramps.ramp_scene(cube, sizes.ramp_mag_j, sizes.introduced_nm, effects=effects)
     return replace(ramps.narrow_ramp(cube, NARROW_EXPOSURE_S, sizes.introduced_nm), mag_j=NARROW_MAG_J)
 
 

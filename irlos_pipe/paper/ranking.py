@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from irlos_pipe.estimate.calibration_options import OPEN, HighestNoll
+from irlos_pipe.estimate.calibration_options import OPEN
 from irlos_pipe.paper import experiment as ex
 from irlos_pipe.paper.common.calibrations import DEFAULT, METHOD_NAMES, VARIANTS, ObservedCube
 from irlos_pipe.simulate.scene import Scene, draw_tail_nm
@@ -57,9 +57,10 @@ def rows(star: ex.Sample) -> ex.Rows:
     for method in METHOD_NAMES:
         variant = VARIANTS[method]
         tried = [
-            (last if isinstance(last, str) else f"{last - 1} modes", variant.with_modes(last), scene.frames)
-            for last in highest_nolls(method, star.sizes.highest_nolls)
+            (f"{last - 1} modes", variant.with_modes(last), scene.frames) for last in star.sizes.highest_nolls
         ]
+        if method == DEFAULT:
+            tried.append((OPEN, variant.with_modes(OPEN), scene.frames))
         for fitted, own, frames in [*tried, *((OWN, variant, count) for count in star["parts"])]:
             error_nm = cube.first(frames).error_nm(own)
             found = {"frames": frames, "error_nm": error_nm, "introduced_nm": introduced_nm}
@@ -73,11 +74,6 @@ def with_tail(scene: Scene, tail_nm: float) -> Scene:
     rng = np.random.default_rng((*scene.seed, TAIL_STREAM))
     drawn_nm = draw_tail_nm(rng, tail_nm, max(scene.ncpa_nm) + 1, LAST_TAIL_NOLL)
     return replace(scene, ncpa_nm={**scene.ncpa_nm, **drawn_nm})
-
-
-def highest_nolls(method: str, asked: tuple[int, ...]) -> tuple[HighestNoll, ...]:
-    """Return the last modes that a method is given: those `asked`, and the default its open basis as well."""
-    return (*asked, OPEN) if method == DEFAULT else asked
 
 
 def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:

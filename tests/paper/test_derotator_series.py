@@ -47,7 +47,7 @@ def test_the_bump_is_the_ridge_but_for_piston_tip_and_tilt():
 
 
 def test_the_truth_at_an_angle_is_what_the_simulator_makes():
-    scene = replace(derotator_series.scene_of(STAR, 1), sky=None, motion=None)
+    scene = replace(derotator_series.scene_of(STAR), sky=None, motion=None, frames=1)
     exposed = expose(scene)
     lit = exposed.transmission > 0.5
     nolls = sorted({*TRUTH.rotating_nm, *TRUTH.fixed_nm})

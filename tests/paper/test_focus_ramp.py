@@ -3,15 +3,12 @@
 Truth: the simulator, which shares no optics with LIFT's model; analysis of made-up estimates.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers.experiment_stage import drawn, run_on, sample, tables_of
 
 from irlos_pipe.paper import focus_ramp
-from irlos_pipe.paper.common.ramps import ramp_scene, true_modes_nm
-from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.paper.common.ramps import observe, ramp_scene
 
 OFFSETS_NM = (-200.0, 0.0, 200.0)
 SIZES = {"reach_nm": 200.0, "offsets": 3, "frames_per_offset": 1, "cube_frames": 40}
@@ -20,8 +17,8 @@ STAR = sample(focus_ramp, sizes=SIZES | {"ways": ("none_3", "default_3", "defaul
 
 @pytest.mark.slow
 def test_the_true_modes_of_a_still_sky_are_ncpas_plus_introduced_defocus():
-    ramp = replace(ramp_scene(STAR.cube(0.35, 40, 7.0), 12.0, OFFSETS_NM), sky=None, motion=None)
-    true = true_modes_nm(ramp, expose(ramp))
+    ramp = ramp_scene(STAR.cube(0.35, 40, 7.0), 12.0, OFFSETS_NM, sky=None, motion=None)
+    true = observe(ramp, {}).true_nm
     ncpa = [ramp.ncpa_nm[noll] for noll in range(2, 12)]
     expected = np.array(ncpa) + np.outer(OFFSETS_NM, np.arange(2, 12) == 4)
     # Modes above Noll 31 leak a little into a least-squares fit over an obscured pupil.

@@ -13,7 +13,6 @@ from irlos_pipe.paper import ramp_conditions
 from irlos_pipe.paper.common.calibrations import DEFAULT
 from irlos_pipe.paper.common.ramps import calibrated, observe
 from irlos_pipe.paper.ramp_conditions import CONDITIONS, WAYS, cube_of, fit_way, mode_errors, ramp_of
-from irlos_pipe.simulate.exposure import expose
 
 SIZES = {"reach_nm": 200.0, "offsets": 3, "frames_per_offset": 1, "cube_frames": 40}
 STAR = sample(ramp_conditions, sizes=SIZES | {"conditions": ("dispersion_100_at_0",)})
@@ -53,7 +52,7 @@ def test_dispersion_is_found_by_the_default_and_misleads_a_model_without_it():
 @pytest.mark.slow
 def test_held_tip_and_tilt_stay_where_they_are_held():
     ramp = ramp_of(CUBE, CONDITIONS["clean"], STAR.sizes)
-    observed = observe(ramp, expose(ramp), calibrated(CUBE, [DEFAULT]))
+    observed = observe(ramp, calibrated(CUBE, [DEFAULT]))
     free, held = (
         fit_way(observed, replace(WAYS[key], colour=False)) for key in ("default", "tilt_calibrated")
     )

@@ -7,10 +7,11 @@ the published experiments idealise: one read per exposure, and no sky.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
+from pydantic import Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
@@ -27,8 +28,10 @@ from irlos_pipe.simulate.scene import Scene
 SIDE_CAR_POINTS = 3  # wavelengths per band that a side-car lists
 PHOTON_STREAM = 1  # child of the scene's seed that the detector noise is drawn from
 MONITOR = "mass_dimm"  # seeing monitor by which the paper states the seeing on sky
-NoiseOf = Literal["reads", "one_read"]
-"""Noise of exposures: of all their reads with sky and dark, or of one read without."""
+NoiseOf = Annotated[
+    Literal["reads", "one_read"],
+    Field(description="of exposures: all their reads with sky and dark, or one read without"),
+]
 
 
 # -- the optics --------------------------------------------------------------------------------------

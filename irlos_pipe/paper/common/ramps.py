@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -11,33 +11,20 @@ from pydantic import Field
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate import ramp_fit
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.lift import LiftResult, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
-from irlos_pipe.estimate.ramp_fit import (
-    RampData,
-    RampFit,
-    fit_ramp,
-    ramp_effects,
-    second_try,
-    start_from_defocus,
-)
+from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.paper.common import observation
 from irlos_pipe.paper.common.calibrations import DEFAULT, PAPER_CHOICE, VARIANTS, ObservedCube
-from irlos_pipe.paper.common.observation import (
-    frame_settings,
-    images_of,
-    model_effects_of,
-    noise_of,
-    seeing_of,
-    settings_of,
-)
 from irlos_pipe.paper.common.scenes import FINE, star_scene
-from irlos_pipe.simulate.exposure import Exposed
+from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.stages.base import StageConfig
 
@@ -136,15 +123,15 @@ def offsets_nm(reach_nm: float, offsets: int, frames: int = 1) -> tuple[float, .
     return tuple(np.repeat(np.linspace(-reach_nm, reach_nm, offsets), frames).tolist())
 
 
-def ramp_scene(cube: Scene, mag_j: float, introduced_nm: Sequence[float]) -> Scene:
+def ramp_scene(cube: Scene, mag_j: float, introduced_nm: Sequence[float], **changes: Any) -> Scene:
     """Return a ramp of frames of a second with the NCPAs of a calibration `cube` and other residuals.
 
     The star has magnitude `mag_j`; `introduced_nm` is the defocus of every frame [nm RMS].
     """
-    seed, seeing = (*cube.seed, RAMP_STREAM), seeing_of(cube)
+    seed, seeing = (*cube.seed, RAMP_STREAM), observation.seeing_of(cube)
     of_frames = len(introduced_nm), mag_j, cube.ncpa_nm, tuple(introduced_nm)
     ramp = star_scene(cube.name, cube.facility, seed, *of_frames, seeing_arcsec=seeing)
-    return replace(ramp, sampling=FINE)
+    return replace(ramp, **{"sampling": FINE} | changes)
 
 
 def narrow_ramp(cube: Scene, exposure_s: float, introduced_nm: tuple[float, ...], *stream: int) -> Scene:
@@ -158,23 +145,13 @@ def narrow_ramp(cube: Scene, exposure_s: float, introduced_nm: tuple[float, ...]
     )  # fmt: skip
 
 
-def true_modes_nm(ramp: Scene, exposed: Exposed) -> np.ndarray:
-    """Return Noll 2–11 of the mean wavefront of every frame of `ramp`, `exposed` without noise.
-
-    NCPAs, AO residual and introduced defocus, (frames, 10) [nm RMS].
-    """
-    true_nm = exposed.zernike_nm[:, :10].copy()
-    true_nm[:, DEFOCUS - 2] += ramp.introduced_per_frame_nm
-    return true_nm
-
-
 def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:
     """Return the defocus of every frame of `data`, (frames,), from the elongation of its image.
 
     The law comes from the model of `scene`.
     """
-    model = PsfModel(settings_of(scene), [DEFOCUS])
-    law = calibrate_law(model, fixed_optics(expected(model_effects_of(scene)), model.grids))
+    model = PsfModel(observation.settings_of(scene), [DEFOCUS])
+    law = calibrate_law(model, fixed_optics(expected(observation.model_effects_of(scene)), model.grids))
     return law.defocus_nm(axis_ratios(data.images_e, data.good, law.angle_deg))
 
 
@@ -183,18 +160,30 @@ class ObservedRamp:
     """A ramp and what is known when it is estimated."""
 
     scene: Scene
+    exposed: Exposed  # without noise
     data: RampData
     prior_nm: np.ndarray  # of the whole defocus, NCPAs included, from the elongation, (frames,)
     knowledge: Mapping[str, Knowledge]  # by calibration method; nothing under the empty name
 
+    @property
+    def true_nm(self) -> np.ndarray:
+        """Return Noll 2–11 of the mean wavefront of every frame, (frames, 10) [nm RMS].
+
+        NCPAs, AO residual and introduced defocus.
+        """
+        true_nm = self.exposed.zernike_nm[:, :10].copy()
+        true_nm[:, DEFOCUS - 2] += self.data.introduced_nm
+        return true_nm
+
     def model(self, variant: LiftVariant) -> PsfModel:
         """Return the PSF model of a variant with the NCPAs that it knows."""
-        return PsfModel(frame_settings(self.scene, self.given_nm(variant)), variant.modes)
+        return PsfModel(observation.frame_settings(self.scene, self.given_nm(variant)), variant.modes)
 
     def effects(self, variant: LiftVariant) -> list[Effect]:
         """Return AO residual and kernel of a variant."""
         known = self.knowledge[variant.ncpa].effects
-        return ramp_effects(model_effects_of(self.scene), known, variant.halo, variant.kernel)
+        of_scene = observation.model_effects_of(self.scene)
+        return ramp_effects(of_scene, known, variant.halo, variant.kernel)
 
     def start_nm(self, variant: LiftVariant, model: LightPath) -> torch.Tensor:
         """Return the start of `variant` with its `model` from the elongation prior, (frames, modes)."""
@@ -215,11 +204,13 @@ class ObservedRamp:
         return fit.result.zernike_nm.numpy() + [given_nm.get(noll, 0.0) for noll in variant.modes]
 
 
-def observe(scene: Scene, exposed: Exposed, knowledge: Mapping[str, Knowledge]) -> ObservedRamp:
-    """Return a ramp, `exposed` without noise, with noise, its elongation prior, and what is known of it."""
-    good = torch.ones(scene.window, dtype=torch.bool)
-    data = RampData(images_of(scene, exposed), good, noise_of(scene), scene.introduced_per_frame_nm.copy())
-    return ObservedRamp(scene, data, elongation_defocus_nm(scene, data), {"": Knowledge()} | dict(knowledge))
+def observe(scene: Scene, knowledge: Mapping[str, Knowledge]) -> ObservedRamp:
+    """Return a ramp with its noise, its elongation prior, and what is known of it."""
+    exposed, good = expose(scene), torch.ones(scene.window, dtype=torch.bool)
+    images, noise = observation.images_of(scene, exposed), observation.noise_of(scene)
+    data = RampData(images, good, noise, scene.introduced_per_frame_nm.copy())
+    prior_nm = elongation_defocus_nm(scene, data)
+    return ObservedRamp(scene, exposed, data, prior_nm, {"": Knowledge()} | dict(knowledge))
 
 
 def from_every_start(
@@ -240,4 +231,4 @@ def from_every_start(
         for name, start in starts.items()
     }
     start, result = found["elongation"]
-    return found | {"default": (start, second_try(model, data, result, options))}
+    return found | {"default": (start, ramp_fit.second_try(model, data, result, options))}
