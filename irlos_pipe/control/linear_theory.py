@@ -11,6 +11,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import gamma
 
+from irlos_pipe.conventions.keys import key
+
 Lag = TypeVar("Lag", float, np.ndarray)
 
 GRID = 4096  # frequencies up to Nyquist's, in the integral over the spectrum
@@ -23,11 +25,11 @@ class SodiumLayer:
 
     # Between 1 and 3; 2 is a random walk. 1.95 ± 0.12 up to more than 1 Hz: Pfrommer & Hickson 2010, J. Opt.
     # Soc. Am. A 27, A97; 1.79 ± 0.02 below 4 mHz: Davis et al. 2006, Opt. Lett. 31, 3369.
-    slope: float
-    rms_change_1s_m: float  # RMS change of altitude within a second: 23 m, Pfrommer & Hickson 2010
-    # From the telescope to the layer; 92 km above the sea less the height of Paranal, at zenith. There the
-    # effect is largest: it goes with the cosine of the zenith angle.
-    range_m: float
+    slope: float = key(1.95, "of the altitude's power spectrum, f^-slope", gt=1, lt=3)
+    rms_change_1s_m: float = key(23.0, "RMS change of the mean altitude within 1 s [m]", gt=0)  # the former
+    # 92 km above the sea less the height of Paranal, at zenith. There the effect is largest: it goes with the
+    # cosine of the zenith angle.
+    range_m: float = key(89.4e3, "from the telescope to the layer [m]", gt=1e4)
 
     def defocus_per_metre_nm(self, diameter_m: float) -> float:
         """Return the defocus [nm RMS] per metre of altitude: ``D² / (16 √3 h²)``.

@@ -7,7 +7,7 @@ The 2x2 mode that the full pupil replaces runs on the same drifts, with the same
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -16,21 +16,9 @@ from pydantic import Field
 
 from irlos_pipe.control.linear_theory import Drift, Integrator, SodiumLayer, best_gain
 from irlos_pipe.paper import experiment as ex
+from irlos_pipe.paper.common import focus_loop
 from irlos_pipe.paper.common.calibrations import DEFAULT, PAPER_CHOICE
-from irlos_pipe.paper.common.focus_loop import (
-    CENTROIDS,
-    LIFT,
-    TWO_BY_TWO,
-    FocusSensor,
-    FrameTable,
-    Loop,
-    Records,
-    close_loops,
-    focus_sensor,
-    frame_table,
-    outcome_of,
-    two_by_two_sensors,
-)
+from irlos_pipe.paper.common.focus_loop import CENTROIDS, LIFT, TWO_BY_TWO, Loop, Records
 from irlos_pipe.paper.common.observation import NoiseOf, Read, as_read, noise_of
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
 from irlos_pipe.paper.common.scenes import BRIGHT_MAG_J, FINE, in_four_images, star_scene
@@ -51,14 +39,6 @@ LABELS = {
 }  # fmt: skip
 
 
-class Layer(ex.StageConfig):
-    """The sodium layer, see `SodiumLayer` for the sources of the defaults."""
-
-    slope: float = Field(1.95, gt=1, lt=3, description="of the altitude's power spectrum, f^-slope")
-    rms_change_1s_m: float = Field(23.0, gt=0, description="RMS change of the mean altitude within 1 s [m]")
-    range_m: float = Field(89.4e3, gt=1e4, description="from the telescope to the layer [m]")
-
-
 class Sizes(ex.StageConfig):
     skies: int = Field(4, ge=1, le=1000, description="sets of NCPAs, each with its sky and its calibration")
     drifts: int = Field(1, ge=1, le=1000, description="drifts of the sodium layer on each sky")
@@ -75,10 +55,8 @@ class Sizes(ex.StageConfig):
     delay: int = Field(1, ge=0, le=10, description="frames between exposure and correction")
     seeing_arcsec: float = Field(0.5, gt=0, le=3, description="seeing on SPARTA's scale")
     calibration_frames: int = Field(100, ge=10, le=10000, description="frames of the calibration cube")
-    noise: NoiseOf = Field(
-        "reads", description="of the loop's exposures: all reads with sky and dark, or one read"
-    )
-    layer: Layer = Layer()
+    noise: NoiseOf = "reads"
+    layer: SodiumLayer = SodiumLayer()
 
 
 # -- what is run -----------------------------------------------------------------------------------
@@ -96,35 +74,26 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 
 def drift_of(ctx: ex.Context) -> Drift:
-    return SodiumLayer(**ctx.config.layer.model_dump()).drift(ctx.instrument.facility.pupil.diameter_m)
-
-
-def noise_law(sky: ex.Sample, sensor: str) -> Callable[[float, int], float]:
-    """Return the expected noise [nm RMS] of a measurement of a star of some magnitude from some exposures.
-
-    For the choice of gains: photons, and the sky's defocus; `sensor` is one of the 2x2 mode, or any other.
-    """
-    scene = star_scene("noise", sky.facility, (0,), 1, 0.0, {}, seeing_arcsec=sky.sizes.seeing_arcsec)
-    if sensor in TWO_BY_TWO:
-        scene = in_four_images(scene)
-    measuring = sensors_of([sensor], scene)[sensor]
-
-    def noise_nm(mag_j: float, exposures: int) -> float:
-        seen_e = SEEN * scene.photons * 10 ** (-0.4 * mag_j) * exposures
-        noise = noise_of(exposed_for(scene, exposures, sky["read"]))
-        return float(np.hypot(measuring.photon_noise_nm(seen_e, noise), SKY_FOCUS_NM / np.sqrt(exposures)))
-
-    return noise_nm
+    return ctx.config.layer.drift(ctx.instrument.facility.pupil.diameter_m)
 
 
 def at_best_gain(sky: ex.Sample, drift: Drift, sensor: str, exposures: int) -> list[Loop]:
-    """Return one loop per star, at the gain with the smallest predicted residual, see `noise_law`."""
-    sizes, noise_nm = sky.sizes, noise_law(sky, sensor)
-    gains = {
-        mag_j: best_gain(drift, noise_nm(mag_j, exposures), float(exposures), sizes.delay)
-        for mag_j in sizes.magnitudes
-    }
-    return [Loop(sensor, mag_j, round(gain, 3), exposures) for mag_j, gain in gains.items()]
+    """Return one loop per star, at the gain with the smallest predicted residual.
+
+    The noise of a measurement is taken to be that of photons and detector, and the sky's defocus.
+    """
+    sizes = sky.sizes
+    star = star_scene("noise", sky.facility, (0,), 1, 0.0, {}, seeing_arcsec=sizes.seeing_arcsec)
+    if sensor in TWO_BY_TWO:
+        star = in_four_images(star)
+    measuring, noise = sensors_of([sensor], star)[sensor], noise_of(exposed_for(star, exposures, sky["read"]))
+    loops = []
+    for mag_j in sizes.magnitudes:
+        photons_nm = measuring.photon_noise_nm(SEEN * star.photons * 10 ** (-0.4 * mag_j) * exposures, noise)
+        noise_nm = float(np.hypot(photons_nm, SKY_FOCUS_NM / np.sqrt(exposures)))
+        gain = best_gain(drift, noise_nm, float(exposures), sizes.delay)
+        loops.append(Loop(sensor, mag_j, round(gain, 3), exposures))
+    return loops
 
 
 def rows(sky: ex.Sample) -> ex.Rows:
@@ -144,12 +113,12 @@ def _in_one_mode(
     sky: ex.Sample, loops: Sequence[Loop], star: Scene, cube: Scene, drift_nm: np.ndarray, stream: int
 ) -> ex.Rows:
     scenes = {loop.exposures: exposed_for(star, loop.exposures, sky["read"]) for loop in loops}
-    table = frame_table(star, REACH_NM, NODES)
+    table = focus_loop.frame_table(star, REACH_NM, NODES)
     sensors = sensors_of([loop.sensor for loop in loops], star, cube, table)
     records = []
     for index, one in enumerate(drift_nm):
         rng = np.random.default_rng([*sky.seed, stream, index])
-        records.append(close_loops(loops, sensors, scenes, table, one, sky.sizes.delay, rng))
+        records.append(focus_loop.close_loops(loops, sensors, scenes, table, one, sky.sizes.delay, rng))
     seen_e = float(table.images_e(0, np.zeros(1)).sum())
     for place, loop in enumerate(loops):
         scene, sensor = scenes[loop.exposures], sensors[loop.sensor]
@@ -168,9 +137,8 @@ def _in_one_mode(
 def cube_of(sky: ex.Sample) -> Scene:
     """Return the recording that the NCPAs are calibrated on."""
     own = replace(sky, name=f"{sky.name}, calibration", seed=(*sky.seed, CUBE_STREAM))
-    cube = own.cube(sky.sizes.seeing_arcsec, sky.sizes.calibration_frames, BRIGHT_MAG_J)
-    ncpa_nm = {noll: value for noll, value in cube.ncpa_nm.items() if noll not in TTF}
-    return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE)
+    of_cube = sky.sizes.seeing_arcsec, sky.sizes.calibration_frames, BRIGHT_MAG_J
+    return own.cube(*of_cube, without=TTF, sampling=FINE)
 
 
 def exposed_for(star: Scene, frames: int, read: Read | None) -> Scene:
@@ -187,13 +155,14 @@ def drawn_drift_nm(sky: ex.Sample, index: int) -> np.ndarray:
 
 
 def sensors_of(
-    names: Sequence[str], star: Scene, cube: Scene | None = None, table: FrameTable | None = None
-) -> Mapping[str, FocusSensor]:
+    names: Sequence[str], star: Scene, cube: Scene | None = None, table: focus_loop.FrameTable | None = None
+) -> Mapping[str, focus_loop.FocusSensor]:
     """Return what measures the defocus of a `star`, by name, its NCPAs calibrated on a `cube` if given."""
     if star.lenslets > 1:
-        return two_by_two_sensors(star, table)
+        return focus_loop.two_by_two_sensors(star, table)
     known = calibrated(cube, [name for name in names if name != UNCALIBRATED]) if cube else {}
-    return {name: focus_sensor(star, known.get(name, Knowledge())) for name in dict.fromkeys(names)}
+    of_sensor = {name: known.get(name, Knowledge()) for name in names}
+    return {name: focus_loop.focus_sensor(star, knowledge) for name, knowledge in of_sensor.items()}
 
 
 # -- what came out ---------------------------------------------------------------------------------
@@ -205,18 +174,16 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     focus_nm, drift_nm = ex.stacked(rows.drop_duplicates("sample"), "sky_focus_nm", "drift_nm")
     sky_focus_nm = float(np.sqrt(np.mean(np.var(focus_nm, axis=1, ddof=1))))
 
-    def summary(group, *_):
-        own = Loop(*(group[name].iloc[0] for name in ("sensor", "mag_j", "gain", "exposures")))
-        residual_nm, measured_nm, true_nm, due = ex.stacked(group, *Records._fields)
-        outcome = outcome_of(residual_nm, measured_nm, true_nm, due, drift, sizes.settle)
-        photons_nm, rate = float(np.median(group.photon_noise_nm)), float(own.exposures)
-        noise_nm = float(np.hypot(photons_nm, sky_focus_nm / np.sqrt(rate)))
-        integrator = Integrator(float(own.gain), rate, sizes.delay)
-        return {**asdict(own), "label": LABELS.get(own.sensor, own.sensor), **outcome} | {
+    def summary(group, _, sensor, mag_j, gain, exposures):
+        records = Records(*ex.stacked(group, *Records._fields))
+        outcome = focus_loop.outcome_of(records, drift, sizes.settle)
+        noise_nm = float(np.hypot(np.median(group.photon_noise_nm), sky_focus_nm / np.sqrt(exposures)))
+        integrator = Integrator(gain, float(exposures), sizes.delay)
+        return {"label": LABELS.get(sensor, sensor), **outcome} | {
             "bound_nm": np.median(group.bound_nm),
             "expected_noise_nm": noise_nm,
             "predicted_nm": integrator.residual_nm(drift, noise_nm),
-            "best_gain": best_gain(drift, noise_nm, rate, sizes.delay),
+            "best_gain": best_gain(drift, noise_nm, float(exposures), sizes.delay),
             "gain_margin": integrator.gain_margin(outcome["slope"]),
         }
 
@@ -227,7 +194,8 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
         "delay": sizes.delay,
         **{f"drift_{name}": value for name, value in asdict(drift).items()},
     }
-    loops = ex.grouped(rows.sort_values("loop", kind="stable"), ["loop"], summary)
+    by = ["loop", "sensor", "mag_j", "gain", "exposures"]
+    loops = ex.grouped(rows.sort_values("loop", kind="stable"), by, summary)
     return {"sky": ex.frame([sky]), "loops": loops}
 
 
@@ -307,13 +275,13 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
     ]  # fmt: skip
     default = best_loops(loops, DEFAULT)
     if len(default):
-        chosen = [default.iloc[0], *(row for _, row in default[default.diverged == 0].iloc[-1:].iterrows())]
+        chosen = [*default.iloc[:1].itertuples(), *default[default.diverged == 0].iloc[-1:].itertuples()]
 
         def draw(figure: Canvas) -> None:
             panels = figure.subplots(len(chosen), sharex=True, sharey=True, squeeze=False)[:, 0]
             for axes, row, ink in zip(panels, chosen, (BLUE, ORANGE), strict=False):
                 axes.plot(drawn.array("drift_nm")[0, 0], color=FAINT, linewidth=2.2, label="open loop")
-                residual_nm = drawn.array("residual_nm")[0, 0, int(row.loop)]
+                residual_nm = drawn.array("residual_nm")[0, 0, row.loop]
                 axes.plot(residual_nm, color=ink, linewidth=1.1, label=f"closed, m_J {row.mag_j:g}")
                 axes.legend(loc="upper left", ncols=2)
                 axes.set_ylabel("defocus [nm RMS]")

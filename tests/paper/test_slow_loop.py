@@ -15,6 +15,7 @@ from irlos_pipe.paper.common.focus_loop import (
     TWO_BY_TWO,
     FrameTable,
     Loop,
+    Records,
     close_loops,
     frame_table,
     outcome_of,
@@ -26,7 +27,6 @@ from irlos_pipe.simulate.scene import Sampling
 
 LAYER = SodiumLayer(1.95, 23.0, 89.4e3)
 DRIFT = LAYER.drift(8.0)
-RECORDS = ("residual_nm", "measured_nm", "true_nm", "due")
 
 
 # -- the disturbance ---------------------------------------------------------------------------------
@@ -113,7 +113,7 @@ def test_the_loop_leaves_what_theory_predicts_of_a_real_drift():
     frames, sub = 3000, 10
     drift = DRIFT.draw_nm(np.random.default_rng(4), frames * sub, 1 / sub).reshape(frames, sub).mean(1)
     record = closed([Loop("one", 12.0, 0.4)], drift, PerfectSensor())
-    outcome = outcome_of(*(getattr(record, name)[None] for name in RECORDS), DRIFT, 30)
+    outcome = outcome_of(Records(*(one[None] for one in record)), DRIFT, 30)
     assert outcome["residual_nm"] == pytest.approx(Integrator(0.4).residual_nm(DRIFT, 0.0), rel=0.06)
     assert outcome["slope"] == pytest.approx(1, abs=1e-3)
     assert Integrator(0.4).gain_margin(outcome["slope"]) == pytest.approx(2.5, rel=2e-3)

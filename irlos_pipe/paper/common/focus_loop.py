@@ -21,13 +21,7 @@ from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.paper.common.observation import (
-    frame_settings,
-    model_effects_of,
-    noise_of,
-    recorded_e,
-    settings_of,
-)
+from irlos_pipe.paper.common import observation
 from irlos_pipe.paper.common.ramps import TTF, Knowledge
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
@@ -141,8 +135,8 @@ class CentroidSensor(FocusSensor):
 
 def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
     """Return the sensor for a `scene`, with the `knowledge` from a calibration."""
-    psf = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
-    effects = ramp_effects(model_effects_of(scene), knowledge.effects)
+    psf = PsfModel(observation.frame_settings(scene, knowledge.ncpa_nm), TTF)
+    effects = ramp_effects(observation.model_effects_of(scene), knowledge.effects)
     return FocusSensor(tabulated(ImageModel(psf, effects), torch.zeros(1, len(TTF), dtype=torch.float64)))
 
 
@@ -152,8 +146,8 @@ def two_by_two_sensors(scene: Scene, table: FrameTable | None = None) -> dict[st
     With the `table` of its frames their own zero is known without any error, as from a perfect reference
     source: what they measure of the mean of all frames without defocus and noise.
     """
-    settings = settings_of(scene).for_broad_images().for_single_frames()
-    model = ImageModel(light_path(settings, TTF), ramp_effects(model_effects_of(scene), {}))
+    settings = observation.settings_of(scene).for_broad_images().for_single_frames()
+    model = ImageModel(light_path(settings, TTF), ramp_effects(observation.model_effects_of(scene), {}))
     sensors = {CENTROIDS: CentroidSensor(model, scene=scene), LIFT: FocusSensor(model)}
     if table is None:
         return sensors
@@ -226,8 +220,8 @@ def close_loops(
             members = np.array([place for place in places if alive[place]], dtype=int)
             if (frame + 1) % count or not len(members):
                 continue
-            seen_e = recorded_e(scenes[count], images_e[members], rng)
-            measured_nm = sensors[name].measure(seen_e, noise_of(scenes[count]))
+            seen_e = observation.recorded_e(scenes[count], images_e[members], rng)
+            measured_nm = sensors[name].measure(seen_e, observation.noise_of(scenes[count]))
             found.due[members, frame], found.measured_nm[members, frame] = True, measured_nm
             exposed = slice(frame + 1 - count, frame + 1)
             found.true_nm[members, frame] = found.residual_nm[members, exposed].mean(axis=1)
@@ -237,14 +231,7 @@ def close_loops(
     return found
 
 
-def outcome_of(
-    residual_nm: np.ndarray,
-    measured_nm: np.ndarray,
-    true_nm: np.ndarray,
-    due: np.ndarray,
-    drift: Drift,
-    settle: int,
-) -> dict[str, Any]:
+def outcome_of(records: Records, drift: Drift, settle: int) -> dict[str, Any]:
     """Summarise one loop from its records, (skies, drifts, frames) each, `settle` frames left out.
 
     ``residual_nm`` is the RMS over time and over the runs that did not diverge, what wanders within a frame
@@ -252,18 +239,18 @@ def outcome_of(
     skies of the mean residual, ``lost`` the part of the measurements that the sensor could not give, and
     ``slope`` and ``noise_nm`` are those of measurement = slope × true residual + noise.
     """
-    late = residual_nm[..., settle:]
+    late = records.residual_nm[..., settle:]
     alive = np.isfinite(late).all(-1)
     squares = np.mean(late[alive] ** 2, axis=-1) + drift.wander_within_nm2(1.0)
     runs = len(squares)
     rms = float(np.sqrt(squares.mean())) if runs else math.nan
     means = [sky[fine].mean() for sky, fine in zip(late, alive, strict=True) if fine.any()]
-    slope, noise_nm = sensor_of(measured_nm, true_nm)
+    slope, noise_nm = sensor_of(records.measured_nm, records.true_nm)
     return {
         "residual_nm": rms,
         "residual_error_nm": np.std(squares, ddof=1) / np.sqrt(runs) / (2 * rms) if runs > 1 else math.nan,
         "bias_nm": float(np.sqrt(np.mean(np.square(means)))) if means else math.nan,
-        "lost": np.mean(~np.isfinite(measured_nm[due])),
+        "lost": np.mean(~np.isfinite(records.measured_nm[records.due])),
         "diverged": int((~alive).sum()),
         "runs": alive.size,
         "slope": slope,
