@@ -29,7 +29,6 @@ from irlos_pipe.paper.common.table import (
     lines,
     median_in_range,
     rms_in_range,
-    spread,
     spreads,
     stacked,
     strips,
@@ -45,7 +44,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 __all__ = [
     "Blocks", "Check", "Context", "Drawn", "Experiment", "ExperimentResults", "Figure", "Frame", "Listing",
     "Quantity", "Rows", "Sample", "Samples", "StageConfig", "Tables", "check", "checked", "each", "frame",
-    "grouped", "known", "lines", "median_in_range", "rms_in_range", "sample", "spread", "spreads", "stacked",
+    "grouped", "known", "lines", "median_in_range", "rms_in_range", "sample", "spreads", "stacked",
     "strips",
 ]  # fmt: skip
 Context = StageContext[Any]

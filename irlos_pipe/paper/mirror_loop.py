@@ -5,33 +5,22 @@ what the mirror made of it. The mirror is not the one that its control believes 
 actuators are shifted and turned against the pupil. The star was refocused before, or has a defocus bias.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
 
-from irlos_pipe.conventions.modes import (
-    CORRECTED_NOLLS,
-    DEFOCUS,
-    HIGHEST_REPORTED_NOLL,
-    REPORTED_NOLLS,
-    TIP_TILT,
-)
+from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.estimate.correction import modal_offsets, predict_correction
+from irlos_pipe.estimate.correction import predict_correction
 from irlos_pipe.paper import experiment as ex
-from irlos_pipe.paper.common.calibrations import (
-    DEFAULT,
-    METHOD_NAMES,
-    PAPER_CHOICE,
-    VARIANTS,
-    ObservedCube,
-    weighted_rms,
-)
+from irlos_pipe.paper.common import calibrations, scenes
+from irlos_pipe.paper.common.calibrations import DEFAULT, PAPER_CHOICE, VARIANTS, ObservedCube
 from irlos_pipe.paper.common.ramps import knowledge_of
-from irlos_pipe.paper.common.scenes import FINE, MIRROR_DIVERSITY_NM, star_image
+from irlos_pipe.paper.common.scenes import FINE, star_image
 from irlos_pipe.simulate.exposure import telescope_of
 from irlos_pipe.simulate.mirror import Actuators, Mirror
 from irlos_pipe.simulate.scene import Scene
@@ -51,32 +40,6 @@ LOOPS = ((DEFAULT, EXACT), (PAPER_CHOICE, EXACT), (DEFAULT, BY_MIRROR))
 STATE = (*LEFT, "strehl", "seen_nm")
 
 
-@dataclass(frozen=True)
-class MirrorErrors:
-    """How a mirror differs from the one that its control believes in: stroke, shift over the pupil, turn."""
-
-    gain: float = 1.0
-    shift: float = 0.0
-    turn_deg: float = 0.0
-
-    def alone(self) -> "dict[str, MirrorErrors]":
-        """Return mirrors with none of the errors, with each, with the gain too high, and with all."""
-        return {
-            "none": MirrorErrors(),
-            "gain": MirrorErrors(gain=self.gain),
-            "opposite gain": MirrorErrors(gain=2 - self.gain),
-            "shift": MirrorErrors(shift=self.shift),
-            "turn": MirrorErrors(turn_deg=self.turn_deg),
-            "all": self,
-        }
-
-    def mirror(self, diameter_m: float, pitch_m: float) -> Mirror:
-        """Return the mirror with actuators `pitch_m` apart on a pupil of `diameter_m`, at rest."""
-        return Mirror(
-            Actuators(diameter_m, pitch_m), self.gain, (self.shift * diameter_m, 0.0), self.turn_deg
-        )
-
-
 class Bench:
     """A star, its wavefront on the pupil of the simulator, and what mirrors leave of it."""
 
@@ -93,14 +56,12 @@ class Bench:
         # The scene adds the diversity as declared; here the mirror makes it, so that it is taken out once.
         declared_nm = scene.diversity_nm
         ncpa_nm = {noll: value - declared_nm.get(noll, 0.0) for noll, value in scene.ncpa_nm.items()}
-        sent_nm = {
-            noll: mirror.offsets_nm.get(noll, 0.0) + declared_nm.get(noll, 0.0) for noll in CORRECTED_NOLLS
-        }
-        return replace(scene, ncpa_nm=ncpa_nm, mirror=replace(mirror, offsets_nm=sent_nm))
+        made = corrected(mirror, {noll: -value for noll, value in declared_nm.items()})
+        return replace(scene, ncpa_nm=ncpa_nm, mirror=made)
 
     def coefficients_nm(self, opd_nm: np.ndarray) -> dict[int, float]:
         """Return Noll 2..30 of a wavefront `opd_nm`, (n, n), fitted jointly with modes beyond [nm RMS]."""
-        fitted_nm = self.telescope.fit_zernike_nm(opd_nm, LAST_FITTED)[: HIGHEST_REPORTED_NOLL - 1]
+        fitted_nm = self.telescope.fit_zernike_nm(opd_nm, LAST_FITTED)[: len(REPORTED_NOLLS)]
         return dict(enumerate(fitted_nm.tolist(), start=2))
 
     def of(self, opd_nm: np.ndarray) -> dict[str, float]:
@@ -110,12 +71,13 @@ class Bench:
         still_nm = opd_nm - self.telescope.opd_nm({noll: found_nm[noll] for noll in TIP_TILT})
         parts = modes_nm, still_nm - modes_nm, still_nm
         return {
-            name: weighted_rms(part, self.telescope.transmission)
+            name: calibrations.weighted_rms(part, self.telescope.transmission)
             for name, part in zip(LEFT, parts, strict=True)
         }
 
-    def left(self, mirror: Mirror) -> dict[str, float]:
-        return self.of(self.opd_nm + mirror.opd_nm(self.telescope))
+    def through(self, mirror: Mirror) -> np.ndarray:
+        """Return the wavefront that a mirror leaves, (n, n) [nm]."""
+        return self.opd_nm + mirror.opd_nm(self.telescope)
 
     def strehl(self, mirror: Mirror) -> float:
         """Return the Strehl ratio of the star, which the fast loop keeps centred."""
@@ -123,47 +85,44 @@ class Bench:
         ncpa_nm = {**self.scene.ncpa_nm} | {noll: -moved_nm[noll] for noll in TIP_TILT}
         return star_image(replace(self.scene, mirror=mirror), self.star_frames, ncpa_nm)[1]
 
-    def told(self, mirror: Mirror, unseen_nm: np.ndarray | float, corrections: int) -> list[np.ndarray]:
+    def unseen_nm(self, mirror: Mirror, diversity: str) -> np.ndarray | float:
+        """Return by how much the diversity differs from the one declared, (n, n) [nm]: in cubes only."""
+        declared_nm = self.scene.diversity_nm
+        if diversity == EXACT:
+            return 0.0
+        made_nm = replace(mirror, offsets_nm=declared_nm).opd_nm(self.telescope)
+        return made_nm - self.telescope.opd_nm(declared_nm)
+
+    def told(self, mirror: Mirror, corrections: int, unseen_nm: np.ndarray | float = 0.0) -> list[np.ndarray]:
         """Return the wavefronts that a mirror leaves when every estimate is the truth, before and after each.
 
-        `unseen_nm` is in the cubes that the estimates are made of, but not in the wavefront: the error of the
-        diversity.
+        The truth of the cubes, which is with `unseen_nm`.
         """
-        states = [self.opd_nm + mirror.opd_nm(self.telescope)]
+        states = [self.through(mirror)]
         for _ in range(corrections):
-            offsets_nm = further(mirror.offsets_nm, self.coefficients_nm(states[-1] + unseen_nm))
-            mirror = replace(mirror, offsets_nm=offsets_nm)
-            states.append(self.opd_nm + mirror.opd_nm(self.telescope))
+            mirror = corrected(mirror, self.coefficients_nm(states[-1] + unseen_nm))
+            states.append(self.through(mirror))
         return states
 
     def causes(self, mirror: Mirror, done: int, diversity: str) -> dict[str, dict[str, float]]:
         """Split what is left after `done` corrections by its causes, whose wavefronts add up to it."""
-        aligned = MirrorErrors().mirror(mirror.actuators.diameter_m, mirror.actuators.pitch_m)
         real = replace(mirror, offsets_nm={})
-        unseen_nm: np.ndarray | float = 0.0
-        if diversity == BY_MIRROR:
-            unseen_nm = diversity_error_nm(self.telescope, real, self.scene.diversity_nm)
         finer_nm = {noll: value for noll, value in self.scene.ncpa_nm.items() if noll > CORRECTED_NOLLS[-1]}
         states = {
             "finer": self.telescope.opd_nm(finer_nm),
-            "fitting": self.told(aligned, 0.0, FITTED_BY)[-1],
-            "registration": self.told(real, 0.0, done)[-1],
-            "diversity": self.told(real, unseen_nm, done)[-1],
-            "estimate": self.opd_nm + mirror.opd_nm(self.telescope),
+            "fitting": self.told(Mirror(mirror.actuators), FITTED_BY)[-1],
+            "registration": self.told(real, done)[-1],
+            "diversity": self.told(real, done, self.unseen_nm(real, diversity))[-1],
+            "estimate": self.through(mirror),
         }
         parts = np.diff([np.zeros_like(self.opd_nm), *states.values()], axis=0)
         return {cause: self.of(part) for cause, part in zip(states, parts, strict=True)}
 
 
-def further(offsets_nm: Mapping[int, float], seen_nm: Mapping[int, float]) -> dict[int, float]:
-    """Return the offsets of Noll 4..30 after one more estimate; tip and tilt stay."""
-    return {noll: offsets_nm.get(noll, 0.0) - seen_nm.get(noll, 0.0) for noll in CORRECTED_NOLLS}
-
-
-def diversity_error_nm(telescope: Telescope, mirror: Mirror, diversity_nm: Mapping[int, float]) -> np.ndarray:
-    """Return by how much the diversity that a `mirror` makes differs from the one declared, (n, n) [nm]."""
-    made_nm = replace(mirror, offsets_nm=diversity_nm).opd_nm(telescope)
-    return made_nm - telescope.opd_nm(diversity_nm)
+def corrected(mirror: Mirror, seen_nm: Mapping[int, float]) -> Mirror:
+    """Return a mirror after one more estimate, Noll: nm RMS; its offsets of tip and tilt stay."""
+    offsets_nm = {noll: mirror.offsets_nm.get(noll, 0.0) - seen_nm.get(noll, 0.0) for noll in CORRECTED_NOLLS}
+    return replace(mirror, offsets_nm=offsets_nm)
 
 
 class Sizes(ex.StageConfig):
@@ -192,48 +151,61 @@ def samples(ctx: ex.Context) -> ex.Samples:
 
 def rows(star: ex.Sample) -> ex.Rows:
     """Close every loop on a star, and give every mirror the true wavefront."""
-    sizes, scene = star.sizes, scene_of(star)
-    errors, diameter_m = MirrorErrors(sizes.gain, sizes.shift, sizes.turn_deg), star.facility.pupil.diameter_m
-    bench = Bench(scene, sizes.star_frames)
-    ideal = star_image(scene, sizes.star_frames, {})[1]
+    sizes, bench = star.sizes, Bench(scene_of(star), star.sizes.star_frames)
+    ideal = star_image(bench.scene, sizes.star_frames, {})[1]
     for method, diversity in LOOPS:
         loop = {"method": method, "diversity": diversity}
-        mirror, seen_nm = errors.mirror(diameter_m, sizes.pitches_m[0]), []
+        mirror, seen_nm = mirror_of(star, sizes.pitches_m[0]), math.inf
         for done in range(sizes.corrections + 1):
             cube = ObservedCube.of(bench.cube(mirror, done, diversity))
             calibration = cube.calibrated(VARIANTS[method])
-            # Minus the offsets that the stage `correct` makes of it.
-            modes = calibration.nolls, calibration.zernike_nm, calibration.sigma_nm
-            sent = modal_offsets(*modes, 1.0, REPORTED_NOLLS[-1])
-            estimate_nm = dict(zip(sent.nolls.tolist(), (-sent.value_nm).tolist(), strict=True))
-            seen_nm.append(float(np.linalg.norm([estimate_nm[noll] for noll in CORRECTED_NOLLS])))
-            falling = len(seen_nm) < 2 or bool(seen_nm[-1] < IMPROVES * seen_nm[-2])
-            state = bench.left(mirror) | {"strehl": bench.strehl(mirror), "seen_nm": seen_nm[-1]}
+            estimate_nm = dict(zip(calibration.nolls, calibration.zernike_nm.tolist(), strict=True))
+            before_nm, seen_nm = (
+                seen_nm,
+                float(np.linalg.norm([estimate_nm[noll] for noll in CORRECTED_NOLLS])),
+            )
+            falling = not done or seen_nm < IMPROVES * before_nm
             last = not falling or done == sizes.corrections
+            state = bench.of(bench.through(mirror)) | {"strehl": bench.strehl(mirror), "seen_nm": seen_nm}
             yield {"what": "state", **loop, "corrections": done, **state, "last": last, "falling": falling}
-            if done == 0:
+            if not done:
                 predicted = predicted_strehl(cube, calibration)
                 yield {"what": "star", **loop, "predicted": predicted, "ideal": ideal}
             if last:
                 break
-            mirror = replace(mirror, offsets_nm=further(mirror.offsets_nm, estimate_nm))
+            mirror = corrected(mirror, estimate_nm)
         for cause, left in bench.causes(mirror, done, diversity).items():
             yield {"what": "cause", **loop, "cause": cause, **left}
     for pitch_m in sizes.pitches_m:
-        for error, own in errors.alone().items():
-            mirror = own.mirror(diameter_m, pitch_m)
-            states = [bench.of(one) for one in bench.told(mirror, 0.0, sizes.corrections)]
+        for error, mirror in alone(mirror_of(star, pitch_m)).items():
             which = {"pitch_m": pitch_m, "actuators": int(mirror.actuators.present.sum()), "error": error}
-            for done, left in enumerate(states):
-                yield {"what": "alone", **which, "corrections": done, **left}
+            for done, left_nm in enumerate(bench.told(mirror, sizes.corrections)):
+                yield {"what": "alone", **which, "corrections": done, **bench.of(left_nm)}
 
 
 def scene_of(star: ex.Sample) -> Scene:
-    cube = star.cube(star.sizes.seeing_arcsec, star.sizes.frames, star.sizes.mag_j)
-    ncpa_nm = {**cube.ncpa_nm, DEFOCUS: star["bias_nm"]}
-    return replace(
-        cube, ncpa_nm=ncpa_nm, diversity_nm=MIRROR_DIVERSITY_NM, diversity_source="mirror", sampling=FINE
-    )
+    of_cube = star.sizes.seeing_arcsec, star.sizes.frames, star.sizes.mag_j
+    cube = star.cube(*of_cube, sampling=FINE, **scenes.BY_MIRROR)
+    return replace(cube, ncpa_nm={**cube.ncpa_nm, DEFOCUS: star["bias_nm"]})
+
+
+def mirror_of(star: ex.Sample, pitch_m: float) -> Mirror:
+    """Return the mirror with all its errors and with actuators `pitch_m` apart, at rest."""
+    sizes, diameter_m = star.sizes, star.facility.pupil.diameter_m
+    return Mirror(Actuators(diameter_m, pitch_m), sizes.gain, (sizes.shift * diameter_m, 0.0), sizes.turn_deg)
+
+
+def alone(mirror: Mirror) -> dict[str, Mirror]:
+    """Return mirrors with none of the errors of a `mirror`, with each, the gain too high, and with all."""
+    aligned = Mirror(mirror.actuators)
+    return {
+        "none": aligned,
+        "gain": replace(aligned, gain=mirror.gain),
+        "opposite gain": replace(aligned, gain=2 - mirror.gain),
+        "shift": replace(aligned, shift_m=mirror.shift_m),
+        "turn": replace(aligned, turn_deg=mirror.turn_deg),
+        "all": mirror,
+    }
 
 
 def predicted_strehl(cube: ObservedCube, calibration: Calibration) -> float:
@@ -268,7 +240,7 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
         own = causes[(causes[loop] == list(key)).all(axis=1)]
         return {
             "samples": len(first),
-            **dict(item for name, values in numbers.items() for item in ex.spread(name, values).items()),
+            **ex.spreads(numbers, *numbers),
             "after_one_nm": np.median(after_one) if len(after_one) else None,
             "most_corrections": done.max(),
             "cut_off": int(last.falling.sum()),  # the estimate still fell at the last correction allowed
@@ -348,7 +320,9 @@ LISTINGS = [
 def figures(drawn: ex.Drawn) -> ex.Blocks:
     """What is left after every correction."""
     states = drawn.tables["states"]
-    states = states.assign(loop=states.method.map(METHOD_NAMES) + ", diversity " + states.diversity)
+    states = states.assign(
+        loop=states.method.map(calibrations.METHOD_NAMES) + ", diversity " + states.diversity
+    )
     return [ex.lines(
         "mirror-loop-left", "What is left in Noll 4–30",
         "Medians over the samples whose loop came that far, by the bias of the defocus [nm].",

@@ -12,7 +12,8 @@ from helpers.experiment_stage import sample
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS
 from irlos_pipe.paper import mirror_loop
-from irlos_pipe.paper.mirror_loop import LOOPS, Bench, MirrorErrors, diversity_error_nm, further
+from irlos_pipe.paper.mirror_loop import LOOPS, Bench, corrected, mirror_of
+from irlos_pipe.simulate.mirror import Actuators, Mirror
 
 SIZES = {
     "frames": 12, "star_frames": 2, "corrections": 4, "pitches_m": (0.25,), "shift": 0.02, "turn_deg": 2.0
@@ -20,13 +21,13 @@ SIZES = {
 STAR = sample(mirror_loop, (3, 0), sizes=SIZES, bias_nm=150.0)
 SCENE = mirror_loop.scene_of(STAR)
 BENCH = Bench(SCENE, 2)
-ALIGNED = MirrorErrors().mirror(STAR.facility.pupil.diameter_m, 0.25)
+ALIGNED = Mirror(Actuators(STAR.facility.pupil.diameter_m, 0.25))
 
 
 def sizes_nm(mirror, ncpa_nm, corrections=3):
     """Root of the sum of squares of Noll 4–30 before the first correction and after each."""
     bench = Bench(replace(SCENE, ncpa_nm=ncpa_nm), 2)
-    found = [bench.coefficients_nm(state) for state in bench.told(mirror, 0.0, corrections)]
+    found = [bench.coefficients_nm(state) for state in bench.told(mirror, corrections)]
     return np.array([np.linalg.norm([one[noll] for noll in CORRECTED_NOLLS]) for one in found])
 
 
@@ -53,7 +54,8 @@ def test_a_shift_of_coma_leaves_defocus_and_astigmatism_that_the_next_correction
 
 def test_tip_and_tilt_are_not_corrected():
     expected = {noll: -2.0 if noll == 4 else 0.0 for noll in CORRECTED_NOLLS}
-    assert further({4: 1.0}, {2: 9.0, 3: 9.0, 4: 3.0}) == expected
+    sent = corrected(replace(ALIGNED, offsets_nm={4: 1.0}), {2: 9.0, 3: 9.0, 4: 3.0})
+    assert sent.offsets_nm == expected
     still = BENCH.of(BENCH.telescope.opd_nm({5: 30.0, 40: 10.0}))
     assert BENCH.of(BENCH.telescope.opd_nm({2: 80.0, 5: 30.0, 40: 10.0})) == pytest.approx(still)
     assert still["modes_nm"] == pytest.approx(30.0, rel=0.05)
@@ -73,7 +75,7 @@ class TrueCube:
         telescope = BENCH.telescope
         opd_nm = telescope.opd_nm(self._scene.ncpa_nm) + self._scene.mirror.opd_nm(telescope)
         nolls, values = zip(*BENCH.coefficients_nm(opd_nm).items(), strict=True)
-        return SimpleNamespace(nolls=nolls, zernike_nm=np.array(values), sigma_nm=np.ones(len(nolls)))
+        return SimpleNamespace(nolls=nolls, zernike_nm=np.array(values))
 
 
 @pytest.fixture(scope="module")
@@ -91,11 +93,8 @@ def true_rows():
 def test_a_loop_with_true_estimates_is_the_mirror_that_is_told_the_truth(true_rows, diversity):
     own = [row for row in true_rows if (row.get("method"), row.get("diversity")) == (LOOPS[0][0], diversity)]
     states = [row for row in own if row["what"] == "state"]
-    real = MirrorErrors(0.9, 0.02, 2.0).mirror(STAR.facility.pupil.diameter_m, 0.25)
-    unseen_nm = (
-        diversity_error_nm(BENCH.telescope, real, SCENE.diversity_nm) if diversity == "mirror" else 0.0
-    )
-    told = BENCH.told(real, unseen_nm, len(states) - 1)
+    real = mirror_of(STAR, 0.25)
+    told = BENCH.told(real, len(states) - 1, BENCH.unseen_nm(real, diversity))
     assert [row["modes_nm"] for row in states] == pytest.approx(
         [BENCH.of(one)["modes_nm"] for one in told], abs=1e-6
     )

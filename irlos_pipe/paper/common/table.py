@@ -68,14 +68,13 @@ def stacked(rows: Frame, *names: str) -> list[np.ndarray]:
 # -- statistics over samples -------------------------------------------------------------------------
 
 
-def spread(name: str, values: Any) -> dict[str, float]:
-    """Return the median of `values` and their percentiles at -1σ and +1σ, as columns of `name`."""
-    low, median, high = map(float, np.percentile(values, ONE_SIGMA))
-    return {name: median, f"{name}_p16": low, f"{name}_p84": high}
-
-
-def spreads(rows: Frame, *names: str) -> dict[str, float]:
-    return {key: one for name in names for key, one in spread(name, rows[name].to_numpy(float)).items()}
+def spreads(rows: Mapping[str, Any], *names: str) -> dict[str, float]:
+    """Return the medians of some columns and their percentiles at -1σ and +1σ."""
+    found: dict[str, float] = {}
+    for name in names:
+        low, median, high = map(float, np.percentile(rows[name].to_numpy(float), ONE_SIGMA))
+        found |= {name: median, f"{name}_p16": low, f"{name}_p84": high}
+    return found
 
 
 def median_in_range(name: str, values: Any) -> dict[str, float]:
