@@ -38,8 +38,7 @@ from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.estimate.records import Cause
 from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, derivatives, frozen_effects, null_model
 from irlos_pipe.frames.told import SMALLEST_NM
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.solution import INVALID
+from irlos_pipe.numerics.solver import INVALID, solve
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings

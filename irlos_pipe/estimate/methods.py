@@ -31,11 +31,10 @@ from irlos_pipe.estimate.starts import (
     start_tilts_nm,
 )
 from irlos_pipe.frames.blocks import blocks
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.loss import GAUSSIAN
 from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.quasi_newton import polish
-from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
+from irlos_pipe.numerics.solver import CONVERGED, INVALID, MAX_ITERATIONS, Solution, scaled_inverse, solve
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings

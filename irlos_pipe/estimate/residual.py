@@ -31,7 +31,7 @@ from irlos_pipe.effects.seeing_halo import SeeingHalo, UnevenResidual
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import derivatives, frozen_effects, null_model
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.numerics.solver import Solution
 from irlos_pipe.optics.lenslets import light_path
 
 BEYOND_CHANCE = 5.0  # standard deviations by which scores exceed what their scatter makes

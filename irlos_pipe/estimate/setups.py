@@ -48,8 +48,7 @@ from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
 from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.estimate.starts import check_twin
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.numerics.solver import Solution, solve
 from irlos_pipe.optics.image_quality import power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
