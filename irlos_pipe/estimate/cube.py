@@ -17,8 +17,8 @@ import scipy.fft
 import torch
 from scipy.special import chdtri
 
-from irlos_pipe.frames.blocks import blocks, frame_flux, frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.recording import blocks, frame_flux, frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.screening import star_peaks
 
 # Frames from which their scatter gives the error of the mean; of fewer, the noise model does.

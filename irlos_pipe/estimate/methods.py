@@ -30,7 +30,7 @@ from irlos_pipe.estimate.starts import (
     median_of_frames_nm,
     start_tilts_nm,
 )
-from irlos_pipe.frames.blocks import blocks
+from irlos_pipe.frames.recording import blocks
 from irlos_pipe.numerics.loss import GAUSSIAN
 from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.quasi_newton import polish

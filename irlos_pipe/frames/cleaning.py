@@ -15,31 +15,35 @@ from irlos_pipe.frames.bad_pixels import (
     seen_variance,
     stuck_pixels,
 )
-from irlos_pipe.frames.blocks import mean_frame, picked, sample_frames
 from irlos_pipe.frames.detector import estimate_pedestal, relative_flat, saturation_level, to_electrons
-from irlos_pipe.frames.hits import (
-    NO_HITS,
-    Hits,
-    clipped_samples,
-    cosmic_hits,
-    flickering_pixels,
-    odd_frames,
-    without_hits,
-)
 from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
-from irlos_pipe.frames.recording import CalibrationMaps, Detector, RawFrames
+from irlos_pipe.frames.recording import (
+    CalibrationMaps,
+    Detector,
+    RawFrames,
+    mean_frame,
+    picked,
+    sample_frames,
+)
 from irlos_pipe.frames.screening import (
     COSMIC,
+    NO_HITS,
     ODD,
     SATURATED,
+    Hits,
     Limits,
     also,
+    clipped_samples,
     core_of,
+    cosmic_hits,
+    flickering_pixels,
     hit_in_core,
+    odd_frames,
     recorder_faults,
     saturated_frames,
     star_faults,
+    without_hits,
 )
 
 LEVEL_SIGMA = 8.0

@@ -3,8 +3,7 @@
 import numpy as np
 
 from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
-from irlos_pipe.frames.blocks import sample_frames
-from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.recording import Detector, sample_frames
 
 WING_EXPONENT = 3.0  # the wings of a diffraction image fall like r^-3 on average
 WING_START = 0.4  # of the larger window side: beyond it the core no longer matters

@@ -12,9 +12,9 @@ import numpy as np
 import scipy
 
 from irlos_pipe.conventions.units import SIGMA_OF_MEDIAN
-from irlos_pipe.frames.blocks import frame_variance, mean_frame, sample_frames
-from irlos_pipe.frames.neighbour_prediction import Prediction
+from irlos_pipe.frames.bad_pixels import Prediction
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.recording import frame_variance, mean_frame, sample_frames
 
 PREDICTION_ERROR = 0.01  # of the local brightness; a pixel where it dominates the noise is left out
 DOMINATES = (0.1, 10.0)  # times the expected variance: of a single frame, and over time

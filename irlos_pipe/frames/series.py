@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from irlos_pipe.frames.blocks import blocks, frame_flux
+from irlos_pipe.frames.recording import blocks, frame_flux
 
 HALF, CORE = 0.5, 0.1  # of the peak: from where the width counts, and the centroid
 DECLARED = {

@@ -11,8 +11,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.blocks import mean_frame, picked
-from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.frames.recording import Acquisition, Recording, mean_frame, picked
 from irlos_pipe.frames.series import DECLARED, frame_series
 from irlos_pipe.product.product import Product, Quantity, declared
 from irlos_pipe.product.results import results_of
