@@ -18,10 +18,9 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration_errors import nominal_of
-from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits, TwinCheck
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance, whole_wavefront
-from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.starts import (
     START_HIGHEST_NOLL,
     a_wave_off,

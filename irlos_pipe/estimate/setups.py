@@ -41,12 +41,10 @@ from irlos_pipe.estimate.calibration_errors import (
     nominal_chi2,
     public_errors,
 )
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
+from irlos_pipe.estimate.calibration_options import CalibrationOptions, TwinCheck
+from irlos_pipe.estimate.cube import Frames, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront
 from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
-from irlos_pipe.estimate.records import TwinCheck
-from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.estimate.starts import check_twin
 from irlos_pipe.numerics.solver import Solution, solve
 from irlos_pipe.optics.image_quality import power_spectrum

@@ -24,12 +24,11 @@ from irlos_pipe.product.results import read_run_results, results_of
 from irlos_pipe.product.run_table import read_checks
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
-from irlos_pipe.readers.acquisition import of_a_frame, resolve
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.acquisition import RawRecording, of_a_frame, resolve
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.ingest.stage import recordings_from_product
 from irlos_pipe.stages.lift.fit import focus_sensor, light_path
 from irlos_pipe.stages.lift.input import read_ramp
 from irlos_pipe.stages.lift.stage import Config, LiftResults

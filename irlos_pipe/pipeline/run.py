@@ -12,10 +12,28 @@ from typing import Any
 from irlos_pipe.conventions.errors import ExitCode, InputDataError, IrlosError, UnexpectedError
 from irlos_pipe.files.atomic import write_bytes, write_if_changed
 from irlos_pipe.files.json import json_text, jsonable
-from irlos_pipe.pipeline.inputs import InputFile, input_files, remember, require_unchanged
-from irlos_pipe.pipeline.plan import Action, Selection, Step, checksum, make_plan, repaired
-from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
-from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device, run_on_device
+from irlos_pipe.pipeline.plan import (
+    Action,
+    InputFile,
+    Selection,
+    Step,
+    checksum,
+    input_files,
+    make_plan,
+    remember,
+    repaired,
+    require_unchanged,
+)
+from irlos_pipe.pipeline.resources import (
+    Resources,
+    command_line,
+    limited_threads,
+    machine,
+    now,
+    resolve_device,
+    run_on_device,
+    software_versions,
+)
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE, collected, written_to
 from irlos_pipe.product import run_table, runfolder
 from irlos_pipe.product.product import Check, Product

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.records import DECISIVE
+from irlos_pipe.estimate.calibration_options import DECISIVE
 from irlos_pipe.product.results import EffectValues
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown
 from irlos_pipe.report.drawing import BESIDE, BLUE, FAINT, GREEN, INK, MANY, ORANGE, PURPLE, log_y, plot, svg

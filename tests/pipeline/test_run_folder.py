@@ -13,8 +13,8 @@ from helpers.running import reasons, results, run, visible
 
 import irlos_pipe
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
-from irlos_pipe.pipeline import Selection, provenance
-from irlos_pipe.pipeline.inputs import CACHE_NAME
+from irlos_pipe.pipeline import Selection, resources
+from irlos_pipe.pipeline.plan import CACHE_NAME
 from irlos_pipe.product.run_table import link_latest, version_folders
 
 
@@ -204,11 +204,11 @@ def version(monkeypatch):
 
     def stated(folder) -> str:
         monkeypatch.setattr(irlos_pipe, "__file__", str(folder / "irlos_pipe" / "__init__.py"))
-        provenance.software_versions.cache_clear()
-        return provenance.software_versions()["irlos_pipe"]
+        resources.software_versions.cache_clear()
+        return resources.software_versions()["irlos_pipe"]
 
     yield stated
-    provenance.software_versions.cache_clear()
+    resources.software_versions.cache_clear()
 
 
 def git(folder, *arguments):

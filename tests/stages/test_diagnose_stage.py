@@ -23,7 +23,7 @@ from irlos_pipe.stages.diagnose.output import (
 )
 from irlos_pipe.stages.diagnose.stage import Config, DiagnoseResults
 from irlos_pipe.stages.diagnose.work import moments_of
-from irlos_pipe.stages.model.recording_settings import pooled_frames
+from irlos_pipe.stages.model.effects import pooled_frames
 from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
 

@@ -20,14 +20,13 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.storage import read_product, write_product
-from irlos_pipe.readers.acquisition import Resolved
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.acquisition import RawRecording, Resolved
 from irlos_pipe.stages.ingest import stage as ingest
-from irlos_pipe.stages.ingest.recording_arrays import (
+from irlos_pipe.stages.ingest.sources import Source, accumulated
+from irlos_pipe.stages.ingest.stage import (
     recordings_from_product,
     screened_e,
 )
-from irlos_pipe.stages.ingest.sources import Source, accumulated
 
 SHARED = paths.SHARED / "samples"
 IMAGE = star(32, 32)

@@ -11,7 +11,7 @@ from irlos_pipe.diagnosis.verdict import Diagnosis
 from irlos_pipe.diagnosis.view import Exposures, Moments, Screened, placed
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.residual import kurtosis_of_frames
+from irlos_pipe.estimate.cube import kurtosis_of_frames
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Product
 from irlos_pipe.stages.base import StageContext, StageOutput
@@ -28,10 +28,17 @@ from irlos_pipe.stages.diagnose.output import (
 )
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.diagnose.stage import Config
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, screened_e
-from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
+from irlos_pipe.stages.ingest.stage import recordings_from_product, screened_e
+from irlos_pipe.stages.model.effects import (
+    conditions_of,
+    good_pixels,
+    image_effects,
+    in_time_order,
+    model_effects,
+    pooled_frames,
+    psf_settings,
+)
 from irlos_pipe.stages.model.groups import require_common
-from irlos_pipe.stages.model.recording_settings import in_time_order, pooled_frames, psf_settings
 
 EXPECTED_FITS = 11  # fits that one cube takes, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}

@@ -16,9 +16,8 @@ from irlos_pipe.conventions.units import MAS_PER_RAD, NM, resolution_px
 from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.frames.recording import CalibrationMaps, Recording, mean_frame
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.acquisition import Resolved, resolve
+from irlos_pipe.readers.acquisition import RawRecording, Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
-from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path, sidecar_problems
 from irlos_pipe.readers.times import counter_step
 

@@ -13,18 +13,24 @@ from irlos_pipe.files.processes import available_bytes, forked_map, require_memo
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.cleaning import Cleaned, clean
 from irlos_pipe.frames.detector import star_position, time_is_last
-from irlos_pipe.frames.recording import PROFILE, Recording, frame_flux
+from irlos_pipe.frames.recording import PROFILE, Recording, frame_flux, frame_series, mean_frame, picked
 from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, Limits, tally
 from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, of_counts, told_of
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import Observed
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.acquisition import RawRecording
 from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.ingest.recording_arrays import arrays_of, found_bad
 from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone, read_sources, with_darks
-from irlos_pipe.stages.ingest.stage import Config, IngestResults, RecordingRow
+from irlos_pipe.stages.ingest.stage import (
+    RECORDING,
+    Config,
+    IngestResults,
+    RecordingRow,
+    arrays_from_recording,
+    prefix_of,
+)
 
 BYTES_PER_PIXEL = 1600  # memory for a pixel of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
 BYTES_PER_VALUE = 8  # memory for a pixel of every frame
@@ -60,7 +66,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
                 ctx.log.warning(line)
             rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
             quality += _checks(recording, told, ctx.config)
-            arrays |= arrays_of(recording, cleaned, source.raw)
+            arrays |= _arrays(recording, cleaned, source.raw)
     for name in ctx.inputs:
         if not any(row.input == name for row in rows):
             reasons = [text for owner, text in failures if owner == name]
@@ -109,8 +115,8 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
         acquisition = replace(told, detector=detector, sources=sources)
         source = replace(source, resolved=replace(source.resolved, acquisition=acquisition))
         cleaned = _cleaned(source, config, instrument)
-    declared = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
-    if source.raw.frames == 1 and not declared and not cleaned.noise.floor_e2 > 0:
+    told_noise = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
+    if source.raw.frames == 1 and not told_noise and not cleaned.noise.floor_e2 > 0:
         raise InputDataError(
             f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
             "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
@@ -184,6 +190,29 @@ def _recording(source: Source, cleaned: Cleaned) -> Recording:
     )
 
 
+def _arrays(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
+    """Return all arrays that ingest leaves of a `recording`, made from `raw` and `cleaned`."""
+    hits = cleaned.hits
+    rows, columns = _found_bad(recording, raw).T
+    mean_adu = mean_frame(picked(raw.adu, recording.used))
+    background, gain = cleaned.background, recording.acquisition.detector.e_per_adu
+    own = {
+        "raw_adu": raw.adu,
+        "background_adu": cleaned.background.adu,
+        "flat": cleaned.background.flat,
+        "cosmic_hits": np.stack([hits.frame, hits.row, hits.column], axis=1),
+        "screened_e": ((mean_adu - background.adu) / background.flat * gain)[rows, columns],
+    } | frame_series(recording.images_e, recording.good)
+    return arrays_from_recording(recording) | declared(RECORDING, own, below=f"{prefix_of(recording)}/")
+
+
+def _found_bad(recording: Recording, raw: RawRecording) -> np.ndarray:
+    """Return the bad pixels of a `recording` that no map of dead pixels of `raw` lists, (pixels, 2)."""
+    listed = raw.calibration.bad
+    found = ~recording.good if listed is None else ~recording.good & ~np.asarray(listed, bool)
+    return np.argwhere(found)
+
+
 # -- what is reported --------------------------------------------------------------------------------
 
 
@@ -205,7 +234,7 @@ def _row(
         reasons=tally(recording.reason),
         saturated_frames=int(np.sum(recording.reason == SATURATED)),
         bad_pixels=np.argwhere(~recording.good).tolist(),
-        bad_pixels_found=found_bad(recording, raw).tolist(),
+        bad_pixels_found=_found_bad(recording, raw).tolist(),
         clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
         cosmic_hits=int(cleaned.hits.frame.size),
         centre_offset_px=_centre_offset_px(recording),

@@ -22,8 +22,7 @@ from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
 from irlos_pipe.stages.lift.stage import OWN, Config
-from irlos_pipe.stages.model.effects import colour_warning
-from irlos_pipe.stages.model.recording_settings import psf_settings
+from irlos_pipe.stages.model.effects import colour_warning, psf_settings
 
 
 def fit_frames(

@@ -28,10 +28,12 @@ from irlos_pipe.stages.model.effects import (
     good_pixels,
     image_effects,
     model_effects,
+    pooled_images,
+    psf_settings,
+    used_in_time_order,
     with_colour,
 )
 from irlos_pipe.stages.model.groups import require_ramp
-from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings, used_in_time_order
 
 
 @dataclass(frozen=True)
