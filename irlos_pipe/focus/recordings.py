@@ -13,8 +13,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.calibration import stated_detector, stated_differences
 from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Arrival, Fault, Notice
-from irlos_pipe.frames.cleaning import find_background
-from irlos_pipe.frames.detector import to_electrons
+from irlos_pipe.frames.cleaning import find_background, to_electrons
 from irlos_pipe.frames.recording import Acquisition, picked
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.runfolder import existing_run

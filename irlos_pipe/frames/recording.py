@@ -247,3 +247,14 @@ def _series(images_e: np.ndarray, good: np.ndarray) -> dict[str, np.ndarray]:
         "x_px": weight.sum(axis=1) @ x / total,
         "y_px": weight.sum(axis=2) @ y / total,
     }
+
+
+def star_position(image: np.ndarray) -> tuple[float, float]:
+    """Return the centroid (row, column) of what stands above a tenth of the peak [px]."""
+    above = image - np.median(image)
+    weights = np.where(above > 0.1 * above.max(), above, 0.0)
+    total = weights.sum()
+    if total <= 0:
+        return (image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2
+    y, x = np.indices(image.shape)
+    return float((weights * y).sum() / total), float((weights * x).sum() / total)

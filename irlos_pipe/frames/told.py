@@ -17,7 +17,7 @@ from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.keys import DITTO, Number, key
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM, cutoff_per_px
-from irlos_pipe.frames.detector import wrapped_pixels
+from irlos_pipe.frames.cleaning import wrapped_pixels
 from irlos_pipe.frames.measured_noise import SIGNIFICANT, MeasuredNoise
 from irlos_pipe.frames.recording import FRAMES, PROFILE, Detector, Recording, frame_flux
 

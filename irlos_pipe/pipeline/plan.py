@@ -19,7 +19,7 @@ from irlos_pipe.product.runfolder import RunFolder, listing_stamp
 from irlos_pipe.product.storage import is_intact, read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import Declared, depends_on, reads
+from irlos_pipe.stages.base import Declared, declared_by, reads
 
 CACHE_NAME = ".input_checksums.json"
 LISTS = "lists"  # key of the lists of files among the absolute paths of the cache
@@ -326,7 +326,7 @@ def key_parts(
         "config": recipe.configs[stage],
         "upstream": dict(upstream),
     }
-    return jsonable(own | {name: parts[name] for name in sorted(depends_on(STAGES[stage]))})
+    return jsonable(own | {name: parts[name] for name in sorted(declared_by(STAGES[stage], "DEPENDS_ON"))})
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:

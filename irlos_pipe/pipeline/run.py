@@ -50,7 +50,7 @@ from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.product.table import Origin, table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageContext, StageOutput, arrays_only, depends_on, files_of, reads
+from irlos_pipe.stages.base import StageContext, StageOutput, declared_by, reads
 from irlos_pipe.stages.ingest.stage import IngestResults
 
 
@@ -88,11 +88,12 @@ class Job:
         started, clock = now(), time.perf_counter()
         context = self._context(step, log)
         stage = STAGES[step.name]
-        with collected(log) as lines, limited_threads(self.resources.jobs, arrays_only=arrays_only(stage)):
+        arrays_only = declared_by(stage, "ARRAYS_ONLY")
+        with collected(log) as lines, limited_threads(self.resources.jobs, arrays_only=arrays_only):
             output, device = run_on_device(
                 lambda device: stage.run(replace(context, device=device)), context.device
             )
-        if "inputs" in depends_on(stage):
+        if "inputs" in declared_by(stage, "DEPENDS_ON"):
             require_unchanged(self.files)
         seconds = round(time.perf_counter() - clock, 3)
         times = {"started": started, "finished": now(), "seconds": seconds}
@@ -119,7 +120,9 @@ class Job:
 
     def _device(self, name: str) -> str:
         wanted = self.resources.device
-        return "cpu" if wanted == "auto" and arrays_only(STAGES[name]) else resolve_device(wanted)
+        return (
+            "cpu" if wanted == "auto" and declared_by(STAGES[name], "ARRAYS_ONLY") else resolve_device(wanted)
+        )
 
     def _read_by(self, name: str) -> dict[str, Product]:
         """Products of the earlier stages that a stage reads, each opened once."""
@@ -278,7 +281,7 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
     """
     runfolder.require_free(folder)
     runfolder.require_outside_inputs(folder, recipe.inputs)
-    readers = filter(None, (files_of(STAGES[name]) for name in recipe.stages))
+    readers = filter(None, (declared_by(STAGES[name], "files_of") for name in recipe.stages))
     files = input_files(recipe.inputs, folder, next(readers, None))
     return files, make_plan(recipe, folder, files, selection)
 

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from irlos_pipe.stages.model.section import ModelConfig
 
 KEY_PARTS = frozenset({"model", "instrument", "seed", "inputs"})
+# What a stage need not declare, see `Stage`.
+DEFAULTS: dict[str, Any] = {
+    "NEEDS": (), "READS": (), "ARRAYS_ONLY": False, "DEPENDS_ON": KEY_PARTS, "files_of": None,
+}  # fmt: skip
 
 
 class StageConfig(BaseModel):
@@ -111,33 +115,18 @@ def run_of(module: str) -> Callable[[StageContext[Any]], StageOutput]:
     return lambda ctx: import_module(module).run(ctx)
 
 
-def needs(stage: Stage) -> tuple[str, ...]:
-    """Return the names of the stages that must precede `stage` in a recipe."""
-    return tuple(getattr(stage, "NEEDS", ()))
+def declared_by(stage: Stage, name: str) -> Any:
+    """Return what a `stage` declares under a `name` of `DEFAULTS`, or that default."""
+    return getattr(stage, name, DEFAULTS[name])
 
 
 def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
     """Return the names of those of the `earlier` stages whose products `stage` reads."""
-    wanted = (*needs(stage), *getattr(stage, "READS", ()))
+    wanted = (*declared_by(stage, "NEEDS"), *declared_by(stage, "READS"))
     return tuple(name for name in earlier if name in wanted)
-
-
-def arrays_only(stage: Stage) -> bool:
-    """Whether a `stage` works with NumPy alone."""
-    return bool(getattr(stage, "ARRAYS_ONLY", False))
-
-
-def files_of(stage: Stage) -> Callable[[Path], list[Path]] | None:
-    """Return the function of a `stage` that lists the files it reads of an input, if it has one."""
-    return getattr(stage, "files_of", None)
 
 
 def judged(stage: Stage, product: Product) -> Sequence[Check]:
     """Return the checks of the `product` of a `stage`, as the stage makes them today if it says how."""
     checks_of = getattr(stage, "checks_of", None)
     return product.checks if checks_of is None else checks_of(results_of(stage.Results, product))
-
-
-def depends_on(stage: Stage) -> frozenset[str]:
-    """Return the parts of the run, apart from its own section, that the product of a `stage` depends on."""
-    return frozenset(getattr(stage, "DEPENDS_ON", KEY_PARTS))

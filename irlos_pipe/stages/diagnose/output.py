@@ -10,7 +10,7 @@ from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis, Pictures, Step, sentence
 from irlos_pipe.effects import CATALOGUE, FixedEffect
-from irlos_pipe.frames.detector import star_position
+from irlos_pipe.frames.recording import star_position
 from irlos_pipe.optics.image_quality import power_spectrum, quality_curves
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import MapSize

@@ -11,9 +11,16 @@ from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.files.processes import available_bytes, forked_map, require_memory
 from irlos_pipe.frames.bad_pixels import Thresholds
-from irlos_pipe.frames.cleaning import Cleaned, clean
-from irlos_pipe.frames.detector import star_position, time_is_last
-from irlos_pipe.frames.recording import PROFILE, Recording, frame_flux, frame_series, mean_frame, picked
+from irlos_pipe.frames.cleaning import Cleaned, clean, time_is_last
+from irlos_pipe.frames.recording import (
+    PROFILE,
+    Recording,
+    frame_flux,
+    frame_series,
+    mean_frame,
+    picked,
+    star_position,
+)
 from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, Limits, tally
 from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, of_counts, told_of
 from irlos_pipe.instrument.instrument import Instrument
