@@ -205,11 +205,15 @@ def _thirds(wavelengths_nm: np.ndarray, weight: np.ndarray) -> list[Point]:
     ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Resolved:
+    """A recording as read, how it was taken, and the recipe input that it belongs to."""
+
+    raw: RawRecording
     acquisition: Acquisition
     introduced_defocus_nm: np.ndarray  # (frames,) [nm RMS]
     warnings: tuple[str, ...]  # what had to be taken from the header or the instrument profile
+    input: str = ""
 
 
 @dataclass(frozen=True)
@@ -231,8 +235,8 @@ class _KnownKeys:
         return self.sources.get(key, PROFILE) != PROFILE
 
 
-def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) -> Resolved:
-    """Find the value of every key, and remember where it came from.
+def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument, input: str = "") -> Resolved:
+    """Find the value of every key of a recording of an `input`, and remember where it came from.
 
     The `recipe` wins over everything; the profile of the `instrument` gives the values that are stated
     nowhere else, where that is safe.
@@ -277,7 +281,7 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
         monitor = layers[RECIPE].get("seeing_scale") or of_seeing
     if monitor != SPARTA:
         warnings = (*warnings, _put_on_sparta_scale(raw, values, monitor, instrument))
-    return Resolved(_acquisition(raw, known, reads), defocus, warnings)
+    return Resolved(raw, _acquisition(raw, known, reads), defocus, warnings, input)
 
 
 def _require(known: _KnownKeys) -> None:

@@ -26,10 +26,10 @@ from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, of_cou
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import Observed
-from irlos_pipe.readers.acquisition import RawRecording
+from irlos_pipe.readers.acquisition import RawRecording, Resolved
 from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone, read_sources, with_darks
+from irlos_pipe.stages.ingest.sources import accumulated, failing_alone, read_sources, with_darks
 from irlos_pipe.stages.ingest.stage import (
     RECORDING,
     Config,
@@ -54,7 +54,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     arrays: dict[str, Quantity] = {}
     rows: list[RecordingRow] = []
     quality: list[Check] = []
-    whole: list[Source] = []
+    whole: list[Resolved] = []
     for star in stars:
         with failing_alone(failures, star.input, star.raw.path, ctx.log):
             whole.append(accumulated(star, ctx.config.exposure_of(star.input)))
@@ -86,11 +86,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 def _side_by_side(
-    ctx: StageContext[Config], sources: Sequence[Source]
+    ctx: StageContext[Config], sources: Sequence[Resolved]
 ) -> list[tuple[Recording, Cleaned] | list[tuple[str, str]]]:
     """Clean all recordings, or note what goes wrong; one by one where memory may not hold all at once."""
 
-    def attempt(source: Source) -> tuple[Recording, Cleaned] | list[tuple[str, str]]:
+    def attempt(source: Resolved) -> tuple[Recording, Cleaned] | list[tuple[str, str]]:
         failures: list[tuple[str, str]] = []
         with failing_alone(failures, source.input, source.raw.path, ctx.log):
             return ingest(source, ctx.config, ctx.instrument)
@@ -102,7 +102,7 @@ def _side_by_side(
         return forked_map(ctx.jobs if roomy else 1, attempt, sources, lambda source: bar.update())
 
 
-def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
+def ingest(source: Resolved, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
     """Clean one recording; a second time where its frames contradict the profile's detector.
 
     `config` limits pixels and frames, `instrument` gives the diameter of the pupil. Raises `InputDataError`
@@ -116,13 +116,13 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
             "frames, for the star stands still along it; write the cube with axes (frames, y, x)"
         )
     cleaned = _cleaned(source, config, instrument)
-    told = source.resolved.acquisition
+    told = source.acquisition
     detector, sources = believed(told.detector, told.sources, cleaned.noise)
     if detector != told.detector:
         acquisition = replace(told, detector=detector, sources=sources)
-        source = replace(source, resolved=replace(source.resolved, acquisition=acquisition))
+        source = replace(source, acquisition=acquisition)
         cleaned = _cleaned(source, config, instrument)
-    told_noise = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
+    told_noise = source.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
     if source.raw.frames == 1 and not told_noise and not cleaned.noise.floor_e2 > 0:
         raise InputDataError(
             f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
@@ -132,25 +132,25 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
     return _recording(source, cleaned), cleaned
 
 
-def _require_room(source: Source) -> None:
+def _require_room(source: Resolved) -> None:
     frames, rows, columns = source.raw.adu.shape
     where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
     advice = "cut the window, or the recording into parts"
     require_memory(_needed_bytes(source), where, InputDataError, advice)
 
 
-def _needed_bytes(source: Source) -> float:
+def _needed_bytes(source: Resolved) -> float:
     _, rows, columns = source.raw.adu.shape
     return BYTES_PER_PIXEL * rows * columns + BYTES_PER_VALUE * source.raw.adu.size
 
 
-def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
-    raw, acquisition = source.raw, source.resolved.acquisition
+def _cleaned(source: Resolved, config: Config, instrument: Instrument) -> Cleaned:
+    raw, acquisition = source.raw, source.acquisition
     # pixels per λ/D at the shortest wavelength; D is that of a lenslet in 2x2 modes
     shortest_nm = min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
     diameter_m = instrument.pupil.diameter_m / acquisition.lenslets
     sampling = resolution_px(shortest_nm * NM, diameter_m, acquisition.pixel_scale_mas)
-    limits, plane = config.part(Limits), source.resolved.introduced_defocus_nm
+    limits, plane = config.part(Limits), source.introduced_defocus_nm
     cleaned = clean(raw, acquisition.detector, sampling, config.part(Thresholds), limits, plane)
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
@@ -176,8 +176,8 @@ def _step_s(raw: RawRecording) -> float:
     return step_s if step_s > 0 else float("nan")  # a clock that stands gives no step
 
 
-def _recording(source: Source, cleaned: Cleaned) -> Recording:
-    raw, acquisition = source.raw, source.resolved.acquisition
+def _recording(source: Resolved, cleaned: Cleaned) -> Recording:
+    raw, acquisition = source.raw, source.acquisition
     detector = replace(acquisition.detector, saturation_adu=cleaned.saturation_adu)
     return Recording(
         name=raw.name,
@@ -188,7 +188,7 @@ def _recording(source: Source, cleaned: Cleaned) -> Recording:
         good=cleaned.good,
         time_s=relative_times(raw.unix_s, raw.frame_counter, acquisition.frame_rate_hz),
         frame_counter=raw.frame_counter,
-        introduced_defocus_nm=source.resolved.introduced_defocus_nm,
+        introduced_defocus_nm=source.introduced_defocus_nm,
         acquisition=replace(acquisition, detector=detector),
         background_variance_e2=cleaned.background_variance_e2,
         dark_variance_e2=cleaned.dark_variance_e2,
@@ -283,7 +283,7 @@ def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
     ]
 
 
-def _dark_row(source: Source) -> RecordingRow:
+def _dark_row(source: Resolved) -> RecordingRow:
     """Return the entry of a dark recording, which has no star."""
     none = {"frames_rejected": 0, "frames_missing": 0, "flux_e": None, "mag_j": None}
     return RecordingRow(
