@@ -15,7 +15,6 @@ from irlos_pipe.frames.bad_pixels import (
     seen_variance,
     stuck_pixels,
 )
-from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
 from irlos_pipe.frames.recording import (
     CalibrationMaps,
@@ -45,6 +44,7 @@ from irlos_pipe.frames.screening import (
     star_faults,
     without_hits,
 )
+from irlos_pipe.frames.told import MeasuredNoise, dark_variance_e2, measure_noise
 
 LEVEL_SIGMA = 8.0
 FRAMES_TO_COMPARE = 3  # frames whose median a single one does not move
@@ -290,7 +290,6 @@ CLIP_BAND = 0.02  # of the range of values: clipped pixels pile up on its very e
 CLIP_EXCESS = 5
 CLIP_MIN_PIXELS = 3
 STANDS_STILL = 0.2  # variance along time over that along a side of the window
-WRAP_ADU = 65536  # range of an integer of 16 bits
 CLIP_MIN_LEVELS = 100.0  # ADU between darkest and brightest; fainter images repeat values by chance
 
 
@@ -375,25 +374,6 @@ def _piles_up(adu: np.ndarray, top: float, band_adu: float) -> bool:
     below = int(np.sum(adu >= top - band_adu)) - int(at_top.sum())
     # a single pixel that always reads the same is stuck, not saturated
     return at_top.sum() > CLIP_EXCESS * (below + 1) and at_top.any(axis=0).sum() >= CLIP_MIN_PIXELS
-
-
-def wrapped_pixels(adu: np.ndarray) -> int:
-    """Return in how many pixels counts (frames, rows, columns) have passed the end of an integer of 16 bits.
-
-    They begin again at its other end. Optics that are sampled make no image that falls by half of the range
-    from one pixel to the next, and a hot pixel is high by itself: three neighbours or more that are higher by
-    as much surround a value that has overflowed. A single pixel may be dead, unless it is negative. Counts
-    that 16 bits do not hold have not passed their end.
-    """
-    sample = adu[sample_frames(len(adu))].astype(np.float64)
-    most = np.nanmax(sample)
-    if min(sample.shape[1:]) < 3 or most >= WRAP_ADU or not most - np.nanmin(sample) > WRAP_ADU / 2:
-        return 0
-    padded = np.pad(sample, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
-    low = (around > sample[..., None, None] + WRAP_ADU / 2).sum(axis=(3, 4)) >= 3
-    count = int(low.any(axis=0).sum())
-    return count if count > 1 or (sample[low] < -WRAP_ADU / 8).any() else 0
 
 
 def time_is_last(adu: np.ndarray) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.frames.recording import CalibrationMaps
+from irlos_pipe.frames.told import mean_variance
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.acquisition import RawRecording, plain_header_keys
 from irlos_pipe.readers.fitsfile import (

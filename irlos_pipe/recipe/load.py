@@ -17,8 +17,7 @@ from irlos_pipe.files.yaml import load_yaml, yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.readers.sidecar import stated_instrument, stated_instruments
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageConfig, declared_by
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.base import ModelConfig, StageConfig, declared_by
 
 INPUT_NAME = re.compile(r"[^\W_][\w.+-]*")  # becomes a group in products
 Section = TypeVar("Section", bound=BaseModel)

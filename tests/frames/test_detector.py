@@ -19,10 +19,16 @@ from irlos_pipe.frames.cleaning import (
     to_electrons,
     wrapped_pixels,
 )
-from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.frames.recording import SIDECAR, CalibrationMaps, Detector, star_position
-from irlos_pipe.frames.told import LAST_PER_PX, cutoff_ratio, told_of
+from irlos_pipe.frames.told import (
+    LAST_PER_PX,
+    MeasuredNoise,
+    cutoff_ratio,
+    dark_variance_e2,
+    measure_noise,
+    told_of,
+)
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 

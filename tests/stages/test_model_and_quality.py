@@ -21,6 +21,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.readers.acquisition import altitude_deg
+from irlos_pipe.stages.base import ModelConfig
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.correct import _checks
 from irlos_pipe.stages.model.effects import (
@@ -33,7 +34,6 @@ from irlos_pipe.stages.model.effects import (
     with_colour,
 )
 from irlos_pipe.stages.model.groups import by_setup, require_joint
-from irlos_pipe.stages.model.section import ModelConfig
 from irlos_pipe.stages.model.untested import untested_by_cubes
 from irlos_pipe.stages.sensitivity import announce
 

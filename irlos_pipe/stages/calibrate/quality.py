@@ -27,13 +27,13 @@ from irlos_pipe.estimate.cube import CLEAR, Motion
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.methods import Fit
 from irlos_pipe.estimate.score_test import Mirrored
-from irlos_pipe.frames.measured_noise import SIGNIFICANT
 from irlos_pipe.frames.told import (
     BEYOND,
     GAIN,
     LAST_PER_PX,
     OVERFLOWED,
     READ_NOISE,
+    SIGNIFICANT,
     SMALLEST_NM,
     Constant,
     cutoff_ratio,

@@ -13,8 +13,8 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.reads import adds_up
 from irlos_pipe.conventions.units import MAS_PER_RAD, NM, resolution_px
-from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.frames.recording import CalibrationMaps, Recording, mean_frame
+from irlos_pipe.frames.told import mean_variance
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.acquisition import RawRecording, Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name

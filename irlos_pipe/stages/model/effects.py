@@ -31,10 +31,10 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import results_of
+from irlos_pipe.stages.base import EffectEntry, ModelConfig
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import recordings_from_product
 from irlos_pipe.stages.model.groups import elements_of, require_one_setup
-from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
 
 def psf_settings(
