@@ -29,8 +29,7 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.stage import recordings_from_product
-from irlos_pipe.stages.lift.fit import focus_sensor, light_path
-from irlos_pipe.stages.lift.input import read_ramp
+from irlos_pipe.stages.lift.input import focus_sensor, read_ramp, single_frame_model
 from irlos_pipe.stages.lift.stage import Config, LiftResults
 from irlos_pipe.stages.model.groups import OF_RAMPS
 
@@ -222,7 +221,9 @@ class CalibrationRequest:
                 f"{self.run}: its ramp has frames of a 2x2 mode, and the loop measures images of the full "
                 "pupil; describe those with --acquisition FILE"
             )
-        sensor = focus_sensor(light_path(ctx, recording), good, noise, self._limits(recording.acquisition))
+        sensor = focus_sensor(
+            single_frame_model(ctx, recording), good, noise, self._limits(recording.acquisition)
+        )
         ordinary = Ordinary.of(sensor, images_e)
         notices = [whole.notice]
         if not ordinary.frames:

@@ -40,8 +40,14 @@ from irlos_pipe.stages.diagnose.output import (
 )
 from irlos_pipe.stages.diagnose.stage import ARRAYS, Change, Config, DiagnoseResults, StepRow
 from irlos_pipe.stages.ingest.stage import recordings_from_product, screened_e
-from irlos_pipe.stages.lift.fit import fit_frames
-from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
+from irlos_pipe.stages.lift.input import (
+    Ramp,
+    calibrated_ncpa_nm,
+    effects_for_lift,
+    fit_frames,
+    ramp_model,
+    read_ramp,
+)
 from irlos_pipe.stages.lift.stage import Config as LiftConfig
 from irlos_pipe.stages.model.effects import (
     conditions_of,
