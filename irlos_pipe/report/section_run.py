@@ -1,6 +1,6 @@
 """Sections on the run: the first screen; the recordings that went in, quality control, provenance.
 
-The first screen says whether this may be used, and if not, why; the numbers to quote, each with what it means.
+The first screen says whether this may be used, and if not, why; the numbers to quote, each with its meaning.
 """
 
 import math
