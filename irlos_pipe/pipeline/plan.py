@@ -15,7 +15,7 @@ from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import canonical_json, changed_values, json_text, jsonable
 from irlos_pipe.files.regular import open_regular, read_regular
 from irlos_pipe.product.results import results_of
-from irlos_pipe.product.runfolder import RunFolder, listing_stamp
+from irlos_pipe.product.runfolder import RunFolder, listing_stamp, require_free, require_outside_inputs
 from irlos_pipe.product.storage import is_intact, read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
@@ -187,6 +187,19 @@ class Step:
     def describe(self) -> str:
         redone = self.action is Action.RUN and self.reason != NO_PRODUCT
         return f"{self.name}: {'redone because ' if redone else ''}{self.reason}"
+
+
+def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
+    """Return the input files and the plan of a run into `folder`, which need not exist; nothing is written.
+
+    Raises `ConfigurationError` when the selection or the output folder cannot be used, and `InputDataError`
+    or `NothingToDo` when input files cannot be read, or there are none.
+    """
+    require_free(folder)
+    require_outside_inputs(folder, recipe.inputs)
+    readers = filter(None, (declared_by(STAGES[name], "files_of") for name in recipe.stages))
+    files = input_files(recipe.inputs, folder, next(readers, None))
+    return files, make_plan(recipe, folder, files, selection)
 
 
 def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selection: Selection) -> list[Step]:

@@ -17,7 +17,6 @@ from irlos_pipe.frames.cleaning import (
     relative_flat,
     saturation_level,
     to_electrons,
-    wrapped_pixels,
 )
 from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
 from irlos_pipe.frames.recording import SIDECAR, CalibrationMaps, Detector, star_position
@@ -28,6 +27,7 @@ from irlos_pipe.frames.told import (
     dark_variance_e2,
     measure_noise,
     told_of,
+    wrapped_pixels,
 )
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
