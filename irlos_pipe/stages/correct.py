@@ -16,7 +16,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TIP_TILT
 from irlos_pipe.estimate.calibration_options import StrehlPart
-from irlos_pipe.estimate.correction import MirrorOffsets, mirror_offsets
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.image_quality import CURVES, quality_curves
@@ -29,7 +28,7 @@ from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import recordings_from_product
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.correction import Offsets, Prediction
+    from irlos_pipe.estimate.correction import MirrorOffsets, Offsets, Prediction
 
 VERSION = 7
 NEEDS = ("ingest", "calibrate")
@@ -325,6 +324,8 @@ def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
 
     Raises `InputDataError` if the table of modes that the settings of `ctx` name cannot be used.
     """
+    from irlos_pipe.estimate.correction import mirror_offsets
+
     named: MirrorFile = ctx.config.mirror_modes
     path = Path(named.file)
     maps_nm = _read_modes(path)
