@@ -205,8 +205,8 @@ def _arrays(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[s
     background, gain = cleaned.background, recording.acquisition.detector.e_per_adu
     own = {
         "raw_adu": raw.adu,
-        "background_adu": cleaned.background.adu,
-        "flat": cleaned.background.flat,
+        "background_adu": background.adu,
+        "flat": background.flat,
         "cosmic_hits": np.stack([hits.frame, hits.row, hits.column], axis=1),
         "screened_e": ((mean_adu - background.adu) / background.flat * gain)[rows, columns],
     } | frame_series(recording.images_e, recording.good)
