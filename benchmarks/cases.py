@@ -52,7 +52,7 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.pipeline import Selection, run_recipe
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.ingest.stage import recordings_from_product
 from irlos_pipe.stages.lift.input import (
     Ramp,
     calibrated_ncpa_nm,
@@ -61,8 +61,7 @@ from irlos_pipe.stages.lift.input import (
     ramp_start,
     read_ramp,
 )
-from irlos_pipe.stages.model.effects import model_effects
-from irlos_pipe.stages.model.recording_settings import psf_settings
+from irlos_pipe.stages.model.effects import model_effects, psf_settings
 
 MORE_NOLLS = tuple(range(2, 62))
 Case = Callable[[Inputs, int], dict]

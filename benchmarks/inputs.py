@@ -28,10 +28,9 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.pipeline.resources import silent_progress
 from irlos_pipe.product.storage import read_product
-from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.base import ModelConfig, StageContext
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.lift import stage as lift
-from irlos_pipe.stages.model.section import ModelConfig
 
 SAMPLES = Path(__file__).parents[1] / "data_samples"
 RECIPES = SAMPLES.parent / "recipes"

@@ -31,7 +31,7 @@ from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.common.scenes import JITTER_MAS, LOW_GAIN, NCPA_NM, NCPA_SCATTER_NM
 from irlos_pipe.pipeline import run_recipe
-from irlos_pipe.pipeline.provenance import software_versions
+from irlos_pipe.pipeline.run import software_versions
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.simulate.effects.wavefront import DiversityError
 from irlos_pipe.simulate.exposure import static_zernike_nm

@@ -19,7 +19,7 @@ from benchmarks.diagnose_suite.making import CALIBRATION, CUBE, RAMP, make_case
 from benchmarks.diagnose_suite.scoring import BIASED_NM, write_report
 from benchmarks.harness import REPOSITORY, Outcome, Suite
 from irlos_pipe.pipeline import run_recipe
-from irlos_pipe.pipeline.provenance import software_versions
+from irlos_pipe.pipeline.run import software_versions
 from irlos_pipe.recipe import load_recipe
 
 REPORTED_SEED = 86602540  # of the reported runs; no threshold may rest on its cases

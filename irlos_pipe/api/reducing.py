@@ -37,10 +37,10 @@ from irlos_pipe.recipe import load_recipe
 from irlos_pipe.recipe.load import SECTIONS
 from irlos_pipe.report.text import plural
 from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import ModelConfig
 from irlos_pipe.stages.ingest.sources import read_sources, with_darks
 from irlos_pipe.stages.ingest.stage import Config
 from irlos_pipe.stages.ingest.work import ingest
-from irlos_pipe.stages.model.section import ModelConfig
 
 Where = Path | str
 Images = Where | np.ndarray | Mapping[str, Any] | Sequence[Where | np.ndarray | Mapping[str, Any]]

@@ -99,8 +99,7 @@ def _states(run: RunFolder) -> dict[str, State]:
         stages = load_yaml(run.recipe)[0]["stages"]
         return {run.product(position, stage).name: (CURRENT, "") for position, stage in enumerate(stages, 1)}
     # late: a plan needs the modules of all stages
-    from irlos_pipe.pipeline.plan import Selection
-    from irlos_pipe.pipeline.run import plan_run
+    from irlos_pipe.pipeline.plan import Selection, plan_run
     from irlos_pipe.recipe import load_recipe
 
     try:

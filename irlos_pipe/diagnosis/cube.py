@@ -27,7 +27,7 @@ from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, local_mean, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
-from irlos_pipe.frames.blocks import mean_frame
+from irlos_pipe.frames.recording import mean_frame
 
 HeldOutKind = Literal["frames", "pixels"]
 FAINT_SIGMA = 30.0  # signal of the mean over its noise below which a pixel's variance is taken from around it

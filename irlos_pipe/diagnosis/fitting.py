@@ -26,9 +26,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration_options import NcpaPrior
 from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout
 from irlos_pipe.estimate.starts import start_tilts_nm, twin_of
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.problem import CHI2_TOLERANCE, CheapGradientProblem
-from irlos_pipe.numerics.solution import INVALID, Solution
+from irlos_pipe.numerics.solver import CHI2_TOLERANCE, INVALID, CheapGradientProblem, Solution, solve
 
 PRIOR_SCALE = 3.0  # width of the prior over the law of the NCPAs
 MAX_ITERATIONS = 60

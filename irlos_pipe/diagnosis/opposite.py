@@ -23,7 +23,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.records import OppositeSide
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.base import AT_REST, direction_among
-from irlos_pipe.numerics.problem import ROUNDING
+from irlos_pipe.numerics.solver import ROUNDING
 
 DIRECTIONS = 8  # in which the fit is searched for a fall from no distance, where the image has a kink
 

@@ -43,7 +43,7 @@ from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.estimate.open_fit import TailLaw, last_noll_of, visible_order
 from irlos_pipe.estimate.score_test import NullModel
 from irlos_pipe.numerics.parallel import ordered_map
-from irlos_pipe.numerics.solution import CONVERGED, Solution
+from irlos_pipe.numerics.solver import CONVERGED, Solution
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 DISC = 0.86  # of speckles' correlation sinc²(DISC · D x/λ) along an axis, as wide at half as an Airy disc's

@@ -21,15 +21,13 @@ from irlos_pipe.estimate.calibration_errors import (
     nominal_of,
     nominal_power,
 )
-from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
+from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions, OneSetup, TwinCheck
 from irlos_pipe.estimate.causes import EXPLAINED
-from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, Motion, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.estimate.methods import CubeFit, Fit, Report, chi2_nu_of, linear_estimates, scheme_of, silent
 from irlos_pipe.estimate.open_fit import Opened, OpenFit, TailLaw, finished, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum, likelier_side
-from irlos_pipe.estimate.records import OneSetup, TwinCheck
-from irlos_pipe.estimate.residual import Mirrored, kurtosis_of_frames, mirrored, uneven
-from irlos_pipe.estimate.score_test import best_start
+from irlos_pipe.estimate.score_test import Mirrored, best_start, mirrored, uneven
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 

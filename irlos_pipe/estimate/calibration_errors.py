@@ -53,9 +53,9 @@ from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean
 from irlos_pipe.estimate.image_fit import ImageFit, whole_wavefront
-from irlos_pipe.frames.blocks import blocks
+from irlos_pipe.frames.recording import blocks
 from irlos_pipe.numerics.parallel import joined_map
-from irlos_pipe.numerics.solution import INVALID, Solution
+from irlos_pipe.numerics.solver import INVALID, Solution
 from irlos_pipe.optics.image_quality import power_spectrum
 
 ErrorsFrom = Literal["frames", "few_frames", "noise"]

@@ -32,14 +32,12 @@ from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.planes import DetectorEffect
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
 from irlos_pipe.effects.seeing_halo import SeeingHalo
-from irlos_pipe.estimate.calibration_options import NcpaPrior
+from irlos_pipe.estimate.calibration_options import Cause, NcpaPrior
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
-from irlos_pipe.estimate.records import Cause
 from irlos_pipe.estimate.score_test import LinearEstimate, NullModel, derivatives, frozen_effects, null_model
 from irlos_pipe.frames.told import SMALLEST_NM
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.solution import INVALID
+from irlos_pipe.numerics.solver import INVALID, solve
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings

@@ -5,6 +5,11 @@ What remains, half a pixel at most, is taken out of their signal alone: every fr
 the mean image T of the steady frames at rest less the same displaced by the rest δ_i of its place; T follows
 by iteration from the mean of frames so corrected. An image whose pixels sample it (λ/D ≥ 2 px) is displaced
 by a phase in its spectrum; of coarser pixels the rest stays in the frames, as image motion.
+
+Frames may be a mixture of two kinds: stars, pointings, wavefronts. A mixture scatters by more than its parts,
+so that its scatter excuses what a single model misfits. But it does not scatter as noise does: along the
+direction in which most of the variance lies, frames of two kinds sit at two values. Their kurtosis is 1 for
+halves, 3 for Gaussian scatter and 1.5 for a sinusoidal vibration. Differences in brightness do not count.
 """
 
 from __future__ import annotations
@@ -17,8 +22,8 @@ import scipy.fft
 import torch
 from scipy.special import chdtri
 
-from irlos_pipe.frames.blocks import blocks, frame_flux, frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.recording import blocks, frame_flux, frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.screening import star_peaks
 
 # Frames from which their scatter gives the error of the mean; of fewer, the noise model does.
@@ -151,6 +156,37 @@ def covariance_of_mean(series: np.ndarray) -> np.ndarray:
     inflation = np.sqrt(autocorrelation_time(series))
     covariance = np.atleast_2d(np.cov(series, rowvar=False)) / len(series)
     return covariance * inflation[:, None] * inflation[None, :]
+
+
+FRAMES_OF_A_KIND = 20  # Gaussian scatter of so many has a kurtosis below 1.3 in one of 100 000 cubes
+FEWEST_OF_A_KIND = 6  # from so many two kinds in halves, which have 1, are no chance
+CLEAR = (
+    0.3  # by which it exceeds 1 at most; where fewer than `FRAMES_OF_A_KIND` tell, times their part squared
+)
+LEADING = 0.3  # part of the variance from which a single direction is examined
+
+
+def kurtosis_of_frames(frames: Frames) -> float:
+    """Return the kurtosis of the frames along the direction in which they differ most.
+
+    NaN where no direction leads, and of fewer than `FRAMES_OF_A_KIND` unless they clearly are of two kinds:
+    by chance Gaussian scatter is taken for that in one of 5000 cubes at most.
+    """
+    some = frames.sample_e
+    if len(some) < FEWEST_OF_A_KIND:
+        return float("nan")
+    variance = mean_variance_e2(frames).flatten()
+    usable = frames.good.flatten() & torch.isfinite(variance) & torch.isfinite(some).all(0)
+    whitened = ((some - some.mean(0)) * variance**-0.5)[:, usable]
+    star = (some.mean(0) * variance**-0.5)[usable]
+    whitened -= (whitened @ star)[:, None] * (star / (star @ star))  # clouds dim the same star
+    values, vectors = np.linalg.eigh((whitened @ whitened.mT).numpy())
+    if not values[-1] > LEADING * values.sum():
+        return float("nan")
+    along = vectors[:, -1] - vectors[:, -1].mean()
+    kurtosis = float(len(along) * np.sum(along**4) / np.sum(along**2) ** 2)
+    clear = kurtosis < 1 + CLEAR * (len(some) / FRAMES_OF_A_KIND) ** 2
+    return kurtosis if clear or len(some) >= FRAMES_OF_A_KIND else float("nan")
 
 
 # RMS motion in λ/D up to which frames stay as they are. The part of the OTF by which motion of this size

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.parallel import joined_map
-from irlos_pipe.numerics.problem import Problem
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.numerics.solver import Problem, Solution, solve
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import AS_BUILT
 from irlos_pipe.optics.psf import PsfModel

@@ -20,11 +20,9 @@ from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.declaration import Parameter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.numerics.directional import along_all
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
-from irlos_pipe.numerics.loss import GAUSSIAN, Loss
-from irlos_pipe.numerics.normal_equations import normal_equations, robust_equations
+from irlos_pipe.numerics.loss import GAUSSIAN, Loss, normal_equations, robust_equations
 from irlos_pipe.numerics.parallel import at_once, joined_map
-from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
+from irlos_pipe.numerics.solver import CHI2_TOLERANCE, Problem, scaled_inverse
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16

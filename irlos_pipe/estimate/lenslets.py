@@ -18,7 +18,7 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
+from irlos_pipe.numerics.solver import scaled_inverse
 
 NOLLS = (2, 3, 4, 5, 6)
 SIDES = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])  # (x, y): lower left and right, upper left and right

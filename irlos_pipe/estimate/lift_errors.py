@@ -20,7 +20,7 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
+from irlos_pipe.numerics.solver import scaled_inverse
 from irlos_pipe.optics.lenslets import light_path
 
 LEAST_FREEDOM = 5  # degrees of freedom from which scatter within offsets is preferred to that about the line

@@ -18,10 +18,9 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration_errors import nominal_of
-from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits, TwinCheck
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance, whole_wavefront
-from irlos_pipe.estimate.records import TwinCheck
 from irlos_pipe.estimate.starts import (
     START_HIGHEST_NOLL,
     a_wave_off,
@@ -30,12 +29,11 @@ from irlos_pipe.estimate.starts import (
     median_of_frames_nm,
     start_tilts_nm,
 )
-from irlos_pipe.frames.blocks import blocks
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
+from irlos_pipe.frames.recording import blocks
 from irlos_pipe.numerics.loss import GAUSSIAN
 from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.quasi_newton import polish
-from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
+from irlos_pipe.numerics.solver import CONVERGED, INVALID, MAX_ITERATIONS, Solution, scaled_inverse, solve
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings

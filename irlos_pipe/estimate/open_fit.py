@@ -27,9 +27,7 @@ from scipy.optimize import minimize
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.problem import CheapGradientProblem
-from irlos_pipe.numerics.solution import INVALID, Solution
+from irlos_pipe.numerics.solver import INVALID, CheapGradientProblem, Solution, solve
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import noll_to_nm

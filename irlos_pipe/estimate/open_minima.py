@@ -33,8 +33,7 @@ from irlos_pipe.estimate.causes import EXPLAINED, Asked, causes_of_misfit
 from irlos_pipe.estimate.methods import FIRST, CubeFit, Fit, chi2_nu_of
 from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, finished, fitted_from, settled, widened
 from irlos_pipe.estimate.starts import on_other_sides
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.solution import INVALID, Solution
+from irlos_pipe.numerics.solver import INVALID, Solution, solve
 
 SEED = 20
 SHAKES, PATIENCE = 16, 8  # shakes from one start at most, and in a row without a better minimum

@@ -29,10 +29,8 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.parallel import at_once
-from irlos_pipe.numerics.problem import ROUNDING
-from irlos_pipe.numerics.solution import CONVERGED, MAX_ITERATIONS
+from irlos_pipe.numerics.solver import CONVERGED, MAX_ITERATIONS, ROUNDING, scaled_inverse, solve
 from irlos_pipe.optics.light_path import LightPath
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try

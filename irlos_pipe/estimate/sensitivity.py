@@ -15,8 +15,8 @@ from irlos_pipe.estimate.lift import NearModel, in_pieces, lift, near
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.parallel import at_once, ordered_map, process_map
+from irlos_pipe.numerics.solver import scaled_inverse
 
 PERCENTILES = (50, 15.87, 84.13)
 IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude

@@ -41,15 +41,12 @@ from irlos_pipe.estimate.calibration_errors import (
     nominal_chi2,
     public_errors,
 )
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
+from irlos_pipe.estimate.calibration_options import CalibrationOptions, TwinCheck
+from irlos_pipe.estimate.cube import Frames, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront
 from irlos_pipe.estimate.methods import MEAN_IMAGE, CubeFit, start_at_centroids
-from irlos_pipe.estimate.records import TwinCheck
-from irlos_pipe.estimate.residual import kurtosis_of_frames
 from irlos_pipe.estimate.starts import check_twin
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.numerics.solver import Solution, solve
 from irlos_pipe.optics.image_quality import power_spectrum
 from irlos_pipe.optics.psf_settings import PsfSettings
 
@@ -192,30 +189,32 @@ def calibrate_setups(
     left = np.where(frames[0].good, (first.mean_e - first.model_e) / first.sigma_e, np.nan)
     motions = [one.motion for one in frames if one.motion is not None]
     result = Calibration(
-        closed,
-        layout.nolls,
-        total.numpy(),
-        own[0, layout.modes].numpy(),
-        (read @ mine @ read.mT).numpy(),
-        "frames" if all(one.show_scatter for one in frames) else "noise",
-        effects.describe(values),
-        effects.split(values),
-        (total + changes[:, columns] @ read.mT).numpy(),
-        solution.status,
-        solution.iterations.numpy(),
-        first.mean_e,
-        first.model_e,
-        first.sigma_e,
-        chi2_nu,
-        nominal,
-        min((one.noise_ratio for one in frames if len(one.images_e) > 1), default=math.nan),
-        window_resolutions(setups[0].settings),
-        min((k for k in map(kurtosis_of_frames, frames) if math.isfinite(k)), default=math.nan),
-        twin,
-        None,
-        time.perf_counter() - began,
-        public_errors(effects, values, mine[layout.effect_values, layout.effect_values].numpy()),
-        power_spectrum(left, setups[0].settings.resolution_px),
+        options=closed,
+        nolls=layout.nolls,
+        zernike_nm=total.numpy(),
+        fitted_modes_nm=own[0, layout.modes].numpy(),
+        covariance_nm2=(read @ mine @ read.mT).numpy(),
+        errors_from="frames" if all(one.show_scatter for one in frames) else "noise",
+        effects=effects.describe(values),
+        effect_values=effects.split(values),
+        frames_nm=(total + changes[:, columns] @ read.mT).numpy(),
+        frame_status=solution.status,
+        iterations=solution.iterations.numpy(),
+        mean_image_e=first.mean_e,
+        model_image_e=first.model_e,
+        sigma_image_e=first.sigma_e,
+        chi2_nu=chi2_nu,
+        nominal=nominal,
+        noise_ratio=min((one.noise_ratio for one in frames if len(one.images_e) > 1), default=math.nan),
+        window_resolutions=window_resolutions(setups[0].settings),
+        kurtosis=min((k for k in map(kurtosis_of_frames, frames) if math.isfinite(k)), default=math.nan),
+        twin=twin,
+        tail=None,
+        seconds=time.perf_counter() - began,
+        effects_sigma=public_errors(
+            effects, values, mine[layout.effect_values, layout.effect_values].numpy()
+        ),
+        left=power_spectrum(left, setups[0].settings.resolution_px),
         motion=max(motions, key=lambda one: one.largest_px, default=None),
         setups=found,
         introduced_accuracy=problem.accuracy if problem.off_nm else math.nan,

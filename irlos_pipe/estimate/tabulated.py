@@ -19,7 +19,7 @@ from irlos_pipe.estimate.lift import PhotonFit, lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.starts import SCAN_NM
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.solver import solve
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
 
 FOCUS_REACH_NM = 400.0  # beyond the starts: few fits move further

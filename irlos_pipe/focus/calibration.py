@@ -24,14 +24,12 @@ from irlos_pipe.product.results import read_run_results, results_of
 from irlos_pipe.product.run_table import read_checks
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
-from irlos_pipe.readers.acquisition import of_a_frame, resolve
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.acquisition import RawRecording, of_a_frame, resolve
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
-from irlos_pipe.stages.lift.fit import focus_sensor, light_path
-from irlos_pipe.stages.lift.input import read_ramp
+from irlos_pipe.stages.ingest.stage import recordings_from_product
+from irlos_pipe.stages.lift.input import focus_sensor, read_ramp, single_frame_model
 from irlos_pipe.stages.lift.stage import Config, LiftResults
 from irlos_pipe.stages.model.groups import OF_RAMPS
 
@@ -223,7 +221,9 @@ class CalibrationRequest:
                 f"{self.run}: its ramp has frames of a 2x2 mode, and the loop measures images of the full "
                 "pupil; describe those with --acquisition FILE"
             )
-        sensor = focus_sensor(light_path(ctx, recording), good, noise, self._limits(recording.acquisition))
+        sensor = focus_sensor(
+            single_frame_model(ctx, recording), good, noise, self._limits(recording.acquisition)
+        )
         ordinary = Ordinary.of(sensor, images_e)
         notices = [whole.notice]
         if not ordinary.frames:

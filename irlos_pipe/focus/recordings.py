@@ -13,21 +13,19 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.calibration import stated_detector, stated_differences
 from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Arrival, Fault, Notice
-from irlos_pipe.frames.blocks import picked
-from irlos_pipe.frames.cleaning import find_background
-from irlos_pipe.frames.detector import to_electrons
-from irlos_pipe.frames.recording import Acquisition
+from irlos_pipe.frames.cleaning import find_background, to_electrons
+from irlos_pipe.frames.recording import Acquisition, picked
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
+from irlos_pipe.readers.acquisition import RawRecording
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.fitsfile import has_fits_name
-from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.recorder import PREFIX
 from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path, stated_instrument, stated_instruments
 from irlos_pipe.readers.times import relative_times
 from irlos_pipe.recipe.load import load_recipe
-from irlos_pipe.stages.model.recording_settings import used_in_time_order
+from irlos_pipe.stages.model.effects import used_in_time_order
 
 LONGEST_WAIT_S = 3600.0  # longest wait of a replay for its next frame
 POLL_S = 0.02  # between looks at what has been read

@@ -1,15 +1,18 @@
 """A recording as arrays: frames as a recorder left them, and after cleaning, with what is known about them.
 
 `Recording` is the only form in which images reach the science code: ingest makes it from files.
+
+Frames are worked on in blocks: what is computed on the way does not grow with their number. Sums over frames
+are taken in float64 block by block; with more than `BLOCK_FRAMES` frames they may differ from a sum in one go
+by its rounding.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-
-from irlos_pipe.frames.blocks import mean_frame, picked
 
 # Sources of values.
 RECIPE, SIDECAR, HEADER, PROFILE, FRAMES = "recipe", "side-car", "header", "instrument profile", "measured"
@@ -166,3 +169,92 @@ class Recording:
             return [self]
         nearest = sorted(introduced_nm, key=lambda nm: (abs(nm), nm))
         return [self.of(self.introduced_defocus_nm == nm) for nm in nearest]
+
+
+BLOCK_FRAMES = 256  # 8 MiB of float64 in a window of 64x64
+SAMPLE_FRAMES = 200  # frames that suffice for statistics over time
+
+
+def blocks(frames: int) -> Iterator[slice]:
+    """Yield consecutive slices of at most `BLOCK_FRAMES` frames."""
+    return (slice(start, start + BLOCK_FRAMES) for start in range(0, frames, BLOCK_FRAMES))
+
+
+def sample_frames(frames: int, at_most: int = SAMPLE_FRAMES) -> np.ndarray:
+    """Return indices of evenly spread ones of so many `frames`, `at_most` of them."""
+    return np.unique(np.linspace(0, frames - 1, min(frames, at_most)).astype(int))
+
+
+def picked(frames: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    """Return those of the `frames` that a mask says to `keep`, without a copy where all are kept."""
+    return frames if keep.all() else frames[keep]
+
+
+def mean_frame(images: np.ndarray) -> np.ndarray:
+    """Return the mean of images (frames, rows, columns), float64."""
+    total = sum(images[block].sum(axis=0, dtype=np.float64) for block in blocks(len(images)))
+    return total / len(images)
+
+
+def frame_variance(images: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Return the sample variance of two `images` or more (frames, rows, columns) about their `mean`."""
+    with np.errstate(invalid="ignore"):  # of an infinite pixel: it is NaN
+        squares = sum(np.square(images[block] - mean).sum(axis=0) for block in blocks(len(images)))
+    return squares / (len(images) - 1)
+
+
+def frame_flux(images_e: np.ndarray) -> np.ndarray:
+    """Return the signal of each image (frames, rows, columns), summed over the window [e-]."""
+    return images_e.sum(axis=(1, 2), dtype=np.float64)
+
+
+HALF, CORE = 0.5, 0.1  # of the peak: from where the width counts, and the centroid
+SERIES = {  # what every frame shows of the star, without a model: for plots against time
+    "flux_e": ("e-", "frame", "sum of a frame over the window"),
+    "peak_e": ("e-", "frame", "brightest good pixel of a frame above its level"),
+    "level_e": ("e-", "frame", "median of the rim of the window, one pixel wide"),
+    "fwhm_px": ("px", "frame", "diameter of the circle of the area above half the peak"),
+    "x_px": ("px", "frame", "centroid of what stands above a tenth of the peak, from the window's centre"),
+    "y_px": ("px", "frame", "centroid of what stands above a tenth of the peak, from the window's centre"),
+}
+
+
+def frame_series(images_e: np.ndarray, good: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the numbers of `SERIES` for images (frames, rows, columns); only `good` pixels count."""
+    found = [_series(images_e[block], good) for block in blocks(len(images_e))]
+    return {"flux_e": frame_flux(images_e)} | {
+        name: np.concatenate([one[name] for one in found]) for name in found[0]
+    }
+
+
+def _series(images_e: np.ndarray, good: np.ndarray) -> dict[str, np.ndarray]:
+    rim = np.ones(good.shape, bool)
+    rim[1:-1, 1:-1] = False
+    level = np.median(images_e[:, rim & good if (rim & good).any() else rim], axis=1)
+    above = np.where(good, images_e - level[:, None, None], 0.0)
+    peak = above.max(axis=(1, 2))
+    half = HALF * peak[:, None, None]
+    # The part of a pixel above half the peak: its value falls across it by the gradient.
+    fall = sum(np.abs(np.gradient(above, axis=axis)) for axis in (1, 2) if above.shape[axis] > 1)
+    area = np.clip(0.5 + (above - half) / np.maximum(fall, 1e-9), 0, 1).sum(axis=(1, 2))
+    weight = np.where(above > CORE * peak[:, None, None], above, 0.0)
+    total = np.maximum(weight.sum(axis=(1, 2)), 1e-9)
+    y, x = (np.arange(size) - (size - 1) / 2 for size in good.shape)
+    return {
+        "peak_e": peak,
+        "level_e": level,
+        "fwhm_px": 2 * np.sqrt(area / np.pi),
+        "x_px": weight.sum(axis=1) @ x / total,
+        "y_px": weight.sum(axis=2) @ y / total,
+    }
+
+
+def star_position(image: np.ndarray) -> tuple[float, float]:
+    """Return the centroid (row, column) of what stands above a tenth of the peak [px]."""
+    above = image - np.median(image)
+    weights = np.where(above > 0.1 * above.max(), above, 0.0)
+    total = weights.sum()
+    if total <= 0:
+        return (image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2
+    y, x = np.indices(image.shape)
+    return float((weights * y).sum() / total), float((weights * x).sum() / total)

@@ -16,8 +16,17 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.validation import Origins, Override, ValidationErrors, absolute, require_valid
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.instrument.profile import FACTS, Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry
-from irlos_pipe.instrument.pupil import PupilSection, drawn, require_usable
+from irlos_pipe.instrument.profile import (
+    FACTS,
+    Fact,
+    ModeEntry,
+    Profile,
+    PupilSection,
+    Ratio,
+    SeeingScaleEntry,
+    drawn,
+    require_usable,
+)
 
 PROFILES = Path(__file__).parent
 PARANAL_DEG = -70.4  # longitude, east of Greenwich

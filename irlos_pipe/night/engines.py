@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.files.processes import in_processes
 from irlos_pipe.night.reduce import Reduced, Runner, Task, Work, failure
-from irlos_pipe.pipeline.provenance import software_versions
+from irlos_pipe.pipeline.run import software_versions
 from irlos_pipe.pipeline.runlog import RUN
 
 if TYPE_CHECKING:

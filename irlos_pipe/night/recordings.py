@@ -21,9 +21,10 @@ from irlos_pipe.files.processes import TookTooLong, time_limit
 from irlos_pipe.instrument.instrument import PARANAL_DEG, Instrument
 from irlos_pipe.night.database import Database
 from irlos_pipe.readers import recorder
+from irlos_pipe.readers.acquisition import Resolved
 from irlos_pipe.readers.find import files_of, recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys, stated_instrument, stated_instruments
-from irlos_pipe.stages.ingest.sources import Source, read_sources
+from irlos_pipe.stages.ingest.sources import read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
 DESCRIPTION_VERSION = 3  # version of what a description holds; files with an earlier one are read again
@@ -219,8 +220,10 @@ def _stored(content: Any) -> Description | None:
     return found
 
 
-def _described(file: Path, source: Source, single: bool, instrument: Instrument, stated: str) -> Description:
-    raw, acquisition = source.raw, source.resolved.acquisition
+def _described(
+    file: Path, source: Resolved, single: bool, instrument: Instrument, stated: str
+) -> Description:
+    raw, acquisition = source.raw, source.acquisition
     start = raw.start_unix_s if np.isfinite(raw.start_unix_s) else None
     diversity = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(acquisition.diversity.items()))
     scale = f"{acquisition.pixel_scale_mas:g} mas per pixel"

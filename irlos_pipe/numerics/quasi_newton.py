@@ -13,8 +13,15 @@ import numpy as np
 import torch
 
 from irlos_pipe.numerics.parallel import at_once, process_map
-from irlos_pipe.numerics.problem import ROUNDING, Descent
-from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
+from irlos_pipe.numerics.solver import (
+    CONVERGED,
+    INVALID,
+    MAX_ITERATIONS,
+    ROUNDING,
+    STALLED,
+    Descent,
+    Solution,
+)
 
 FRAMES_PER_PIECE = 32
 ENOUGH = 1e-4  # part of the fall promised by the slope that a step must deliver (Armijo)

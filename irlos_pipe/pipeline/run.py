@@ -2,19 +2,37 @@
 
 import errno
 import logging
+import os
+import platform
+import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePath
 from typing import Any
 
+import irlos_pipe
 from irlos_pipe.conventions.errors import ExitCode, InputDataError, IrlosError, UnexpectedError
 from irlos_pipe.files.atomic import write_bytes, write_if_changed
 from irlos_pipe.files.json import json_text, jsonable
-from irlos_pipe.pipeline.inputs import InputFile, input_files, remember, require_unchanged
-from irlos_pipe.pipeline.plan import Action, Selection, Step, checksum, make_plan, repaired
-from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
+from irlos_pipe.pipeline.plan import (
+    Action,
+    InputFile,
+    Selection,
+    Step,
+    checksum,
+    make_plan,
+    plan_run,
+    remember,
+    repaired,
+    require_unchanged,
+)
 from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device, run_on_device
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE, collected, written_to
 from irlos_pipe.product import run_table, runfolder
@@ -32,7 +50,7 @@ from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.product.table import Origin, table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageContext, StageOutput, arrays_only, depends_on, files_of, reads
+from irlos_pipe.stages.base import StageContext, StageOutput, declared_by, reads
 from irlos_pipe.stages.ingest.stage import IngestResults
 
 
@@ -70,11 +88,12 @@ class Job:
         started, clock = now(), time.perf_counter()
         context = self._context(step, log)
         stage = STAGES[step.name]
-        with collected(log) as lines, limited_threads(self.resources.jobs, arrays_only=arrays_only(stage)):
+        arrays_only = declared_by(stage, "ARRAYS_ONLY")
+        with collected(log) as lines, limited_threads(self.resources.jobs, arrays_only=arrays_only):
             output, device = run_on_device(
                 lambda device: stage.run(replace(context, device=device)), context.device
             )
-        if "inputs" in depends_on(stage):
+        if "inputs" in declared_by(stage, "DEPENDS_ON"):
             require_unchanged(self.files)
         seconds = round(time.perf_counter() - clock, 3)
         times = {"started": started, "finished": now(), "seconds": seconds}
@@ -101,7 +120,9 @@ class Job:
 
     def _device(self, name: str) -> str:
         wanted = self.resources.device
-        return "cpu" if wanted == "auto" and arrays_only(STAGES[name]) else resolve_device(wanted)
+        return (
+            "cpu" if wanted == "auto" and declared_by(STAGES[name], "ARRAYS_ONLY") else resolve_device(wanted)
+        )
 
     def _read_by(self, name: str) -> dict[str, Product]:
         """Products of the earlier stages that a stage reads, each opened once."""
@@ -127,7 +148,7 @@ class Job:
             "seed": self.recipe.seed,
             "jobs": self.resources.jobs,
             "software": software_versions(),
-            "machine": machine(),
+            "machine": {"host": socket.gethostname(), "platform": platform.platform(), "pid": os.getpid()},
             "command": command_line(),
             **how,
             "recordings": [one.as_json() for one in seen],
@@ -191,6 +212,50 @@ def _checks_of(recordings: Sequence[Recorded], product: Product) -> Iterator[Che
             yield check
 
 
+# -- where a product comes from: software, machine, time and command ---------------------------------
+
+GIT_TIMEOUT_S = 5.0
+PACKAGES = ("torch", "numpy", "scipy", "astropy", "h5py", "pydantic")
+
+
+@cache
+def software_versions() -> dict[str, str]:
+    """Return the versions of irlos_pipe, Python and the packages that numbers depend on.
+
+    That of irlos_pipe has the git revision behind it where it runs from a checkout.
+    """
+    revision = _git_revision(Path(irlos_pipe.__file__).parents[1])
+    own = f"{irlos_pipe.__version__}+{revision}" if revision else irlos_pipe.__version__
+    found = {"irlos_pipe": own, "python": platform.python_version()}
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
+
+
+def _git_revision(checkout: Path) -> str:
+    """Return ``git.`` and the short revision, ``.dirty`` behind it with changes; nothing without git."""
+    if not (checkout / ".git").exists():  # a package that is installed, perhaps in somebody else's checkout
+        return ""
+    command = ["git", "-C", str(checkout), "describe", "--always", "--dirty=.dirty", "--match="]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return f"git.{answer.stdout.strip()}"
+
+
+def now() -> str:
+    """Return the UTC time in ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def command_line() -> str:
+    return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+# -- the end of a run, and its begin ------------------------------------------------------------------
+
 EXIT_CODES = {
     "ok": ExitCode.DONE,
     "qc_failed": ExitCode.QUALITY,
@@ -250,19 +315,6 @@ def _status(products: Mapping[str, Product]) -> str:
     if any(provenance_of(product).failures for product in products.values()):
         return "partial"
     return "ok"
-
-
-def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
-    """Return the input files and the plan of a run into `folder`, which need not exist; nothing is written.
-
-    Raises `ConfigurationError` when the selection or the output folder cannot be used, and `InputDataError`
-    or `NothingToDo` when input files cannot be read, or there are none.
-    """
-    runfolder.require_free(folder)
-    runfolder.require_outside_inputs(folder, recipe.inputs)
-    readers = filter(None, (files_of(STAGES[name]) for name in recipe.stages))
-    files = input_files(recipe.inputs, folder, next(readers, None))
-    return files, make_plan(recipe, folder, files, selection)
 
 
 def run_recipe(

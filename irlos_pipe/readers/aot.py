@@ -13,8 +13,8 @@ from irlos_pipe.conventions.late import LateModule
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.frames.recording import CalibrationMaps
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.acquisition import RawRecording
 from irlos_pipe.readers.fitsfile import native, require_cube, stem
-from irlos_pipe.readers.raw_file import RawRecording
 
 LAYOUT = "aot"
 VERSION_KEY = "AOT-VERS"

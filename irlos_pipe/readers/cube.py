@@ -12,6 +12,7 @@ from astropy.io import fits
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.text import printable
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.acquisition import RawRecording, plain_header_keys
 from irlos_pipe.readers.fitsfile import (
     MIN_WINDOW_PX,
     file_header,
@@ -21,7 +22,6 @@ from irlos_pipe.readers.fitsfile import (
     image_shape,
     stem,
 )
-from irlos_pipe.readers.raw_file import RawRecording, plain_header_keys
 
 LAYOUT = "fits_cube"
 NUMBERED = re.compile(r"(.*?)[ _.-]?(\d+)")  # FRAME12, SCI_1

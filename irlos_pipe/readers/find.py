@@ -20,8 +20,8 @@ from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.regular import open_regular
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
+from irlos_pipe.readers.acquisition import RawRecording, inherited_cards
 from irlos_pipe.readers.fitsfile import file_header, has_fits_name, open_fits, stem
-from irlos_pipe.readers.raw_file import RawRecording, inherited_cards
 from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, Role, own_sidecar, sidecar_path
 from irlos_pipe.readers.times import start_of
 

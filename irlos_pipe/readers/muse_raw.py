@@ -11,8 +11,8 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.instrument.instrument import Instrument, Mode
+from irlos_pipe.readers.acquisition import RawRecording, header_keys
 from irlos_pipe.readers.fitsfile import hdu_label, image_array, require_one, stem
-from irlos_pipe.readers.raw_file import RawRecording, header_keys
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 from irlos_pipe.readers.times import iso_time, require_times, start_of, unix_seconds
 

@@ -9,9 +9,10 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.frames.recording import CalibrationMaps
+from irlos_pipe.frames.told import mean_variance
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.acquisition import RawRecording, plain_header_keys
 from irlos_pipe.readers.fitsfile import (
     file_header,
     first_image,
@@ -23,7 +24,6 @@ from irlos_pipe.readers.fitsfile import (
     require_one,
     stem,
 )
-from irlos_pipe.readers.raw_file import RawRecording, plain_header_keys
 from irlos_pipe.readers.times import column, require_times, unix_seconds
 
 LAYOUT = "sparta_recorder"

@@ -17,8 +17,7 @@ from irlos_pipe.files.yaml import load_yaml, yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.readers.sidecar import stated_instrument, stated_instruments
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageConfig, needs
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.base import ModelConfig, StageConfig, declared_by
 
 INPUT_NAME = re.compile(r"[^\W_][\w.+-]*")  # becomes a group in products
 Section = TypeVar("Section", bound=BaseModel)
@@ -294,5 +293,5 @@ def _stage_problem(name: str, earlier: Sequence[str]) -> str:
     late = [other for other in earlier if other in order[order.index(name) :]]
     if late:
         return f"stage '{name}' must come before '{late[0]}'; the order is {', '.join(order)}"
-    lacking = [needed for needed in needs(STAGES[name]) if needed not in earlier]
+    lacking = [needed for needed in declared_by(STAGES[name], "NEEDS") if needed not in earlier]
     return f"stage '{name}' needs '{lacking[0]}' before it" if lacking else ""

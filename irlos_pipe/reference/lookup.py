@@ -22,7 +22,7 @@ from irlos_pipe.product.results import ELSEWHERE, fields_of, models_in, told_of
 from irlos_pipe.readers.sidecar import SidecarKeys
 from irlos_pipe.recipe.load import RecipeHead
 from irlos_pipe.stages import LIGHT_PATH, STAGES
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.base import ModelConfig
 
 Kind = Literal[
     "stage", "key of a recipe", "key of a side-car", "key of a profile", "fact of a profile", "effect",

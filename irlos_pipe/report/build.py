@@ -20,22 +20,25 @@ from irlos_pipe.product.results import StageResults, provenance_of, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Section, Text, rendered
 from irlos_pipe.report.drawing import ALONE, kept_by
-from irlos_pipe.report.first_screen import (
-    answer,
-    causes,
-    failures,
-    key_numbers,
-    meaning_section,
-    places_of,
-    warnings,
-)
 from irlos_pipe.report.run_data import RunData, read_run
 from irlos_pipe.report.section_calibrate import calibrate_section, correct_section
 from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.report.section_diagnose import diagnose_section, verdict_mark
 from irlos_pipe.report.section_lift import lift_section, prior_section
 from irlos_pipe.report.section_modes import modes_section
-from irlos_pipe.report.section_run import finished, ingest_section, origin_section, quality_section
+from irlos_pipe.report.section_run import (
+    answer,
+    causes,
+    failures,
+    finished,
+    ingest_section,
+    key_numbers,
+    meaning_section,
+    origin_section,
+    places_of,
+    quality_section,
+    warnings,
+)
 from irlos_pipe.report.section_sensitivity import sensitivity_section
 from irlos_pipe.stages import EXPERIMENTS, STAGES
 from irlos_pipe.stages.calibrate.stage import CalibrateResults

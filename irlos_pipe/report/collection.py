@@ -13,9 +13,8 @@ from irlos_pipe.product.results import Provenance, provenance_of
 from irlos_pipe.report.build import stage_sections
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views, rendered, shown
 from irlos_pipe.report.drawing import renamed
-from irlos_pipe.report.first_screen import meaning_section, warnings
 from irlos_pipe.report.run_data import read_run
-from irlos_pipe.report.section_run import finished
+from irlos_pipe.report.section_run import finished, meaning_section, warnings
 from irlos_pipe.report.text import MISSING, duration, is_known
 
 TITLE = "The experiments of the paper"

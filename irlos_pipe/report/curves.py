@@ -9,7 +9,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.frames.detector import star_position
+from irlos_pipe.frames.recording import star_position
 from irlos_pipe.optics.image_quality import ring_means
 from irlos_pipe.report.content import Figure
 from irlos_pipe.report.drawing import (

@@ -17,7 +17,7 @@ from irlos_pipe.product.results import Results, RunResults, read_run_results, re
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
 from irlos_pipe.report.content import Block, Blocks, shown
-from irlos_pipe.stages.ingest.recording_arrays import Overview, overviews_from_product
+from irlos_pipe.stages.ingest.stage import Overview, overviews_from_product
 
 Key = TypeVar("Key")
 

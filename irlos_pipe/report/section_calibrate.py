@@ -42,7 +42,6 @@ from irlos_pipe.report.drawing import (
     plot,
     power_of_ten,
 )
-from irlos_pipe.report.first_screen import advice, applicable, effect_link
 from irlos_pipe.report.images import (
     BRIGHTNESS,
     PANEL_IN,
@@ -58,6 +57,7 @@ from irlos_pipe.report.images import (
 )
 from irlos_pipe.report.run_data import RunData, StageData, frame_times
 from irlos_pipe.report.section_lift import effects_table, image_strip, residual_limit
+from irlos_pipe.report.section_run import advice, applicable, effect_link
 from irlos_pipe.report.text import MISSING, is_known, mode_label, mode_name, number, plural, with_error
 from irlos_pipe.stages.calibrate.stage import CalibrateResults, Estimate
 from irlos_pipe.stages.correct import CorrectResults

@@ -12,7 +12,7 @@ from irlos_pipe.diagnosis.records import Alternative, OwnValueRow, Ranked
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.effects.public_values import rows_of
-from irlos_pipe.frames.detector import star_position
+from irlos_pipe.frames.recording import star_position
 from irlos_pipe.report.content import Block, Figure, KeyNumber, Section, Stack, Table, Text, Width, shown
 from irlos_pipe.report.curves import (
     BEFORE_AFTER,

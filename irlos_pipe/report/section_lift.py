@@ -9,11 +9,10 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.focus_stage import travel_direction
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.records import DECISIVE
+from irlos_pipe.estimate.calibration_options import DECISIVE
 from irlos_pipe.product.results import EffectValues
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Width, shown
 from irlos_pipe.report.drawing import BESIDE, BLUE, FAINT, GREEN, INK, MANY, ORANGE, PURPLE, log_y, plot, svg
-from irlos_pipe.report.first_screen import effect_link
 from irlos_pipe.report.images import (
     BRIGHTNESS,
     PERCENTILE,
@@ -24,6 +23,7 @@ from irlos_pipe.report.images import (
     symmetric_scale,
 )
 from irlos_pipe.report.run_data import RunData, StageData
+from irlos_pipe.report.section_run import effect_link
 from irlos_pipe.report.text import MISSING, is_known, number, parameter_rows, plural, with_error
 from irlos_pipe.stages.lift.stage import LiftResults, Point, Twin, own_text
 from irlos_pipe.stages.prior import PriorResults

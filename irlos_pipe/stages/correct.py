@@ -15,8 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_NOLL, HIGHEST_REPORTED_NOLL, TIP_TILT
-from irlos_pipe.estimate.mirror_modes import MirrorOffsets, mirror_offsets
-from irlos_pipe.estimate.records import StrehlPart
+from irlos_pipe.estimate.calibration_options import StrehlPart
 from irlos_pipe.files.regular import first_image, open_regular
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.image_quality import CURVES, quality_curves
@@ -26,10 +25,10 @@ from irlos_pipe.product.results import DITTO, ByNoll, Number, ResultsPart, Stage
 from irlos_pipe.product.table import Card, Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.ingest.stage import recordings_from_product
 
 if TYPE_CHECKING:
-    from irlos_pipe.estimate.correction import Offsets, Prediction
+    from irlos_pipe.estimate.correction import MirrorOffsets, Offsets, Prediction
 
 VERSION = 7
 NEEDS = ("ingest", "calibrate")
@@ -111,7 +110,7 @@ class Config(StageConfig):
 
 
 class MirrorRow(ResultsPart):
-    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`."""
+    """The correction in the modes of a mirror, see `estimate.correction.MirrorOffsets`."""
 
     modes: int = item(0, "Number of modes of its table.")
     offset: list[Number] = item([], "Offset of each, in the unit of the table.")
@@ -279,8 +278,7 @@ def _predict(
     """Images before and after the correction, and what every part of the model takes of the Strehl ratio."""
     from irlos_pipe.effects import fixed_optics
     from irlos_pipe.estimate.correction import predict_correction, strehl_budget
-    from irlos_pipe.stages.model.effects import calibrated_effects
-    from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
+    from irlos_pipe.stages.model.effects import calibrated_effects, psf_settings, seeing_arcsec
 
     product = ctx.products["calibrate"]
     seeing = seeing_arcsec(ctx.instrument, recording.acquisition)
@@ -326,6 +324,8 @@ def in_mirror_modes(ctx: StageContext, output: StageOutput) -> StageOutput:
 
     Raises `InputDataError` if the table of modes that the settings of `ctx` name cannot be used.
     """
+    from irlos_pipe.estimate.correction import mirror_offsets
+
     named: MirrorFile = ctx.config.mirror_modes
     path = Path(named.file)
     maps_nm = _read_modes(path)

@@ -16,7 +16,7 @@ from irlos_pipe.product.results import DITTO, Number, ResultsPart, StageResults,
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults, cube_estimates
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.ingest.stage import recordings_from_product
 
 if TYPE_CHECKING:
     from irlos_pipe.estimate.mode_number import Choice, ModeLaw, ModeScan, ModeScatter
@@ -214,7 +214,7 @@ def _law_lines(draws: int, modes: int, laws: Mapping[str, ModeLaw]) -> list[str]
 def _scans(ctx: StageContext[Config], least_frames: int) -> list[ModeScan]:
     """Scan of the first cubes that have enough frames."""
     from irlos_pipe.estimate.mode_number import scan_mode_numbers
-    from irlos_pipe.stages.calibrate.input import cube_input
+    from irlos_pipe.stages.calibrate.work import cube_input
 
     stored = CalibrateConfig(**ctx.products["calibrate"].config)
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], stored.input)]
@@ -223,8 +223,8 @@ def _scans(ctx: StageContext[Config], least_frames: int) -> list[ModeScan]:
     found = []
     with ctx.progress(total=2 * len(numbers) * len(usable), desc="number of modes") as bar:
         for recording in usable:
-            cube = cube_input(ctx, [recording], options)
-            of_cube = cube.frames, cube.settings, options, numbers, cube.effects
+            cube, _ = cube_input(ctx, [recording], options)
+            of_cube = cube.frames, cube.settings, options, numbers, cube.own
             found.append(scan_mode_numbers(*of_cube, device=ctx.device, report=bar.update))
     return found
 

@@ -65,8 +65,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     from irlos_pipe.effects import expected, fixed_optics
     from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
     from irlos_pipe.optics.psf import PsfModel
-    from irlos_pipe.stages.model.effects import good_pixels, model_effects
-    from irlos_pipe.stages.model.recording_settings import psf_settings, used_in_time_order
+    from irlos_pipe.stages.model.effects import good_pixels, model_effects, psf_settings, used_in_time_order
 
     recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
     first = recordings[0]

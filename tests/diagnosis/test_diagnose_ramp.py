@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.diagnosis.ramp import diagnose_ramp
-from irlos_pipe.stages.diagnose.ramp import frames_held_out
+from irlos_pipe.stages.diagnose.work import frames_held_out
 
 OFFSETS_NM = (-300, -200, -100, 0, 100, 200, 300, 250, 150, 50, -50, -150, -250)
 COMMANDED_NM = np.repeat(np.array(OFFSETS_NM, float), 6)

@@ -14,7 +14,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.causes import Asked, causes_of_misfit, improbable_diversity
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.solver import solve
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.structure_function import ResidualBand
 

@@ -28,7 +28,7 @@ from irlos_pipe.estimate.elongation import (
     calibrate_law,
     fit_gaussians,
 )
-from irlos_pipe.estimate.residual import Mirrored
+from irlos_pipe.estimate.score_test import Mirrored
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 

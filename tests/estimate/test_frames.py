@@ -16,7 +16,7 @@ from irlos_pipe.estimate.cube import Frames, steadied
 from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
 from irlos_pipe.estimate.starts import median_of_frames_nm
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.solution import CONVERGED, Solution
+from irlos_pipe.numerics.solver import CONVERGED, Solution
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS, WINDOW, FLUX_E = tuple(range(2, 16)), 40, 1e6

@@ -25,7 +25,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics import quasi_newton
 from irlos_pipe.numerics.loss import LOSSES
 from irlos_pipe.numerics.parallel import workers
-from irlos_pipe.numerics.solution import CONVERGED
+from irlos_pipe.numerics.solver import CONVERGED
 from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf import PsfModel
 

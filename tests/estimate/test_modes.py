@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.correction import mirror_offsets
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.mirror_modes import mirror_offsets
 from irlos_pipe.estimate.mode_number import ModeScatter, choose, fit_mode_law, mode_scatter, scan_mode_numbers
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm

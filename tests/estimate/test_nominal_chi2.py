@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from irlos_pipe.estimate.calibration_errors import Part, nominal_chi2, nominal_power
-from irlos_pipe.estimate.cube import Frames, mean_variance_e2
-from irlos_pipe.estimate.residual import kurtosis_of_frames
+from irlos_pipe.estimate.cube import Frames, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.image_quality import power_spectrum
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from faults.runs import End, Patches, end_at, make_night, no_file_above, rewritten, run
 from faults.tree import broken, content, leftovers
-from irlos_pipe.pipeline.provenance import software_versions
+from irlos_pipe.pipeline.run import software_versions
 
 INTERRUPTED = 130
 BESIDE_A_WRITER = {0, 3, 5, 64}

@@ -9,13 +9,13 @@ from irlos_pipe.frames.bad_pixels import (
     Thresholds,
     deviant_pixels,
     hot_in_dark,
+    neighbour_prediction,
     noisy_pixels,
     stuck_pixels,
 )
-from irlos_pipe.frames.hits import cosmic_hits, flickering_pixels
-from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.screening import cosmic_hits, flickering_pixels
 from irlos_pipe.stages.ingest.stage import Config
 
 DETECTOR = Detector(e_per_adu=0.5, read_noise_e=1.0)

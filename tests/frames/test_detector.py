@@ -11,19 +11,24 @@ from helpers.sparta_files import SAMPLING_PX, counts, frames_e, star
 from scipy import integrate
 from simulator.detector import Detector as SimulatedDetector
 
-from irlos_pipe.frames.cleaning import find_background
-from irlos_pipe.frames.detector import (
+from irlos_pipe.frames.bad_pixels import neighbour_prediction
+from irlos_pipe.frames.cleaning import (
+    find_background,
     relative_flat,
     saturation_level,
-    star_position,
     to_electrons,
+)
+from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
+from irlos_pipe.frames.recording import SIDECAR, CalibrationMaps, Detector, star_position
+from irlos_pipe.frames.told import (
+    LAST_PER_PX,
+    MeasuredNoise,
+    cutoff_ratio,
+    dark_variance_e2,
+    measure_noise,
+    told_of,
     wrapped_pixels,
 )
-from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
-from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
-from irlos_pipe.frames.noise import ExposureNoise, NoiseModel
-from irlos_pipe.frames.recording import SIDECAR, CalibrationMaps, Detector
-from irlos_pipe.frames.told import LAST_PER_PX, cutoff_ratio, told_of
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 

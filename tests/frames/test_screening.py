@@ -11,10 +11,9 @@ from helpers.sparta_files import counts, frames_e, star
 from irlos_pipe.frames import screening
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.cleaning import clean
-from irlos_pipe.frames.hits import Hits
-from irlos_pipe.frames.measured_noise import MeasuredNoise
 from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector, RawFrames
 from irlos_pipe.frames.screening import (
+    Hits,
     Limits,
     core_of,
     hit_in_core,
@@ -23,7 +22,7 @@ from irlos_pipe.frames.screening import (
     saturated_frames,
     star_faults,
 )
-from irlos_pipe.frames.told import EXCESS, GAIN, READ_NOISE, believed, constants
+from irlos_pipe.frames.told import EXCESS, GAIN, READ_NOISE, MeasuredNoise, believed, constants
 from irlos_pipe.stages.ingest.stage import Config
 
 SAMPLING_PX = 3.81

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.frames.series import frame_series
+from irlos_pipe.frames.recording import frame_series
 
 
 @pytest.mark.parametrize("width_px", [1.8, 3.5])

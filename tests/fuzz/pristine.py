@@ -14,7 +14,7 @@ from helpers import sparta_files
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.ingest.stage import recordings_from_product
 
 ROWS, COLUMNS, FRAMES = 24, 20, 8
 RECIPE = "recipe: fuzz\ninputs:\n  cube: {path}\nstages: [ingest]\n"

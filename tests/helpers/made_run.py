@@ -12,7 +12,7 @@ from irlos_pipe.files.json import jsonable
 from irlos_pipe.frames.recording import Detector, Recording
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.storage import write_product
-from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording
+from irlos_pipe.stages.ingest.stage import arrays_from_recording
 
 SIDE = 12
 OFFSETS_NM = (-100.0, 100.0, 0.0)

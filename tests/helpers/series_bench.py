@@ -14,9 +14,8 @@ from irlos_pipe.frames.recording import Detector, Recording
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.zernike import rotation_matrix
 from irlos_pipe.product.product import Product
-from irlos_pipe.stages.base import Stage, StageOutput
-from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.base import ModelConfig, Stage, StageOutput
+from irlos_pipe.stages.ingest.stage import arrays_from_recording
 
 WINDOW, FLUX_E, FRAMES = 40, 1e6, 36
 NOLLS = tuple(range(4, 16))

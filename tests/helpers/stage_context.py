@@ -5,8 +5,7 @@ from pathlib import Path
 
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.pipeline.resources import silent_progress
-from irlos_pipe.stages.base import StageConfig, StageContext
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.base import ModelConfig, StageConfig, StageContext
 
 
 def stage_context(config: StageConfig, **changes) -> StageContext:

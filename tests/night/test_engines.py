@@ -20,7 +20,8 @@ from helpers import sparta_files
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.night import engines
 from irlos_pipe.night.reduce import Reduced, Task, reduce_group
-from irlos_pipe.pipeline import provenance, run_recipe
+from irlos_pipe.pipeline import run as runs
+from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.storage import read_product
 
 RECIPE = """\
@@ -148,11 +149,11 @@ def deadly(task: Task, last: str = "", before: Reduced | None = None) -> Reduced
 
 @pytest.mark.slow
 def test_a_worker_with_other_software_is_refused(address, tasks, monkeypatch):
-    monkeypatch.setattr(provenance, "PACKAGES", ("torch",))  # here; the workers report all of theirs
-    provenance.software_versions.cache_clear()
+    monkeypatch.setattr(runs, "PACKAGES", ("torch",))  # here; the workers report all of theirs
+    runs.software_versions.cache_clear()
     with pytest.raises(ConfigurationError, match=r"numpy .* instead of none.*not be the same"):
         on_dask(address, deadly, tasks)
-    provenance.software_versions.cache_clear()
+    runs.software_versions.cache_clear()
 
 
 @pytest.mark.slow

@@ -9,8 +9,7 @@ from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
 from irlos_pipe.night import database
-from irlos_pipe.night.published_run import PublishedRun
-from irlos_pipe.night.reduce import Task, failure
+from irlos_pipe.night.reduce import PublishedRun, Task, failure
 from irlos_pipe.night.settings import load_settings
 
 MORNING = "2024-02-11T03:00:00"

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from irlos_pipe.conventions.errors import IrlosError
-from irlos_pipe.night.published_run import PublishedRun
+from irlos_pipe.night.reduce import PublishedRun
 from irlos_pipe.product.runfolder import owned_folder
 
 

@@ -19,11 +19,9 @@ from irlos_pipe.diagnosis.fitting import JointFit
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, Layout
 from irlos_pipe.numerics.directional import Directional, along_all
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.loss import L1_ROUNDING, LOSSES
-from irlos_pipe.numerics.normal_equations import normal_equations, robust_equations
+from irlos_pipe.numerics.loss import L1_ROUNDING, LOSSES, normal_equations, robust_equations
 from irlos_pipe.numerics.parallel import ordered_map, process_map, workers
-from irlos_pipe.numerics.problem import CHI2_TOLERANCE
+from irlos_pipe.numerics.solver import CHI2_TOLERANCE, solve
 from irlos_pipe.optics.psf import PsfModel
 
 PARAMETERS, PIXELS = 3, 400

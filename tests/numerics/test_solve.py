@@ -5,11 +5,20 @@ import pytest
 import torch
 from scipy.optimize import least_squares, minimize, rosen, rosen_der
 
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.parallel import workers
-from irlos_pipe.numerics.problem import ROUNDING, CheapGradientProblem, Problem
 from irlos_pipe.numerics.quasi_newton import FRAMES_PER_PIECE, polish
-from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
+from irlos_pipe.numerics.solver import (
+    CONVERGED,
+    INVALID,
+    MAX_ITERATIONS,
+    ROUNDING,
+    STALLED,
+    CheapGradientProblem,
+    Problem,
+    Solution,
+    scaled_inverse,
+    solve,
+)
 
 X = np.linspace(0, 4, 40)
 

@@ -10,7 +10,7 @@ import torch
 from helpers.experiment_stage import drawn, run_on, sample, tables_of
 
 from irlos_pipe.estimate.lift import LiftResult
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.numerics.solver import Solution
 from irlos_pipe.paper import first_tests
 from irlos_pipe.paper.first_tests import TARGETS, Target, stage_error, variants_of, wrong_minima
 from irlos_pipe.simulate.effects import effects_of

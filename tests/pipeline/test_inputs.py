@@ -9,7 +9,7 @@ from astropy.io import fits
 from helpers.sparta_files import counts, loop_table, star, write_muse, write_recorder, write_sidecar
 
 from irlos_pipe.pipeline import Selection, plan_run, run_recipe
-from irlos_pipe.pipeline.inputs import input_files
+from irlos_pipe.pipeline.plan import input_files
 from irlos_pipe.recipe import load_recipe
 
 RECIPE = "recipe: test\ninputs: {cube: data}\nstages: [ingest]\n"

@@ -13,8 +13,9 @@ from helpers.running import reasons, results, run, visible
 
 import irlos_pipe
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
-from irlos_pipe.pipeline import Selection, provenance
-from irlos_pipe.pipeline.inputs import CACHE_NAME
+from irlos_pipe.pipeline import Selection
+from irlos_pipe.pipeline import run as runs
+from irlos_pipe.pipeline.plan import CACHE_NAME
 from irlos_pipe.product.run_table import link_latest, version_folders
 
 
@@ -204,11 +205,11 @@ def version(monkeypatch):
 
     def stated(folder) -> str:
         monkeypatch.setattr(irlos_pipe, "__file__", str(folder / "irlos_pipe" / "__init__.py"))
-        provenance.software_versions.cache_clear()
-        return provenance.software_versions()["irlos_pipe"]
+        runs.software_versions.cache_clear()
+        return runs.software_versions()["irlos_pipe"]
 
     yield stated
-    provenance.software_versions.cache_clear()
+    runs.software_versions.cache_clear()
 
 
 def git(folder, *arguments):

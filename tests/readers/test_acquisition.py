@@ -15,9 +15,8 @@ from helpers.sparta_files import sidecar, write_muse, write_sidecar
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.readers.acquisition import photons, resolve, spectrum_of
+from irlos_pipe.readers.acquisition import RawRecording, photons, resolve, spectrum_of
 from irlos_pipe.readers.find import read_recordings
-from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, DetectorKeys, read_sidecar
 from irlos_pipe.readers.sidecar_template import proposals, sidecar_template
 

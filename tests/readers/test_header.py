@@ -20,9 +20,9 @@ from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.readers.times import start_of
+from irlos_pipe.stages.base import ModelConfig
+from irlos_pipe.stages.model.effects import psf_settings
 from irlos_pipe.stages.model.groups import require_one_setup
-from irlos_pipe.stages.model.recording_settings import psf_settings
-from irlos_pipe.stages.model.section import ModelConfig
 
 STAMP = "2021-05-01T05:00:00"
 UNIX_S = Time(STAMP, scale="utc").unix

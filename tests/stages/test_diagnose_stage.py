@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.stages.base import EffectEntry, ModelConfig
 from irlos_pipe.stages.diagnose.output import (
     checks_of,
     model_yaml,
@@ -23,8 +24,7 @@ from irlos_pipe.stages.diagnose.output import (
 )
 from irlos_pipe.stages.diagnose.stage import Config, DiagnoseResults
 from irlos_pipe.stages.diagnose.work import moments_of
-from irlos_pipe.stages.model.recording_settings import pooled_frames
-from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
+from irlos_pipe.stages.model.effects import pooled_frames
 
 
 @pytest.mark.slow

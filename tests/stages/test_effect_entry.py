@@ -8,11 +8,11 @@ from helpers.recordings import recording as made
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.stages.base import EffectEntry, ModelConfig
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
     model_effects,
 )
-from irlos_pipe.stages.model.section import EffectEntry, ModelConfig
 
 IRLOS = load_instrument("irlos")
 

@@ -20,14 +20,13 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.recording import Acquisition, CalibrationMaps, Detector
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.storage import read_product, write_product
-from irlos_pipe.readers.acquisition import Resolved
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.acquisition import RawRecording, Resolved
 from irlos_pipe.stages.ingest import stage as ingest
-from irlos_pipe.stages.ingest.recording_arrays import (
+from irlos_pipe.stages.ingest.sources import accumulated
+from irlos_pipe.stages.ingest.stage import (
     recordings_from_product,
     screened_e,
 )
-from irlos_pipe.stages.ingest.sources import Source, accumulated
 
 SHARED = paths.SHARED / "samples"
 IMAGE = star(32, 32)
@@ -243,7 +242,7 @@ FRAMES = 20
 ADU = np.random.default_rng(0).integers(190, 400, (FRAMES, 6, 7)).astype(np.uint16)
 
 
-def source(adu: np.ndarray = ADU, counter=None, **raw) -> Source:
+def source(adu: np.ndarray = ADU, counter=None, **raw) -> Resolved:
     counter = np.arange(len(adu)) if counter is None else np.asarray(counter)
     recording = RawRecording(
         name="raw",
@@ -256,13 +255,13 @@ def source(adu: np.ndarray = ADU, counter=None, **raw) -> Source:
     )
     detector = Detector(0.5, 1.0, background_e=0.1)
     told = Acquisition("psf", detector, ((1600.0, 1.0),), {}, 9.7, exposure_s=0.005, frame_rate_hz=200.0)
-    return Source("cube", recording, Resolved(told, np.zeros(len(adu)), ()))
+    return Resolved(recording, told, np.zeros(len(adu)), (), "cube")
 
 
 def test_frames_are_summed_and_what_is_known_of_them_follows():
     dark = np.full((6, 7), 195.5)
     summed = accumulated(source(calibration=CalibrationMaps(dark_adu=dark, dark_variance_adu2=0.2)), 0.02)
-    raw, told = summed.raw, summed.resolved.acquisition
+    raw, told = summed.raw, summed.acquisition
     assert raw.adu.tolist() == ADU.reshape(5, 4, 6, 7).sum(axis=1).tolist()
     assert raw.frame_counter.tolist() == [0, 4, 8, 12, 16]
     assert raw.unix_s - 1e9 == pytest.approx([0, 0.02, 0.04, 0.06, 0.08], abs=1e-6)
@@ -283,7 +282,7 @@ def test_a_pixel_that_is_saturated_once_is_so_in_the_sum():
     adu = ADU.copy()
     adu[5, 2, 3] = 65535
     summed = accumulated(source(adu), 0.02)
-    level = summed.resolved.acquisition.detector.saturation_adu
+    level = summed.acquisition.detector.saturation_adu
     assert level == 4 * 65535
     assert np.argwhere(summed.raw.adu >= level).tolist() == [[1, 2, 3]]
 

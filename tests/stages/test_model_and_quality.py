@@ -13,25 +13,27 @@ from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.declaration import Refraction
 from irlos_pipe.estimate.calibration_errors import NominalChi2
+from irlos_pipe.estimate.calibration_options import OneSetup, TwinCheck
 from irlos_pipe.estimate.cube import Motion
-from irlos_pipe.estimate.records import OneSetup, TwinCheck
-from irlos_pipe.estimate.residual import Mirrored
+from irlos_pipe.estimate.score_test import Mirrored
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.readers.acquisition import altitude_deg
+from irlos_pipe.stages.base import ModelConfig
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.correct import _checks
-from irlos_pipe.stages.model.effects import refraction_mas, refraction_of, with_colour
-from irlos_pipe.stages.model.groups import by_setup, require_joint
-from irlos_pipe.stages.model.recording_settings import (
+from irlos_pipe.stages.model.effects import (
     pooled_images,
     psf_settings,
+    refraction_mas,
+    refraction_of,
     residual_band,
     seeing_arcsec,
+    with_colour,
 )
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.model.groups import by_setup, require_joint
 from irlos_pipe.stages.model.untested import untested_by_cubes
 from irlos_pipe.stages.sensitivity import announce
 

@@ -19,7 +19,7 @@ from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.wavefront import NcpaDrift
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
+from irlos_pipe.numerics.solver import scaled_inverse
 
 NOLLS = range(2, 12)  # low modes, of which a drift is measured
 TIMES = 9  # moments of a recording at which a model with a drift is evaluated

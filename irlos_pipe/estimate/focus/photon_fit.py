@@ -17,7 +17,7 @@ import torch
 from scipy.fft import rfft2
 
 from irlos_pipe.conventions.units import tilt_nm
-from irlos_pipe.numerics.problem import CHI2_TOLERANCE
+from irlos_pipe.numerics.solver import CHI2_TOLERANCE
 from irlos_pipe.optics.focus_table import FocusImages, FocusTable
 
 ITERATIONS = 20

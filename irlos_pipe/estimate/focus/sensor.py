@@ -19,7 +19,7 @@ from irlos_pipe.estimate.focus.unexplained import Unexplained, unexplained
 from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.estimate.tabulated import TILT_REACH_NM
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.solution import CONVERGED, INVALID, STALLED, Solution
+from irlos_pipe.numerics.solver import CONVERGED, INVALID, STALLED, Solution
 from irlos_pipe.optics.focus_table import FocusImages, FocusTable, Reach, can_tabulate, is_family
 
 REACH_NM = 1000.0  # of defocus either way: images up to 900 nm have a template and room on both sides

@@ -13,6 +13,7 @@ from irlos_pipe.effects import CATALOGUE, Conditions
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.estimate.calibration import Calibration, facts_of
 from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
+from irlos_pipe.estimate.calibration_options import Cause, OneSetup
 from irlos_pipe.estimate.causes import (
     ENOUGH,
     EXPLAINED,
@@ -22,18 +23,17 @@ from irlos_pipe.estimate.causes import (
     dark_left_in,
     improbable_diversity,
 )
-from irlos_pipe.estimate.cube import Motion
+from irlos_pipe.estimate.cube import CLEAR, Motion
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.methods import Fit
-from irlos_pipe.estimate.records import Cause, OneSetup
-from irlos_pipe.estimate.residual import Mirrored
-from irlos_pipe.frames.measured_noise import SIGNIFICANT
+from irlos_pipe.estimate.score_test import Mirrored
 from irlos_pipe.frames.told import (
     BEYOND,
     GAIN,
     LAST_PER_PX,
     OVERFLOWED,
     READ_NOISE,
+    SIGNIFICANT,
     SMALLEST_NM,
     Constant,
     cutoff_ratio,
@@ -48,7 +48,6 @@ from irlos_pipe.stages.ingest.stage import IngestResults, RecordingRow
 SPECKLED = {name for name, kind in CATALOGUE.items() if kind.speckles}
 # Effects that make frames scatter by more than noise.
 UNSTEADY = SPECKLED | {name for name, kind in CATALOGUE.items() if kind.blurs == "motion"}
-LOWEST_KURTOSIS = 1.3  # of the frames: two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
 NEARER = 0.5  # part of the distance of neighbouring planes
 MISFIT, ERROR = "chi2 of the mean image", "error of the wavefront"
@@ -150,13 +149,13 @@ def frame_checks(
 ) -> list[Check]:
     """Return the checks of frames that are averaged: of one star, pointing and wavefront, and its motion.
 
-    `kurtosis` of the frames (`estimate.residual`) is NaN where it means nothing, `motion` None without
+    `kurtosis` of the frames (`estimate.cube`) is NaN where it means nothing, `motion` None without
     any. Of the `window`, rows and columns, the star may move over `max_motion` times the smaller side.
     """
     found = []
     if math.isfinite(kurtosis):  # frames of two kinds scatter, which excuses any misfit
         message = f"the frames have a kurtosis of {kurtosis:.2f} where they differ most"
-        check = Check("frames of one kind", kurtosis, "", LOWEST_KURTOSIS, None, message)
+        check = Check("frames of one kind", kurtosis, "", 1 + CLEAR, None, message)
         found.append(check.because("they are of two kinds, as of two stars"))
     if motion is not None:
         part = motion.largest_px / min(window)

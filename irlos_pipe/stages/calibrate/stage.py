@@ -15,11 +15,13 @@ from irlos_pipe.estimate.calibration_options import (
     METHODS,
     OPEN,
     CalibrationOptions,
+    Cause,
     MethodName,
     NcpaPrior,
+    OneSetup,
     OptimiserName,
+    TwinCheck,
 )
-from irlos_pipe.estimate.records import Cause, OneSetup, TwinCheck
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import (

@@ -14,19 +14,19 @@ from irlos_pipe.effects.base import labels_of
 from irlos_pipe.effects.companion import Ghost
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_values import mean_of, measured, rows_of
+from irlos_pipe.effects.wavefront import FilterNcpa
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_errors import errors_of_mean
 from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, NcpaPrior
 from irlos_pipe.estimate.lenslets import NOLLS, identified, modes_of_centroids_nm
 from irlos_pipe.estimate.methods import scheme_of
-from irlos_pipe.estimate.setups import calibrate_setups
+from irlos_pipe.estimate.setups import Setup, calibrate_setups, is_common
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.numerics.parallel import process_map
 from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.product.product import Quantity, declared
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.input import CubeInput, cube_input, setups_of
 from irlos_pipe.stages.calibrate.quality import MISFIT, causes_of, checks_of, motion_line, unexcused
 from irlos_pipe.stages.calibrate.stage import (
     ARRAYS,
@@ -38,9 +38,20 @@ from irlos_pipe.stages.calibrate.stage import (
     Lenslets,
     Tail,
 )
-from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.ingest.stage import recordings_from_product
+from irlos_pipe.stages.model.effects import (
+    colour_warning,
+    conditions_of,
+    good_pixels,
+    image_effects,
+    model_effects,
+    pooled_frames,
+    psf_settings,
+    seeing_arcsec,
+    shown,
+    with_colour,
+)
 from irlos_pipe.stages.model.groups import by_setup, of_several_setups, require_calibration, require_joint
-from irlos_pipe.stages.model.recording_settings import seeing_arcsec
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes
 
 
@@ -67,7 +78,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         return _joint_output(ctx, _joint_fit(ctx, used), [], used[0].acquisition)
     first = recordings[0].acquisition
     options = ctx.config.options(ctx.instrument.facility.ncpa_law)
-    cube = cube_input(ctx, recordings, options)
+    cube, conditions = cube_input(ctx, recordings, options)
 
     def compared(method: str) -> tuple[Calibration, list[str]]:
         """The result of another method, as far as it is compared, and lines for the log."""
@@ -79,12 +90,12 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     others = process_map(
         compared,
         [method for method in ctx.config.compare if method != ctx.config.method],
-        meanwhile=lambda: adopted.append(_calibrate(ctx, recordings, options, cube)),
+        meanwhile=lambda: adopted.append(_calibrate(ctx, recordings, options, (cube, conditions))),
     )
     for line in (line for _, lines in others for line in lines):
         ctx.log.info(line)
     joint = _joint_output(ctx, adopted[0], [result for result, _ in others], first)
-    output = _with_causes(ctx, joint, cube.conditions, adopted[0])
+    output = _with_causes(ctx, joint, conditions, adopted[0])
     if first.lenslets == 1:
         return output
     row = _lenslets(ctx, adopted[0], cube)
@@ -123,23 +134,22 @@ def _calibrate(
     ctx: StageContext[Config],
     recordings: list[Recording],
     options: CalibrationOptions,
-    cube: CubeInput | None = None,
+    cube: tuple[Setup, Conditions] | None = None,
     note: Callable[[str], None] | None = None,
 ) -> Calibration:
     """One method on all frames of the recordings, on their `cube` where that is made already.
 
     Without a `note` that takes lines, they go to the log, and a progress bar is shown.
     """
-    cube = cube or cube_input(ctx, recordings, options)
-    shown: dict[str, Any] = {"disable": True} if note else {}
-    note, total = note or ctx.log.info, scheme_of(options).fits(cube.frames)
-    with ctx.progress(total=total, desc=f"calibrate {options.method}", **shown) as bar:
+    one, conditions = cube or cube_input(ctx, recordings, options)
+    quiet: dict[str, Any] = {"disable": True} if note else {}
+    note, total = note or ctx.log.info, scheme_of(options).fits(one.frames)
+    with ctx.progress(total=total, desc=f"calibrate {options.method}", **quiet) as bar:
         context: dict[str, Any] = {"device": ctx.device, "report": bar.update, "note": note}
         if ctx.config.adjust and METHODS[options.method].open:
-            facts = everyday([cube.conditions], cube.effects)
-            context["adjustable"] = [*facts, Ghost.under(cube.conditions)]
+            context["adjustable"] = [*everyday([conditions], one.own), Ghost.under(conditions)]
             context["adjust_always"] = ctx.config.adjust is True
-        result = calibrate(cube.frames, cube.settings, options, cube.effects, **context)
+        result = calibrate(one.frames, one.settings, options, one.own, **context)
     rms_nm = wfe_nm(result.nolls, result.zernike_nm)
     fitted = f"{rms_nm:.1f} nm RMS, chi2/nu {result.chi2_nu:.2f}, {result.seconds:.1f} s"
     note(f"{recordings[0].name}, {options.method}: {fitted}")
@@ -173,6 +183,69 @@ def _with_causes(
     ]
     results = output.results.model_copy(update={"causes": causes, "no_causes": "" if causes else why})
     return replace(output, results=results, checks=checks, summary=[*output.summary, *lines])
+
+
+# -- frames and model of a set-up, or of several ----------------------------------------------------
+
+
+def cube_input(
+    ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions
+) -> tuple[Setup, Conditions]:
+    """Return all frames of `recordings` of one set-up, with the model of the first, and its conditions.
+
+    The `options` state its modes, `ctx` has the instrument and the section `model` of the recipe. Bad pixels
+    that the model lists are masked.
+    """
+    first, highest_noll = recordings[0], options.last_noll
+    conditions = conditions_of(ctx.instrument, ctx.model, first, highest_noll)
+    effects = shown(model_effects(ctx.instrument, ctx.model, first, highest_noll), [conditions])
+    effects = with_colour(effects, ctx.model, conditions)
+    if warning := colour_warning(effects, recordings):
+        ctx.log.warning(warning)
+    introduced_nm = {DEFOCUS: float(first.introduced_defocus_nm[0])}
+    settings = psf_settings(ctx.instrument, ctx.model, first, introduced_nm=introduced_nm)
+    steady = METHODS[options.method].effects
+    frames = pooled_frames(recordings, good_pixels(effects, first.window), settings, steady=steady)
+    cube = Setup(frames, settings, own=image_effects(effects), names=tuple(one.name for one in recordings))
+    return cube, replace(conditions, settings=settings)
+
+
+def setups_of(
+    ctx: StageContext, groups: Sequence[Sequence[Recording]], options: CalibrationOptions
+) -> list[Setup]:
+    """Return what `calibrate_setups` needs with `options` of `groups`, see `by_setup`; `ctx` as above."""
+    highest_noll = options.last_noll
+    reference_nm = groups[0][0].acquisition.wavelength_nm
+    conditions = [
+        conditions_of(
+            ctx.instrument,
+            ctx.model,
+            one,
+            highest_noll,
+            introduced_nm={DEFOCUS: float(one.introduced_defocus_nm[0])} if one.frames else {},
+            ncpa_wavelength_nm=reference_nm,
+        )
+        for one, *_ in groups
+    ]
+    first = model_effects(
+        ctx.instrument, ctx.model, groups[0][0], highest_noll, ncpa_wavelength_nm=reference_nm
+    )
+    # Recordings of known focus show the focus of a filter or lens.
+    common = [
+        effect.with_focus() if isinstance(effect, FilterNcpa) else effect
+        for effect in image_effects(shown(first, conditions))
+        if is_common(effect)
+    ]
+    found = []
+    for group, under in zip(groups, conditions, strict=True):
+        listed = model_effects(ctx.instrument, ctx.model, group[0], highest_noll)
+        own = [e for e in image_effects(with_colour(listed, ctx.model, under)) if not is_common(e)]
+        if warning := colour_warning(own, group):
+            ctx.log.warning(warning)
+        frames = pooled_frames(group, good_pixels(listed, group[0].window), under.settings)
+        shared = [effect.seen_in(under, conditions[0]) for effect in common]
+        found.append(Setup(frames, under.settings, shared, own, tuple(one.name for one in group)))
+    return found
 
 
 # -- what is reported --------------------------------------------------------------------------------
@@ -247,7 +320,7 @@ def _each_output(
     wrong = [check.name for check in checks if not check.passed]
     failed = [cube for cube in cubes if any(name.startswith(f"{cube[0].name}: ") for name in wrong)]
     own, worst = max(failed or cubes, key=lambda cube: cube[1].chi2_nu / cube[1].nominal.value)
-    conditions = cube_input(ctx, [own], worst.options).conditions if worst.fit else None
+    conditions = cube_input(ctx, [own], worst.options)[1] if worst.fit else None
     return _with_causes(ctx, output, conditions, worst, own.name)
 
 
@@ -450,7 +523,7 @@ def _mean_summary(mean: Calibration, cubes: Sequence[tuple[Recording, Calibratio
 TRIED_NOLLS = tuple(range(2, 46))
 
 
-def _lenslets(ctx: StageContext[Config], result: Calibration, cube: CubeInput) -> Lenslets:
+def _lenslets(ctx: StageContext[Config], result: Calibration, cube: Setup) -> Lenslets:
     """Return what the images of `cube` determine in addition to the prior, and what their centroids say."""
     law = ctx.instrument.facility.ncpa_law
     scale = ctx.config.prior_scale or Config().prior_scale or 1.0
@@ -477,11 +550,11 @@ def _lenslets(ctx: StageContext[Config], result: Calibration, cube: CubeInput) -
     )
 
 
-def _identified(ctx, result: Calibration, cube: CubeInput, known: dict, nolls: tuple, prior: NcpaPrior):
+def _identified(ctx, result: Calibration, cube: Setup, known: dict, nolls: tuple, prior: NcpaPrior):
     psf = light_path(cube.settings, nolls, device=ctx.device, dtype=torch.float64)
-    effects = [effect for effect in cube.effects if effect.plane in ("otf", "sampling")]
+    effects = [effect for effect in cube.own if effect.plane in ("otf", "sampling")]
     model = ImageModel(psf, effects)
-    labels = dict(zip(labels_of(cube.effects), cube.effects, strict=True))
+    labels = dict(zip(labels_of(cube.own), cube.own, strict=True))
     ordered = [label for one in model.effects.effects for label, e in labels.items() if e is one]
     values = [result.effect_values[label] for label in ordered]
     start = torch.as_tensor(np.concatenate([*values, np.empty(0)]))

@@ -10,11 +10,12 @@ from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis, Pictures, Step, sentence
 from irlos_pipe.effects import CATALOGUE, FixedEffect
-from irlos_pipe.frames.detector import star_position
+from irlos_pipe.frames.recording import star_position
 from irlos_pipe.optics.image_quality import power_spectrum, quality_curves
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import MapSize
 from irlos_pipe.product.product import Check, Quantity, declared
+from irlos_pipe.stages.base import ModelConfig
 from irlos_pipe.stages.diagnose.stage import (
     ARRAYS,
     AdjustedRow,
@@ -24,7 +25,6 @@ from irlos_pipe.stages.diagnose.stage import (
     ModesChange,
     StepRow,
 )
-from irlos_pipe.stages.model.section import ModelConfig
 from irlos_pipe.stages.model.untested import LOOKED_AT_ELSEWHERE, untested_by_cubes
 
 MODEL_FILE = "model.yaml"

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,13 +13,11 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.reads import adds_up
 from irlos_pipe.conventions.units import MAS_PER_RAD, NM, resolution_px
-from irlos_pipe.frames.blocks import mean_frame
-from irlos_pipe.frames.measured_noise import mean_variance
-from irlos_pipe.frames.recording import CalibrationMaps, Recording
+from irlos_pipe.frames.recording import CalibrationMaps, Recording, mean_frame
+from irlos_pipe.frames.told import mean_variance
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.acquisition import Resolved, resolve
+from irlos_pipe.readers.acquisition import RawRecording, Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
-from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path, sidecar_problems
 from irlos_pipe.readers.times import counter_step
 
@@ -27,48 +25,34 @@ OTHER_EXPOSURE = 0.01  # relative difference from which the exposure of a dark i
 SHORT_COUNTS = 2  # bytes of the counts of a converter, which saturate with their type; sums of them do not
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
-    """A recording as read, the recipe input it belongs to, and how it was taken."""
-
-    input: str
-    raw: RawRecording
-    resolved: Resolved
-
-    @property
-    def role(self) -> str:
-        return self.resolved.acquisition.role
-
-
 def read_sources(
     inputs: Mapping[str, Sequence[Path]],
     keys_for: Callable[[str], AcquisitionKeys],
     instrument: Instrument,
     log: logging.Logger,
-) -> tuple[list[Source], list[tuple[str, str]]]:
+) -> tuple[list[Resolved], list[tuple[str, str]]]:
     """Read all recordings of all `inputs`, files and folders by input name.
 
     Side-car keys from the recipe, ``keys_for(input_name)``, win; the profile of the `instrument` gives the
     values that are stated nowhere else. Returned with the sources are (input name, reason) of recordings that
     cannot be read; the others go on without them. Raises NothingToDo for an input without recordings.
     """
-    sources: list[Source] = []
+    sources: list[Resolved] = []
     failures: list[tuple[str, str]] = []
     for name, paths in inputs.items():
         taken: set[str] = set()
-        own: list[Source] = []
+        own: list[Resolved] = []
         for file in recording_files(paths):
             with failing_alone(failures, name, file, log):
                 for read in read_recordings(file, instrument):
                     raw = replace(read, name=unique_name(read.name, read.path, taken))
                     taken.add(raw.name)
                     then = _instrument_then(instrument, raw.start_unix_s)
-                    resolved = resolve(raw, keys_for(name), then)
+                    source = resolve(raw, keys_for(name), then, name)
                     for note in raw.notes:
                         log.info(note)
-                    for line in (*raw.warnings, *resolved.warnings, *image_doubts(raw, resolved, then)):
+                    for line in (*raw.warnings, *source.warnings, *image_doubts(source, then)):
                         log.warning(line)
-                    source = Source(name, raw, resolved)
                     own += _unless_a_copy(source, own, log)
         sources += own
     return sources, failures
@@ -91,14 +75,13 @@ def failing_alone(
         failures.append((input_name, f"{file}: cannot be used: {type(error).__name__}: {problem}"))
 
 
-def _unless_a_copy(source: Source, earlier: Sequence[Source], log: logging.Logger) -> list[Source]:
+def _unless_a_copy(source: Resolved, earlier: Sequence[Resolved], log: logging.Logger) -> list[Resolved]:
     """The recording, unless its frames are those of an earlier one of the input: they would count twice."""
     first = next((other for other in earlier if _same_frames(other.raw, source.raw)), None)
     if first is None:
         return [source]
-    one, other = first.resolved, source.resolved
-    same_defocus = np.array_equal(one.introduced_defocus_nm, other.introduced_defocus_nm)
-    if one.acquisition != other.acquisition or not same_defocus:
+    same_defocus = np.array_equal(first.introduced_defocus_nm, source.introduced_defocus_nm)
+    if first.acquisition != source.acquisition or not same_defocus:
         raise InputDataError(
             f"{source.raw.path}: the same frames as in {first.raw.path}, but another side-car; remove one"
         )
@@ -135,17 +118,16 @@ def examined(
             with failing_alone(found, name, file, logging.getLogger(__name__)):
                 for raw in () if wrong else read_recordings(file, instrument):
                     then = _instrument_then(instrument, raw.start_unix_s)
-                    resolved = resolve(raw, keys_for(name), then)
-                    for line in (*raw.warnings, *image_doubts(raw, resolved, then)):
+                    source = resolve(raw, keys_for(name), then, name)
+                    for line in (*raw.warnings, *image_doubts(source, then)):
                         logging.getLogger(__name__).warning(line)
-                    source = Source(name, raw, resolved)
-                    if source.role != "dark":
+                    if source.acquisition.role != "dark":
                         _sums(source, exposure_of(name))
                         recordings.append(_as_declared(source))
     return list(dict.fromkeys(line for _, line in found)), recordings  # they may share a side-car
 
 
-def _as_declared(source: Source) -> Recording:
+def _as_declared(source: Resolved) -> Recording:
     """The recording without its counts."""
     raw, every = source.raw, np.ones(source.raw.frames, bool)
     return Recording(
@@ -157,31 +139,31 @@ def _as_declared(source: Source) -> Recording:
         good=np.ones(raw.window, bool),
         time_s=np.zeros(raw.frames),
         frame_counter=raw.frame_counter,
-        introduced_defocus_nm=source.resolved.introduced_defocus_nm,
-        acquisition=source.resolved.acquisition,
+        introduced_defocus_nm=source.introduced_defocus_nm,
+        acquisition=source.acquisition,
         start_unix_s=raw.start_unix_s,
     )
 
 
-def with_darks(sources: Sequence[Source], log: logging.Logger) -> tuple[list[Source], list[Source]]:
+def with_darks(sources: Sequence[Resolved], log: logging.Logger) -> tuple[list[Resolved], list[Resolved]]:
     """Give recordings without a dark the mean of a dark recording of the same input and window.
 
     Of the nearest exposure; another one is named in the `log`. Returns the stars and the darks.
     """
-    darks = [source for source in sources if source.role == "dark"]
-    return [_with_dark(source, darks, log) for source in sources if source.role != "dark"], darks
+    darks = [source for source in sources if source.acquisition.role == "dark"]
+    return [_with_dark(source, darks, log) for source in sources if source.acquisition.role != "dark"], darks
 
 
 SAMPLED_PX = 2.0  # pixels per λ/D from which an image holds all detail that the optics make
 CROWDED = 0.8  # part of the window beyond which a star that fills it is cut
 
 
-def image_doubts(raw: RawRecording, resolved: Resolved, instrument: Instrument) -> Iterator[str]:
+def image_doubts(source: Resolved, instrument: Instrument) -> Iterator[str]:
     """Yield a sentence where, by what is declared, pixels or window are wrong for the image.
 
     A defocus of a nm RMS (Noll 4) spreads a star over a disc of twice its slope at the rim, 8√3 a/D.
     """
-    acquisition, diameter_m = resolved.acquisition, instrument.pupil.diameter_m
+    raw, acquisition, diameter_m = source.raw, source.acquisition, instrument.pupil.diameter_m
     if acquisition.role == "dark" or acquisition.lenslets > 1:
         return
     scale_mas, window_px = acquisition.pixel_scale_mas, min(raw.window)
@@ -192,7 +174,7 @@ def image_doubts(raw: RawRecording, resolved: Resolved, instrument: Instrument) 
             f"{raw.name}: undersampled: λ/D at {shortest_nm:g} nm and D = {diameter_m:g} m is {pixels:.2g} "
             f"px of {scale_mas:g} mas; finer detail than {SAMPLED_PX:g} px is lost, which determines modes"
         )
-    known_nm = acquisition.diversity.get(DEFOCUS, 0.0) + resolved.introduced_defocus_nm
+    known_nm = acquisition.diversity.get(DEFOCUS, 0.0) + source.introduced_defocus_nm
     largest_nm = np.abs(known_nm).max()
     spread_px = 16 * np.sqrt(3) * largest_nm * NM / diameter_m * MAS_PER_RAD / scale_mas
     if spread_px > CROWDED * window_px:
@@ -209,12 +191,12 @@ def _instrument_then(instrument: Instrument, unix_s: float) -> Instrument:
     return instrument.on(datetime.fromtimestamp(unix_s, UTC).date().isoformat())
 
 
-def _with_dark(source: Source, darks: Sequence[Source], log: logging.Logger) -> Source:
+def _with_dark(source: Resolved, darks: Sequence[Resolved], log: logging.Logger) -> Resolved:
     fitting = [dark for dark in darks if dark.input == source.input and dark.raw.window == source.raw.window]
     if source.raw.calibration.dark_adu is not None or not fitting:
         return source
     nearest = min(fitting, key=lambda dark: _exposures_apart_s(dark, source))
-    dark_s, own_s = (one.resolved.acquisition.exposure_s for one in (nearest, source))
+    dark_s, own_s = (one.acquisition.exposure_s for one in (nearest, source))
     if _exposures_apart_s(nearest, source) > OTHER_EXPOSURE * (own_s or 0.0):
         log.warning(
             "%s: the dark %s is of %g s, the frames of %g s: its dark current is another",
@@ -229,16 +211,16 @@ def _with_dark(source: Source, darks: Sequence[Source], log: logging.Logger) -> 
     return replace(source, raw=replace(source.raw, calibration=maps))
 
 
-def _exposures_apart_s(one: Source, other: Source) -> float:
+def _exposures_apart_s(one: Resolved, other: Resolved) -> float:
     """Difference of the exposures [s]; 0 where either is not known."""
-    first, second = (source.resolved.acquisition.exposure_s for source in (one, other))
+    first, second = (source.acquisition.exposure_s for source in (one, other))
     return 0.0 if first is None or second is None else abs(first - second)
 
 
 # -- raw frames of a few milliseconds, summed to exposures of 0.1 to 2 s -----------------------------
 
 
-def accumulated(source: Source, exposure_s: float | None) -> Source:
+def accumulated(source: Resolved, exposure_s: float | None) -> Resolved:
     """Return a recording with its frames summed to exposures of `exposure_s`; longer ones stay as they are.
 
     None leaves all as they are.
@@ -250,11 +232,11 @@ def accumulated(source: Source, exposure_s: float | None) -> Source:
     Raises `InputDataError` when the exposure of the frames is not known or does not divide `exposure_s`, or
     no sum is whole.
     """
-    raw, resolved, members = source.raw, source.resolved, _sums(source, exposure_s)
+    raw, members = source.raw, _sums(source, exposure_s)
     if members is None:
         return source
     count = members.shape[1]
-    told = resolved.acquisition
+    told = source.acquisition
     level = _saturation_adu(raw.adu, told.detector.saturation_adu)
     detector = replace(told.detector, saturation_adu=level).accumulated(count)
     rate_hz = None if told.frame_rate_hz is None else told.frame_rate_hz / count
@@ -265,17 +247,14 @@ def accumulated(source: Source, exposure_s: float | None) -> Source:
     return replace(
         source,
         raw=_summed(raw, members, level),
-        resolved=replace(
-            resolved,
-            acquisition=acquisition,
-            introduced_defocus_nm=resolved.introduced_defocus_nm[first],
-        ),
+        acquisition=acquisition,
+        introduced_defocus_nm=source.introduced_defocus_nm[first],
     )
 
 
-def _sums(source: Source, exposure_s: float | None) -> np.ndarray | None:
+def _sums(source: Resolved, exposure_s: float | None) -> np.ndarray | None:
     """Indices of the frames of every sum, (sums, count), see `accumulated`; None where nothing is summed."""
-    raw, own_s = source.raw, source.resolved.acquisition.exposure_s
+    raw, own_s = source.raw, source.acquisition.exposure_s
     if exposure_s is None:
         return None
     if own_s is None:
@@ -288,7 +267,7 @@ def _sums(source: Source, exposure_s: float | None) -> np.ndarray | None:
         )
     if count == 1:
         return None
-    members = _members(raw.frame_counter, source.resolved.introduced_defocus_nm, count)
+    members = _members(raw.frame_counter, source.introduced_defocus_nm, count)
     if not len(members):
         raise InputDataError(
             f"{raw.path}: no {count} of its {raw.frames} frames follow each other without a gap, as "

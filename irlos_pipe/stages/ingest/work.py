@@ -11,21 +11,33 @@ from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.files.processes import available_bytes, forked_map, require_memory
 from irlos_pipe.frames.bad_pixels import Thresholds
-from irlos_pipe.frames.blocks import frame_flux
-from irlos_pipe.frames.cleaning import Cleaned, clean
-from irlos_pipe.frames.detector import star_position, time_is_last
-from irlos_pipe.frames.recording import PROFILE, Recording
+from irlos_pipe.frames.cleaning import Cleaned, clean, time_is_last
+from irlos_pipe.frames.recording import (
+    PROFILE,
+    Recording,
+    frame_flux,
+    frame_series,
+    mean_frame,
+    picked,
+    star_position,
+)
 from irlos_pipe.frames.screening import REPEATED_IMAGE, SATURATED, Limits, tally
 from irlos_pipe.frames.told import READ_NOISE, Told, believed, constants, of_counts, told_of
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import Observed
-from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.acquisition import RawRecording, Resolved
 from irlos_pipe.readers.times import counter_step, frames_missing, iso_time, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.ingest.recording_arrays import arrays_of, found_bad
-from irlos_pipe.stages.ingest.sources import Source, accumulated, failing_alone, read_sources, with_darks
-from irlos_pipe.stages.ingest.stage import Config, IngestResults, RecordingRow
+from irlos_pipe.stages.ingest.sources import accumulated, failing_alone, read_sources, with_darks
+from irlos_pipe.stages.ingest.stage import (
+    RECORDING,
+    Config,
+    IngestResults,
+    RecordingRow,
+    arrays_from_recording,
+    prefix_of,
+)
 
 BYTES_PER_PIXEL = 1600  # memory for a pixel of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
 BYTES_PER_VALUE = 8  # memory for a pixel of every frame
@@ -42,7 +54,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     arrays: dict[str, Quantity] = {}
     rows: list[RecordingRow] = []
     quality: list[Check] = []
-    whole: list[Source] = []
+    whole: list[Resolved] = []
     for star in stars:
         with failing_alone(failures, star.input, star.raw.path, ctx.log):
             whole.append(accumulated(star, ctx.config.exposure_of(star.input)))
@@ -61,7 +73,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
                 ctx.log.warning(line)
             rows.append(_row(recording, cleaned, source.raw, told, ctx.instrument.name))
             quality += _checks(recording, told, ctx.config)
-            arrays |= arrays_of(recording, cleaned, source.raw)
+            arrays |= _arrays(recording, cleaned, source.raw)
     for name in ctx.inputs:
         if not any(row.input == name for row in rows):
             reasons = [text for owner, text in failures if owner == name]
@@ -74,11 +86,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 def _side_by_side(
-    ctx: StageContext[Config], sources: Sequence[Source]
+    ctx: StageContext[Config], sources: Sequence[Resolved]
 ) -> list[tuple[Recording, Cleaned] | list[tuple[str, str]]]:
     """Clean all recordings, or note what goes wrong; one by one where memory may not hold all at once."""
 
-    def attempt(source: Source) -> tuple[Recording, Cleaned] | list[tuple[str, str]]:
+    def attempt(source: Resolved) -> tuple[Recording, Cleaned] | list[tuple[str, str]]:
         failures: list[tuple[str, str]] = []
         with failing_alone(failures, source.input, source.raw.path, ctx.log):
             return ingest(source, ctx.config, ctx.instrument)
@@ -90,7 +102,7 @@ def _side_by_side(
         return forked_map(ctx.jobs if roomy else 1, attempt, sources, lambda source: bar.update())
 
 
-def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
+def ingest(source: Resolved, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
     """Clean one recording; a second time where its frames contradict the profile's detector.
 
     `config` limits pixels and frames, `instrument` gives the diameter of the pupil. Raises `InputDataError`
@@ -104,14 +116,14 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
             "frames, for the star stands still along it; write the cube with axes (frames, y, x)"
         )
     cleaned = _cleaned(source, config, instrument)
-    told = source.resolved.acquisition
+    told = source.acquisition
     detector, sources = believed(told.detector, told.sources, cleaned.noise)
     if detector != told.detector:
         acquisition = replace(told, detector=detector, sources=sources)
-        source = replace(source, resolved=replace(source.resolved, acquisition=acquisition))
+        source = replace(source, acquisition=acquisition)
         cleaned = _cleaned(source, config, instrument)
-    declared = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
-    if source.raw.frames == 1 and not declared and not cleaned.noise.floor_e2 > 0:
+    told_noise = source.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
+    if source.raw.frames == 1 and not told_noise and not cleaned.noise.floor_e2 > 0:
         raise InputDataError(
             f"{source.raw.path}: one frame, and its noise is not declared nor can it be measured, "
             "for the star fills the window; add detector.read_noise_e to the side-car (of dark, sky "
@@ -120,25 +132,25 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
     return _recording(source, cleaned), cleaned
 
 
-def _require_room(source: Source) -> None:
+def _require_room(source: Resolved) -> None:
     frames, rows, columns = source.raw.adu.shape
     where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
     advice = "cut the window, or the recording into parts"
     require_memory(_needed_bytes(source), where, InputDataError, advice)
 
 
-def _needed_bytes(source: Source) -> float:
+def _needed_bytes(source: Resolved) -> float:
     _, rows, columns = source.raw.adu.shape
     return BYTES_PER_PIXEL * rows * columns + BYTES_PER_VALUE * source.raw.adu.size
 
 
-def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
-    raw, acquisition = source.raw, source.resolved.acquisition
+def _cleaned(source: Resolved, config: Config, instrument: Instrument) -> Cleaned:
+    raw, acquisition = source.raw, source.acquisition
     # pixels per λ/D at the shortest wavelength; D is that of a lenslet in 2x2 modes
     shortest_nm = min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
     diameter_m = instrument.pupil.diameter_m / acquisition.lenslets
     sampling = resolution_px(shortest_nm * NM, diameter_m, acquisition.pixel_scale_mas)
-    limits, plane = config.part(Limits), source.resolved.introduced_defocus_nm
+    limits, plane = config.part(Limits), source.introduced_defocus_nm
     cleaned = clean(raw, acquisition.detector, sampling, config.part(Thresholds), limits, plane)
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
@@ -164,8 +176,8 @@ def _step_s(raw: RawRecording) -> float:
     return step_s if step_s > 0 else float("nan")  # a clock that stands gives no step
 
 
-def _recording(source: Source, cleaned: Cleaned) -> Recording:
-    raw, acquisition = source.raw, source.resolved.acquisition
+def _recording(source: Resolved, cleaned: Cleaned) -> Recording:
+    raw, acquisition = source.raw, source.acquisition
     detector = replace(acquisition.detector, saturation_adu=cleaned.saturation_adu)
     return Recording(
         name=raw.name,
@@ -176,13 +188,36 @@ def _recording(source: Source, cleaned: Cleaned) -> Recording:
         good=cleaned.good,
         time_s=relative_times(raw.unix_s, raw.frame_counter, acquisition.frame_rate_hz),
         frame_counter=raw.frame_counter,
-        introduced_defocus_nm=source.resolved.introduced_defocus_nm,
+        introduced_defocus_nm=source.introduced_defocus_nm,
         acquisition=replace(acquisition, detector=detector),
         background_variance_e2=cleaned.background_variance_e2,
         dark_variance_e2=cleaned.dark_variance_e2,
         frames_missing=frames_missing(raw.frame_counter),
         start_unix_s=raw.start_unix_s,
     )
+
+
+def _arrays(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
+    """Return all arrays that ingest leaves of a `recording`, made from `raw` and `cleaned`."""
+    hits = cleaned.hits
+    rows, columns = _found_bad(recording, raw).T
+    mean_adu = mean_frame(picked(raw.adu, recording.used))
+    background, gain = cleaned.background, recording.acquisition.detector.e_per_adu
+    own = {
+        "raw_adu": raw.adu,
+        "background_adu": background.adu,
+        "flat": background.flat,
+        "cosmic_hits": np.stack([hits.frame, hits.row, hits.column], axis=1),
+        "screened_e": ((mean_adu - background.adu) / background.flat * gain)[rows, columns],
+    } | frame_series(recording.images_e, recording.good)
+    return arrays_from_recording(recording) | declared(RECORDING, own, below=f"{prefix_of(recording)}/")
+
+
+def _found_bad(recording: Recording, raw: RawRecording) -> np.ndarray:
+    """Return the bad pixels of a `recording` that no map of dead pixels of `raw` lists, (pixels, 2)."""
+    listed = raw.calibration.bad
+    found = ~recording.good if listed is None else ~recording.good & ~np.asarray(listed, bool)
+    return np.argwhere(found)
 
 
 # -- what is reported --------------------------------------------------------------------------------
@@ -206,7 +241,7 @@ def _row(
         reasons=tally(recording.reason),
         saturated_frames=int(np.sum(recording.reason == SATURATED)),
         bad_pixels=np.argwhere(~recording.good).tolist(),
-        bad_pixels_found=found_bad(recording, raw).tolist(),
+        bad_pixels_found=_found_bad(recording, raw).tolist(),
         clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
         cosmic_hits=int(cleaned.hits.frame.size),
         centre_offset_px=_centre_offset_px(recording),
@@ -248,7 +283,7 @@ def _contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
     ]
 
 
-def _dark_row(source: Source) -> RecordingRow:
+def _dark_row(source: Resolved) -> RecordingRow:
     """Return the entry of a dark recording, which has no star."""
     none = {"frames_rejected": 0, "frames_missing": 0, "flux_e": None, "mag_j": None}
     return RecordingRow(

@@ -23,8 +23,15 @@ from irlos_pipe.product.product import Check, Quantity, declared
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
-from irlos_pipe.stages.lift.fit import fit_frames
-from irlos_pipe.stages.lift.input import Ramp, explains, has_other_light, older_text, read_ramp, turned_text
+from irlos_pipe.stages.lift.input import (
+    Ramp,
+    explains,
+    fit_frames,
+    has_other_light,
+    older_text,
+    read_ramp,
+    turned_text,
+)
 from irlos_pipe.stages.lift.stage import ARRAYS, Config, LiftResults, Offset, Point, Twin, own_text
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.groups import is_ramp

@@ -11,8 +11,7 @@ from irlos_pipe.effects.wavefront import FilterNcpa
 from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD
 from irlos_pipe.estimate.ramp import FEWEST, TOO_FEW
 from irlos_pipe.frames.recording import Acquisition, Recording
-from irlos_pipe.stages.base import Declared
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.base import Declared, ModelConfig
 
 SETUP_KEYS = {
     key: key for key in ("pixel_scale_mas", "spectrum", "diversity", "pupil_rotation_deg", "lenslets")

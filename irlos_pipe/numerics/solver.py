@@ -1,5 +1,6 @@
 """Batched Levenberg–Marquardt: many independent, equally shaped least-squares problems at once.
 
+What solvers minimise is a `Problem`, of which they know no more than is said there; its end is a `Solution`.
 The solver knows no physics. A problem gives the objective, its gradient and its
 Gauss–Newton Hessian for a batch of parameter vectors, in units where the objective is half
 a χ². "Converged" means that the step still available would lower χ² by a negligible amount g
@@ -11,14 +12,129 @@ What the gradients of successive iterations show of it is added to the Hessian o
 Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covariance, are judged without.
 """
 
-from collections.abc import Callable
-from typing import Any
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import Field, dataclass, replace
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 import torch
 
-from irlos_pipe.numerics.problem import ROUNDING, CheapGradientProblem, Problem
-from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
+CHI2_TOLERANCE = 1e-3  # fall of χ² that no longer matters, in units of χ²/ν where the model misfits
+ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
+
+
+class Descent(Protocol):
+    """A batch of minimisations by exact gradients; `which` selects members of the batch."""
+
+    device: str  # where the solver works; tensors are there, and on the CPU where `solve` does
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the predicted fall of the objective at which a member with this `value` is done, (b,)."""
+
+    def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the objective (b,) and gradient (b, p) at `x`, float64, of the members `which`."""
+
+
+class Problem(ABC):
+    """A batch of least-squares problems; `which` selects members of the batch."""
+
+    lower: torch.Tensor  # bounds of the parameters, (p,) or (batch, p)
+    upper: torch.Tensor
+    # whether the equations are those of a re-weighted problem, whose quadratic model does not predict the
+    # fall of the objective
+    reweighted: bool = False
+    confined: bool = False  # whether a member that reaches a bound of its parameters is lost
+    same_unit: slice = slice(0)  # parameters that have the same unit, so that their curvatures compare
+
+    @abstractmethod
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the predicted fall of twice the objective at which a member with `value` is done, (b,)."""
+
+    @abstractmethod
+    def normal_equations(
+        self, x: torch.Tensor, which: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Objective (b,), gradient (b, p) and Hessian (b, p, p) at `x` of the members `which`, float64."""
+
+    @abstractmethod
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Objective (b,) at `x`, comparable with that of `normal_equations` of the same members `which`."""
+
+
+class CheapGradientProblem(Problem):
+    """A problem whose gradient costs a small part of its normal equations, which may have a rough one."""
+
+    def cheap_gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the objective and gradient of `normal_equations` at `x` of the members `which`: autograd."""
+        with torch.enable_grad():
+            x = x.detach().requires_grad_()
+            value = self.objective(x, which)
+            return value.detach(), torch.autograd.grad(value.sum(), x)[0]
+
+
+class _Dataclass(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+Batch = TypeVar("Batch", bound=_Dataclass)
+
+CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Outcome of a batch of fits."""
+
+    values: torch.Tensor  # (batch, parameters), float64
+    # (batch, parameters, parameters): inverse of the Hessian at the solution (Cramér–Rao bound plus prior)
+    covariance: torch.Tensor
+    status: list[str]  # `converged`, `max_iterations`, `stalled` or `invalid`, one per member
+    iterations: torch.Tensor  # (batch,)
+    objective: torch.Tensor  # (batch,): half of χ² (prior included) at the solution
+
+    @classmethod
+    def joined(cls, parts: Sequence[Solution]) -> Solution:
+        return joined(parts, status=[s for part in parts for s in part.status])
+
+    @property
+    def converged(self) -> torch.Tensor:
+        """True where the fit converged, (batch,)."""
+        return torch.tensor([status == CONVERGED for status in self.status])
+
+    @property
+    def sigma(self) -> torch.Tensor:
+        """Standard errors, (batch, parameters)."""
+        return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
+
+    def updated(self, where: torch.Tensor, other: Solution, better: torch.Tensor) -> Solution:
+        """Return the batch with those members of `other` that are `better`, at the positions `where`."""
+        status = list(self.status)
+        for member, new in zip(where.tolist(), torch.nonzero(better)[:, 0].tolist(), strict=True):
+            status[member] = other.status[new]
+        return mixed(self, other, where, better, status=status)
+
+
+def joined(parts: Sequence[Batch], **other: Any) -> Batch:
+    """Put batches of one kind one after the other: their tensors are joined, `other` fields given."""
+    tensors = {name: torch.cat([getattr(part, name) for part in parts]) for name in _tensors(parts[0])}
+    return replace(parts[0], **tensors, **other)
+
+
+def mixed(first: Batch, second: Batch, where: torch.Tensor, better: torch.Tensor, **other: Any) -> Batch:
+    """The batch `first` with the `better` members of `second` at positions `where`; `other` fields given."""
+    tensors = {
+        name: getattr(first, name).index_copy(0, where, getattr(second, name)[better])
+        for name in _tensors(first)
+    }
+    return replace(first, **tensors, **other)
+
+
+def _tensors(batch: _Dataclass) -> list[str]:
+    return [name for name, value in vars(batch).items() if isinstance(value, torch.Tensor)]
+
 
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
 MEMBERS_AT_ONCE = 256  # members whose matrices are solved at once: some ten copies of each are made
