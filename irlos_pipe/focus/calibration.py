@@ -29,7 +29,7 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.stage import recordings_from_product
-from irlos_pipe.stages.lift.input import focus_sensor, read_ramp, single_frame_model
+from irlos_pipe.stages.lift.input import focus_sensor, read_ramp, single_frame_model, turned_text
 from irlos_pipe.stages.lift.stage import Config, LiftResults
 from irlos_pipe.stages.model.groups import OF_RAMPS
 
@@ -225,7 +225,7 @@ class CalibrationRequest:
             single_frame_model(ctx, recording), good, noise, self._limits(recording.acquisition)
         )
         ordinary = Ordinary.of(sensor, images_e)
-        notices = [whole.notice]
+        notices = [whole.notice, turned_text(ctx, recording.acquisition)]
         if not ordinary.frames:
             notices.append("no ramp shows how right frames fit; simulated ones set the limits")
         errors = None

@@ -43,9 +43,9 @@ class Night:
 
     @property
     def guessed(self) -> list[str]:
-        """Recordings that state no time, and what their night was taken from, one line each."""
+        """Recordings that state no time that can be read, and what gave their night, one line each."""
         return [
-            f"{one.path}: states no time; taken for one of {self.date} by {one.night_by}"
+            f"{one.path}: states no time that can be read; taken for one of {self.date} by {one.night_by}"
             for one in self.recordings
             if one.night_by
         ]

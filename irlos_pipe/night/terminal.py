@@ -98,9 +98,10 @@ def plan_text(state: RunState, plan: Sequence[tuple[Job, list[Step] | None]], as
         if steps is None:
             rows.append((job.task.name, "all stages", "run", "no products yet"))
         rows += [(job.task.name, step.name, step.action.value, step.reason) for step in steps or ()]
-    nights = state.nights.values()
-    rows += [("left out", "", "", line) for night in nights for line in night.failures]
-    rows += [("night guessed", "", "", line) for night in nights for line in night.guessed]
+    for night in state.nights.values():
+        quiet = [f"{one.recording.path}: {one.reason}" for one in night.not_reduced if not one.alarming]
+        rows += [("left out", "", "", line) for line in (*night.failures, *quiet)]
+        rows += [("night guessed", "", "", line) for line in night.guessed]
     if as_json:
         return json_text([dict(zip(PLAN_KEYS, row, strict=True)) for row in rows]).rstrip()
     return aligned(rows)

@@ -398,7 +398,7 @@ def _per_frame(known: _KnownKeys, raw: RawRecording) -> np.ndarray:
 
 
 def _warnings(raw: RawRecording, known: _KnownKeys, profile: str) -> tuple[str, ...]:
-    """One line per source from which values had to be taken, and one for what stays unknown."""
+    """One line per source from which values had to be taken, and per value that cannot be used."""
     lines = []
     loud = [
         key
@@ -409,6 +409,10 @@ def _warnings(raw: RawRecording, known: _KnownKeys, profile: str) -> tuple[str, 
         taken = [f"{key} = {known.values[key]:.6g}" for key in loud if known.sources[key] == source]
         if taken:
             lines.append(f"{raw.name}: taken from the {words}: {', '.join(taken)}")
+    for key, value in raw.header.items():
+        if key in HARMLESS and not known.stated(key) and not is_valid(key, value):
+            used = f"{known.values[key]:g} is taken; give {key} in the side-car"
+            lines.append(f"{raw.name}: {key} = {value:g} of the header is out of range, and {used}")
     if "mag_j" not in known.values and known.values["role"] != "dark":
         lines.append(f"{raw.name}: mag_j is not known; magnitudes can only come from the measured flux")
     return tuple(lines)

@@ -1,5 +1,7 @@
 """When frames were taken: time columns, and pairing of two tables by their frame counters."""
 
+import math
+from contextlib import suppress
 from datetime import UTC, datetime
 
 import numpy as np
@@ -70,12 +72,15 @@ def _texts(header: fits.Header, *keys: str) -> list[str]:
 
 
 def _unix(stamp: str) -> float:
+    """UTC, unless the stamp ends with an offset from it, such as +01:00."""
     from astropy.time import Time
 
-    try:
+    with suppress(ValueError):
         return float(Time(stamp, scale="utc").unix)
-    except ValueError:
-        return float("nan")
+    with suppress(ValueError):
+        local = datetime.fromisoformat(stamp)
+        return local.timestamp() if local.tzinfo else math.nan
+    return math.nan
 
 
 def iso_time(unix_s: float) -> str:

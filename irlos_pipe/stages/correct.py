@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -26,6 +26,7 @@ from irlos_pipe.product.table import Card, Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import recordings_from_product
+from irlos_pipe.stages.model.groups import is_turned
 
 if TYPE_CHECKING:
     from irlos_pipe.estimate.correction import MirrorOffsets, Offsets, Prediction
@@ -153,6 +154,17 @@ class CorrectResults(StageResults):
 Results = CorrectResults
 
 
+def angles_text(angles_deg: Sequence[float]) -> str:
+    """Return what is said of offsets from recordings at several angles of the derotator; else nothing."""
+    if not any(is_turned(angle, angles_deg[0]) for angle in angles_deg):
+        return ""
+    there = ", ".join(f"{angle:g}°" for angle in sorted({*angles_deg}))
+    return (
+        f"the offsets are those of a mean over {there} of the derotator, and of the NCPAs the part before it "
+        "turns: they are right at no angle; give recordings of one angle, or run the recipe derotator"
+    )
+
+
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Write the offsets as CSV and FITS, and predict the image before and after the correction."""
     from irlos_pipe.estimate.correction import modal_offsets
@@ -161,7 +173,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     nolls = [int(n) for n in arrays["noll"].value]
     zernike, sigma = np.array(arrays["zernike_nm"].value, float), np.array(arrays["zernike_nm"].error, float)
     offsets = modal_offsets(nolls, zernike, sigma, ctx.config.gain, ctx.config.highest_noll)
-    recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
+    recordings = recordings_from_product(ctx.products["ingest"], ctx.config.input)
+    if several := angles_text([one.acquisition.derotator_angle_deg for one in recordings]):
+        ctx.log.warning(several)
+    recording = recordings[0]
     prediction, budget = _predict(ctx, recording, nolls, zernike)
     table = _table(ctx, offsets, prediction)
     seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike)

@@ -91,6 +91,17 @@ def test_frames_may_be_described_by_a_side_car(run, tmp_path):
         assert mine["defocus_nm"] == pytest.approx(theirs["defocus_nm"], abs=1.0)
 
 
+@pytest.mark.parametrize("angle_deg", [0.0, 360.0, 60.0])
+def test_frames_of_another_derotator_angle_than_the_calibration_are_named(run, tmp_path, angle_deg):
+    described = (SAMPLES / "ramp" / "offset_00" / "acquisition.yaml").read_text()
+    kept = [line for line in described.splitlines() if not line.startswith("derotator_angle_deg")]
+    (tmp_path / "turned.yaml").write_text("\n".join([*kept, f"derotator_angle_deg: {angle_deg}"]))
+    options = ["--acquisition", str(tmp_path / "turned.yaml"), "--output", str(tmp_path / "loop")]
+    told = invoke("focus", str(run), "--replay", str(run), *options).stdout
+    named = "taken at 60° of the derotator, the calibration at 0°"
+    assert (named in told) == (angle_deg == 60.0)
+
+
 @pytest.fixture
 def doubtful(run, tmp_path):
     """The run with QC that has failed."""

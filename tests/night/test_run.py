@@ -14,7 +14,8 @@ from helpers.night_bench import night_bench  # noqa: F401 - the fixture `bench`
 
 from irlos_pipe.conventions.errors import NothingToDo
 from irlos_pipe.night.database import NAME, opened
-from irlos_pipe.night.run import run_night
+from irlos_pipe.night.run import plan_night, run_night
+from irlos_pipe.night.terminal import plan_text
 
 MORNING = "2024-02-11T03:00:00"
 
@@ -243,6 +244,7 @@ def test_what_is_acknowledged_once_is_shown_and_not_reported_again_until_it_chan
 def test_a_copy_is_left_out_and_the_same_frames_with_another_side_car_are_a_failure(bench):
     folder = bench.record(MORNING)
     shutil.copytree(folder, bench.night("2024-02-11") / "again")
+    assert "a copy of" in plan_text(*plan_night(bench.request()), as_json=False)
     state = bench.run()
     night = state.nights["2024-02-10"]
     assert state.exit_code == 0 and len(night.reduced) == 1

@@ -64,6 +64,17 @@ def test_a_source_that_has_no_magnitude_is_nothing_to_warn_of(tmp_path):
     assert not any("mag_j" in line for line in resolved.warnings)
 
 
+@pytest.mark.parametrize(
+    ("angle_deg", "stated", "named"), [(800.0, None, True), (800.0, 80.0, False), (300.0, None, False)]
+)
+def test_an_angle_of_the_header_that_cannot_be_used_is_named(tmp_path, angle_deg, stated, named):
+    write_sidecar(tmp_path / "acquisition.yaml", "derotator_angle_deg")
+    keys = AcquisitionKeys(derotator_angle_deg=stated)
+    found = resolve(recording(tmp_path, header={"derotator_angle_deg": angle_deg}), keys, IRLOS)
+    assert found.acquisition.derotator_angle_deg == (0.0 if named else stated or angle_deg)
+    assert any("derotator_angle_deg = 800 of the header" in line for line in found.warnings) == named
+
+
 def test_recipe_wins_over_side_car_over_header_over_profile(tmp_path):
     write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec", "exposure_s")
     header = {"mag_j": 11.0, "seeing_arcsec": 0.9}

@@ -21,6 +21,7 @@ from irlos_pipe.effects.motion import TipTiltJitter
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.product import Product
 from irlos_pipe.recipe import load_recipe
+from irlos_pipe.stages.correct import angles_text
 from irlos_pipe.stages.lift.input import (
     has_other_light,
     older_text,
@@ -68,8 +69,17 @@ def test_the_light_is_another_one_by_its_wavelength_or_its_lens(ctx, wavelength_
 @pytest.mark.parametrize(("own_deg", "named"), [(0.0, False), (360.0, False), (90.0, True)])
 def test_a_calibration_at_another_angle_of_the_derotator_is_named(own_deg, named):
     taken = SimpleNamespace(derotator_angle_deg=own_deg)
-    assert ("at 90° of the derotator, its calibration at 0°" in turned_text(context(), taken)) == named
+    assert ("at 90° of the derotator, the calibration at 0°" in turned_text(context(), taken)) == named
     assert turned_text(context(Config(calibrated=False)), taken) == ""
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "there"),
+    [((30.0,), ""), ((0.0, 360.0, -360.5), ""), ((90.0, 0.0), "0°, 90°"), ((5.0, 5.0, 25.0), "5°, 25°")],
+)
+def test_offsets_from_a_mean_over_angles_of_the_derotator_are_named(angles_deg, there):
+    text = angles_text(angles_deg)
+    assert f"mean over {there} of the derotator" in text if there else text == ""
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ from irlos_pipe.stages.model.effects import (
     used_in_time_order,
     with_colour,
 )
-from irlos_pipe.stages.model.groups import require_ramp
+from irlos_pipe.stages.model.groups import is_turned, require_ramp
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,6 @@ def ramp_start(
 # (`filter_ncpa`). Other things that a model may lack change with the focus in another way, and are hardly
 # imitated.
 
-TURNED_DEG = 1.0  # angle of the derotator from which a calibration is of another one
 ALIKE = 0.01  # relative difference of mean wavelengths up to which they are of one filter
 EXCUSED = 3.0  # standard errors up to which a wavefront of filter or lens may be one of the calibration
 EXPLAINED = 0.5  # part of the excess of χ²/ν to be explained: less, and the model lacks something else
@@ -193,13 +192,12 @@ def turned_text(ctx: StageContext[Config], acquisition: Acquisition) -> str:
         return ""
     own_deg = acquisition.derotator_angle_deg
     angles = sorted({one.derotator_angle_deg for one in _calibrated_with(ctx)})
-    apart = [math.remainder(angle - own_deg, 360.0) for angle in angles]
-    if not any(abs(angle) > TURNED_DEG for angle in apart):
+    if not any(is_turned(angle, own_deg) for angle in angles):
         return ""
     there = ", ".join(f"{angle:g}°" for angle in angles)
     return (
-        f"the ramp was taken at {own_deg:g}° of the derotator, its calibration at {there}: of the NCPAs the "
-        "part before it is turned"
+        f"the frames were taken at {own_deg:g}° of the derotator, the calibration at {there}: of the NCPAs "
+        "the part before it is turned; calibrate at the angle of the frames"
     )
 
 

@@ -1,5 +1,6 @@
 """Which recordings can be reduced together, by how they were taken; it needs no frame, and no PyTorch."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 
@@ -23,6 +24,12 @@ COMMON = {
     "pupil_rotation_deg": "rotation of the pupil",
     "derotator_angle_deg": "derotator angle",
 }
+TURNED_DEG = 1.0  # angle of the derotator from which a recording is of another one
+
+
+def is_turned(angle_deg: float, other_deg: float) -> bool:
+    """Return whether two angles of the derotator are different ones; a whole turn is none."""
+    return abs(math.remainder(angle_deg - other_deg, 360.0)) > TURNED_DEG
 
 
 def elements_of(acquisition: Acquisition) -> tuple[str, str]:
