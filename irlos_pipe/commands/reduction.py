@@ -200,7 +200,7 @@ def validate(
 
     try:
         given = inputs_of(inputs, sof, recipe)
-        checked = load_recipe(recipe, settings, given, seed, samples=samples, complete=False)
+        checked = load_recipe(recipe, settings, given, seed, samples=samples, needed="given")
         problems = _problems(checked)
     except IrlosError as error:
         if as_json:

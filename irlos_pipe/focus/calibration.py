@@ -209,7 +209,7 @@ class CalibrationRequest:
                 f"{self.run}: its QC has failed ({_failed_checks(folder)}); mend the calibration, or take it "
                 "with --despite-qc"
             )
-        recipe = load_recipe(folder.recipe, complete=False)
+        recipe = load_recipe(folder.recipe, needed="none")
         products = {name: open_product(paths[name]) for name in ("ingest", "calibrate")}
         config = recipe.configs.get("lift", Config())
         assert isinstance(config, Config)

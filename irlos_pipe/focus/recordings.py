@@ -56,7 +56,7 @@ class Replay:
         if not recordings:
             raise InputDataError(f"{run}: has no input '{input_name}' with frames")
         self.window, self.acquisition = recordings[0].window, recordings[0].acquisition
-        self.instrument_name = load_recipe(run_folder.recipe, complete=False).instrument_name
+        self.instrument_name = load_recipe(run_folder.recipe, needed="none").instrument_name
         frames = (
             (one.start_unix_s + float(time_s), image_e)
             for one in recordings

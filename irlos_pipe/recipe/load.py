@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -20,6 +20,7 @@ from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import ModelConfig, StageConfig, declared_by
 
 INPUT_NAME = re.compile(r"[^\W_][\w.+-]*")  # becomes a group in products
+Needed = Literal["all", "given", "none"]
 Section = TypeVar("Section", bound=BaseModel)
 
 
@@ -112,7 +113,7 @@ def load_recipe(
     seed: int | None = None,
     *,
     samples: bool = False,
-    complete: bool = True,
+    needed: Needed = "all",
 ) -> Recipe:
     """Read and check a recipe.
 
@@ -130,8 +131,9 @@ def load_recipe(
         Replaces the recipe's seed.
     samples : bool
         Take sample recordings of the package for the inputs that are not given.
-    complete : bool
-        Whether an input that is not given is an error. A recipe without it can be looked at, but not run.
+    needed : {"all", "given", "none"}
+        Inputs that are an error unless they are there. With those `given` a recipe can be looked at, but not
+        run; with none, the products of a run can be read whose recordings have moved.
 
     Raises
     ------
@@ -161,7 +163,7 @@ def load_recipe(
             errors.add((name, "input"), f"unknown input '{taken}'{suggestion(taken, head.inputs)}")
     named = "instrument" in head.model_fields_set
     sources = _with_samples(head, errors) if samples else head.inputs
-    paths = _check_inputs(sources, absolute(path).parent, errors, head.samples, complete)
+    paths = _check_inputs(sources, absolute(path).parent, errors, head.samples, needed)
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
     by = errors.origins.where(("instrument",)).removeprefix(f"{path.parent}/") if named else ""
@@ -255,11 +257,11 @@ def _check_inputs(
     folder: Path,
     errors: ValidationErrors,
     samples: Collection[str] = (),
-    complete: bool = True,
+    needed: Needed = "all",
 ) -> dict[str, tuple[Path, ...]]:
     """Return absolute paths of `inputs`, which count from `folder`, noting `errors`.
 
-    If they have to be `complete`, one that is not given is wrong; the package has `samples` for some.
+    For those that are `needed` see `load_recipe`; the package has `samples` for some.
     """
 
     def wrong(name: str, message: str) -> None:
@@ -269,7 +271,7 @@ def _check_inputs(
         if not INPUT_NAME.fullmatch(name):
             allowed = "letters, digits and . _ + - and begins with a letter or digit"
             wrong(name, f"input {name!r}: a name is made of {allowed}")
-        if not paths and complete:
+        if not paths and needed == "all":
             hint = ", or --samples for the simulated sample" if name in samples else ""
             wrong(name, f"input '{name}' is not given; add --input {name}=PATH{hint}")
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
@@ -277,7 +279,7 @@ def _check_inputs(
         for path in absolute_paths:
             if not str(path).isprintable():  # control characters, and bytes that are no UTF-8
                 wrong(name, f"input '{name}': {str(path)!r} holds characters that cannot be shown; rename it")
-            elif not os.path.exists(path):  # also of a name that no file can have
+            elif needed != "none" and not os.path.exists(path):  # also of a name that no file can have
                 hint = f"correct it, or give --input {name}=PATH"
                 wrong(name, f"input '{name}': no such file or folder: {path}; {hint}")
     return found

@@ -102,6 +102,17 @@ def test_frames_of_another_derotator_angle_than_the_calibration_are_named(run, t
     assert (named in told) == (angle_deg == 60.0)
 
 
+def test_recordings_of_a_reduced_run_need_not_be_there_any_more(run, tmp_path):
+    moved = tmp_path / "moved"
+    shutil.copytree(run, moved)
+    recipe = moved / "recipe.resolved.yaml"
+    recipe.write_text(recipe.read_text().replace(str(SAMPLES), str(tmp_path / "nowhere")))
+    result = invoke("focus", str(moved), "--replay", str(moved), "--output", str(tmp_path / "loop"), "-q")
+    assert result.exit_code == 0, result.stderr
+    points = json.loads((run / "results.json").read_text())["stages"]["lift"]["points"]
+    assert [one["defocus_nm"] for one in records(tmp_path / "loop")] == [one["defocus_nm"] for one in points]
+
+
 @pytest.fixture
 def doubtful(run, tmp_path):
     """The run with QC that has failed."""

@@ -64,7 +64,7 @@ def test_a_mistake_is_reported_with_file_line_and_suggestion(bench, monkeypatch,
 def test_the_input_of_a_stage_is_one_of_the_recipe():
     text = r"^--set calibrate.input: unknown input 'calibratoin'; did you mean 'calibration'\?$"
     with pytest.raises(ConfigurationError, match=text):
-        load_recipe("ncpa_calibration", ["calibrate.input=calibratoin"], complete=False)
+        load_recipe("ncpa_calibration", ["calibrate.input=calibratoin"], needed="given")
 
 
 @pytest.mark.parametrize(
@@ -180,6 +180,6 @@ def test_a_file_goes_before_a_name_and_an_unknown_name_is_corrected(bench, monke
     Path("modes").write_text(RECIPE)
     assert load_recipe("modes").name == "test"
     Path("diagnose").mkdir()
-    assert load_recipe("diagnose", complete=False).name == "diagnose"
+    assert load_recipe("diagnose", needed="given").name == "diagnose"
     with pytest.raises(ConfigurationError, match="did you mean 'derotator'"):
         load_recipe("derotatr")
