@@ -42,7 +42,7 @@ def planes(seed: int, flux_e: float, frames: int = 1, beyond_nm: float = 0.0, de
     found = []
     for number, (image, nm) in enumerate(zip(images(seed, beyond_nm), declared_nm, strict=True)):
         drawn = draw_frames(flux_e * image, frames, 10 * seed + number)
-        under = settings(WINDOW, diversity={}, known=KnownWavefront({}, {4: nm}))
+        under = settings(WINDOW, pupil_samples=64, diversity={}, known=KnownWavefront({}, {4: nm}))
         found.append(Setup(Frames(drawn, everything(drawn), READ_NOISE), under, names=("bench",)))
     return found
 
