@@ -2,6 +2,8 @@
 
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,6 +54,14 @@ class Bench:
 def invoke(*arguments: str) -> Result:
     """Run the command line in this process."""
     return CliRunner().invoke(cli, list(arguments))
+
+
+@contextmanager
+def without_report() -> Iterator[None]:
+    """Leave out the report, whose drawings take half of the time of a small run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("irlos_pipe.report.build.write_report", lambda *_: None)
+        yield
 
 
 def products(folder: Path) -> list[str]:

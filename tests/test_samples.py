@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from conftest import invoke
 
-from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.pipeline import Resources, run_recipe
 from irlos_pipe.recipe import load_recipe
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("samples")]  # long ones begin first
 
 ROOT = Path(__file__).parents[1]
 OWN, SHARED = ROOT / "data_samples", ROOT.parent / "shared" / "samples"
@@ -27,7 +27,8 @@ needs_shared = pytest.mark.skipif(not SHARED.exists(), reason="the shared sample
 def reduce(recipe: str, output: Path, settings=(), **inputs: Path) -> dict:
     """Results of a recipe, by stage."""
     given = [f"{name}={path}" for name, path in inputs.items()]
-    run_recipe(load_recipe(ROOT / "recipes" / f"{recipe}.yaml", settings, given), output)
+    loaded = load_recipe(ROOT / "recipes" / f"{recipe}.yaml", settings, given)
+    run_recipe(loaded, output, resources=Resources(report=False))
     return json.loads((output / "results.json").read_text())["stages"]
 
 
@@ -63,6 +64,7 @@ def test_the_demo_finds_the_ncpas_the_residual_and_the_ramp_of_the_own_sample(tm
     assert compare["without NCPAs"]["rms_nm"] > 5 * summary["rms_nm"]
 
 
+@pytest.mark.long
 def test_pixels_declared_1_percent_too_large_are_named_although_modes_imitate_them(tmp_path):
     settings = ["ingest.acquisition={pixel_scale_mas: 9.797}"]
     calibrate = reduce("ncpa_calibration", tmp_path, settings, calibration=OWN / "calibration-sky")[

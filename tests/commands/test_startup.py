@@ -9,6 +9,8 @@ from conftest import invoke
 from helpers import sparta_files
 from helpers.paths import REPOSITORY
 
+pytestmark = pytest.mark.xdist_group("startup")  # its fixtures serve all tests
+
 LARGE = ("torch", "matplotlib", "scipy.stats", "scipy.signal")
 SAMPLE = "data_samples/ramp/offset_00/offset_00.fits"
 QUICK = {

@@ -9,7 +9,7 @@ from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, SPOT_M, TRU
 from irlos_pipe.diagnosis.verdict import sentence
 from irlos_pipe.effects import CATALOGUE
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("diagnoses")]  # each is made once
 
 
 def error_nm(diagnosis, which: int) -> float:

@@ -25,6 +25,8 @@ from irlos_pipe.effects import CATALOGUE, FixedEffect, everyday
 from irlos_pipe.optics.psf_settings import KnownWavefront
 from irlos_pipe.stages.diagnose.output import model_entries
 
+pytestmark = pytest.mark.xdist_group("facts")  # its fixtures serve all tests
+
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 SCALE = CATALOGUE["plate_scale"].under(CONDITIONS)
 COMPANION = CATALOGUE["companion"].under(CONDITIONS)

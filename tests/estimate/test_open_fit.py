@@ -35,6 +35,8 @@ from irlos_pipe.estimate.open_minima import Softening, likelier_minimum, likelie
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
+pytestmark = pytest.mark.xdist_group("open_fit")  # its fixtures serve all tests
+
 REPORTED, TAIL = slice(0, 29), range(67, 232)
 TAIL_NM, FLUX_E, FRAMES = 3.0, 4e6, 12
 

@@ -29,6 +29,8 @@ from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.setups import Setup, SetupsFit, _part, calibrate_setups
 
+pytestmark = pytest.mark.xdist_group("setups")  # its fixtures serve all tests
+
 NARROW, BROAD = ((1600.0, 1.0),), ((1215.0, 0.5), (1625.0, 0.5))
 STATIC_NM = ncpa_nm(6, 15, 100.0)
 SLOPE_NM, LENS_NM = {4: 90.0, 7: -70.0, 9: 50.0}, {4: 25.0, 5: -20.0, 8: 15.0}

@@ -27,7 +27,7 @@ from irlos_pipe.estimate.cube import Frames
 
 WINDOW, HIGHEST_NOLL, FRAMES, FLUX_E, WAVELENGTH_NM = 40, 15, 32, 1e6, 1600.0
 TRUE_NM = ncpa_nm(5, HIGHEST_NOLL, 100.0)
-CASE = settings(WINDOW)
+CASE = settings(WINDOW, pupil_samples=64)
 CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, HIGHEST_NOLL, ncpa_law=NCPA_LAW)
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
 FURTHER = {"flux_ratio": 0.01, "x_px": 7.8, "y_px": 10.4}

@@ -23,7 +23,7 @@ def band_of_last(values, sigma=None, rule=LOOSE):
 @pytest.mark.parametrize("nights", [5, 10, 40])
 @pytest.mark.parametrize("probability", [0.05, 0.01])
 def test_false_alarms_are_not_more_frequent_than_requested(nights, probability):
-    rng, trials = np.random.default_rng(nights), 2000
+    rng, trials = np.random.default_rng(nights), 1000
     rule = BandSettings(false_alarm=probability, least_nights=nights)
     draws = rng.normal(size=(trials, nights + 1))
     alarms = sum(not band_of_last(values, rule=rule).holds(values[-1]) for values in draws)
@@ -89,7 +89,7 @@ def test_many_modes_show_by_how_much_errors_are_too_small():
 @pytest.mark.slow
 @pytest.mark.parametrize(("nights", "excess"), [(3, 1.0), (5, 3.0), (20, 3.0)])
 def test_false_alarms_of_modes_and_wavefronts_are_not_more_frequent_than_requested(nights, excess):
-    rng, rule, trials, modes = np.random.default_rng(nights), BandSettings(false_alarm=0.02), 150, 20
+    rng, rule, trials, modes = np.random.default_rng(nights), BandSettings(false_alarm=0.02), 75, 20
     single = whole = 0
     for _ in range(trials):
         values, past = drawn(rng, nights, modes, excess)

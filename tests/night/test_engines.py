@@ -20,8 +20,8 @@ from helpers import sparta_files
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.night import engines
 from irlos_pipe.night.reduce import Reduced, Task, reduce_group
+from irlos_pipe.pipeline import Resources, run_recipe
 from irlos_pipe.pipeline import run as runs
-from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.storage import read_product
 
 RECIPE = """\
@@ -31,6 +31,7 @@ stages: [ingest, calibrate]
 calibrate: {method: lift_avg, highest_noll: 6, max_iterations: 3}
 """
 NAMES = ("a", "b", "c")
+pytestmark = pytest.mark.xdist_group("engines")  # one cluster for all
 ALLOWED_DEATHS = 1  # of workers at one task; Dask's default is 3
 
 
@@ -101,7 +102,7 @@ def kill_marked(mark: Path) -> None:
 
 
 def same_to_the_bit(task: Task, folder: Path) -> None:
-    run_recipe(task.load(), folder)
+    run_recipe(task.load(), folder, resources=Resources(report=False))
     for name in ("01_ingest.h5", "02_calibrate.h5"):
         ours, serial = read_product(task.folder / name), read_product(folder / name)
         assert list(ours.arrays) == list(serial.arrays)

@@ -15,6 +15,8 @@ from irlos_pipe.paper import mirror_loop
 from irlos_pipe.paper.mirror_loop import LOOPS, Bench, corrected, mirror_of
 from irlos_pipe.simulate.mirror import Actuators, Mirror
 
+pytestmark = pytest.mark.xdist_group("mirror_loop")  # its fixtures serve all tests
+
 SIZES = {
     "frames": 12, "star_frames": 2, "corrections": 4, "pitches_m": (0.25,), "shift": 0.02, "turn_deg": 2.0
 }  # fmt: skip

@@ -201,7 +201,7 @@ def test_their_zero_is_that_of_the_star_without_defocus():
 @pytest.mark.slow
 def test_centroids_scatter_as_drawn_images_do_and_no_less_than_the_bound():
     """Monte Carlo with Poisson noise, where the sensor draws Gaussian noise of the same variance."""
-    star = replace(in_four_images(scene(60)), ncpa_nm={})
+    star = replace(in_four_images(scene(30)), ncpa_nm={})
     sensor = two_by_two_sensors(star)["centroids_2x2"]
     mean_e = expose(star).mean_e.astype(float).mean(axis=0)
     mean_e *= 2e4 / mean_e.sum()

@@ -60,7 +60,7 @@ def runs(tmp_path_factory) -> list[Path]:
         sparta_files.write_recorder(folder / "data" / "ramp" / f"offset_{number}", adu, keys=keys)
     for name, text in {"ramp": RAMP, "cubes": CUBES}.items():
         (folder / f"{name}.yaml").write_text(text)
-        run_recipe(load_recipe(folder / f"{name}.yaml"), folder / name)
+        run_recipe(load_recipe(folder / f"{name}.yaml"), folder / name, resources=Resources(report=False))
     return [folder / "ramp", folder / "cubes"]
 
 
@@ -106,7 +106,8 @@ def without_times(content):
 def test_a_second_run_with_eight_jobs_and_more_threads_of_numpy_gives_the_same_bits(runs):
     again = runs[0].with_name("again")
     with threadpool_limits(8, user_api="blas"):
-        run_recipe(load_recipe(runs[0].with_name("ramp.yaml")), again, resources=Resources(jobs=8))
+        recipe, resources = load_recipe(runs[0].with_name("ramp.yaml")), Resources(jobs=8, report=False)
+        run_recipe(recipe, again, resources=resources)
     names = sorted(path.name for path in runs[0].glob("*.h5"))
     assert len(names) == 6
     for name in names:

@@ -14,7 +14,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import LensletArray, apart
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
-from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.pipeline import Resources, run_recipe
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages import derotator as derotator
 from irlos_pipe.stages import modes as modes
@@ -167,7 +167,7 @@ def run(folder, stages: str, *settings: str) -> dict:
     calibrate = "calibrate: {input: cube, highest_noll: 6}" if "calibrate" in stages else ""
     text = RECIPE.format(path=raw_file(folder), stages=stages, calibrate=calibrate)
     (folder / "r.yaml").write_text(text)
-    run_recipe(load_recipe(folder / "r.yaml", settings), folder / "out")
+    run_recipe(load_recipe(folder / "r.yaml", settings), folder / "out", resources=Resources(report=False))
     return json.loads((folder / "out" / "results.json").read_text())["stages"]
 
 

@@ -26,6 +26,8 @@ from irlos_pipe.stages.diagnose.stage import Config, DiagnoseResults
 from irlos_pipe.stages.diagnose.work import moments_of
 from irlos_pipe.stages.model.effects import pooled_frames
 
+pytestmark = pytest.mark.xdist_group("diagnoses")  # each is made once
+
 
 @pytest.mark.slow
 def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
