@@ -26,7 +26,7 @@ class SodiumLayer:
     # Between 1 and 3; 2 is a random walk. 1.95 ± 0.12 up to more than 1 Hz: Pfrommer & Hickson 2010, J. Opt.
     # Soc. Am. A 27, A97; 1.79 ± 0.02 below 4 mHz: Davis et al. 2006, Opt. Lett. 31, 3369.
     slope: float = key(1.95, "of the altitude's power spectrum, f^-slope", gt=1, lt=3)
-    rms_change_1s_m: float = key(23.0, "RMS change of the mean altitude within 1 s [m]", gt=0)  # the former
+    rms_change_1s_m: float = key(23.0, "RMS change of the mean altitude within 1 s [m]", gt=0)  # Pfrommer
     # 92 km above the sea less the height of Paranal, at zenith. There the effect is largest: it goes with the
     # cosine of the zenith angle.
     range_m: float = key(89.4e3, "from the telescope to the layer [m]", gt=1e4)

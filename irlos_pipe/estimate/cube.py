@@ -160,9 +160,8 @@ def covariance_of_mean(series: np.ndarray) -> np.ndarray:
 
 FRAMES_OF_A_KIND = 20  # Gaussian scatter of so many has a kurtosis below 1.3 in one of 100 000 cubes
 FEWEST_OF_A_KIND = 6  # from so many two kinds in halves, which have 1, are no chance
-CLEAR = (
-    0.3  # by which it exceeds 1 at most; where fewer than `FRAMES_OF_A_KIND` tell, times their part squared
-)
+# By which it exceeds 1 at most; where fewer than `FRAMES_OF_A_KIND` tell, times their part squared.
+CLEAR = 0.3
 LEADING = 0.3  # part of the variance from which a single direction is examined
 
 

@@ -106,9 +106,8 @@ def rows(star: ex.Sample) -> ex.Rows:
                 "abs_error_nm": curve.abs_error_nm,
                 "crb_nm": curve.crb_nm,
                 "one_read_crb_nm": curve.one_read_crb_nm,
-                "residual_nm": observed.exposed.zernike_nm[
-                    :, DEFOCUS - 2
-                ],  # of the AO residual, mean of a frame
+                # of the AO residual, mean of a frame
+                "residual_nm": observed.exposed.zernike_nm[:, DEFOCUS - 2],
             }
 
 

@@ -26,7 +26,7 @@ from irlos_pipe.product.table import Card, Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.stage import CalibrateResults
 from irlos_pipe.stages.ingest.stage import recordings_from_product
-from irlos_pipe.stages.model.groups import is_turned
+from irlos_pipe.stages.model.groups import turned_angles
 
 if TYPE_CHECKING:
     from irlos_pipe.estimate.correction import MirrorOffsets, Offsets, Prediction
@@ -156,10 +156,8 @@ Results = CorrectResults
 
 def angles_text(angles_deg: Sequence[float]) -> str:
     """Return what is said of offsets from recordings at several angles of the derotator; else nothing."""
-    if not any(is_turned(angle, angles_deg[0]) for angle in angles_deg):
-        return ""
-    there = ", ".join(f"{angle:g}°" for angle in sorted({*angles_deg}))
-    return (
+    there = turned_angles(angles_deg, angles_deg[0])
+    return there and (
         f"the offsets are those of a mean over {there} of the derotator, and of the NCPAs the part before it "
         "turns: they are right at no angle; give recordings of one angle, or run the recipe derotator"
     )

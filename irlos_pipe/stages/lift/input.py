@@ -46,7 +46,7 @@ from irlos_pipe.stages.model.effects import (
     used_in_time_order,
     with_colour,
 )
-from irlos_pipe.stages.model.groups import is_turned, require_ramp
+from irlos_pipe.stages.model.groups import require_ramp, turned_angles
 
 
 @dataclass(frozen=True)
@@ -191,11 +191,8 @@ def turned_text(ctx: StageContext[Config], acquisition: Acquisition) -> str:
     if not ctx.config.calibrated or "calibrate" not in ctx.products:
         return ""
     own_deg = acquisition.derotator_angle_deg
-    angles = sorted({one.derotator_angle_deg for one in _calibrated_with(ctx)})
-    if not any(is_turned(angle, own_deg) for angle in angles):
-        return ""
-    there = ", ".join(f"{angle:g}°" for angle in angles)
-    return (
+    there = turned_angles((one.derotator_angle_deg for one in _calibrated_with(ctx)), own_deg)
+    return there and (
         f"the frames were taken at {own_deg:g}° of the derotator, the calibration at {there}: of the NCPAs "
         "the part before it is turned; calibrate at the angle of the frames"
     )

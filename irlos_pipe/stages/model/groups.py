@@ -1,7 +1,7 @@
 """Which recordings can be reduced together, by how they were taken; it needs no frame, and no PyTorch."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 
 import numpy as np
@@ -27,9 +27,11 @@ COMMON = {
 TURNED_DEG = 1.0  # angle of the derotator from which a recording is of another one
 
 
-def is_turned(angle_deg: float, other_deg: float) -> bool:
-    """Return whether two angles of the derotator are different ones; a whole turn is none."""
-    return abs(math.remainder(angle_deg - other_deg, 360.0)) > TURNED_DEG
+def turned_angles(angles_deg: Iterable[float], own_deg: float) -> str:
+    """Return angles of the derotator as text if one is another than `own_deg`; a whole turn is none."""
+    angles = sorted({*angles_deg})
+    turned = any(abs(math.remainder(angle - own_deg, 360.0)) > TURNED_DEG for angle in angles)
+    return ", ".join(f"{angle:g}°" for angle in angles) if turned else ""
 
 
 def elements_of(acquisition: Acquisition) -> tuple[str, str]:
