@@ -25,7 +25,7 @@ import torch
 
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.diagnosis.view import Exposures
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, local_mean, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
 from irlos_pipe.frames.recording import mean_frame
 
@@ -67,8 +67,7 @@ class Stack:
         place interferes with the image as speckles do, so its variance follows theirs, or that of photons.
         """
         plain = self.variance_e2 - self.flat_error_e2 - self.model_error_e2
-        signal = local_mean(self.mean_e.view(self.frames.good.shape), self.frames.good.double()).flatten()
-        flat = (flat_rms * signal) ** 2
+        flat = (flat_rms * self.mean_e) ** 2
         model = torch.where(plain.isfinite(), (misfit - 1) * (plain + flat), 0.0)
         return replace(
             self,

@@ -90,7 +90,8 @@ class EvidenceTask(Task):
             best = self._best(laplace, found) if len(laplace.fitted.effects) <= most else None
             if best is None:
                 break
-            laplace, odds = self._settled(best[0]), best[1]
+            before, laplace = laplace, self._settled(best[0])
+            odds = (laplace.log_evidence - before.log_evidence) / best[1]
             entered |= {one.base: odds for one in laplace.fitted.effects if one.base not in entered}
             if copies_in_a_row(laplace.fitted):  # which the detector makes: more would follow
                 break
@@ -149,22 +150,22 @@ class EvidenceTask(Task):
         return posterior.minimised(min(ends, key=lambda one: one[1])[0], AGAIN, roughly=True)
 
     def _best(self, laplace: Laplace, found: Sequence[Score]) -> tuple[Laplace, float] | None:
-        """The fit with the effect of the best odds, and the odds; None if none is worth it."""
+        """The fit with the effect of the best odds, and their inflation; None if none is worth it."""
         likely = [one for one in found if one.log_odds > PROMISING][:LOOKED_AT]
         tried = [
-            ((other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation), other)
+            ((other.log_evidence - laplace.log_evidence) / max(1.0, score.inflation), score, other)
             for score, other in zip(likely, ordered_map(partial(self._joined, laplace), likely), strict=True)
             if other is not None
         ]
         self.report(1)
         if not tried:
             return None
-        odds, best = max(tried, key=lambda one: one[0])
+        odds, score, best = max(tried, key=lambda one: one[0])
         if odds < WORTH:
             return None
         known = {*laplace.fitted.problem.effects.labels}
         label = next(one for one in best.fitted.problem.effects.labels if one not in known)
-        return self._in_best_form(best, label, wider=True), odds
+        return self._in_best_form(best, label, wider=True), max(1.0, score.inflation)
 
     def _joined(self, laplace: Laplace, score: Score) -> Laplace | None:
         """The fit with one effect more, from where all others make room for it; None if it fails."""
@@ -363,7 +364,7 @@ class _Final:
         effect = self.fitted.effect(label)
         score = self._scored(optimum, effect, self.fitted.values_of(label))
         frames = math.inf if self.optimum.stack.photon_limited else self.optimum.stack.independent
-        rise, count = self.linear.rise_without(label), len(self.linear.nulls_of(label))
+        rise, count = self.linear.rise_without(label), len(effect.parameters)
         return Refit(score, optimum, self.fitted, label, gaussian_sigma(rise, count, frames))
 
     def rivals(self, refit: Refit, found: Sequence[Score]) -> list[tuple[Refit, float]]:

@@ -94,7 +94,8 @@ class _Scatter:
 
     photons_e2: torch.Tensor  # (pixels,), infinite for pixels that no fit sees
     speckles_e2: torch.Tensor  # (pixels,)
-    light_e: torch.Tensor  # (pixels,), smoothed
+    image_e: torch.Tensor  # (pixels,)
+    light_e: torch.Tensor  # (pixels,), the same smoothed
     airy: _Airy  # what is correlated as an Airy disc, with variance one
     sample_e: torch.Tensor  # (pixels, frames): the frames' own covariance is its square
 
@@ -114,7 +115,7 @@ class _Scatter:
             speckles = (slow * (scatter - photons)).clamp_min(0)
             sample = stack.differences_e.mT * math.sqrt(SAMPLED * slow / count / (count - 1))
         photons = torch.where(good, photons.double(), torch.inf)
-        return cls(photons, SMOOTHED * speckles, light, _Airy.of(settings), sample.float())
+        return cls(photons, SMOOTHED * speckles, stack.mean_e, light, _Airy.of(settings), sample.float())
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,7 @@ class Covariance:
     @cached_property
     def root(self) -> torch.Tensor:
         """One over the standard errors that pixels have each by itself, 0 for those not seen, (pixels,)."""
-        own = (one.photons_e2 + (self.flat_rms * one.light_e) ** 2 for one in self.scatter)
+        own = (one.photons_e2 + (self.flat_rms * one.image_e) ** 2 for one in self.scatter)
         return torch.cat([variance**-0.5 for variance in own])
 
     def with_errors(self, model_rms: float, flat_rms: float) -> Covariance:
@@ -555,33 +556,43 @@ class Linear:
 
     def without(self, label: str) -> Linear:
         """The model with one effect more at nothing."""
-        own, apart, inverse = self._from_nothing(label)
-        gain = self.covariance[:, own] @ inverse
-        left = self.covariance - gain @ self.covariance[own]
+        own, apart, inverse, held = self._from_nothing(label)
+        gain = held[:, own] @ inverse
+        left = held - gain @ held[own]
         return replace(self, covariance=left, x=self.x - gain @ apart, gone=(*self.gone, label))
 
     def rise_without(self, label: str) -> float:
         """Rise of χ² and priors without one effect more."""
-        _, apart, inverse = self._from_nothing(label)
+        _, apart, inverse, _ = self._from_nothing(label)
         return float(apart @ inverse @ apart)
 
-    def _from_nothing(self, label: str) -> tuple[list[int], torch.Tensor, torch.Tensor]:
-        """Columns of an effect, their values from where it has no effect, and their inverse covariance."""
+    def _from_nothing(self, label: str) -> tuple[list[int], torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Columns of an effect, their values from where it has no effect, and their inverse covariance.
+
+        What is at nothing has no place or width: with these held is also the last, the covariance of all.
+        """
         nulls = self.nulls_of(label)
         apart = self.x[[*nulls]] - torch.tensor([*nulls.values()], dtype=torch.float64)
-        return [*nulls], apart, torch.linalg.pinv(self.covariance[[*nulls]][:, [*nulls]], hermitian=True)
+        places = [column for column in self.fitted.columns_of(label) if column not in nulls]
+        cross = self.covariance[:, places]
+        held = self.covariance - cross @ _inverse(cross[places]) @ cross.mT
+        return [*nulls], apart, _inverse(held[[*nulls]][:, [*nulls]]), held
 
     def log_odds(self, label: str) -> float:
         """ln odds of an effect against its absence (Dickey 1971, Ann. Math. Stat. 42, 204)."""
-        nulls = self.nulls_of(label)
+        nulls, own = self.nulls_of(label), self.fitted.columns_of(label)
         if not nulls:
             return math.inf
-        own = [*nulls]
-        expected = self.posterior.prior_mean[own] - torch.tensor([*nulls.values()], dtype=torch.float64)
+        # Without the effect its priors do not count: those of sizes at nothing, those of places where they are.
+        without = torch.tensor([nulls.get(column, float(self.x[column])) for column in own])
         precision = self.posterior.prior_precision[own]
-        log_prior = 0.5 * float(precision.log().sum() - (precision * expected**2).sum())
-        spread = float(torch.linalg.slogdet(self.covariance[own][:, own])[1])
-        return log_prior + 0.5 * (self.rise_without(label) + spread)
+        penalty = float((precision * (without - self.posterior.prior_mean[own]) ** 2).sum())
+        spread = float(torch.linalg.slogdet(self.covariance[own][:, own])[1] + precision.log().sum())
+        return 0.5 * (self.rise_without(label) - penalty + spread)
+
+
+def _inverse(covariance: torch.Tensor) -> torch.Tensor:
+    return torch.linalg.pinv(covariance, hermitian=True)
 
 
 def fitted_as(
