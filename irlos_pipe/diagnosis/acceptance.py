@@ -74,7 +74,7 @@ def gap_between(stack: Stacks, before: Fitted, after: Fitted) -> Gap:
     return Gap(old.gap, HeldOutEvaluation(stack, after).gap, old.floor)
 
 
-SURE = 3.0  # Vuong's statistic from which held-out frames decide between two names
+DECIDED = 3.0  # Vuong's statistic from which held-out data decide between two models
 LIKENESS = 0.9  # |cos| from which two effects are degenerate in the image
 LARGEST_SET = 3  # names not distinguished from the best that are listed, with it
 
@@ -84,7 +84,7 @@ def alternatives(ranked: Sequence[Refit], cube: Cube) -> list[Alternative]:
     best, found = ranked[0], []
     for other in ranked[1:]:
         z = preference(cube.held_out, best.fitted, other.fitted)
-        if best.deficit(other) < CLEARLY_LESS or (z < SURE and other.gain > EXPLAINS_AS_MUCH * best.gain):
+        if best.deficit(other) < CLEARLY_LESS or (z < DECIDED and other.gain > EXPLAINS_AS_MUCH * best.gain):
             cosine = likeness(best.fitted, other.fitted, best.origin)
             alike = "they change the image alike" if cosine > LIKENESS else "both explain the excess as well"
             reason = f"{alike} (|cos| {cosine:.3f}), and the held-out frames do not decide (z {z:.1f})"
@@ -102,7 +102,6 @@ def likeness(one: Fitted, other: Fitted, before: Optimum) -> float:
 
 
 SIGNIFICANT = 5.0  # standard errors of the excess, from which that of a moment counts
-PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | 
         ranked = order(ranked, cube)
     best, stack = ranked[0], cube.held_out
     z = preference(stack, best.fitted, best.origin.fitted)
-    if z < (PREFERRED if cube.training.photon_limited else 0.0):
+    if z < (DECIDED if cube.training.photon_limited else 0.0):
         return None
     of_each = [preference(stack, best.fitted, one.fitted) for one in ranked]
     ranking = [

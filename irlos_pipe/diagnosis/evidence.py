@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import resolution_px
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, gap_between, preference
+from irlos_pipe.diagnosis.acceptance import DECIDED, Accepted, Search, gap_between, preference
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Stacks
@@ -280,7 +280,7 @@ class EvidenceTask(Task):
             return None
         stack, without = self.cube.held_out, refit.origin.fitted
         z = preference(stack, refit.fitted, without)
-        if z < 0:
+        if z < -DECIDED:  # of images that hardly differ, as by modes beyond the basis, it is a normal deviate
             return None
         rivals = final.rivals(refit, found)
         alternatives = [

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Search, preference
+from irlos_pipe.diagnosis.acceptance import DECIDED, Search, preference
 from irlos_pipe.diagnosis.cube import Cube, Stacks
 from irlos_pipe.diagnosis.effect_sizes import Covariances, parameter_covariance
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
@@ -24,7 +24,6 @@ from irlos_pipe.effects.public_values import public_sigma
 
 SEEN = 5.0  # significance from which a moment by itself shows an effect
 MEASURED = 1e-9  # eigenvalue of a correlation matrix below which it is rounding
-PREFERRED = 3.0  # Vuong's statistic on held-out data from which moments differ
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def sharing(
         values.append(_value(moment.name, apart, label, covariances.of(label), stack))
     z = preference(cube.held_out, apart, together)
     seen = sum(one.significance > SEEN for one in values)
-    differs = significance > sure and z > PREFERRED
+    differs = significance > sure and z > DECIDED
     finding = "differs" if differs else "common" if seen > 1 else "open"
     return SharingRow(labels[0], finding, significance, together.chi2 - apart.chi2, more, z, values)
 
