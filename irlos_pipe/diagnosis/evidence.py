@@ -243,13 +243,11 @@ class EvidenceTask(Task):
         """The search with its names: what has the odds, explains its own, and no held-out data object to."""
         final = _Final(self, laplace, declared)
         beyond = final.beyond
-        plain = {one.label: one for one in search.accepted}
-        judged = [
-            # What light always has, as an AO residual, has no odds against its absence.
-            self._judged(final, label, entered, found) if final.linear.nulls_of(label) else plain.get(label)
+        named = [
+            one
             for label in beyond
+            if (one := self._judged(final, label, entered, found)) is not None
         ]
-        named = [one for one in judged if one is not None]
         named = sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
         adjusted = sorted(set(beyond) - {one.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
@@ -270,7 +268,7 @@ class EvidenceTask(Task):
     ) -> Accepted | None:
         """The name for an effect of the final model, or None."""
         odds = entered.get(final.all_modes.effect(label).base, math.inf)
-        if not min(final.linear.log_odds(label), odds) > SURE:
+        if not min(final.log_odds(label), odds) > SURE:
             return None
         refit = final.refit(label)
         lit = _is_lit(final.laplace, refit.base, refit.values)
@@ -358,8 +356,27 @@ class _Final:
             problem, solution, self.task.cube.training, self.fitter.views, image, laplace.columns[rows]
         )
 
+    def log_odds(self, label: str) -> float:
+        """ln odds of an effect against its absence."""
+        if self.linear.nulls_of(label):
+            return self.linear.log_odds(label)
+        return self.laplace.log_evidence - self._without(label).log_evidence
+
+    def _without(self, label: str) -> Laplace:
+        """The fit without an effect to whose absence no model is linear, as that of an AO residual."""
+        fitted = self.laplace.fitted
+        others = fitted.continued_by_label()
+        del others[label]
+        posterior = replace(self.laplace.posterior, effects=[*others.values()])
+        return posterior.minimised(posterior.start(fitted), JOINTLY, roughly=True)
+
     def refit(self, label: str) -> Refit:
-        """The model against that without an effect, to which it is linear."""
+        """The model against that without an effect."""
+        if not self.linear.nulls_of(label):
+            others = self.fitted.continued_by_label()
+            base = others.pop(label).base
+            origin = Optimum(self.optimum.stack, self.fitter.explored([*others.values()], self.fitted))
+            return Refit(score_family(origin, Family((base,))), origin, self.fitted, label)
         optimum = Optimum(self.optimum.stack, self._reduced(self.linear.without(label)))
         effect = self.fitted.effect(label)
         score = self._scored(optimum, effect, self.fitted.values_of(label))
@@ -374,6 +391,8 @@ class _Final:
         beside it.
         """
         label, laplace = refit.label, self.laplace
+        if not self.linear.nulls_of(label):
+            return []
         rise, null = self.linear.rise_without(label), laplace.null_of(self.linear.without(label))
         effects = self.all_modes.continued_by_label()
         rivals: list[tuple[Effect, Score, float]] = []
