@@ -43,7 +43,7 @@ def with_tail(effects=()) -> np.ndarray:
 def dense(covariance: Covariance) -> np.ndarray:
     """The covariance that the sums of its parts make, pixel by pixel."""
     (one,) = covariance.scatter
-    own = np.diag((one.photons_e2 + (covariance.flat_rms * one.light_e) ** 2).numpy())
+    own = np.diag((one.photons_e2 + (covariance.flat_rms * one.image_e) ** 2).numpy())
     rms = (one.speckles_e2 + covariance.model_rms**2 * one.light_e.max() * one.light_e).sqrt()
     shapes = (one.airy.shapes * rms[:, None]).numpy()
     return own + shapes @ shapes.T + one.sample_e.numpy() @ one.sample_e.numpy().T
@@ -80,30 +80,52 @@ def test_the_evidence_between_two_laws_is_the_exact_one_of_the_linear_model():
     assert found[1] - found[0] == pytest.approx(exact[1] - exact[0], abs=0.5)
 
 
+class Columns:
+    """Effects that are named after the columns of a linear model that are theirs."""
+
+    @staticmethod
+    def columns_of(label: str) -> list[int]:
+        return [int(column) for column in label]
+
+
+class Known(Linear):
+    """A linear model all of whose columns but the last are nothing at zero."""
+
+    def nulls_of(self, label):
+        return {column: 0.0 for column in self.fitted.columns_of(label) if column < 4}
+
+
 def test_the_odds_of_savage_and_dickey_are_those_of_two_evidences():
-    """Truth: Gaussian evidences with and without the effect, by hand for a linear model."""
+    """Truth: Gaussian evidences with and without the effect, by hand for a linear model.
+
+    The last column is a place, of which images are linear about where it is, and which what is at nothing
+    does not have.
+    """
     rng = np.random.default_rng(5)
-    design, sigma = rng.standard_normal((60, 4)), np.array([5.0, 2.0, 3.0, 1.0])
-    data = design @ [1.0, 0.5, 0.0, 0.2] + rng.standard_normal(60)
+    design, sigma = rng.standard_normal((60, 5)), np.array([5.0, 2.0, 3.0, 1.0, 2.0])
+    data = design[:, :4] @ [1.0, 0.5, 0.0, 0.2] + rng.standard_normal(60)
+    covariance = np.linalg.inv(design.T @ design + np.diag(sigma**-2))
+    # the place at which the optimum is that about which the model is linear
+    fixed = np.eye(5)[4] / sigma[4] ** 2
+    place = (covariance @ design.T @ data)[4] / (covariance @ fixed)[4]
+    prior_mean = np.array([0, 0, 0, 0, -place])
 
     def log_evidence(columns: list[int]) -> float:
         some = design[:, columns]
-        return multivariate_normal.logpdf(
-            data, np.zeros(60), np.eye(60) + some * sigma[columns] ** 2 @ some.T
-        )
-
-    covariance = np.linalg.inv(design.T @ design + np.diag(sigma**-2))
-
-    class Known(Linear):
-        def nulls_of(self, label):
-            return {int(column): 0.0 for column in label}
+        within = np.eye(60) + some * sigma[columns] ** 2 @ some.T
+        return multivariate_normal.logpdf(data, some @ prior_mean[columns], within)
 
     class Prior:
-        prior_mean, prior_precision = torch.zeros(4, dtype=torch.float64), torch.as_tensor(sigma**-2)
+        """Of the parameters."""
 
-    linear = Known(None, Prior(), torch.as_tensor(covariance), torch.as_tensor(covariance @ design.T @ data))
-    assert linear.log_odds("2") == pytest.approx(log_evidence([0, 1, 2, 3]) - log_evidence([0, 1, 3]))
-    less = linear.without("2")
+    Prior.prior_mean, Prior.prior_precision = torch.as_tensor(prior_mean), torch.as_tensor(sigma**-2)
+    x = covariance @ (design.T @ data + sigma**-2 * prior_mean)
+    linear = Known(Columns(), Prior(), torch.as_tensor(covariance), torch.as_tensor(x))
+    assert linear.x[4] == pytest.approx(0.0, abs=1e-12)
+    everything = log_evidence([0, 1, 2, 3, 4])
+    assert linear.log_odds("2") == pytest.approx(everything - log_evidence([0, 1, 3, 4]))
+    assert linear.log_odds("24") == pytest.approx(everything - log_evidence([0, 1, 3]))
+    less = linear.without("24")
     assert less.log_odds("13") == pytest.approx(log_evidence([0, 1, 3]) - log_evidence([0]))
     assert less.x[2] == pytest.approx(0.0, abs=1e-12)
 
