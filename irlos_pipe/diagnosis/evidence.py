@@ -15,7 +15,7 @@ from functools import cached_property, partial, reduce
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import resolution_px
+from irlos_pipe.conventions.units import MAS, resolution_px
 from irlos_pipe.diagnosis.acceptance import DECIDED, Accepted, Search, gap_between, preference
 from irlos_pipe.diagnosis.checks.drift import MOVING, motion_ratio
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
@@ -35,7 +35,7 @@ from irlos_pipe.diagnosis.posterior import (
 )
 from irlos_pipe.diagnosis.records import Alternative, Ranked
 from irlos_pipe.diagnosis.refit import Refit
-from irlos_pipe.diagnosis.scores import Family, Score, score_family, scored, whitened_shapes
+from irlos_pipe.diagnosis.scores import Family, Score, close_copies, score_family, scored, whitened_shapes
 from irlos_pipe.effects import Effect, FixedEffect, everyday, in_other_forms
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.pupil_places import PupilPlace
@@ -52,7 +52,10 @@ FIRST, AGAIN, JOINTLY = 16, 4, 8  # iterations of the first fit, after a change 
 FOLLOWING, TURNED = 3, 6  # iterations from another side: of all else, and of everything
 SIDES = 2  # that are followed to their end, those on which all else has made the most of it
 WITHIN = 1.0  # of a prior's σ, in which an effect begins
-FINER, LEAST = 0.5, 0.02  # by which steps of a search for a place get smaller, and the last, of the range
+FINER, LEAST = (
+    0.5,
+    0.02,
+)  # by which steps of a search for a place get smaller, and the last, of the range or λ/D
 
 
 @dataclass(frozen=True)
@@ -212,18 +215,22 @@ class EvidenceTask(Task):
     def _proposed(self, laplace: Laplace, known: list[Score]) -> list[Score]:
         """Scores of all families that the model lacks, those of the best odds first.
 
-        Places in the pupil are searched more finely, where modes imitate most of what is there; `known` are
-        those found before, and gets those found now.
+        Places are refined: of second images also near the core, and in the pupil, where modes imitate most of
+        what is there, also from where they were found before: `known`, which gets those found now.
         """
         missing, _ = families(self.moments, laplace.fitted.effects)
 
         def scored_best(family: Family) -> Score:
             score = score_family(laplace, family)
-            if not isinstance(family.effect.base, PupilPlace):
+            if family.effect.copies_star:
+                near = close_copies(laplace, family.effect)
+                others = scored(laplace, score.trials, family.placements, near)
+                others = sorted(others, key=lambda one: one.log_odds)[-1:]
+            elif isinstance(family.effect.base, PupilPlace):
+                others = [*score.elsewhere, *[one for one in known if one.name == score.name][-1:]]
+            else:
                 return score
-            before = [one for one in known if one.name == score.name][-1:]
-            refined = (_refined(laplace, one) for one in (score, *score.elsewhere, *before))
-            return max(refined, key=lambda one: one.log_odds)
+            return max((_refined(laplace, one) for one in (score, *others)), key=lambda one: one.log_odds)
 
         found = ordered_map(scored_best, [*missing, *bad_pixel_family(laplace)])
         known += [one for one in found if isinstance(one.candidate.base, PupilPlace)]
@@ -243,11 +250,7 @@ class EvidenceTask(Task):
         """The search with its names: what has the odds, explains its own, and no held-out data object to."""
         final = _Final(self, laplace, declared)
         beyond = final.beyond
-        named = [
-            one
-            for label in beyond
-            if (one := self._judged(final, label, entered, found)) is not None
-        ]
+        named = [one for label in beyond if (one := self._judged(final, label, entered, found)) is not None]
         named = sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
         adjusted = sorted(set(beyond) - {one.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
@@ -274,7 +277,9 @@ class EvidenceTask(Task):
         lit = _is_lit(final.laplace, refit.base, refit.values)
         if refit.significance < self.options.sure or refit.implausible or not lit:
             return None
-        if share_at_its_place(refit, final.optimum) < AT_ITS_PLACE[self.kind]:
+        # Copies of the star lie near its core, where the model's error counts in their odds.
+        share = 1.0 if refit.base.copies_star else share_at_its_place(refit, final.optimum)
+        if share < AT_ITS_PLACE[self.kind]:
             return None
         stack, without = self.cube.held_out, refit.origin.fitted
         z = preference(stack, refit.fitted, without)
@@ -473,11 +478,15 @@ def _refined(laplace: Laplace, score: Score) -> Score:
     base, free = score.candidate.base, [one.name for one in score.candidate.parameters]
     places = [i for i, one in enumerate(base.parameters) if one.null is None]  # and widths
     lower, upper = (np.array([getattr(base.parameters[i], n) for i in places]) for n in ("lower", "upper"))
+    span = upper - lower
+    if base.copies_star:
+        settings = laplace.settings
+        span = np.full(len(places), settings.shortest_m / settings.geometry.diameter_m / MAS)
     best = scored(laplace, score.trials, (score.candidate.acts_in,), [score.candidate])[0]
     at = best.candidate.all_values(best.candidate.null_values).numpy()
     step = 0.1
     while step > LEAST:
-        moves = step * (upper - lower) * np.concatenate([np.eye(len(places)), -np.eye(len(places))])
+        moves = step * span * np.concatenate([np.eye(len(places)), -np.eye(len(places))])
         tried = []
         for move in moves:
             values = at.copy()

@@ -583,7 +583,7 @@ class Linear:
         nulls, own = self.nulls_of(label), self.fitted.columns_of(label)
         if not nulls:
             return math.inf
-        # Without the effect its priors do not count: those of sizes at nothing, those of places where they are.
+        # The priors of the effect count with it only: of sizes at nothing, of places where they are.
         without = torch.tensor([nulls.get(column, float(self.x[column])) for column in own])
         precision = self.posterior.prior_precision[own]
         penalty = float((precision * (without - self.posterior.prior_mean[own]) ** 2).sum())

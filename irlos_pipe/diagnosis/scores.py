@@ -9,10 +9,17 @@ import numpy as np
 import torch
 from scipy.special import logsumexp
 
+from irlos_pipe.conventions.units import MAS
 from irlos_pipe.diagnosis.null_model import FittedModel, significance_of
 from irlos_pipe.diagnosis.view import Placement
 from irlos_pipe.effects import Effect, FixedEffect
-from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, brightest_copies, derivatives
+from irlos_pipe.estimate.score_test import (
+    ABSORBED,
+    RESOLVED,
+    LinearEstimate,
+    brightest_copies,
+    derivatives,
+)
 from irlos_pipe.numerics.parallel import ordered_map
 
 BUNDLED = 32  # candidates in the pupil or of the OTF that share one light path
@@ -255,6 +262,7 @@ class _Bundle(Effect):
 
 
 RING_MAS, DIRECTIONS = 150.0, 8  # a ring of positions that say how faint a copy can be seen
+CLOSE = (0.8, 1.2, 1.7, 2.4)  # rings about the core [λ/D], where modes imitate copies
 
 
 def copies_in(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
@@ -280,5 +288,26 @@ def _copies(optimum: FittedModel, wanted: Effect) -> list[tuple[float, float]]:
 
 def around(effect: Effect) -> list[FixedEffect]:
     """Positions of `effect` on all sides, which say how faint a copy of the star can be seen there."""
-    angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
-    return [effect.displaced(RING_MAS * np.cos(angle), RING_MAS * np.sin(angle)) for angle in angles]
+    return [effect.displaced(x, y) for x, y in _ring(RING_MAS, DIRECTIONS)]
+
+
+def close_copies(optimum: FittedModel, effect: Effect) -> list[FixedEffect]:
+    """Positions of `effect` about the core, where modes imitate most of a copy and little of it is left.
+
+    Those not resolved from a copy that the model has are left out.
+    """
+    settings, known = optimum.settings, _copies(optimum, effect)
+    resolution_mas = settings.shortest_m / settings.geometry.diameter_m / MAS
+    places = [
+        place for ring in CLOSE for place in _ring(ring * resolution_mas, round(2 * np.pi * ring / 0.6))
+    ]
+    apart = RESOLVED * resolution_mas
+    return [
+        effect.displaced(x, y) for x, y in places if all(np.hypot(x - a, y - b) > apart for a, b in known)
+    ]
+
+
+def _ring(radius: float, number: int) -> list[tuple[float, float]]:
+    """Points (x, y) of a circle."""
+    angles = np.arange(number) * 2 * np.pi / number
+    return [(radius * np.cos(angle), radius * np.sin(angle)) for angle in angles]
