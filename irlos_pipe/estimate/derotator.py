@@ -159,18 +159,9 @@ def _least_squares(design: np.ndarray, series: Series, pair: list[int]) -> tuple
     return value, np.einsum("ucm,cmn,vcn->uv", gain, covariance, gain)
 
 
-@dataclass(frozen=True)
-class Senses:
-    """The better of the two senses of rotation."""
-
-    best: Split
-    delta_chi2: float  # χ² of the other sense minus that of the best; near 0 where the angles do not show it
-
-
-def try_both_senses(series: Series) -> Senses:
-    """Split with either sense; at a tie the wavefront turns anticlockwise."""
-    splits = sorted((split_series(series, sense) for sense in (1, -1)), key=lambda split: split.chi2)
-    return Senses(splits[0], splits[1].chi2 - splits[0].chi2)
+def try_both_senses(series: Series) -> list[Split]:
+    """Split with either sense, the better one first; at a tie the wavefront turns anticlockwise."""
+    return sorted((split_series(series, sense) for sense in (1, -1)), key=lambda split: split.chi2)
 
 
 @dataclass(frozen=True)

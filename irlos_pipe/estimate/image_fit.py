@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -107,6 +107,10 @@ class ImageFit(ModesFit):
         """Return the same images with another `model` of the same parameters."""
         lower, upper = self._bounds(model)
         return self._with(model=model, lower=lower, upper=upper)
+
+    def posed(self, model: ImageModel, layout: Layout) -> ImageFit:
+        """Return the fit of the same images by a `model` of other parameters, those of a `layout`."""
+        return ImageFit(model, layout, self.images, self.root_weight.double() ** -2, loss=self.loss)
 
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.
@@ -422,7 +426,7 @@ class Layout:
     effects: tuple[Parameter, ...] = ()  # free parameters; empty where they are held
     # (modes,) or (batch, modes), both or none: Gaussian prior of the modes
     prior_mean_nm: torch.Tensor | None = None
-    prior_sigma_nm: torch.Tensor | None = field(default=None)
+    prior_sigma_nm: torch.Tensor | None = None
 
     @property
     def modes(self) -> slice:

@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL
+from irlos_pipe.conventions.units import MEDIAN_OF_NORMAL, ONE_SIGMA
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import NearModel, in_pieces, lift, near
+from irlos_pipe.estimate.lift import REACH_NM, NearModel, in_pieces, lift, near
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import at_once, ordered_map, process_map
 from irlos_pipe.numerics.solver import scaled_inverse
 
-PERCENTILES = (50, 15.87, 84.13)
 IMAGES_AT_ONCE = 1024  # images that are dimmed and estimated together, at least those of one magnitude
 
 
@@ -73,7 +72,7 @@ class Criterion:
     median_nm: float  # the median |error| may not exceed this [nm RMS]
     failure_fraction: float  # nor may more than this part of the estimates fail
     # an estimate further than this from the introduced defocus counts as failed
-    implausible_nm: float = 500.0
+    implausible_nm: float = REACH_NM
 
 
 def dim(
@@ -230,10 +229,8 @@ def curve_of(
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
     finite = [row[~np.isnan(row)] for row in abs_error_nm]
-    nothing = [np.nan] * len(PERCENTILES)
-    median, low, high = np.array(
-        [np.percentile(row, PERCENTILES) if len(row) else nothing for row in finite]
-    ).T
+    nothing = [np.nan] * len(ONE_SIGMA)
+    low, median, high = np.array([np.percentile(row, ONE_SIGMA) if len(row) else nothing for row in finite]).T
     limit = limiting_magnitude(mag_j, median, failures / trials, criterion)
     return Curve(
         nolls, mag_j, median, low, high, crb_nm, failures, trials, limit, abs_error_nm, one_read_crb_nm

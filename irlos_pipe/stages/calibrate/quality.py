@@ -17,7 +17,6 @@ from irlos_pipe.estimate.calibration_options import Cause, OneSetup
 from irlos_pipe.estimate.causes import (
     ENOUGH,
     EXPLAINED,
-    NAN,
     Asked,
     causes_of_misfit,
     dark_left_in,
@@ -310,7 +309,7 @@ def _asked(
     cutoff = cutoff_ratio(result.mean_image_e, good, expected)
     if np.isnan(cutoff):  # the declared pupil may be much too large: does detail end far below it?
         cutoff = cutoff_ratio(result.mean_image_e, good, expected, LAST_PER_PX)
-        cutoff = cutoff if cutoff * expected * BEYOND < LAST_PER_PX else NAN
+        cutoff = cutoff if cutoff * expected * BEYOND < LAST_PER_PX else math.nan
     pupils = {one: load_instrument(one).pupil for one in SHIPPED if one != ctx.instrument.name}
     return problem, x, Asked(conditions, nominal, cutoff, ctx.instrument.name, pupils)
 
@@ -337,4 +336,4 @@ def _constant(name: str, words: str, row: Constant, unit: str, key: str) -> Caus
         f"{words} of {row.measured:.3g} ± {row.error:.2g} {unit} instead of {row.used:.3g} {unit} would "
         f"explain how the frames scatter: {key}"
     )
-    return Cause(name, says, NAN, row.measured, row.error, row.used, unit, key, "cal-time")
+    return Cause(name, says, math.nan, row.measured, row.error, row.used, unit, key, "cal-time")
