@@ -171,8 +171,9 @@ CORRELATED = 2.3  # λ/D to the first zero of the correlation of the model's err
 # χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as
 # others do: behind other AO systems it leaves 1.3 to 3.3, of wrong instruments one in a hundred is below.
 OTHER_RESIDUAL = 2.0
-NUMERICAL = 0.15  # part of χ²/ν by errors of the discretisation: complete models leave up to 1.14
-SHARED = 0.15  # part of χ²/ν by the noise of the dark, which the frames show to a fifth of their scatter
+# Part of χ²/ν that may be more by errors of the discretisation, of which complete models leave up to 1.14,
+# and less by the noise of the dark, which the frames show to a fifth of their scatter.
+KNOWN_TO = 0.15
 LONGEST = 512  # frames of which all pairs are compared; of more, runs of neighbours are averaged
 
 
@@ -186,12 +187,12 @@ class NominalChi2:
     @property
     def least(self) -> float:
         """Below this χ²/ν is neither by chance nor by the error of the noise that all frames share."""
-        return max(0.0, (1 - SHARED) * self.value - BY_CHANCE * self.sigma)
+        return max(0.0, (1 - KNOWN_TO) * self.value - BY_CHANCE * self.sigma)
 
     @property
     def most(self) -> float:
         """Above this χ²/ν is neither by chance nor by errors of the discretisation."""
-        return (1 + NUMERICAL) * self.value + BY_CHANCE * self.sigma
+        return (1 + KNOWN_TO) * self.value + BY_CHANCE * self.sigma
 
     @property
     def most_behind_ao(self) -> float:

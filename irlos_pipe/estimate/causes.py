@@ -43,12 +43,12 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import band_limited
 
 WORTH_REFIT, WORTH_NAMING = 0.02, 0.1  # parts of the misfit: by the linear test, and after the refit
-EXPLAINED = 0.5  # part of the misfit that a wrong fact explains: no other minimum or residual is to blame
+EXPLAINED = 0.5  # part of the misfit that what is to blame explains: a fact, modes beyond the closed basis
 ENOUGH = 0.9  # part of the misfit from which other optics, and other minima, are not tried
 ALIKE = 0.03  # part of the misfit by which causes explain as much as the best
 AS_PROMISING = 0.3  # of the best promise: others are not refitted once enough is explained
-REFITS, STEPS = 4, 4  # suspects that are refitted, and their steps
-PLACES = 4  # at which a second star is looked for
+# Suspects that are refitted, as places at which a second star is looked for; their steps.
+REFITS, STEPS = 4, 4
 BEST, FURTHER, AFRESH = 2, 10, 15  # those that are followed, their steps, and those of fits without modes
 TRIAL, TRIAL_MODES = 6, 20  # steps and modes of fits that begin without modes, the best of which go on
 MOST_MODES = 65  # modes that are free in a refit
@@ -269,7 +269,7 @@ def _brightest(problem: ImageFit, null: NullModel) -> list[tuple[float, float]]:
     left = local_mean(residual, (root > 0).double()).numpy()
     y, x = np.indices(left.shape) - (np.array(left.shape) - 1)[:, None, None] / 2
     places: list[tuple[float, float]] = []
-    for _ in range(PLACES):
+    for _ in range(REFITS):
         near = [np.hypot(x - u, y - v) < settings.resolution_px for u, v in [(0, 0), *places]]
         at = np.unravel_index(np.argmax(np.where(np.any(near, axis=0), -np.inf, left)), left.shape)
         places.append((float(x[at]), float(y[at])))

@@ -43,15 +43,10 @@ class ModesFit(Problem):
 class ImageFit(ModesFit):
     """Images against those of an `ImageModel`; never changed, methods return changed copies.
 
-    Parameters
-    ----------
-    model : ImageModel
-        The modes of its PSF are the fitted ones. Its free effect parameters are either those of
-        `layout.effects`, fitted along, or stay at `held`.
-    images_e : tensor, (batch, repeats, pixels)
-        Data; the images along `repeats` share one parameter vector.
-    variance_e2 : tensor, broadcastable to `images_e`
-        Variance of the data; infinite for masked pixels.
+    The modes of the model's PSF are the fitted ones. Its free effect parameters are either those of
+    `layout.effects`, fitted along, or stay at `held`. The data `images_e` are (batch, repeats, pixels), those
+    along `repeats` share one parameter vector; their variance, broadcastable to them, is infinite for masked
+    pixels.
     """
 
     per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
@@ -326,16 +321,10 @@ class ImageFit(ModesFit):
 class JoinedFit(ModesFit):
     """Fits of several recordings by one vector; one member.
 
-    Parameters
-    ----------
-    parts : sequence of ImageFit
-        Of one member each, with the same modes.
-    columns : sequence of sequences of int
-        For each part where its parameters stand in the whole vector; parts may share some.
-    changes : sequence of mappings
-        For each part the numbers of those parameters to which a further one is added, and where that stands.
-    sigma : mapping
-        By place in the whole vector the prior standard errors of these, about 0.
+    The `parts`, of one member each, have the same modes. For each of them `columns` say where its parameters
+    stand in the whole vector, of which parts may share some, and `changes` to which of these by number a
+    further one is added, and where that stands: the prior standard errors of these, about 0, are `sigma`, by
+    place in the whole vector.
     """
 
     def __init__(

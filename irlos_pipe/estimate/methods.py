@@ -45,7 +45,7 @@ Report = Callable[[int], Any]
 
 
 def silent(count: int) -> None:
-    """Report nothing."""
+    pass
 
 
 @dataclass(frozen=True)

@@ -241,9 +241,15 @@ def _linearised(problem: ImageFit, x: torch.Tensor):
     gradient = torch.zeros(len(problem.held), dtype=torch.float64)
     information = torch.zeros(len(gradient), len(gradient), dtype=torch.float64)
     chi2, own, steps = 0.0, problem.layout.size, []
+    modes = len(problem.layout.nolls)
+    order = [*range(modes), -2, -1, *range(modes, modes + len(gradient))]  # the shared ones last
     size = at_once(FRAMES_PER_CHUNK, problem.device)
     for part, which in zip(x.split(size), torch.arange(len(x)).split(size), strict=True):
-        columns, residual = _whitened_columns(problem, part, which)
+        image, columns = problem.predict_and_all_derivatives(part)
+        numbers = which.to(problem.images.device)
+        root = problem.root_weight[numbers, 0].double()
+        residual = (problem.images[numbers, 0].double() - image) * root
+        columns = columns[:, order].double() * root[:, None]
         force, normal = (columns @ residual[..., None]).cpu(), (columns @ columns.mT).cpu()
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which])
         right = torch.cat([normal[:, :own, own:], force[:, :own]], dim=2)
@@ -254,14 +260,3 @@ def _linearised(problem: ImageFit, x: torch.Tensor):
         chi2 += float(residual.square().sum())
     misfit = max(1.0, chi2 / (problem.freedom * len(x)))
     return chi2, torch.cat(steps), gradient / misfit, information / misfit
-
-
-def _whitened_columns(problem: ImageFit, x: torch.Tensor, which: torch.Tensor):
-    """Derivatives (b, own + shared, pixels) and residuals (b, pixels), both over the noise."""
-    image, columns = problem.predict_and_all_derivatives(x)
-    modes, shared = len(problem.layout.nolls), len(problem.held)
-    order = [*range(modes), -2, -1, *range(modes, modes + shared)]
-    which = which.to(problem.images.device)
-    root = problem.root_weight[which, 0].double()
-    residual = (problem.images[which, 0].double() - image) * root
-    return columns[:, order].double() * root[:, None], residual

@@ -35,12 +35,7 @@ from irlos_pipe.estimate.calibration import (
     calibrate,
     window_resolutions,
 )
-from irlos_pipe.estimate.calibration_errors import (
-    NominalChi2,
-    Part,
-    nominal_chi2,
-    public_errors,
-)
+from irlos_pipe.estimate.calibration_errors import NominalChi2, Part, nominal_chi2, public_errors
 from irlos_pipe.estimate.calibration_options import CalibrationOptions, TwinCheck
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, kurtosis_of_frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, JoinedFit, Layout, whole_wavefront

@@ -77,21 +77,9 @@ class Focus:
     """Measures tip, tilt and defocus of single images with one model.
 
     Everything is prepared here; a measurement takes about a millisecond on one core. One object serves one
-    thread.
-
-    Parameters
-    ----------
-    model : ImageModel
-        Of the modes tip, tilt and defocus, in whatever order; its effects have no free parameters and none
-        acts on the detector or changes with time.
-    good : ndarray of bool, (rows, columns)
-    noise : NoiseModel
-        Of one read.
-
-    Raises
-    ------
-    ValueError
-        If the images of such a model cannot be tabulated.
+    thread. The `model` has the modes tip, tilt and defocus, in whatever order; its effects have no free
+    parameters and none acts on the detector or changes with time. The `good` pixels are (rows, columns), the
+    `noise` is that of one read. Raises ValueError if the images of such a model cannot be tabulated.
     """
 
     def __init__(
