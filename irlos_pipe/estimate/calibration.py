@@ -108,8 +108,8 @@ def calibrate(
     Where the images show that the AO residual is uneven over the pupil, the model has this as well.
 
     The `effects` are those of the model; methods of the paper leave them out. What of the instrument is
-    `adjustable` may be free jointly with all modes, for an open basis. Copies of the star among it enter where
-    they explain most of what all else leaves above nominal. Other minima than those from the sides of a
+    `adjustable` may be free jointly with all modes, for an open basis. Copies of the star among it enter
+    where they explain most of what all else leaves above nominal. Other minima than those from the sides of a
     displaced stop are not looked for then. Unless to `adjust_always`, the images have to contradict the
     instrument as declared, and to agree with one that any instrument could be.
 

@@ -51,7 +51,7 @@ from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.public_values import public_sigma
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, local_mean
+from irlos_pipe.estimate.cube import LEAST_FRAMES, Frames, covariance_of_mean, local_mean
 from irlos_pipe.estimate.image_fit import ImageFit, whole_wavefront
 from irlos_pipe.frames.recording import blocks
 from irlos_pipe.numerics.parallel import joined_map
@@ -165,7 +165,6 @@ def widening(freedom: float) -> float:
     return float(stdtrit(freedom, ndtr(KEPT_SIGMA))) / KEPT_SIGMA
 
 
-LEAST_FRAMES = 4  # frames from which their scatter is considered
 SLOWEST, DISTINCT = 2, 2.0  # frequencies over the whole series; standard deviations that are chance
 CORRELATED = 2.3  # λ/D to the first zero of the correlation of the model's error: an Airy core
 # χ²/ν over nominal up to which an AO residual of another shape than the model's is an error that counts as

@@ -32,7 +32,7 @@ from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.planes import DetectorEffect
 from irlos_pipe.effects.redrawn_pupil import PupilMisregistration, PupilSizes
 from irlos_pipe.effects.seeing_halo import SeeingHalo
-from irlos_pipe.estimate.calibration_options import Cause, NcpaPrior
+from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, METHODS, Cause, NcpaPrior
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.open_fit import like
@@ -51,7 +51,7 @@ AS_PROMISING = 0.3  # of the best promise: others are not refitted once enough i
 REFITS, STEPS = 4, 4
 BEST, FURTHER, AFRESH = 2, 10, 15  # those that are followed, their steps, and those of fits without modes
 TRIAL, TRIAL_MODES = 6, 20  # steps and modes of fits that begin without modes, the best of which go on
-MOST_MODES = 65  # modes that are free in a refit
+MOST_MODES = METHODS[DEFAULT_METHOD].highest_noll - 1  # that are free in a refit: those of the closed basis
 FAR = 0.1  # relative error of the scale from which the end of the spectrum says where to begin
 TURNS_DEG = (-25.0, -12.0, 12.0, 25.0)
 DRAWN, SAME = 64, 0.003  # samples of drawings that are compared; mean square of the difference of one pupil

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration_errors import nominal_of
@@ -23,7 +24,6 @@ from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit, Layout, masked_variance, whole_wavefront
 from irlos_pipe.estimate.starts import (
     FEW_FRAMES,
-    START_HIGHEST_NOLL,
     a_wave_off,
     better,
     check_twin,
@@ -325,7 +325,7 @@ class CubeFit:
 
     def _second_start(self, problem: ImageFit) -> torch.Tensor:
         """The start with the low modes of single frames."""
-        nolls = [noll for noll in self.psf.nolls if noll <= START_HIGHEST_NOLL]
+        nolls = [noll for noll in self.psf.nolls if noll <= HIGHEST_REPORTED_NOLL]
         model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
         median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
         return start_at_centroids(cube, problem, median_nm)

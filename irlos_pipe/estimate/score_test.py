@@ -41,8 +41,8 @@ from irlos_pipe.effects.companion import INNER_MAS
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect, PupilEffect
 from irlos_pipe.effects.seeing_halo import SeeingHalo, UnevenResidual
-from irlos_pipe.estimate.calibration_errors import BY_CHANCE, LEAST_FRAMES
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
+from irlos_pipe.estimate.calibration_errors import BY_CHANCE
+from irlos_pipe.estimate.cube import LEAST_FRAMES, Frames, autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.solver import Solution
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, PupilMode

@@ -12,7 +12,6 @@ from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.effects import CATALOGUE, Conditions
 from irlos_pipe.effects.base import kind_of
 from irlos_pipe.estimate.calibration import Calibration, facts_of
-from irlos_pipe.estimate.calibration_errors import LEAST_FRAMES
 from irlos_pipe.estimate.calibration_options import Cause, OneSetup
 from irlos_pipe.estimate.causes import (
     ENOUGH,
@@ -22,7 +21,7 @@ from irlos_pipe.estimate.causes import (
     dark_left_in,
     improbable_diversity,
 )
-from irlos_pipe.estimate.cube import CLEAR, Motion
+from irlos_pipe.estimate.cube import CLEAR, LEAST_FRAMES, Motion
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.methods import Fit
 from irlos_pipe.estimate.score_test import Mirrored
