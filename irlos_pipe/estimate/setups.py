@@ -47,6 +47,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 
 POINTING = len(TIP_TILT)  # the first modes
 FOCUSED = POINTING + 1  # those and defocus
+TWIN_ITERATIONS = 80  # planes exclude the twin: its fit goes back a long way to the solution
 LEAST_SETUPS = 3  # set-ups from which they can contradict each other
 # accuracy of introduced defoci, as a part of them: where the search begins, and its limits
 FIRST, LEAST, LARGEST = 0.1, 1e-4, 0.3
@@ -124,7 +125,7 @@ class SetupsFit(JoinedFit):
         """
         known = [setup.settings.known.total_nm for setup in setups]
         mean = {noll: sum(one.get(noll, 0.0) for one in known) / len(known) for noll in set().union(*known)}
-        return check_twin(self, solution, law, mean)
+        return check_twin(self, solution, law, mean, TWIN_ITERATIONS)
 
 
 def _keys(number: int, setup: Setup, part: ImageFit) -> list[Hashable]:

@@ -42,7 +42,6 @@ SCAN_NM = STEP_NM * np.arange(-7, 8)  # defocus of the templates
 ALIKE_AT_ONCE = 8  # images that are compared with all templates at once
 FEW_FRAMES = 10  # single frames that stand for all: their median is a start, their mean curvature that of all
 FEW_FRAMES_ITERATIONS = 60
-TWIN_ITERATIONS = 80  # planes exclude the twin: its fit goes back a long way to the solution
 
 
 def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
@@ -218,6 +217,7 @@ def check_twin(
     solution: Solution,
     law: NcpaLaw | None,
     known_nm: Mapping[int, float],
+    max_iterations: int = 30,
 ) -> tuple[TwinCheck, Solution]:
     """Refit a `problem` from the twin of its first `solution` and compare; returns the twin as well.
 
@@ -226,7 +226,7 @@ def check_twin(
     modes, nolls, x = problem.layout.modes, problem.layout.nolls, solution.values[:1]
     start = x.clone()
     start[:, modes] = twin_of(x[:, modes], nolls, known_nm)
-    twin = solve(problem, start, max_iterations=TWIN_ITERATIONS)
+    twin = solve(problem, start, max_iterations=max_iterations)
     shape = [i for i, noll in enumerate(nolls) if noll > 3]
     size = [float(v[0, shape].square().sum().sqrt()) for v in (x, twin.values, twin.values - x)]
     delta = 2 * float(twin.objective[0] - float(solution.objective[0]))
